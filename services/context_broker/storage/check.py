@@ -1,7 +1,7 @@
-"""A complete check of the files of a broker: every page, every row and the log; nothing is written.
+"""A complete check of a broker's files: every page, every row and the write-ahead log. It writes nothing.
 
-A start looks as far as it can in a second; this looks at everything, also while a broker uses the files
-(the log, which changes all the time, is left out then).
+The check at the start takes a second at most; this one reads everything, also while a broker uses the files.
+The write-ahead log is left out then, because it changes all the time.
 """
 
 import sqlite3
@@ -19,7 +19,7 @@ from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT
 from services.context_broker.storage.write_ahead_log import Damaged
 
 MAX_FAULTS: Final = 20
-"""Rows of a table that are named; of the others there is a number."""
+"""Damaged rows of a table that are listed; the others are counted."""
 _ROWS: Final[dict[str, tuple[Callable[..., int], str]]] = {
     "entities": (checksums.of_entity, "seq, tenant, body"),
     "documents": (checksums.of_document, "kind, tenant, id, body"),
@@ -30,7 +30,7 @@ _ROWS: Final[dict[str, tuple[Callable[..., int], str]]] = {
 
 
 def faults_in(path: Path) -> Iterator[str]:
-    """Yield what is wrong with the database of a broker and the log beside it, a line each."""
+    """Yield each fault of a broker's database and of the write-ahead log beside it."""
     database = SqliteDatabase(path)
     filing = Checkpointer(database, lambda *_: None, lambda _: None)
     try:
@@ -51,7 +51,7 @@ def faults_in(path: Path) -> Iterator[str]:
 
 def _faults_of_rows(path: Path) -> Iterator[str]:
     with closing(sqlite3.connect(path, isolation_level=None, timeout=5)) as reader:
-        reader.execute("BEGIN")  # so that tables and totals are of one moment
+        reader.execute("BEGIN")  # a transaction, so that tables and totals are consistent
         for table, (of, columns) in _ROWS.items():
             try:
                 yield from _faults_of_table(reader, path, table, (of, columns))
@@ -78,7 +78,7 @@ def _faults_of_table(
 
 
 def _shown(row: list[Any]) -> str:
-    """Return the key of a row: what comes before its content."""
+    """Return the key of a row: the columns before its content."""
     return ", ".join(str(value) for value in row[:3] if not isinstance(value, bytes))
 
 
@@ -86,7 +86,7 @@ def _faults_of_log(database: SqliteDatabase, filing: Checkpointer) -> Iterator[s
     try:
         database.keep_others_out()
     except UsageError:
-        return  # a broker is at work: its log is never at rest
+        return  # a broker is running: its log changes
     except sqlite3.Error as error:
         yield f"{database.path.with_suffix('.lock')}: {error}"
         return

@@ -1,8 +1,8 @@
-"""Filing: commits are safe in the log at once, and are filed in the tables later, many at a time.
+"""Checkpoints: a commit is durable in the write-ahead log at once, and is copied to the tables later.
 
-Many changes in one transaction cost a fraction of as many transactions, and what changed often is written
-once; what was owed to a subscriber and told meanwhile is not written at all. Whoever reads the tables has
-everything filed first, so they never say less than the log.
+Many commits in one transaction cost a fraction of as many transactions. What changed often is written once,
+and a notification that was delivered meanwhile is not written at all. Every read of the tables is preceded by
+a checkpoint, so a reader sees everything that is committed.
 """
 
 import math
@@ -27,26 +27,30 @@ from services.context_broker.storage.write_ahead_log import Damaged, WriteAheadL
 log = get_logger(__name__)
 
 QUIET_S: Final = 1.0
-"""How long changes wait when there are few, so that whoever opens the file finds it up to date."""
+"""Delay of a checkpoint when there are few commits, so that the tables are never far behind."""
 RETRY_S: Final = 1.0
 HICCUP_S: Final = 0.002
 REMEMBERED: Final = 16
 SUPPOSED: Final = 0.995
 QUICK_BYTES: Final = 64 * 1024
-"""What is written at once at most."""
+"""Maximum size of a record that the event loop writes itself."""
 
 UNCHECKPOINTED = Gauge(
-    "handover_broker_write_ahead_log_commits", "Commits in the log that are not in the tables yet"
+    "handover_broker_write_ahead_log_commits", "Commits in the write-ahead log that are not in the tables yet"
 )
 CHECKPOINT_FAILURES = Counter(
-    "handover_broker_checkpoint_failures_total", "Times the tables could not be written"
+    "handover_broker_checkpoint_failures_total",
+    "Checkpoints that failed because the tables could not be written",
 )
 
 Write = Callable[[Writer, Entries], None]
 
 
 class Checkpointer:
-    """The log and the way from there into the tables; `write` writes entries whose notices have numbers."""
+    """The write-ahead log, and the checkpoints that copy it to the tables.
+
+    `write` writes entries whose notifications have numbers; `tidy` deletes what is not needed any more.
+    """
 
     def __init__(self, database: SqliteDatabase, write: Write, tidy: Callable[[Writer], None]) -> None:
         self._database = database
@@ -54,23 +58,23 @@ class Checkpointer:
         self._tidy = tidy
         self._log = WriteAheadLog(database.path)
         self.left: list[Entries] = []
-        """What an earlier process has left in the log, until it is filed."""
+        """Commits that an earlier process has left in the log, until the first checkpoint."""
         self._no_room: str | None = None
-        """Why nothing can be written: the log could not be begun."""
+        """Why nothing can be written: the log could not be created."""
         self._not_checkpointed: str | None = None
         """Why the tables cannot be written."""
         self._not_written: str | None = None
         """Why the log could not be written the last time."""
         self._identity = self._opening = b""
         self._is_open = False
-        """Whether the tables say that the log of `_opening` counts."""
+        """Whether the log of `_opening` is valid, according to the tables."""
         self._has_begun = False
         self._waiting: list[bytes] = []
-        """Records: what they were made of takes ten times the memory."""
+        """Encoded commits: decoded they take ten times the memory."""
         self._guard = threading.Lock()
-        """Of what waits, and of the log."""
+        """Guards the log and what waits for a checkpoint."""
         self._checkpointer = threading.Lock()
-        """Held by whoever writes the tables: one at a time."""
+        """Held while the tables are written."""
         self._wanted = threading.Event()
         self._ends = threading.Event()
         self._flush_s = 0.0
@@ -78,25 +82,26 @@ class Checkpointer:
 
     @property
     def path(self) -> Path:
-        """Return where the database is."""
+        """Return the path of the database."""
         return self._database.path
 
     @property
     def flush_s(self) -> float:
-        """Return how long the event loop has waited for the disk of late."""
+        """Return the recent average time that a flush has blocked the event loop."""
         return math.inf if self._no_room is not None else self._flush_s
 
     def require_database(self) -> None:
-        """Raise `UsageError` if there is a log and no database that it belongs to."""
+        """Raise `UsageError` if there is a log without the database that it belongs to."""
         if self._log.exists() and not (self.path.exists() and self.path.stat().st_size):
             state = "is empty" if self.path.exists() else "is missing"
             logs = " and ".join(path.name for path in self._log.paths)
             raise UsageError(damage(f"{self.path} {state}, while {logs} beside it belong to it"))
 
     def open(self) -> None:
-        """File what an earlier process has left in the log, and begin a new one.
+        """Write what an earlier process has left in the log to the tables, and start a new log.
 
-        Raises `UsageError` for damage. Without room on the disk nothing is written until there is some.
+        Raises `UsageError` for damage. Without space on the disk the broker serves reads only until there is
+        some.
         """
         try:
             self.read_left()
@@ -110,7 +115,7 @@ class Checkpointer:
         try:
             self._begin()
         except NotStored as error:
-            log.warning("no room on the disk: reads only", database=str(self.path), error=str(error))
+            log.warning("no space on the disk: reads only", database=str(self.path), error=str(error))
             self._wanted.set()
         self._database.before_reading = self.settle
         UNCHECKPOINTED.set_function(lambda: len(self._waiting))
@@ -122,23 +127,26 @@ class Checkpointer:
             raise NotStored(reason)
 
     def scan_tables(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
-        """Yield the rows of a query as the tables are, without what is left in the log."""
+        """Yield the rows of a query from the tables, without the commits left in the log."""
         return self._database.scan_tables(statement, parameters)
 
     def last_of(self, statement: str) -> int:
-        """Return the number that a query gives, as the tables are."""
+        """Return the number that a query returns from the tables."""
         ((last,),) = self.scan_tables(statement)
         return int(last)
 
     def read_left(self) -> None:
-        """Read what the tables say of the log, and what is in the log only. Raises `Damaged`."""
-        states = list(self.scan_tables("SELECT identity, opening, filed, is_open, checksum FROM log_state"))
+        """Read the state of the log from the tables, and the commits that are in the log only. Raises
+        `Damaged`."""
+        states = list(
+            self.scan_tables("SELECT identity, opening, checkpointed, is_open, checksum FROM log_state")
+        )
         if not states:  # a new database
             self._identity = secrets.token_bytes(8)
         else:
             *state, checksum = states[0]
             if not checksums.holds(checksums.of_state, checksum, state):
-                raise Damaged(f"{self.path}: what it says of its log is not as it was written")
+                raise Damaged(f"{self.path}: the state of its log is not as it was written")
             identity, opening, checkpointed, is_open = state
             self._identity, self._opening = bytes.fromhex(identity), bytes.fromhex(opening)
             self._is_open = bool(is_open)
@@ -150,9 +158,10 @@ class Checkpointer:
             raise Damaged(f"{foreign}: {self.path.name} is an older copy, or of another place")
 
     def _begin(self) -> None:
-        """File what is left, and begin a log for a new opening. Raises `NotStored`, and remembers why.
+        """Write what is left to the tables, and start a log for a new opening. Raises `NotStored`.
 
-        The tables say that no log counts while its files are overwritten: it may be killed at any time.
+        While the log files are overwritten, the tables say that no log is valid: the process may be killed at
+        any time.
         """
         with self._checkpointer:
             if self._has_begun:
@@ -164,7 +173,7 @@ class Checkpointer:
                             self._write(writer, lot)
                         self._write_state(writer, 0, is_open=False)
                     if self.left:
-                        log.info("filed what was left in the log", commits=len(self.left))
+                        log.info("wrote commits of an earlier process to the tables", commits=len(self.left))
                     self.left, self._is_open = [], False
                 new = secrets.token_bytes(8)
                 self._log.begin(self._identity, new)
@@ -182,17 +191,17 @@ class Checkpointer:
             self._flush_s, self._no_room = flush_s, None
 
     def _write_state(self, writer: Writer, checkpointed: int, *, is_open: bool) -> None:
-        """Write what the tables say of the log: whose it is, and up to where it is filed."""
+        """Write the state of the log to the tables: its identity, its opening and the last checkpoint."""
         row = (self._identity.hex(), self._opening.hex(), checkpointed, int(is_open))
         writer.run(
-            "INSERT INTO log_state (name, identity, opening, filed, is_open, checksum) "
+            "INSERT INTO log_state (name, identity, opening, checkpointed, is_open, checksum) "
             "VALUES ('log', ?, ?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET opening = excluded.opening, "
-            "filed = excluded.filed, is_open = excluded.is_open, checksum = excluded.checksum",
+            "checkpointed = excluded.checkpointed, is_open = excluded.is_open, checksum = excluded.checksum",
             (*row, checksums.of_state(*row)),
         )
 
     def commit_at_once(self, entries: Entries) -> bool:
-        """Do as `commit` and return true if there is room and not much to write; else do nothing."""
+        """Do as `commit` and return true if there is space and the record is small; else do nothing."""
         if self._no_room is not None:
             return False
         record = encoded(entries)
@@ -200,12 +209,13 @@ class Checkpointer:
             return False
         began_s = time.perf_counter()
         self._append(record)
-        # One hiccup is no rule, so that it counts for little however long it was.
+        # A single slow flush must not change the average much.
         self._flush_s += (min(time.perf_counter() - began_s, HICCUP_S) - self._flush_s) / REMEMBERED
         return True
 
     def commit(self, entries: Entries) -> None:
-        """Write entries and return when they are safe; one thread at a time. Raises `NotStored`."""
+        """Write entries to the log and return when they are durable; from one thread at a time. Raises
+        `NotStored`."""
         if self._no_room is not None:
             self._begin()
         record = encoded(entries)
@@ -215,8 +225,8 @@ class Checkpointer:
         if not self._log.has_room(record):
             self._checkpoint()
         self._append(record)
-        # A thread waits for the interpreter too, so that it cannot tell how long the disk took: that it has
-        # become quicker is supposed, a little more each time, until the event loop tries it.
+        # A thread also waits for the interpreter, so it cannot measure the disk. Assume that the disk becomes
+        # a little quicker with each commit, until the event loop measures it again.
         self._flush_s *= SUPPOSED
 
     def _append(self, record: bytes) -> None:
@@ -234,14 +244,14 @@ class Checkpointer:
             self._wanted.set()
 
     def settle(self) -> None:
-        """Return when everything committed so far is in the tables; from any thread. Raises `NotStored`."""
+        """Write all commits so far to the tables; from any thread. Raises `NotStored`."""
         if self.left:
             raise NotStored(f"{self._database.name}: {self._no_room}")
         if self._waiting:
             self._checkpoint()
 
     def close(self) -> None:
-        """File what waits, and let go."""
+        """Write a last checkpoint, and close the log."""
         self._ends.set()
         self._wanted.set()
         if self._thread.is_alive():
@@ -254,11 +264,13 @@ class Checkpointer:
                     self._write_state(writer, 0, is_open=False)
                 is_filed = True
             except NotStored as error:
-                log.warning("what is in the log is filed at the next start", error=str(error))
+                log.warning(
+                    "the commits in the log are written to the tables at the next start", error=str(error)
+                )
         self._log.close(by_sequence=is_filed)
 
     def _checkpoint(self, besides: Entries | None = None) -> None:
-        """Write what waits into the tables, and what is too long for the log."""
+        """Write the waiting commits to the tables, and `besides`, which is too large for the log."""
         with self._checkpointer:
             with self._guard:
                 waiting, number = self._waiting.copy(), self._log.number
@@ -274,7 +286,7 @@ class Checkpointer:
                 self._log.checkpointed(number)
 
     def _work(self) -> None:
-        """File in a thread of its own what has become much, or has waited long."""
+        """Write checkpoints in a thread of its own, when there is enough or after a delay."""
         while not self._ends.is_set():
             self._wanted.wait()
             self._wanted.clear()
@@ -284,7 +296,7 @@ class Checkpointer:
             try:
                 if not self._has_begun:
                     self._begin()
-                    log.info("there is room on the disk again", database=str(self.path))
+                    log.info("there is space on the disk again", database=str(self.path))
                 if self._not_written is not None:
                     with self._guard:
                         self._log.try_out()
@@ -295,15 +307,15 @@ class Checkpointer:
                 CHECKPOINT_FAILURES.inc()
                 if self._no_room is None:
                     self._not_checkpointed = str(error)
-                    log.warning("changes wait in the log: the tables cannot be written", error=str(error))
+                    log.warning("checkpoint failed: the tables cannot be written", error=str(error))
                 self._ends.wait(RETRY_S)
                 self._wanted.set()
 
 
 def lots(commits: list[Entries]) -> list[Entries]:
-    """Put commits together as far as the order in which they were made does not matter.
+    """Combine commits, as far as their order does not matter.
 
-    What was owed and is told is in none of them.
+    Notifications that were delivered meanwhile are left out.
     """
     made: list[Entries] = []
     lot = None
@@ -316,17 +328,17 @@ def lots(commits: list[Entries]) -> list[Entries]:
         if forgets:
             lot = None
     for lot in made:
-        told = set(lot.settled).intersection(notice.seq for notice in lot.pending)
-        if told:
-            lot.pending = [notice for notice in lot.pending if notice.seq not in told]
-            lot.settled = [seq for seq in lot.settled if seq not in told]
+        delivered = set(lot.settled).intersection(notice.seq for notice in lot.pending)
+        if delivered:
+            lot.pending = [notice for notice in lot.pending if notice.seq not in delivered]
+            lot.settled = [seq for seq in lot.settled if seq not in delivered]
         latest = {row[:2]: row for row in lot.history}
         lot.history = list(latest.values())
     return made
 
 
 def _ends_a_subscription(entries: Entries) -> bool:
-    """Say whether what is owed to a subscription is forgotten with it: one of its name may come after."""
+    """Return whether the commit deletes a subscription: a later one may have the same id."""
     return any(
         body is None and kind in (Kind.SUBSCRIPTION, Kind.SOURCE_SUBSCRIPTION)
         for (kind, _, _), body in entries.documents.items()

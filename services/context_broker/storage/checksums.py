@@ -1,6 +1,6 @@
-"""Checksums of rows: 32 bits over everything that a row says, kept beside it and compared when it is read.
+"""Checksums of rows: 32 bits over all columns, stored with the row and compared when it is read.
 
-A bit that flips in the file of a database changes a row or its checksum, so that no wrong value is served.
+A flipped bit in the database file changes a row or its checksum, so no wrong value is served.
 """
 
 import struct
@@ -13,7 +13,7 @@ _PLACE: Final = Struct("<q")
 _CHANGE: Final = Struct("<qqqdd")
 _NOTICE: Final = Struct("<qd")
 _NOTHING: Final = float("-inf")
-"""What stands for a time that is not given: no time is."""
+"""Stands for a missing time; no time has this value."""
 
 
 def of_entity(place: int, tenant: str, body: bytes) -> int:
@@ -65,7 +65,7 @@ def of_state(identity: str, opening: str, checkpointed: int, is_open: int) -> in
 
 
 def holds(of: Callable[..., int], checksum: Any, row: Sequence[Any]) -> bool:
-    """Say whether a row has the checksum that `of` makes of it; damage may have changed types too."""
+    """Return whether a row has the checksum that `of` computes; damage may have changed its types too."""
     try:
         return bool(of(*row) == checksum)
     except (TypeError, ValueError, AttributeError, OverflowError, struct.error):
@@ -75,6 +75,6 @@ def holds(of: Callable[..., int], checksum: Any, row: Sequence[Any]) -> bool:
 def require_row(
     of: Callable[..., int], checksum: Any, row: Sequence[Any], damaged: Callable[[Sequence[Any]], Exception]
 ) -> None:
-    """Raise what `damaged` makes of a row that does not have its checksum."""
+    """Raise the error that `damaged` returns for a row without its checksum."""
     if not holds(of, checksum, row):
         raise damaged(row)

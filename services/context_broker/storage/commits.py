@@ -1,9 +1,10 @@
-"""Commits in groups: what one turn of the event loop brings, or comes during a flush, is written together.
+"""Group commit: the writes of one iteration of the event loop, or of the time of a flush, are written
+together.
 
-So an acknowledgement costs its share of a disk flush, not a flush of its own. Where the disk is quick the
-event loop writes by itself, since to hand a group to a thread and back takes longer than the flush; else a
-thread writes. When the disk refuses, the whole group is refused, and with it everything that was queued
-behind it and may build on it. Completion is guarded for each write by itself: one that raises fails alone.
+So an acknowledgement costs a share of a disk flush. If the disk is fast the event loop writes itself, because
+passing a group to a thread and back takes longer than the flush; else a thread writes. When the disk refuses
+a group, everything queued behind it is refused too, because it may depend on it. Each write is completed
+separately: an error in one does not affect the others.
 """
 
 import asyncio
@@ -24,22 +25,23 @@ from services.context_broker.storage.tally import TalliedMetric
 log = get_logger(__name__)
 
 Failed = Callable[[Exception], None]
-"""Takes `NotStored` when nothing of a write is kept, `NotCompleted` when it is, and what follows failed."""
+"""Receives `NotStored` when nothing of a write is stored, `NotCompleted` when it is and a later step
+failed."""
 
 MAX_GROUP = 2000
 MAX_FLUSH_S = 0.0005
-"""What the event loop waits for a disk at most: as long as two or three requests take."""
+"""Maximum flush time for which the event loop writes itself: as long as two or three requests take."""
 HANDING_OVER_S = 0.0001
-"""What it costs a write to go to a thread and back, most of it waiting for the interpreter."""
+"""The cost of passing a write to a thread and back, most of it waiting for the interpreter."""
 REMEMBERED = 16
-"""Turns of the event loop."""
+"""Iterations of the event loop in the moving average."""
 IDLE_S = 0.005
-"""Where writes come less often than this, nothing else waits for the event loop."""
+"""If writes are further apart than this, nothing else waits for the event loop."""
 RETRY_S = 1.0
-"""How long bookkeeping that the disk refused waits for its next chance."""
-REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the disk did not take")
+"""Delay before writes of `store_later` are tried again after the disk refused them."""
+REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the disk refused")
 NOT_COMPLETED = Counter(
-    "handover_broker_completions_failed_total", "Writes that are stored, and whose completion raised an error"
+    "handover_broker_completions_failed_total", "Writes that are stored, but whose completion raised an error"
 )
 GROUPS = TalliedMetric(
     "handover_broker_commit_group_writes", "Writes in one commit", (1, 2, 4, 8, 16, 32, 64, 256, 1024)
@@ -47,12 +49,12 @@ GROUPS = TalliedMetric(
 
 
 class NotCompleted(Exception):
-    """A write is stored, but what had to follow in memory failed; the log has the traceback."""
+    """A write is stored, but a later step in memory failed; the log has the traceback."""
 
 
 @dataclass(slots=True, eq=False)
 class Write:
-    """Something to be made durable, and whom to tell; `era` counts how often the disk has refused before."""
+    """A write to be made durable, with its callbacks; `era` counts the refusals of the disk before it."""
 
     entries: Entries
     era: int
@@ -64,19 +66,19 @@ class Commits(Protocol):
     """Where writes go."""
 
     def submit(self, entries: Entries, done: Callable[[], None], failed: Failed) -> None:
-        """Queue a write; `done` or `failed` is called on the loop when its fate is known."""
+        """Queue a write; `done` or `failed` is called on the event loop when its result is known."""
 
     async def store(self, entries: Entries) -> None:
-        """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
+        """Write `entries` and return when they are durable; raise `NotStored` if the disk refuses."""
 
     def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
-        """Write `entries` with the next commit, or after `within_s`; for bookkeeping only, nobody is told."""
+        """Write `entries` with the next commit, or after `within_s`; for statistics, without a callback."""
 
 
 class CommitQueue:
-    """Takes writes on the event loop, commits them, and tells their makers on the loop, in order.
+    """Takes writes on the event loop, commits them, and calls back on the loop, in order.
 
-    `on_refusal` is called on the loop, before any maker is told, when the disk has refused.
+    `on_refusal` is called on the loop when the disk has refused, before any `failed`.
     """
 
     def __init__(self, journal: Journal, on_refusal: Callable[[], None]) -> None:
@@ -86,9 +88,9 @@ class CommitQueue:
         self._gathered: list[Write] = []
         self._sent_s = 0.0
         self._usual = 1.0
-        """How many writes a turn of the event loop has brought of late."""
+        """Recent average of writes in one iteration of the event loop."""
         self._under_way = 0
-        """Writes on their way: handed over, and their makers not told yet."""
+        """Writes that were passed on and not called back yet."""
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
         self._era = 0
@@ -97,19 +99,19 @@ class CommitQueue:
         self._later_due: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
-        """Begin to commit; call it on the event loop."""
+        """Start to commit; call it on the event loop."""
         self._loop = asyncio.get_running_loop()
         self._thread.start()
 
     async def stop(self) -> None:
-        """Commit what is queued, and end."""
+        """Commit what is queued, and stop."""
         self._send_later()
         self._send()
         self._queue.put(None)
         await asyncio.to_thread(self._thread.join)
 
     def submit(self, entries: Entries, done: Callable[[], None], failed: Failed) -> None:
-        """Queue a write; `done` or `failed` is called on the loop when its fate is known."""
+        """Queue a write; `done` or `failed` is called on the event loop when its result is known."""
         if self._later_due is not None:
             self._later_due.cancel()
             self._later_due = None
@@ -124,9 +126,10 @@ class CommitQueue:
         self._gathered.append(Write(entries, self._era, done, failed))
 
     def _send(self) -> None:
-        """Hand over what one turn of the event loop has brought.
+        """Pass on the writes of one iteration of the event loop.
 
-        One by one, the first write would wake the thread and be committed alone, and the others wait for it.
+        One by one, the first write would wake the thread and be committed alone, and the others would wait
+        for it.
         """
         if self._gathered:
             writes, self._gathered = self._gathered, []
@@ -137,16 +140,16 @@ class CommitQueue:
                 self._queue.put(writes)
 
     def _is_quick(self, count: int) -> bool:
-        """Say whether the event loop loses less by a flush than by handing so many writes over, as a rule."""
+        """Return whether a flush on the event loop costs less than passing so many writes to the thread."""
         flush_s, before_s, self._sent_s = self._journal.flush_s, self._sent_s, time.monotonic()
         self._usual += (count - self._usual) / REMEMBERED
         if flush_s > MAX_FLUSH_S:
             return False
-        # Each write is handed over, and each then waits for all of them.
+        # Each write is passed on, and each then waits for all of them.
         return flush_s < self._usual**2 * HANDING_OVER_S or self._sent_s - before_s > IDLE_S
 
     def _commit_at_once(self, writes: list[Write]) -> bool:
-        """Commit what has come and return true, if that is quick; the thread does nothing meanwhile."""
+        """Commit writes on the event loop and return true if that is fast; the thread is idle meanwhile."""
         if writes[0].era <= self._refused_era:
             return False
         entries = together(writes)
@@ -160,17 +163,17 @@ class CommitQueue:
             return True
         except Exception:
             log.exception("a group of writes cannot be committed together", writes=len(writes))
-            return False  # the thread finds the write that is to blame
+            return False  # the thread finds the write that failed
         GROUPS.tally.note(len(writes))
         self._report_success(writes)
         return True
 
     async def store(self, entries: Entries) -> None:
-        """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
+        """Write `entries` and return when they are durable; raise `NotStored` if the disk refuses."""
         await stored(self, entries)
 
     def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
-        """Write `entries` with the next commit, or after `within_s`; for bookkeeping only, nobody is told."""
+        """Write `entries` with the next commit, or after `within_s`; for statistics, without a callback."""
         self._later.add(entries)
         if self._later_due is None:
             self._later_due = asyncio.get_running_loop().call_later(within_s, self._send_later)
@@ -180,7 +183,7 @@ class CommitQueue:
             self.submit(Entries(), lambda: None, lambda _: None)
 
     def _kept_for_later(self, later: Entries, failed: Failed) -> Failed:
-        """Return what tells `failed`, and sees that `later` is written with another commit."""
+        """Return a callback that calls `failed` and queues `later` again."""
 
         def failed_and_kept(error: Exception) -> None:
             if isinstance(error, NotStored):
@@ -213,7 +216,7 @@ class CommitQueue:
         built_on_sand = [write for write in group if write.era <= self._refused_era]
         if built_on_sand:
             self._report_failure(
-                built_on_sand, NotStored("an earlier change that it may build on was not stored")
+                built_on_sand, NotStored("an earlier change that it may depend on was not stored")
             )
         firm = [write for write in group if write.era > self._refused_era]
         if not firm:
@@ -222,7 +225,7 @@ class CommitQueue:
             self._journal.commit(together(firm))
         except NotStored as error:
             self._refuse(firm, error)
-        except Exception as error:  # what ends this thread would let every later write wait for ever
+        except Exception as error:  # if this thread ended, every later write would wait for ever
             log.exception("a group of writes cannot be committed", writes=len(firm))
             if len(firm) > 1:
                 for write in firm:
@@ -245,7 +248,7 @@ class CommitQueue:
         assert self._loop is not None  # noqa: S101 - start() has set it
         self._loop.call_soon_threadsafe(function, *arguments)
 
-    # On the loop
+    # On the event loop
 
     def _report_success(self, writes: list[Write]) -> None:
         self._under_way -= len(writes)
@@ -258,7 +261,7 @@ class CommitQueue:
                 _call_failed(write, NotCompleted(f"{type(error).__name__}: {error}"))
 
     def _on_failure(self, writes: list[Write], error: NotStored) -> None:
-        log.error("the disk does not take changes", error=str(error), writes=len(writes))
+        log.error("the disk refuses changes", error=str(error), writes=len(writes))
         self._under_way -= len(writes)
         if writes[-1].era == self._era:
             self._era += 1
@@ -268,7 +271,7 @@ class CommitQueue:
 
 
 def _call_failed(write: Write, error: Exception) -> None:
-    """Call `failed` of a write; what it raises concerns no other write of the group."""
+    """Call `failed` of a write; an error in it does not affect other writes of the group."""
     try:
         write.failed(error)
     except Exception:
@@ -276,7 +279,7 @@ def _call_failed(write: Write, error: Exception) -> None:
 
 
 def together(writes: list[Write]) -> Entries:
-    """Return what several writes write."""
+    """Return the entries of several writes."""
     entries = Entries()
     for write in writes:
         entries.add(write.entries)
@@ -284,7 +287,7 @@ def together(writes: list[Write]) -> Entries:
 
 
 async def stored(commits: Commits, entries: Entries) -> None:
-    """Submit a write and return when it is safe; raise `NotStored` if the disk refuses."""
+    """Submit a write and return when it is durable; raise `NotStored` if the disk refuses."""
     outcome: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def done() -> None:

@@ -1,7 +1,7 @@
-"""The database under the journal: what SQLite and PostgreSQL do each in their own way.
+"""The database under the journal: what differs between SQLite and PostgreSQL.
 
-The SQL itself stands in the rooms that use it, once for both: parameters are `?`, types that have different
-names are written `{bytes}` and `{number}`. Nothing here knows of entities.
+The modules that use it have the SQL, once for both: parameters are `?`, types with different names are
+`{bytes}` and `{number}`.
 """
 
 import os
@@ -19,8 +19,12 @@ from handover.sqlite_files import damage, require_sound
 Row = tuple[Any, ...]
 
 
+APPLICATION_ID: Final = 0x484F5652
+"""`HOVR`, in the header of every database file since the first release; before it there was none."""
+
+
 class NotStored(Exception):
-    """The database did not take a transaction (nothing of it is there), or cannot be read."""
+    """The database refused a transaction (nothing of it is stored), or cannot be read."""
 
 
 class Writer(Protocol):
@@ -34,17 +38,17 @@ class Writer(Protocol):
 
 
 class Database(Protocol):
-    """Where the broker keeps what must survive. Transactions come from one thread, reading from any."""
+    """Durable storage of the broker. Transactions come from one thread, reads from any."""
 
     name: str
-    """What the database is called in errors."""
+    """The name of the database in errors."""
     lost: str | None
     """Why this process may not write any more: another broker has written the database."""
     unreachable: str | None
     """Why the database could not be reached the last time."""
 
     def open(self, version: int, script: str) -> None:
-        """Make ready; what is new is made by `script`. Raises `UsageError` for content of another version."""
+        """Open the database; create a new one with `script`. Raises `UsageError` for another version."""
 
     def try_lock(self) -> bool:
         """Become the broker that writes the database, if there is no other. Raises `NotStored`."""
@@ -57,23 +61,23 @@ class Database(Protocol):
 
     @contextmanager
     def transaction(self) -> Iterator[Writer]:
-        """Write all that is run inside, or nothing; safe once it is left. Raises `NotStored`."""
+        """Write all that is run inside, or nothing; durable after the block. Raises `NotStored`."""
         yield  # type: ignore[misc]  # a protocol has no body
 
     def read(self, statement: str, parameters: Sequence[Any] = ()) -> list[Row]:
         """Return the rows of a query, from any thread. Raises `NotStored`."""
 
     def scan(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
-        """Yield the rows of a query that may be too many to hold."""
+        """Yield the rows of a query whose result may not fit into memory."""
 
     def close(self) -> None:
-        """Let go."""
+        """Close the database."""
 
 
 class SqliteDatabase:
     """A database in one file, with a log that is flushed at every commit.
 
-    So neither `kill -9` nor a power cut takes back what was acknowledged.
+    So neither `kill -9` nor a power failure loses an acknowledged change.
     """
 
     TYPES: Final = {"bytes": "BLOB", "number": "REAL", "keyed": "WITHOUT ROWID"}
@@ -82,7 +86,7 @@ class SqliteDatabase:
         self.path = path
         self.name = path.name
         self.before_reading: Callable[[], None] = lambda: None
-        """Is called before anything is read: what is not in the tables yet is put there."""
+        """Called before every read, to write what is not in the tables yet."""
         self.lost: str | None = None
         self.unreachable: str | None = None
         self.is_checked = False
@@ -91,7 +95,7 @@ class SqliteDatabase:
         self._guard: sqlite3.Connection | None = None
 
     def open(self, version: int, script: str) -> None:
-        """Make the file, or open it if it is sound and of this version; else it is left as it is."""
+        """Create the file, or open it if it is sound and of this version; else it is left unchanged."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.keep_others_out()
@@ -140,12 +144,12 @@ class SqliteDatabase:
         return list(self.scan(statement, parameters))
 
     def scan(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
-        """Yield the rows of a query, over a connection of its own."""
+        """Yield the rows of a query, on a new connection."""
         self.before_reading()
         yield from self.scan_tables(statement, parameters)
 
     def scan_tables(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
-        """Yield the rows of a query as the tables are, without what is not in them yet."""
+        """Yield the rows of a query from the tables, without what is not in them yet."""
         try:
             with closing(self._reader()) as reader:
                 yield from reader.execute(statement, tuple(parameters))
@@ -153,32 +157,31 @@ class SqliteDatabase:
             raise NotStored(f"{self.name} cannot be read: {error}") from error
 
     def checkpoint(self) -> None:
-        """Move what SQLite's own log holds into the file: the loss of that log is noticed then."""
-        with suppress(sqlite3.Error):  # else it is moved later
+        """Move the content of SQLite's WAL into the file, so that a lost WAL is detected afterwards."""
+        with suppress(sqlite3.Error):  # else a later checkpoint does it
             self._connected().execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def close(self) -> None:
-        """Close the file; what is in its log is moved into it."""
+        """Close the file; the content of its WAL is moved into it."""
         for connection in (self._writer, self._guard):
             if connection is not None:
                 connection.close()
         self._writer = self._guard = None
 
     def keep_others_out(self) -> None:
-        """Hold a lock for as long as the process lives: two brokers on one file would undo each other."""
+        """Hold a lock while the process lives: two brokers on one file would overwrite each other."""
         guard = sqlite3.connect(
             self.path.with_suffix(".lock"), isolation_level=None, check_same_thread=False, timeout=0
         )
         try:
-            guard.execute("PRAGMA journal_mode=MEMORY")  # a full disk has no room for another file
+            guard.execute("PRAGMA journal_mode=MEMORY")  # a full disk has no space for a journal file
             guard.execute("BEGIN EXCLUSIVE")
         except sqlite3.OperationalError as error:
             guard.close()
             if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
                 raise
             raise UsageError(
-                f"another broker is at work on {self.path}; "
-                "stop it, or give this one another HANDOVER_DATA_DIR"
+                f"another broker runs on {self.path}; stop it, or give this one another HANDOVER_DATA_DIR"
             ) from None
         self._guard = guard
 
@@ -187,14 +190,14 @@ class SqliteDatabase:
             writer = sqlite3.connect(
                 self.path, isolation_level=None, check_same_thread=False, timeout=5, cached_statements=256
             )
-            # FULL flushes at every transaction: once it is committed, the broker's own log is written over.
+            # FULL flushes at every transaction: after it the broker's own log is overwritten.
             for pragma in ("journal_mode=WAL", "synchronous=FULL", "wal_autocheckpoint=4000"):
                 writer.execute(f"PRAGMA {pragma}")
             self._writer = writer
         return self._writer
 
     def _reader(self) -> sqlite3.Connection:
-        """Return a connection for reading, also where there is no room for files beside the database."""
+        """Return a connection for reading, also when there is no space for files beside the database."""
         reader = sqlite3.connect(self.path, isolation_level=None, timeout=5)
         try:
             reader.execute("SELECT 1 FROM sqlite_master")
@@ -207,16 +210,17 @@ class SqliteDatabase:
         return reader
 
     def require_version(self, version: int, script: str) -> None:
-        """Raise `UsageError` unless the file is of this version, with the tables that `script` makes."""
+        """Raise `UsageError` unless the file is of this version, with the tables that `script` creates."""
         with closing(self._reader()) as reader:
+            ((application_id,),) = reader.execute("PRAGMA application_id")
             ((found,),) = reader.execute("PRAGMA user_version")
+            if application_id != APPLICATION_ID and found:
+                raise UsageError(
+                    f"{self.path} has the format {found} of a version before the first release, which this "
+                    "one cannot read; move the data directory away to start with an empty one"
+                )
             if found > version:
                 raise UsageError(f"{self.path} was written by a newer version of Handover; use that version")
-            if 0 < found < version:
-                raise UsageError(
-                    f"{self.path} has the format {found} of a version before the first release, which cannot "
-                    f"be read (this one reads {version}); move the data directory away to begin with none"
-                )
             tables = set(reader.execute(_TABLES))
         with closing(sqlite3.connect(":memory:")) as made:
             made.executescript(script.format(**self.TYPES))
@@ -225,19 +229,21 @@ class SqliteDatabase:
             raise UsageError(damage(f"{self.path}: the table or index {missing[0]} is missing or altered"))
 
     def _make(self, version: int, script: str) -> None:
-        """Make the file whole under another name first: one that is empty or without tables is damaged."""
+        """Create the file completely under another name first: an empty one, or one without tables, is
+        damaged."""
         unfinished = self.path.with_suffix(".new")
         for left in (unfinished, unfinished.with_name(f"{unfinished.name}-journal")):
             left.unlink(missing_ok=True)
         with closing(sqlite3.connect(unfinished, isolation_level=None)) as made:
             made.execute("PRAGMA synchronous=FULL")
             script = script.format(**self.TYPES)
-            made.executescript(f"BEGIN; {script} PRAGMA user_version = {version}; COMMIT;")
+            header = f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {version};"
+            made.executescript(f"BEGIN; {script} {header} COMMIT;")
         unfinished.replace(self.path)
         flush_folder(self.path.parent)
 
     def _start_over(self) -> None:
-        """Leave a connection on which something failed; the next transaction makes a new one."""
+        """Close a connection on which something failed; the next transaction opens a new one."""
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.close()
@@ -247,14 +253,14 @@ _TABLES: Final = "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"
 
 
 def unusable(path: Path, error: Exception) -> UsageError:
-    """Return why the broker cannot use its file, for a reason outside of it."""
+    """Return the error for a file that the broker cannot use, for a reason outside of it."""
     return UsageError(
-        f"the broker cannot use {path}: {error}; give it another HANDOVER_DATA_DIR, or make room there"
+        f"the broker cannot use {path}: {error}; give it another HANDOVER_DATA_DIR, or free space there"
     )
 
 
 def flush_folder(folder: Path) -> None:
-    """See that the name of a new file survives a power cut, where folders can be flushed."""
+    """Flush a folder, where that is possible, so that the name of a new file survives a power failure."""
     if os.name != "nt":
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -273,8 +279,8 @@ class _SqliteWriter:
     def run_many(self, statement: str, rows: Iterable[Sequence[Any]]) -> None:
         """Run one statement for many rows at once.
 
-        Python's SQLite lets go of the interpreter at each row, and may wait milliseconds to get it back while
-        requests are answered; so a commit would take as many waits as it has rows.
+        Python's SQLite module releases the interpreter lock at each row, and may wait milliseconds to get it
+        back while requests are answered; a commit would wait once for each row.
         """
         listed = rows if isinstance(rows, list) else list(rows)
         start = 0
@@ -291,14 +297,14 @@ class _SqliteWriter:
 
 
 _CHUNKS: Final = (256, 64, 32, 16, 8, 4, 2, 1)
-"""Rows that go into one statement: few sizes, so that SQLite keeps all of them ready."""
+"""Rows in one statement: few sizes, so that SQLite caches all of them."""
 _ROW: Final = re.compile(r"VALUES (\([?, ]+\))")
 _KEY: Final = re.compile(r"WHERE (\w+) = \?$")
 
 
 @lru_cache(maxsize=256)
 def _for_rows(statement: str, count: int) -> str | None:
-    """Return the statement for so many rows at once; None for one that cannot be widened."""
+    """Return the statement for so many rows at once; None if that is not possible."""
     if count == 1:
         return statement
     if found := _ROW.search(statement):

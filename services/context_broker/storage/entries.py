@@ -1,4 +1,4 @@
-"""What a commit writes: entities, documents, what subscribers are owed, and what has been."""
+"""What a commit writes: entities, documents, pending notifications and history."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -7,33 +7,35 @@ from typing import Final, NamedTuple
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 
 OVERHEAD_BYTES: Final = 200
-"""What a notice takes besides its body."""
+"""Memory that a notification takes besides its body."""
 
 
 class Kind(StrEnum):
-    """What a document is. Documents of a tenant go with it; those of no tenant have the tenant ""."""
+    """The kind of a document. Documents of a tenant are deleted with it; those of no tenant have the
+    tenant ""."""
 
     TENANT = "tenant"
     CONTEXT = "context"
-    """An @context: by its URL if it was fetched, else by its local identifier, of the tenant that gave it."""
+    """An @context: by its URL if it was fetched, else by its local identifier, with the tenant that added
+    it."""
     CONTEXT_USAGE = "contextUsage"
     """How the @context of the same id was used."""
     SUBSCRIPTION = "subscription"
     FORWARDED_SUBSCRIPTION = "forwarded subscription"
-    """A subscription that was passed on to a context source."""
+    """A subscription that was forwarded to a context source."""
     COUNTS = "counts"
-    """What became of the notifications of the subscription of the same id."""
+    """Statistics of the notifications of the subscription of the same id."""
     ENTITY_MAP = "entity map"
     IDENTITY = "identity"
-    """What tells this broker from all others, made at its first start."""
+    """What distinguishes this broker from all others, created at its first start."""
     SOURCE_SUBSCRIPTION = "source subscription"
-    """To registrations of context sources; its counts are kept as those of other subscriptions."""
+    """To context source registrations; its counts are stored as those of other subscriptions."""
     SNAPSHOT = "snapshot"
     SNAPSHOT_NOTIFICATION = "snapshot notification"
-    """A notification of how a snapshot is that is owed to somebody."""
+    """A pending notification about a snapshot."""
     REGISTRATION = "registration"
     ATTEMPTS = "attempts"
-    """What became of the operations passed on to the source of the registration of the same id."""
+    """Statistics of the operations forwarded to the source of the registration of the same id."""
 
 
 DocumentKey = tuple[Kind, str, str]
@@ -41,7 +43,7 @@ DocumentKey = tuple[Kind, str, str]
 
 
 class EntityRow(NamedTuple):
-    """An entity as it is kept; without `body` it is gone."""
+    """A stored entity; without `body` it is deleted."""
 
     tenant: str
     id: str
@@ -50,12 +52,11 @@ class EntityRow(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class PendingNotification:
-    """A notification that is owed.
+    """A pending notification.
 
-    Without `body`, or with one that is a list of entities instead of a notification, it waits for its
-    throttling to end, to be told then: how the entity is by then, or that list. `headers` (JSON) are those of
-    the request that the subscriber wants passed on. `seq` is its place in the outbox, which the journal gives
-    it in the commit.
+    Without `body`, or with a list of entities as its body, it waits until its throttling ends. Then the state
+    of the entity at that time, or the list, is sent. `headers` (JSON) are those of the request that the
+    subscriber asked for. `seq` is its number in the outbox, which the journal assigns in the commit.
     """
 
     tenant: str
@@ -68,32 +69,32 @@ class PendingNotification:
 
     @property
     def waits_for_throttling(self) -> bool:
-        """Say whether it is told together with others once the throttling ends."""
+        """Return whether it is sent with others once the throttling ends."""
         return self.body is None or self.body.startswith(b"[")
 
     @property
     def size(self) -> int:
-        """How many bytes it takes, about."""
+        """Its approximate size in memory."""
         return OVERHEAD_BYTES + (0 if self.body is None else len(self.body))
 
 
 @dataclass(slots=True)
 class Entries:
-    """What is to be written in one commit; None as a body deletes."""
+    """What one commit writes; None as a body deletes."""
 
     entities: dict[int, EntityRow] = field(default_factory=dict)
-    """By place in the order of creation."""
+    """By sequence number."""
     documents: dict[DocumentKey, bytes | None] = field(default_factory=dict)
     pending: list[PendingNotification] = field(default_factory=list)
     settled: list[int] = field(default_factory=list)
     history: list[HistoryRow] = field(default_factory=list)
     cleared: list[tuple[int, int]] = field(default_factory=list)
-    """Places, each with the seq below which its history is cleared away."""
+    """Sequence numbers, each with the seq below which its history is deleted."""
     departed: dict[int, DepartedRow] = field(default_factory=dict)
-    """By place in the order of creation."""
+    """By sequence number."""
 
     def add(self, later: "Entries") -> None:
-        """Put what comes later into the same commit."""
+        """Add later entries to the same commit."""
         self.entities.update(later.entities)
         self.history.extend(later.history)
         if later.pending:

@@ -1,7 +1,7 @@
-"""Transient entities and attributes: what has an `expiresAt` ends by itself when that has come (clause 4.22).
+"""Transient entities and attributes: they are deleted at their `expiresAt` (clause 4.22).
 
-Each entity with an end stands in one queue once, however often it changes; what it says when its turn comes
-counts. A restart takes up the queue again, and ends at once what should have ended meanwhile.
+Each entity with an `expiresAt` is in the queue once, however often it changes; its state when it is due
+counts. After a restart the queue is built again, and what expired meanwhile is deleted at once.
 """
 
 import asyncio
@@ -20,27 +20,27 @@ from services.context_broker.storage.journal import NotStored
 log = get_logger(__name__)
 
 MAX_SLEEP_S: Final = 30.0
-"""The wall clock may be set meanwhile: it is looked at no less often than this."""
+"""Maximum sleep, because the wall clock may be set meanwhile."""
 RETRY_S: Final = 1.0
-"""How long an end waits that could not be stored."""
+"""Delay before an expiry is tried again that could not be stored."""
 LEFT_BEHIND: Final = 1000
-"""Places in the queue that may be of entities that are gone: sweeping costs, and is not done for a few."""
+"""Entries of deleted entities that may stay in the queue: removing them is expensive."""
 AT_ONCE: Final = 500
-"""Ends brought about before others get their turn."""
+"""Expiries that are handled before other tasks run."""
 
 
 class Store(Protocol):
-    """The entities of one tenant, as far as their ends are concerned."""
+    """The entities of one tenant, as the queue uses them."""
 
     def latest(self, entity_id: str) -> Entity | None:
         """Return the entity as the last write left it."""
 
     def stage(self, event: Event) -> asyncio.Future[None]:
-        """Put a change on its way."""
+        """Start to write a change."""
 
 
 class ExpiryQueue:
-    """Knows when entities end, of all tenants, and ends them."""
+    """Deletes transient entities and attributes of all tenants when they expire."""
 
     def __init__(self) -> None:
         self._queue: list[tuple[float, int, Store, str]] = []
@@ -51,29 +51,29 @@ class ExpiryQueue:
 
     @property
     def waiting(self) -> int:
-        """How long the queue is."""
+        """The length of the queue."""
         return len(self._queue)
 
     def watch(self, store: Store, entity: Entity) -> None:
-        """Note that an entity, or an attribute of it, ends."""
+        """Add an entity with its next expiry."""
         end_s = moment(entity.ends_at or "")
         if end_s is not None:
             self._put(store, entity.id, end_s)
 
     def forget(self, store: Store, entity_id: str) -> None:
-        """Note that an entity is gone before its end; it leaves the queue when many have."""
+        """Remove an entity that was deleted before; its entry leaves the queue when there are many."""
         self._due_s.pop((store, entity_id), None)
         if len(self._queue) > 2 * len(self._due_s) + LEFT_BEHIND:
             self._queue = [one for one in self._queue if self._due_s.get((one[2], one[3])) == one[0]]
             heapq.heapify(self._queue)
 
     def start(self) -> None:
-        """Begin to end entities; call it on the event loop."""
+        """Start; call it on the event loop."""
         self._loop = asyncio.get_running_loop()
         self._work()
 
     def stop(self) -> None:
-        """End no more."""
+        """Stop."""
         self._loop = None
         if self._timer is not None:
             self._timer.cancel()
@@ -102,7 +102,7 @@ class ExpiryQueue:
                 break
             due_s, _, store, entity_id = heapq.heappop(self._queue)
             if self._due_s.get((store, entity_id)) != due_s:
-                continue  # an earlier end has taken its place
+                continue  # an earlier expiry has replaced it
             del self._due_s[store, entity_id]
             self._look_at(store, entity_id, now_s)
         self._set_timer()
@@ -127,7 +127,7 @@ class ExpiryQueue:
         def ended(outcome: asyncio.Future[None]) -> None:
             error = None if outcome.cancelled() else outcome.exception()
             if isinstance(error, NotStored | Problem):
-                log.warning("an end could not be stored", entity=entity.id, error=str(error))
+                log.warning("an expiry could not be stored", entity=entity.id, error=str(error))
                 self._put(store, entity.id, time.time() + RETRY_S)
 
         store.stage(event).add_done_callback(ended)

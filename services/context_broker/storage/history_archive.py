@@ -1,7 +1,7 @@
-"""The archive: the history of entities on disk, a row for each change and one for each that has departed.
+"""The history of entities on disk: a row for each change, and a row for each entity that is history only.
 
-Rows are written as part of a commit of the journal and read from threads, however many there are. They lie in
-the order of time and are found by an index: rows in the order of entities would cost a commit twice as much.
+Rows are written as part of a commit of the journal and read from any number of threads. They are in the order
+of time and found by an index: rows in the order of entities would double the cost of a commit.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,11 +21,11 @@ _CHANGE: Final = "entity, seq, observed_from, observed_to, rewritten, body, chec
 
 
 class HistoryRow(NamedTuple):
-    """A change of the entity at `place`, as the table has it; without `body` it is forgotten.
+    """A change of the entity with sequence number `place`; without `body` the row is deleted.
 
-    `seq` is the time of the change in microseconds since 1970, made different from every other one of the
-    entity; `observed` are the first and the last observedAt in it, in seconds since 1970, if it has any.
-    `rewritten` is 1 where it was changed later, so that modifiedAt in it may be younger than the row.
+    `seq` is the time of the change in microseconds since 1970, unique within the entity. `observed` are the
+    first and the last observedAt in it, in seconds since 1970, if it has any. `rewritten` is 1 if it was
+    changed later, so that a modifiedAt in it may be later than the row.
     """
 
     place: int
@@ -38,7 +38,8 @@ class HistoryRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DepartedRow:
-    """An entity that is only history, whether it is gone or never was; without `body` it is forgotten."""
+    """An entity that is history only: it was deleted, or never existed as a current one. No `body` deletes
+    the row."""
 
     tenant: str
     id: str
@@ -46,18 +47,19 @@ class DepartedRow:
 
 
 class Archive:
-    """Finds what has been, from any thread; raises `NotStored` where the disk cannot be read."""
+    """Reads history, from any thread; raises `NotStored` when the disk cannot be read."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
         self._is_closed = False
 
     def close(self) -> None:
-        """End every reading that is under way."""
+        """Abort all reads."""
         self._is_closed = True
 
     def departed(self, tenant: str, entity_id: str | None = None) -> Iterator[tuple[int, str, bytes]]:
-        """Yield place, id and body of what is only history, all of it or that of one id; from any thread."""
+        """Yield place, id and body of temporal-only entities, all of them or those of one id; from any
+        thread."""
         asked = "SELECT place, id, body, checksum FROM departed WHERE tenant = ?"
         if entity_id is None:
             rows = self._scan(f"{asked} ORDER BY place", (tenant,))
@@ -75,9 +77,9 @@ class Archive:
         *,
         latest_first: bool = False,
     ) -> Iterator[tuple[int, int, float | None, bytes]]:
-        """Yield place, seq, first observedAt and body of the changes at `places`, in order.
+        """Yield place, seq, first observedAt and body of the changes at `places`, in order; from any thread.
 
-        `condition` is SQL about seq, observed_from, observed_to and rewritten. From any thread.
+        `condition` is SQL on seq, observed_from, observed_to and rewritten.
         """
         marks = ", ".join("?" * len(places))
         narrowed = f" AND {condition}" if condition else ""
@@ -99,7 +101,8 @@ class Archive:
         return [(int(row[1]), row[5]) for row in rows]
 
     def bound_of(self, place: int, most: int, before: int | None = None) -> int | None:
-        """Return the seq after the first `most` changes at `place` (below `before`), None at their end."""
+        """Return the seq after the first `most` changes at `place` (below `before`), None if there is
+        none."""
         narrowed, values = ("", ()) if before is None else ("AND seq < ? ", (before,))
         found = self._database.read(
             f"SELECT seq FROM history WHERE entity = ? {narrowed}ORDER BY seq LIMIT 1 OFFSET ?",  # noqa: S608 - ours
@@ -115,7 +118,7 @@ class Archive:
         return (int(found[0][0]), int(found[0][1])) if found else None
 
     def departed_without_history(self, place: int) -> tuple[str, str] | None:
-        """Return tenant and id of the entity that departed from `place` if there is no history of it."""
+        """Return tenant and id of the temporal-only entity at `place` if it has no history."""
         found = self._database.read(
             "SELECT tenant, id FROM departed WHERE place = ? "
             "AND NOT EXISTS (SELECT 1 FROM history WHERE entity = departed.place)",
@@ -125,7 +128,7 @@ class Archive:
 
     def _damaged(self, row: Sequence[Any]) -> NotStored:
         return NotStored(
-            damage(f"{self._database.name}: the past at place {row[0]} is not as it was written")
+            damage(f"{self._database.name}: the history at place {row[0]} is not as it was written")
         )
 
     def _scan(self, statement: str, parameters: Sequence[Any]) -> Iterator[Any]:
@@ -141,7 +144,7 @@ def write_archive(
     cleared: Sequence[tuple[int, int]],
     departed: Mapping[int, DepartedRow],
 ) -> None:
-    """Write changes and departed entities as part of a commit, and forget those that are to be forgotten."""
+    """Write changes and temporal-only entities as part of a commit, and delete what is to be deleted."""
     kept = [(*row[:5], row.body) for row in history if row.body is not None]
     if kept:
         writer.run_many(

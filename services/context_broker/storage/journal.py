@@ -1,8 +1,8 @@
-"""The journal: what must survive, on disk. Everything else in the broker is rebuilt from it at start.
+"""The journal: everything durable. The rest of the broker is rebuilt from it at the start.
 
-Entities are rows by their place in the order of creation; subscriptions, registrations, @contexts and the
-like are documents by kind; what subscribers are owed is the outbox. All looking up is done in memory. What
-has been is the history: a row for each change of an entity, and a row for each entity that has departed.
+Entities are rows by sequence number; subscriptions, registrations, @contexts and the like are documents by
+kind; pending notifications are the outbox. Queries use memory only. History has a row for each change of an
+entity, and a row for each entity that is history only.
 """
 
 import math
@@ -23,8 +23,8 @@ __all__ = ["Journal", "NotStored"]
 
 log = get_logger(__name__)
 
-SCHEMA_VERSION: Final = 4
-"""Versions 1 to 3 were never released."""
+SCHEMA_VERSION: Final = 1
+"""Versions are counted from the first release on."""
 SCRIPT: Final = """
     CREATE TABLE entities (
         seq INTEGER PRIMARY KEY, tenant TEXT NOT NULL, body {bytes} NOT NULL, checksum INTEGER NOT NULL
@@ -49,15 +49,15 @@ SCRIPT: Final = """
     );
     CREATE INDEX departed_by_id ON departed (tenant, id);
     CREATE TABLE log_state (
-        name TEXT PRIMARY KEY, identity TEXT NOT NULL, opening TEXT NOT NULL, filed BIGINT NOT NULL,
+        name TEXT PRIMARY KEY, identity TEXT NOT NULL, opening TEXT NOT NULL, checkpointed BIGINT NOT NULL,
         is_open INTEGER NOT NULL, checksum INTEGER NOT NULL
     );
     CREATE TABLE totals (name TEXT PRIMARY KEY, number BIGINT NOT NULL, checksum BIGINT NOT NULL);
     INSERT INTO totals VALUES ('entities', 0, 0);
     INSERT INTO totals VALUES ('documents', 0, 0);
 """
-"""`totals` has the number of rows of a table and the sum of their checksums: a row that is missing, or is an
-older one, is noticed too. It is kept up on SQLite only, where one process writes."""
+"""`totals` has the number of rows of a table and the sum of their checksums, so that a missing or an old row
+is detected. Only SQLite has them, where one process writes."""
 
 _NOTICE: Final = "seq, tenant, subscription, entity, at, body, headers, checksum"
 _ORPHANS: Final = """
@@ -68,7 +68,7 @@ _SUBSCRIPTION_KINDS: Final = f"'{Kind.SUBSCRIPTION}', '{Kind.SOURCE_SUBSCRIPTION
 
 
 class Journal:
-    """Keeps what must survive in a database. One thread commits at a time."""
+    """Durable storage in a database. One thread commits at a time."""
 
     def __init__(self, database: Database) -> None:
         self.name = database.name
@@ -83,9 +83,9 @@ class Journal:
         self.is_closed = False
 
     def open(self) -> None:
-        """Make ready. Raises `UsageError` if that cannot be, or if what is there is damaged.
+        """Open the database. Raises `UsageError` if that is impossible or the content is damaged.
 
-        Without room on the disk it is opened for reading; commits are refused until there is room.
+        Without space on the disk it is opened for reading; commits are refused until there is space.
         """
         if self._checkpointer is not None:
             self._checkpointer.require_database()
@@ -127,12 +127,12 @@ class Journal:
         return self._database.lost
 
     def require_room(self) -> None:
-        """Raise `NotStored` with the reason while the disk does not take what is committed."""
+        """Raise `NotStored` with the reason while the disk refuses commits."""
         if self._checkpointer is not None:
             self._checkpointer.require_room()
 
     def commit(self, entries: Entries) -> None:
-        """Write all of `entries` or nothing, and return when it is safe. Raises `NotStored`."""
+        """Write all of `entries` or nothing, and return when they are durable. Raises `NotStored`."""
         _number(entries, self._last_notice)
         if self._checkpointer is not None:
             self._checkpointer.commit(entries)
@@ -150,13 +150,13 @@ class Journal:
 
     @property
     def flush_s(self) -> float:
-        """Return how long a commit has waited for the disk of late."""
+        """Return the recent average time of a flush."""
         return math.inf if self._checkpointer is None else self._checkpointer.flush_s
 
     def commit_at_once(self, entries: Entries) -> bool:
-        """Do as `commit` and return true if nothing but a flush is to be waited for; else do nothing.
+        """Do as `commit` and return true if only a flush has to be waited for; else do nothing.
 
-        From any thread, while no other commits.
+        From any thread, while no other one commits.
         """
         if self._checkpointer is None:
             return False
@@ -167,7 +167,7 @@ class Journal:
         return done
 
     def settle(self) -> None:
-        """Return when the tables hold everything committed so far. Raises `NotStored`."""
+        """Write everything committed so far to the tables. Raises `NotStored`."""
         if self._checkpointer is not None:
             self._checkpointer.settle()
 
@@ -187,9 +187,9 @@ class Journal:
         self._database.close()
 
     def entities(self) -> Iterator[tuple[str, bytes]]:
-        """Yield the entities, each with its tenant, in the order of their creation.
+        """Yield the entities with their tenants, in the order of their creation.
 
-        Raises `UsageError` where one is damaged, or missing.
+        Raises `UsageError` for a damaged or missing one.
         """
         left = self._left()
         number = total = 0
@@ -209,7 +209,7 @@ class Journal:
                 yield row.tenant, row.body
 
     def documents(self, kind: Kind) -> Iterator[tuple[str, str, bytes]]:
-        """Yield tenant, id and body of all documents of a kind. Raises `UsageError` where one is damaged."""
+        """Yield tenant, id and body of all documents of a kind. Raises `UsageError` for a damaged one."""
         left = {key[1:]: body for key, body in self._left().documents.items() if key[0] is kind}
         for tenant, name, body, checksum in self._scan(
             "SELECT tenant, id, body, checksum FROM documents WHERE kind = ? ORDER BY tenant, id",
@@ -224,14 +224,14 @@ class Journal:
                 yield tenant, name, changed
 
     def _left(self) -> Entries:
-        """Return what is committed and cannot be filed for want of room, as the start has found it."""
+        """Return what was in the log at the start and cannot be written to the tables for lack of space."""
         together = Entries()
         for one in () if self._checkpointer is None else self._checkpointer.left:
             together.add(one)
         return together
 
     def _scan(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
-        """Yield rows as they are in the tables if something cannot be filed, else with everything filed."""
+        """Yield rows of the tables, after a checkpoint if one is possible."""
         if self._checkpointer is not None and self._checkpointer.left:
             return self._checkpointer.scan_tables(statement, parameters)
         return self._database.scan(statement, parameters)
@@ -250,7 +250,7 @@ class Journal:
             raise UsageError(damage(f"{self._checkpointer.path}: {fault}"))
 
     def pending(self, tenant: str, subscription: str, after: int, limit: int) -> list[PendingNotification]:
-        """Return the oldest notifications owed to a subscription after number `after`; from any thread.
+        """Return the oldest pending notifications of a subscription after number `after`; from any thread.
 
         Raises `NotStored` when the disk cannot be read.
         """
@@ -270,7 +270,7 @@ class Journal:
         return NotStored(damage(f"{self.name}: notification {row[0]} is not as it was written"))
 
     def pending_sizes(self, tenant: str, subscription: str, after: int, limit: int) -> list[tuple[int, int]]:
-        """Return number and bytes of the oldest notifications owed after number `after`, as `owed`."""
+        """Return number and bytes of the oldest pending notifications after number `after`, as `pending`."""
         rows = self._database.read(
             "SELECT seq, coalesce(length(body), 0) FROM outbox "
             "WHERE tenant = ? AND subscription = ? AND seq > ? ORDER BY seq LIMIT ?",
@@ -279,7 +279,7 @@ class Journal:
         return [(seq, size + OVERHEAD_BYTES) for seq, size in rows]
 
     def pending_total(self, tenant: str, subscription: str) -> tuple[int, int]:
-        """Return how many notifications are owed to a subscription, and their bytes, as `owed`."""
+        """Return how many notifications of a subscription are pending, and their bytes, as `pending`."""
         ((many, size),) = self._database.read(
             "SELECT count(*), coalesce(sum(length(body)), 0) FROM outbox "
             "WHERE tenant = ? AND subscription = ?",
@@ -288,13 +288,13 @@ class Journal:
         return many, int(size) + many * OVERHEAD_BYTES
 
     def pending_subscriptions(self, tenant: str) -> set[str]:
-        """Return the subscriptions of a tenant to which anything is owed, as `owed`."""
+        """Return the subscriptions of a tenant with pending notifications, as `pending`."""
         rows = self._scan("SELECT DISTINCT subscription FROM outbox WHERE tenant = ?", (tenant,))
         left = {one.subscription for one in self._left().pending if one.tenant == tenant}
         return left | {subscription for (subscription,) in rows}
 
     def last_sequence(self) -> int:
-        """Return the highest place in the order of creation."""
+        """Return the highest sequence number."""
         ((last,),) = self._scan("SELECT coalesce(max(seq), 0) FROM entities")
         ((gone,),) = self._scan("SELECT coalesce(max(place), 0) FROM departed")
         left = self._left()
@@ -302,7 +302,7 @@ class Journal:
 
 
 def _number(entries: Entries, last_notice: int) -> None:
-    """Give what is owed its places in the outbox."""
+    """Assign numbers of the outbox to the pending notifications."""
     for number, one in enumerate(entries.pending, last_notice + 1):
         one.seq = number
 
@@ -315,7 +315,7 @@ def _write_tables(writer: Writer, entries: Entries) -> None:
 
 
 def _checkpoint(writer: Writer, entries: Entries) -> None:
-    """Write tables of SQLite, and keep their totals up."""
+    """Write tables of SQLite, and update their totals."""
     places = list(entries.entities)
     keys = [(kind.value, tenant, name) for kind, tenant, name in entries.documents]
     before = [
@@ -335,7 +335,7 @@ def _checkpoint(writer: Writer, entries: Entries) -> None:
 
 
 def _total(writer: Writer, table: str, key: str, keys: Sequence[Any]) -> tuple[int, int]:
-    """Return how many of some rows there are, and the sum of their checksums."""
+    """Return the number of some rows, and the sum of their checksums."""
     number = total = 0
     for start in range(0, len(keys), _AT_ONCE):
         some = keys[start : start + _AT_ONCE]
@@ -349,7 +349,7 @@ def _total(writer: Writer, table: str, key: str, keys: Sequence[Any]) -> tuple[i
 def total_of(table: str, key: str, count: int) -> str:
     """Return the query for the total of so many rows, each found by its key.
 
-    `WHERE (a, b) IN (VALUES …)` would read the whole table where there is more than one key.
+    `WHERE (a, b) IN (VALUES …)` would read the whole table if the key has more than one column.
     """
     width = key.count(",") + 1
     row = f"({', '.join('?' * width)})"
@@ -364,7 +364,7 @@ _AT_ONCE: Final = 256
 
 
 def _tidy(writer: Writer, write: Callable[[Writer, Entries], None]) -> None:
-    """Delete what is owed to no subscription: a change on its way while one was deleted may have left it."""
+    """Delete notifications of deleted subscriptions, which a concurrent change may have left."""
     kinds = _SUBSCRIPTION_KINDS
     orphans = _ORPHANS.format(kinds=kinds, table="outbox", key="subscription")
     writer.run(f"DELETE FROM outbox WHERE {orphans}")  # noqa: S608 - ours

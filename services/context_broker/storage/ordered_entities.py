@@ -1,7 +1,7 @@
-"""Entities by id, told in the order of their creation.
+"""Entities by id, in the order of their creation.
 
-They mostly come in that order, and are put in order only when somebody asks. What comes late is an entity
-that got another type, and news of other brokers, which come in the order of their commits.
+They are mostly added in that order, and sorted only when a query needs it. An entity that gets another type
+is added late.
 """
 
 from collections.abc import Iterable
@@ -13,18 +13,18 @@ _BY_SEQ = attrgetter("seq")
 
 
 class OrderedEntities:
-    """Some of a tenant's entities. `by_id` is there to look up and to count, not to change."""
+    """Some entities of a tenant. `by_id` is for reading only."""
 
     __slots__ = ("_highest", "_is_in_order", "by_id")
 
     def __init__(self) -> None:
         self.by_id: dict[str, Entity] = {}
         self._highest = 0
-        """No entity here has a higher place. Kept as a number: to look at the last entity costs more."""
+        """The highest sequence number. Looking at the last entity would cost more."""
         self._is_in_order = True
 
     def put(self, entity: Entity) -> None:
-        """Take an entity, or how it is now."""
+        """Add or replace an entity."""
         if entity.seq > self._highest:
             self._highest = entity.seq
         elif self._is_in_order and entity.id not in self.by_id:
@@ -32,7 +32,7 @@ class OrderedEntities:
         self.by_id[entity.id] = entity
 
     def remove(self, entity_id: str) -> None:
-        """Let go of an entity."""
+        """Remove an entity."""
         del self.by_id[entity_id]
 
     def all(self) -> list[Entity]:
@@ -44,5 +44,5 @@ class OrderedEntities:
 
 
 def by_sequence(entities: Iterable[Entity]) -> list[Entity]:
-    """Return entities in the order of their creation."""
+    """Return entities in the order of creation."""
     return sorted(entities, key=_BY_SEQ)

@@ -1,7 +1,7 @@
-"""Records of the log: what one commit writes, as bytes and back.
+"""Records of the write-ahead log: what one commit writes, encoded as bytes.
 
-A record is a line of JSON that names what is written, with the length of each body in its place, and then the
-bodies one after the other. They are JSON as a rule, and only copied.
+A record is a line of JSON with the keys of what is written and the length of each body, followed by the
+bodies. Most bodies are JSON already, and are only copied.
 """
 
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ _NOTHING: Final[tuple[()]] = ()
 
 
 def encoded(entries: Entries) -> bytes:
-    """Return what a commit writes as a record."""
+    """Return the entries of a commit as a record."""
     bodies: list[bytes] = []
 
     def size(body: bytes | None) -> int | None:
@@ -34,7 +34,7 @@ def encoded(entries: Entries) -> bytes:
             (kind.value, tenant, name, size(body)) for (kind, tenant, name), body in entries.documents.items()
         ]
     if entries.pending:
-        said["owed"] = [
+        said["pending"] = [
             (one.tenant, one.subscription, one.entity, one.at, one.seq, size(one.body), size(one.headers))
             for one in entries.pending
         ]
@@ -50,7 +50,7 @@ def encoded(entries: Entries) -> bytes:
 
 
 def decoded(record: bytes) -> Entries:
-    """Return what a record says is written."""
+    """Return the entries of a record."""
     line, _, _ = record.partition(b"\n")
     said: dict[str, list[Any]] = orjson.loads(line)
     at = len(line) + 1
@@ -65,7 +65,7 @@ def decoded(record: bytes) -> Entries:
     def rows(of: str) -> Iterable[Any]:
         return said.get(of, _NOTHING)
 
-    # The order is that of `encoded`, in which the bodies lie.
+    # The order is that of `encoded`: the bodies follow each other.
     entities = {place: EntityRow(tenant, name, body(size)) for place, tenant, name, size in rows("entities")}
     history = [
         HistoryRow(place, seq, observed_from, observed_to, rewritten, body(size))
@@ -76,7 +76,7 @@ def decoded(record: bytes) -> Entries:
     }
     pending = [
         PendingNotification(tenant, subscription, entity, at_s, body(size), seq, body(headers))
-        for tenant, subscription, entity, at_s, seq, size, headers in rows("owed")
+        for tenant, subscription, entity, at_s, seq, size, headers in rows("pending")
     ]
     cleared = [(place, bound) for place, bound in rows("cleared")]
     departed = {

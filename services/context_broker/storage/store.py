@@ -1,7 +1,7 @@
-"""The entities, in memory: readers see what is committed, writers build on what is on its way.
+"""The entities in memory: readers see what is committed, writers build on what is staged.
 
-A change is staged first; once the journal has it, it becomes visible and its notifications go out. If the
-disk refuses, everything staged is forgotten, so that memory never says more than the disk.
+A change is staged first. Once the journal has it, it becomes visible and its notifications are sent. If the
+disk refuses, all staged changes are dropped, so that memory never has more than the disk.
 """
 
 import asyncio
@@ -30,14 +30,14 @@ from services.context_broker.storage.type_statistics import TypeStatistics
 log = get_logger(__name__)
 
 MAX_INDEXES: Final = 64
-"""Attributes, and attributes with places, for which there is an index."""
+"""Maximum indexes of attributes, and of attributes with geometries."""
 
 
 @dataclass(slots=True, eq=False)
 class Staged:
-    """A change on its way to disk: the entity before and after (None where there is none).
+    """A staged change: the entity before and after (None if it does not exist).
 
-    `fate` is done when it is safe, or fails with a problem (507).
+    `outcome` is done when the change is durable, or fails with a problem (507).
     """
 
     store: "Store"
@@ -47,17 +47,17 @@ class Staged:
 
     @property
     def after(self) -> Entity | None:
-        """Return how the entity will be."""
+        """Return the entity after the change."""
         return self.event.after
 
     def done(self) -> None:
-        """Show the change to readers: it is safe."""
+        """Make the change visible: it is durable."""
         self.store.show(self)
         if not self.outcome.done():
             self.outcome.set_result(None)
 
     def failed(self, error: Exception) -> None:
-        """Report that the change was not stored, or that what followed failed."""
+        """Report that the change was not stored, or that a later step failed."""
         if self.outcome.done():
             return
         if isinstance(error, NotStored):
@@ -67,21 +67,22 @@ class Staged:
 
 
 class Recorder(Protocol):
-    """Adds the history of a change to what is written with it."""
+    """Adds the history of a change to its commit."""
 
     def record(self, tenant: str, event: Event, entries: Entries) -> None:
         """Record a change."""
 
 
 Announce = Callable[[Event], list[PendingNotification]]
-"""Tells which notifications a change owes."""
+"""Returns the notifications of a change."""
 
 
 class Store:
-    """All entities of one tenant. `announce` and `deliver` are the notifier's two ends.
+    """All entities of one tenant.
 
-    `places` gives each new entity its place in the order of creation; `recorder` keeps history, None none;
-    `ends` ends what is transient.
+    `announce` returns the notifications of a change, `deliver` sends them once they are committed. `places`
+    returns the next sequence number; `recorder` records history (None: no history); `ends` deletes transient
+    entities.
     """
 
     def __init__(
@@ -110,10 +111,10 @@ class Store:
         self._staged: dict[str, Staged] = {}
 
     def take(self, entity: Entity) -> None:
-        """Take an entity that the journal has kept."""
+        """Add an entity from the journal."""
         self._put(None, entity)
 
-    # What readers see
+    # For readers
 
     def __len__(self) -> int:
         return len(self._every.by_id)
@@ -129,9 +130,9 @@ class Store:
         conditions: Iterable[Condition] = (),
         places: GeoQuery | None = None,
     ) -> list[Entity]:
-        """Return entities among which all hits are, as few as the indexes know, in the order of creation.
+        """Return entities among which all hits are, narrowed by the indexes, in the order of creation.
 
-        What is None does not limit them.
+        An argument that is None does not narrow them.
         """
         if ids is not None:
             found = [entity for one in dict.fromkeys(ids) if (entity := self._every.by_id.get(one))]
@@ -158,7 +159,7 @@ class Store:
         return sum(len(self._rarest(one)) for one in types.alternatives)
 
     def _rarest(self, kinds: frozenset[str]) -> dict[str, Entity]:
-        """Return the entities of the type of which there are fewest."""
+        """Return the entities of the rarest of the types."""
         having = (self._by_type.get(kind) for kind in kinds)
         return min((ranks.by_id if ranks is not None else {} for ranks in having), key=len)
 
@@ -175,10 +176,10 @@ class Store:
     def overlay(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
     ) -> "OverlayStore":
-        """Return a store, for one answer, of the entities with these ids or else types (None: of all).
+        """Return a store for one response: the entities with these ids or else types (None: all), and
+        `others`.
 
-        `others` are how entities are when other sources are heard too; None stands for one that is not to
-        be shown. Nothing may be written to it.
+        `others` are entities merged with context sources; None hides one. The store is read-only.
         """
         overlay = OverlayStore(self, others)
         for one in self.candidates(ids, None if types is None else of_types(tuple(types))):
@@ -188,19 +189,19 @@ class Store:
             overlay.take(entity)
         return overlay
 
-    # What writers do
+    # For writers
 
     def latest(self, entity_id: str) -> Entity | None:
-        """Return the entity as the last write left it, be that on disk already or not."""
+        """Return the entity as the last write left it, committed or not."""
         staged = self._staged.get(entity_id)
         return staged.after if staged is not None else self._every.by_id.get(entity_id)
 
     def next_seq(self) -> int:
-        """Return the place of a new entity in the order of creation."""
+        """Return the next sequence number."""
         return next(self._places)
 
     def stage(self, event: Event) -> asyncio.Future[None]:
-        """Put a change on its way; the future is done when it is safe, or fails with a problem (507)."""
+        """Start to write a change; the future is done when it is durable, or fails with a problem (507)."""
         before, after = event.before, event.after
         entries = Entries()
         one = after or before
@@ -220,7 +221,7 @@ class Store:
         return outcome
 
     def show(self, staged: Staged) -> None:
-        """Make a change visible that is safe, and have those told to whom it is owed."""
+        """Make a durable change visible, and send its notifications."""
         event = staged.event
         one = event.after or event.before
         assert one is not None  # noqa: S101 - a change has at least one end
@@ -233,10 +234,10 @@ class Store:
             self._deliver(staged.notices)
 
     def forget_staged(self) -> None:
-        """Forget what is on its way: the disk has refused it."""
+        """Drop all staged changes: the disk has refused them."""
         self._staged.clear()
 
-    # Keeping order
+    # Order and indexes
 
     def _put(
         self, before: Entity | None, after: Entity | None, written: frozenset[str] | None = None
@@ -263,9 +264,9 @@ class Store:
             self._derive()
 
     def _derive(self) -> None:
-        """Compute from the entities what is derived from them; indexes follow when they are asked for.
+        """Rebuild from the entities what is derived from them; indexes are rebuilt when they are needed.
 
-        The entities themselves are as on disk by then, whatever failed.
+        The entities themselves are as on disk at this point.
         """
         self._indexes.clear()
         self._place_indexes.clear()
@@ -287,14 +288,14 @@ class Store:
             ranks.put(after)
 
     def _index(self, attribute: str) -> AttributeIndex | None:
-        """Return the index of an attribute, made when it is first asked for."""
+        """Return the index of an attribute, created at its first use."""
         index = self._indexes.get(attribute)
         if index is None and _has_room(self._indexes):
             index = self._indexes[attribute] = AttributeIndex(attribute, self._every.by_id.values())
         return index
 
     def _place_index(self, attribute: str) -> PlaceIndex | None:
-        """Return the index of the places of an attribute, made when it is first asked for."""
+        """Return the geometry index of an attribute, created at its first use."""
         index = self._place_indexes.get(attribute)
         if index is None and _has_room(self._place_indexes):
             index = self._place_indexes[attribute] = PlaceIndex(attribute, self._every.by_id.values())
@@ -302,23 +303,23 @@ class Store:
 
 
 class OverlayStore(Store):
-    """Entities as they are when other sources are heard too; what it lacks is looked up in the store."""
+    """Entities merged with those of context sources, on top of the store of the tenant."""
 
     def __init__(self, store: Store, others: Mapping[str, Entity | None]) -> None:
         super().__init__(store.tenant, store._commits, store._places, store._announce, store._deliver)
         self.origins: Mapping[str, list[str]] = {}
-        """By entity, which registrations told of it, and `@none` for the broker itself (clause 5.2.39)."""
+        """By entity, the registrations it comes from, and `@none` for this broker (clause 5.2.39)."""
         self._store = store
         self._others = others
 
     def get(self, entity_id: str) -> Entity | None:
-        """Return an entity of the mix, or the committed one."""
+        """Return the merged entity, or the committed one."""
         found = super().get(entity_id)
         return self._store.get(entity_id) if found is None and entity_id not in self._others else found
 
 
 def _has_room(indexes: dict[str, Any]) -> bool:
-    """Say whether there is room for one more; that of an attribute that nobody has makes room."""
+    """Return whether one more index is allowed; an index of an attribute that no entity has is replaced."""
     if len(indexes) >= MAX_INDEXES:
         unused = next((attribute for attribute, index in indexes.items() if not len(index)), None)
         if unused is None:

@@ -1,7 +1,7 @@
-"""Numbers of the same kind, put into classes by size, with next to no effort.
+"""Histograms that cost very little.
 
-A histogram of the usual kind locks and looks up at each number, which the shortest requests and commits would
-notice. A tally belongs to one thread, and is put in order when somebody reads it.
+A Prometheus histogram locks and searches for each value, which is measurable for the shortest requests and
+commits. A tally belongs to one thread, and is converted when it is read.
 """
 
 from bisect import bisect_left
@@ -13,7 +13,7 @@ from prometheus_client.registry import REGISTRY, Collector, CollectorRegistry
 
 
 class Tally:
-    """How many numbers there were up to each of `bounds`, and what they come to."""
+    """Counts of values by upper bounds, and their sum."""
 
     __slots__ = ("bounds", "counts", "total")
 
@@ -23,17 +23,17 @@ class Tally:
         self.total = 0.0
 
     def note(self, number: float) -> None:
-        """Count one number."""
+        """Count a value."""
         self.counts[bisect_left(self.bounds, number)] += 1
         self.total += number
 
     def add(self, other: "Tally") -> None:
-        """Count what another tally with the same bounds has counted."""
+        """Add the counts of another tally with the same bounds."""
         self.counts = [one + more for one, more in zip(self.counts, other.counts, strict=True)]
         self.total += other.total
 
     def buckets(self) -> list[tuple[str, float]]:
-        """Return each bound and how many numbers were up to it, as Prometheus wants them."""
+        """Return each bound with the count of values up to it, as Prometheus expects."""
         bounds = [*(str(float(bound)) for bound in self.bounds), "+Inf"]
         return list(zip(bounds, map(float, accumulate(self.counts)), strict=True))
 
@@ -50,11 +50,11 @@ class TalliedMetric(Collector):
         registry.register(self)
 
     def describe(self) -> Iterable[Metric]:
-        """Return what there will be, without numbers."""
+        """Return the metric without values."""
         return (HistogramMetricFamily(self._name, self._about),)
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the numbers as they are."""
+        """Yield the metric."""
         yield HistogramMetricFamily(
             self._name, self._about, buckets=self.tally.buckets(), sum_value=self.tally.total
         )

@@ -1,7 +1,7 @@
-"""What there is, counted: types, their attributes and of which kinds, kept up with every change.
+"""Counts of types, their attributes and the kinds of these, updated with every change.
 
-So discovery (clauses 5.7.5 to 5.7.10) costs what it tells, not what is stored. A change that writes an
-attribute anew in the kind it had costs a look-up.
+So discovery (clauses 5.7.5 to 5.7.10) costs as much as its result, independent of the number of entities.
+Writing an attribute with the same kind as before costs one look-up.
 """
 
 from collections.abc import Iterator, Mapping
@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from services.context_broker.model.entity import Attributes, Entity, Instance
 
 Kinds = dict[str, int]
-"""How many instances there are of each kind of attribute."""
+"""Instances of each kind of attribute."""
 
 
 @dataclass(slots=True)
 class _Group:
-    """The entities that have the same types: few groups, so that a change is counted in one place."""
+    """Entities with the same types: there are few groups, so a change is counted in one place."""
 
     entities: int = 0
     attributes: dict[str, Kinds] = field(default_factory=dict)
@@ -30,10 +30,9 @@ class TypeStatistics:
     def note(
         self, before: Entity | None, after: Entity | None, written: frozenset[str] | None = None
     ) -> None:
-        """Count a change: the entity before and after, None where there is none.
+        """Count a change: the entity before and after, None if it does not exist.
 
-        `written` are the only attributes that may be others, as far as both have them; None if that is
-        not known.
+        `written` are the only attributes that may differ; None if that is unknown.
         """
         if before is not None and after is not None and before.types == after.types:
             counts = self._groups[after.types].attributes
@@ -54,15 +53,15 @@ class TypeStatistics:
                 _add(group.attributes, name, instances)
 
     def types(self) -> list[str]:
-        """Return the types of which there are entities."""
+        """Return the types that entities have."""
         return list(dict.fromkeys(kind for types in self._groups for kind in types))
 
     def entities_of(self, kind: str) -> int:
-        """Return how many entities of a type there are."""
+        """Return the number of entities of a type."""
         return sum(group.entities for group in self._of(kind))
 
     def attributes_of(self, kind: str) -> Mapping[str, set[str]]:
-        """Return the attributes that entities of a type have, and of which kinds."""
+        """Return the attributes of the entities of a type, with their kinds."""
         found: dict[str, set[str]] = {}
         for group in self._of(kind):
             for name, kinds in group.attributes.items():
@@ -74,7 +73,7 @@ class TypeStatistics:
         return list(dict.fromkeys(name for group in self._groups.values() for name in group.attributes))
 
     def kinds_of(self, attribute: str) -> Kinds:
-        """Return how many instances of an attribute there are, by kind; none if nobody has it."""
+        """Return the number of instances of an attribute by kind; empty if no entity has it."""
         found: Kinds = {}
         for group in self._groups.values():
             for said, number in group.attributes.get(attribute, {}).items():
@@ -106,7 +105,7 @@ def _note_attributes(
 
 
 def _alike(was: list[Instance], now: list[Instance]) -> bool:
-    """Say whether instances count as others do."""
+    """Return whether instances count the same."""
     if len(was) == len(now) == 1:
         return bool(was[0]["type"] == now[0]["type"])
     return [one["type"] for one in was] == [one["type"] for one in now]

@@ -1,16 +1,16 @@
-"""The log in front of an SQLite file: a commit is a frame, flushed before its writers are answered.
+"""The write-ahead log before an SQLite file: a commit is one frame, flushed before its writers are answered.
 
 SQLite writes whole pages for a change of some hundred bytes, and calls back into the interpreter for each
-statement. A frame is one write, to space that the file has already: to flush a file that grows costs the
-disk four times as much. There are two files of one size, used by turns; what is in one is overwritten once it
-is filed in the tables. So the log stays small, and is read in no time after a crash.
+statement. A frame is one write, into space that the file has already: flushing a growing file costs the disk
+four times as much. Two files of a fixed size are used in turn; a file is overwritten once its content is in
+the tables. So the log stays small, and is read quickly after a crash.
 
-Damage must not look like a crash. Each file begins with a stamp: which database it belongs to, and which
-opening of the broker wrote it. A frame begins on a page of its own and is cut into sectors of 512 bytes, the
-unit in which disks write; each has a checksum and the number of the attempt that wrote it. A frame of which
-some sectors are new and the others old or empty is a write that was cut short by a power cut, and was never
-acknowledged. A sector that is neither is damage, as is a file that is missing, of another length or of
-another opening, and a log that ends before the last change that is filed.
+Damage must not look like a crash. Each file begins with a stamp: the database it belongs to, and the opening
+of the broker that wrote it. A frame begins on a page of its own and is divided into sectors of 512 bytes, the
+unit in which disks write. Each sector has a checksum and the number of the attempt that wrote it. A frame
+with some new and some old or empty sectors is a write that a power failure interrupted, and that was never
+acknowledged. A sector that is neither is damage, and so is a file that is missing, of another length or of
+another opening, and a log that ends before the last checkpoint.
 """
 
 import os
@@ -26,35 +26,35 @@ from services.context_broker.storage.database import flush_folder
 
 PAGE: Final = 4096
 SIZE: Final = 512 * PAGE
-"""Bytes of a file: a thousand changes or two, which wait in memory too until they are filed."""
+"""Size of a file: one to two thousand changes, which are also in memory until the next checkpoint."""
 
 TRIES: Final = 3
 
 _SECTOR: Final = 512
 _TAIL: Final = struct.Struct("<IH")
-"""At the end of a sector, before its checksum: the attempt that wrote it, and its place in the frame."""
+"""At the end of a sector, before its checksum: the attempt that wrote it, and its index in the frame."""
 _SUM: Final = struct.Struct("<I")
 _PAYLOAD: Final = _SECTOR - _TAIL.size - _SUM.size
 _HEAD: Final = struct.Struct("<4sQI")
-"""At the beginning of a frame: whether it counts, its number, and the length of the record."""
+"""At the beginning of a frame: whether it is valid, its number, and the length of the record."""
 _COUNTS: Final = b"HFRM"
 _VOID: Final = b"HVOI"
-"""A frame that stands where one could not be written; its number is that of the last one that was."""
+"""A void frame replaces one that could not be written; it has the number of the last valid one."""
 _STAMP: Final = struct.Struct("<8s8s8sB")
-"""Mark with the version of the format, database, opening, and whether the log was closed in order."""
-_MARK: Final = b"HANDLOG2"
+"""Magic number with the version of the format, database, opening, and whether the log was closed cleanly."""
+_MARK: Final = b"HOVRLOG1"
 _STAMP_PLACE: Final = 0xFFFF
 _EMPTY: Final = bytes(_SECTOR)
 _SYNCED: Final = getattr(os, "O_DSYNC", 0)
-"""Where there is this, a write returns when it is safe, and needs no second call."""
+"""With this flag a write returns when it is durable, without a second call."""
 
 
 class Damaged(Exception):
-    """What was acknowledged cannot be read, or cannot be told to be all there; the message names the file."""
+    """Acknowledged changes cannot be read, or may be incomplete; the message names the file."""
 
 
 class Stamp(NamedTuple):
-    """What the first page of a file says: 8 bytes each for the database and its opening."""
+    """The first page of a file: 8 bytes each for the database and its opening."""
 
     database: bytes
     opening: bytes
@@ -71,22 +71,22 @@ class WriteAheadLog:
         self._checkpointed = 0
         self._attempt = 0
         self.number = 0
-        """Of the last frame."""
+        """The number of the last frame."""
 
     @property
     def paths(self) -> tuple[Path, Path]:
-        """Return where the files are."""
+        """Return the paths of the files."""
         return self._files[0].path, self._files[1].path
 
     def exists(self) -> bool:
-        """Say whether any of the files is there and has content."""
+        """Return whether one of the files exists and is not empty."""
         return any(path.exists() and path.stat().st_size for path in self.paths)
 
     def read(self, database: bytes, opening: bytes, checkpointed: int) -> list[bytes]:
-        """Return the records after number `filed` that an opening of a database wrote.
+        """Return the records after number `checkpointed` that an opening of a database wrote.
 
-        A last one that was cut short is passed over, since it was never acknowledged. Raises `Damaged` where
-        one is missing, or may be, and OSError.
+        An interrupted last one is skipped, since it was never acknowledged. Raises `Damaged` if one is or may
+        be missing, and OSError.
         """
         contents = [file.content_of(database, opening) for file in self._files]
         found: dict[int, bytes] = {}
@@ -101,7 +101,7 @@ class WriteAheadLog:
         for file, content in zip(self._files, contents, strict=True):
             for at in content.damaged:
                 if content.numbers.get(at, following) >= following and at in {PAGE, content.ends.get(last)}:
-                    # The change after the last one may stand there: at the beginning, or right behind that.
+                    # The next change may be there: at the beginning, or after the last one.
                     raise Damaged(f"{file.path}: change {following}, from byte {at} on, is damaged")
         if (
             max((number for content in contents for number in content.numbers.values()), default=0)
@@ -113,7 +113,8 @@ class WriteAheadLog:
         return [found[number] for number in range(checkpointed + 1, following)]
 
     def foreign(self, database: bytes, opening: bytes) -> str | None:
-        """Return what another opening has left in the log that may be in no table; None if nothing."""
+        """Return a description of changes of another opening that may be in no table; None if there are
+        none."""
         for file in self._files:
             stamp = file.stamp()
             if stamp is None or stamp.is_closed or stamp.opening == opening:
@@ -124,34 +125,34 @@ class WriteAheadLog:
         return None
 
     def begin(self, database: bytes, opening: bytes) -> None:
-        """Begin for an opening (8 bytes that no other has); what is there is overwritten."""
+        """Start a log for an opening (8 bytes that are unique); the content of the files is overwritten."""
         self._stamp = Stamp(database, opening, is_closed=False)
         self._active = self._checkpointed = self.number = self._attempt = 0
         for file in self._files:
             file.prepare(self._stamp)
 
     def tried_s(self) -> float:
-        """Return how long it takes to write a frame; before the first one."""
+        """Return how long it takes to write a frame; call it before the first one."""
         return min(self._files[0].tried_s() for _ in range(TRIES))
 
     @property
     def is_tight(self) -> bool:
-        """Say whether the file that is not in use holds what is not filed yet."""
+        """Return whether the file that is not in use has changes that are not in the tables yet."""
         return self._files[1 - self._active].last > self._checkpointed
 
     def has_room(self, record: bytes) -> bool:
-        """Say whether a record fits; if not, it does when everything is filed (unless it `never_fits`)."""
+        """Return whether a record fits; if not, it does after a checkpoint (unless it `never_fits`)."""
         return self._roomy(_pages(len(record))) is not None
 
     @staticmethod
     def never_fits(record: bytes) -> bool:
-        """Say whether a record is too long for a file."""
+        """Return whether a record is too large for a file."""
         return _pages(len(record)) > SIZE - PAGE
 
     def append(self, record: bytes) -> None:
-        """Write a record for which there is room and return when it is safe; raises OSError if it is not."""
+        """Write a record that fits and return when it is durable; raises OSError if it is not."""
         room = self._roomy(_pages(len(record)))
-        assert room is not None  # noqa: S101 - whoever writes has asked for room
+        assert room is not None  # noqa: S101 - the caller has checked has_room
         file = self._files[room]
         number = self.number + 1
         start = PAGE if file.last <= self._checkpointed else file.end
@@ -159,7 +160,7 @@ class WriteAheadLog:
         try:
             file.write(start, frame)
         except OSError:
-            with suppress(OSError):  # else it might be there after a crash, though it was refused
+            with suppress(OSError):  # else it might be there after a crash, although it was refused
                 file.write(start, self._frame(_VOID, self.number, b""))
             raise
         file.end = start + len(frame)
@@ -167,7 +168,7 @@ class WriteAheadLog:
         self._active = room
 
     def try_out(self) -> None:
-        """Write where the next frame will be, and raise OSError if the disk refuses that."""
+        """Write a void frame where the next one will be; raises OSError if the disk refuses it."""
         room = self._roomy(PAGE)
         if room is not None:
             file = self._files[room]
@@ -176,11 +177,11 @@ class WriteAheadLog:
             )
 
     def checkpointed(self, number: int) -> None:
-        """Note that the tables hold everything up to frame `number`."""
+        """Record that the tables have everything up to frame `number`."""
         self._checkpointed = number
 
     def close(self, *, by_sequence: bool = False) -> None:
-        """Let go of the files; after an orderly end they say that the tables hold everything."""
+        """Close the files; after a clean end they say that the tables have everything."""
         for file in self._files:
             if by_sequence:
                 with suppress(OSError):
@@ -188,7 +189,7 @@ class WriteAheadLog:
             file.close()
 
     def _frame(self, kind: bytes, number: int, record: bytes) -> bytes:
-        """Return a record in sectors, each with a checksum of its own, filled up to whole pages."""
+        """Return a record in sectors, each with its own checksum, padded to whole pages."""
         self._attempt += 1
         seed = _seed(self._stamp.opening)
         body = b"".join((_HEAD.pack(kind, number, len(record)), record))
@@ -202,7 +203,7 @@ class WriteAheadLog:
         return b"".join(pieces)
 
     def _roomy(self, length: int) -> int | None:
-        """Return which file has room, the one in use before the other."""
+        """Return the index of a file with enough space, preferably the one in use."""
         file = self._files[self._active]
         taken = PAGE if file.last <= self._checkpointed else file.end
         if taken + length <= SIZE:
@@ -215,31 +216,31 @@ class WriteAheadLog:
 
 @dataclass(slots=True)
 class _Content:
-    """What a file holds of one opening."""
+    """The content of a file that one opening wrote."""
 
     records: dict[int, bytes] = field(default_factory=dict)
-    """By number, those that are whole."""
+    """Complete records, by number."""
     ends: dict[int, int] = field(default_factory=dict)
     """By number, where the next frame may begin."""
     numbers: dict[int, int] = field(default_factory=dict)
-    """By the place of a frame of which the first sector can be read, its number."""
+    """The numbers of frames whose first sector is readable, by offset."""
     damaged: list[int] = field(default_factory=list)
-    """Where frames begin, or may begin, that have sectors which are neither old nor new."""
+    """Offsets of frames, or possible frames, with sectors that are neither old nor new."""
 
 
 class _File:
-    """One of the two: as long as it ever gets before the first frame is written."""
+    """One of the two files; it has its full size before the first frame is written."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.end = PAGE
-        """Where the next frame begins."""
+        """Offset of the next frame."""
         self.last = 0
-        """Number of the last frame."""
+        """The number of the last frame."""
         self._checkpoint: BinaryIO | None = None
 
     def stamp(self) -> Stamp | None:
-        """Return what the first page says; None where it says nothing that can be read."""
+        """Return the content of the first page; None if it is not readable."""
         try:
             with self.path.open("rb") as file:
                 sector = file.read(_SECTOR)
@@ -251,7 +252,7 @@ class _File:
         return Stamp(database, opening, bool(is_closed)) if mark == _MARK else None
 
     def content_of(self, database: bytes, opening: bytes) -> _Content:
-        """Return what the file holds of an opening that was not closed. Raises `Damaged`."""
+        """Return the content of an opening that was not closed. Raises `Damaged`."""
         if not self.path.exists():
             raise Damaged(f"{self.path} is missing, which holds changes that are not in the tables yet")
         if (size := self.path.stat().st_size) != SIZE:
@@ -264,13 +265,11 @@ class _File:
         if stamp.database != database:
             raise Damaged(f"{self.path} belongs to another database")
         if stamp.opening != opening or stamp.is_closed:
-            raise Damaged(
-                f"{self.path} is not of the time when the database was last open: one of them is older"
-            )
+            raise Damaged(f"{self.path} is not of the last opening of the database: one of the two is older")
         return self.content()
 
     def content(self) -> _Content:
-        """Return what the file holds of the opening that its stamp names."""
+        """Return the content of the opening in the stamp."""
         content, stamp, raw = _Content(), self.stamp(), self.path.read_bytes()
         seed = _seed(b"" if stamp is None else stamp.opening)
         at = PAGE
@@ -287,7 +286,7 @@ class _File:
 
     @staticmethod
     def _read_frame(content: _Content, raw: bytes, at: int, attempt: int, seed: int) -> int:
-        """Note the frame that begins at `at`; return its length, 0 if it is not whole."""
+        """Add the frame at offset `at`; return its length, 0 if it is incomplete."""
         kind, number, length = _HEAD.unpack_from(raw, at)
         content.numbers[at] = number
         sectors = -(-(_HEAD.size + length) // _PAYLOAD)
@@ -307,7 +306,7 @@ class _File:
         return _pages(length)
 
     def prepare(self, stamp: Stamp) -> None:
-        """Open the file, make it empty and as long as it is to be, and stamp it."""
+        """Open the file, clear it, extend it to its full size, and stamp it."""
         self.end, self.last = PAGE, 0
         if self._checkpoint is None:
             self._checkpoint = open(  # noqa: SIM115 - it stays open
@@ -331,13 +330,13 @@ class _File:
             raise
 
     def tried_s(self) -> float:
-        """Return how long it takes to write a page; nothing that is needed may be in the file."""
+        """Return how long it takes to write a page; the file must not have changes that are needed."""
         began_s = time.perf_counter()
         self.write(PAGE, bytes(PAGE))
         return time.perf_counter() - began_s
 
     def write(self, at: int, frame: bytes) -> None:
-        """Write a frame and return when it is safe."""
+        """Write a frame and return when it is durable."""
         file = self._checkpoint
         assert file is not None  # noqa: S101 - it has been prepared
         file.seek(at)
@@ -346,14 +345,14 @@ class _File:
             os.fsync(file.fileno())
 
     def close(self) -> None:
-        """Let go."""
+        """Close the file."""
         if self._checkpoint is not None:
             self._checkpoint.close()
             self._checkpoint = None
 
 
 def _written_by(sector: bytes, seed: int) -> tuple[int, int] | None:
-    """Return the attempt that wrote a sector, and its place in the frame; None if it cannot be read."""
+    """Return the attempt that wrote a sector, and its index in the frame; None if it is not readable."""
     (checksum,) = _SUM.unpack_from(sector, _SECTOR - _SUM.size)
     if crc32(sector[_PAYLOAD : -_SUM.size], crc32(sector[:_PAYLOAD], seed)) != checksum:
         return None
@@ -368,7 +367,7 @@ def _stamp_page(stamp: Stamp) -> bytes:
 
 
 def _seed(opening: bytes) -> int:
-    """Return what checksums of an opening begin with, so that a sector of another is none of its own."""
+    """Return the seed of an opening's checksums, so that sectors of other openings are not valid."""
     return crc32(opening)
 
 
@@ -383,6 +382,6 @@ def _write(file: BinaryIO, content: bytes) -> None:
 
 
 def _pages(length: int) -> int:
-    """Return the bytes that the frame of a record of so many takes: whole pages."""
+    """Return the size of a frame for a record of so many bytes: whole pages."""
     sectors = -(-(_HEAD.size + length) // _PAYLOAD)
     return -(-sectors * _SECTOR // PAGE) * PAGE

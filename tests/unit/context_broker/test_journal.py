@@ -66,20 +66,24 @@ def test_a_file_that_is_no_journal_is_refused(tmp_path: Path) -> None:
     journal.close()
 
 
-VERSION_1 = """
+BEFORE_THE_FIRST_RELEASE = """
 CREATE TABLE entities (seq INTEGER PRIMARY KEY, body BLOB NOT NULL);
 INSERT INTO entities VALUES (7, 'seven');
-PRAGMA user_version = 1;
+PRAGMA user_version = {version};
 """
 
 
-def test_a_journal_of_before_the_first_release_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [1, 2, 3, 4])
+def test_a_file_of_before_the_first_release_is_refused_and_left_unchanged(
+    tmp_path: Path, version: int
+) -> None:
     file = tmp_path / "broker.db"
     with closing(sqlite3.connect(file)) as database:
-        database.executescript(VERSION_1)
+        database.executescript(BEFORE_THE_FIRST_RELEASE.format(version=version))
     before = file.read_bytes()
     journal = Journal(SqliteDatabase(file))
-    with pytest.raises(UsageError, match=r"broker\.db has the format 1 .* move the data directory away"):
+    reason = rf"broker\.db has the format {version} of a version before the first release"
+    with pytest.raises(UsageError, match=rf"{reason}.* move the data directory away"):
         journal.open()
     journal.close()
     assert file.read_bytes() == before
