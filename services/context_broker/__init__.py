@@ -1,1 +1,1 @@
-"""The embedded NGSI-LD broker: the shop floor's shared memory, kept in one process and one SQLite file."""
+"""The embedded NGSI-LD broker: one process with one SQLite file, or a PostgreSQL database."""

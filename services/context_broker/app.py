@@ -1,4 +1,4 @@
-"""The broker: its parts put together, and the way of a request through them."""
+"""The broker: wires its parts, and passes requests to operations."""
 
 import asyncio
 import gc
@@ -56,7 +56,7 @@ GC_THRESHOLDS: Final = (20_000, 20, 50)
 
 
 class Broker:
-    """The broker's parts, put together."""
+    """The parts of the broker."""
 
     def __init__(self, settings: BrokerSettings, journal: Journal) -> None:
         self.settings = settings
@@ -99,7 +99,7 @@ class Broker:
         )
 
     async def start(self) -> None:
-        """Take up what the journal holds, and begin to notify."""
+        """Load the journal, and start to notify."""
         for tenant, key, stored in self.journal.documents(Kind.CONTEXT):
             self.contexts.remember(tenant, key, stored)
         for _, key, stored in self.journal.documents(Kind.CONTEXT_USAGE):
@@ -121,7 +121,7 @@ class Broker:
         log.info("broker ready", entities=self.tenants.entities(), database=self.journal.name)
 
     async def stop(self) -> None:
-        """Commit what is on its way, and close."""
+        """Commit what is pending, and close."""
         for task in self._running:
             task.cancel("the broker stops")
         self.tenants.ends.stop()
@@ -137,7 +137,7 @@ class Broker:
         await asyncio.to_thread(self.journal.close)
 
     async def answer(self, request: Request, body: bytes | Receive) -> Response:
-        """Answer one request, whose body is there or still to be received."""
+        """Return the response to a request, whose body is there or still to be received."""
         if request.method == "OPTIONS":
             allowed = self.router.allowed(request)
             return Response(204, b"", [(b"allow", ", ".join(allowed).encode())])
@@ -172,7 +172,7 @@ class Broker:
             self.tenants.leave(tenant)
 
     async def _in_own_task(self, work: Coroutine[None, None, Response]) -> Response:
-        """Have something done that may have to wait for others: it has a task of its own."""
+        """Run work that may wait for others in a task of its own."""
         task = asyncio.get_running_loop().create_task(work)
         self._running.add(task)
         task.add_done_callback(self._running.discard)
@@ -190,7 +190,7 @@ class Broker:
         return await self.federation.answer(operation, context)
 
     async def _by_name(self, name: str, context: RequestContext) -> Response:
-        """Carry out an operation that another one needs."""
+        """Execute an operation that another one needs."""
         operations = (one for one in self.router.operations if one.name == name)
         wanted = next(one for one in operations if one.method == context.method)
         return await self.federation.distribute(wanted, context)
@@ -232,7 +232,7 @@ class Broker:
 
 
 def operations_of(settings: BrokerSettings) -> tuple[Operation, ...]:
-    """Return all operations of a broker, of which nothing is started and nothing written."""
+    """Return all operations of a broker that is neither started nor written."""
     journal = Journal(SqliteDatabase(settings.data_dir / "broker.db"))
     return Broker(settings, journal).router.operations
 

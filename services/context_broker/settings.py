@@ -1,4 +1,4 @@
-"""What an operator may set about the broker: its port, its limits and its patience with subscribers."""
+"""The settings of the embedded broker."""
 
 from typing import Literal
 
@@ -30,13 +30,15 @@ class BrokerSettings(Settings):
         5.0, gt=0, description="how long the broker waits for a subscriber to answer a notification"
     )
     broker_notification_keep_h: float = Field(
-        24.0, gt=0, description="how long a notification that cannot be delivered is tried again, in hours"
+        24.0, gt=0, description="how long a notification that cannot be delivered is retried, in hours"
     )
     broker_notification_keep_mb: int = Field(
-        1024, ge=1, description="how much may wait on disk for one endpoint; beyond it the oldest is given up"
+        1024,
+        ge=1,
+        description="how much may be pending on disk for one endpoint; beyond it the oldest are dropped",
     )
     broker_notification_ca_file: FilePath | None = Field(
-        None, description="authorities (PEM) that vouch for subscribers, besides those the system knows"
+        None, description="certificate authorities (PEM) for subscribers, besides those of the system"
     )
     broker_outbound_allow: str = Field(
         "",
@@ -55,7 +57,7 @@ class BrokerSettings(Settings):
 
     broker_default_context: str | None = Field(
         None,
-        description="the URL of the @context of who gives none, in a Link header or in a body; "
+        description="the URL of the @context of requests that give none, in a Link header or in the body; "
         "if absent, the core @context alone",
     )
     broker_public_url: str | None = Field(
@@ -93,11 +95,11 @@ class BrokerSettings(Settings):
     )
     broker_snapshots: bool = Field(default=True, description="whether the broker has snapshots")
     broker_history: bool = Field(
-        default=True, description="whether the broker records what changes, for the temporal API to tell"
+        default=True, description="whether the broker records changes for the temporal API"
     )
     broker_history_keep_days: float = Field(
         7.0,
         ge=0,
-        description="for how many days the broker keeps what it has recorded, about a GB a day where 30 "
+        description="for how many days the broker keeps history, about a GB a day if 30 "
         "attributes change each second; 0 keeps it for ever",
     )

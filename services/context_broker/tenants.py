@@ -1,7 +1,6 @@
-"""Tenants: one broker, several customers, none of whom sees anything of another (clauses 4.14 and 6.3.14).
+"""Tenants: each has entities, subscriptions and registrations of its own (clauses 4.14 and 6.3.14).
 
-A tenant comes into being with the first thing that is kept for it, and costs next to nothing until then. The
-tenant without a name is always there.
+A tenant is created with the first thing that is stored for it. The tenant without a name always exists.
 """
 
 import itertools
@@ -29,7 +28,7 @@ DEFAULT: Final = ""
 
 
 class Tenant:
-    """All that belongs to one tenant."""
+    """The state of one tenant."""
 
     def __init__(self, name: str, tenants: "Tenants", *, is_kept: bool) -> None:
         self.name = name
@@ -51,17 +50,17 @@ class Tenant:
 
     @property
     def alias(self) -> str:
-        """Return what this broker calls itself in Via when it asks for the tenant (clause 5.2.40)."""
+        """Return the name of this broker in Via when it asks on behalf of the tenant (clause 5.2.40)."""
         return self._tenants.alias_of(outside(self.name)[0])
 
     @property
     def is_kept(self) -> bool:
-        """Say whether anything has ever been kept for this tenant."""
+        """Return whether anything has ever been stored for this tenant."""
         return self.commits.is_kept
 
 
 class _TenantCommits:
-    """The commits of one tenant: the first one also keeps the tenant."""
+    """The commits of one tenant: the first one also stores the tenant."""
 
     def __init__(self, name: str, commits: CommitQueue, *, is_kept: bool) -> None:
         self._name = name
@@ -82,7 +81,7 @@ class _TenantCommits:
         self._commits.submit(entries, kept, failed)
 
     async def store(self, entries: Entries) -> None:
-        """Write `entries` and return when they are safe."""
+        """Write `entries` and return when they are durable."""
         await stored(self, entries)
 
     def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
@@ -103,18 +102,18 @@ class Tenants:
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}
         self.federation_of: Callable[[Tenant], TenantFederation] = lambda _: LocalTenant()
-        """Makes the federation state of a new tenant."""
+        """Creates the federation state of a new tenant."""
         self._identity = ""
 
     def alias_of(self, tenant: str) -> str:
-        """Return the broker's pseudonym for one tenant: a token that no other broker has (clause 5.2.40).
+        """Return the broker's alias for one tenant: a token that no other broker has (clause 5.2.40).
 
-        It differs from tenant to tenant, so that one tenant can be a source of another without a loop.
+        It differs between tenants, so that one tenant can be a source of another without a loop.
         """
         return f"{self._identity}.{tenant}" if tenant else self._identity
 
     def load(self) -> None:
-        """Take what the journal holds."""
+        """Load the content of the journal."""
         journal, settings = self._journal, self._settings
         kept = [body for _, _, body in journal.documents(Kind.IDENTITY)]
         self.identify(kept[0] if kept else uuid4().hex[:12].encode())
@@ -136,13 +135,13 @@ class Tenants:
             self._tenants[tenant].store.take(Entity.restored(body))
 
     async def keep_identity(self) -> None:
-        """Keep what tells this broker from others, if nothing does yet."""
+        """Store the identity of this broker, if there is none yet."""
         if not any(self._journal.documents(Kind.IDENTITY)):
             made = self._identity.rpartition("-")[2].encode()
             await self.commits.store(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made}))
 
     def identify(self, kept: bytes) -> None:
-        """Take the identity of this broker, which stays with its database."""
+        """Set the identity of this broker, which stays with its database."""
         self._identity = f"handover-{self._settings.factory}-{kept.decode()}"
 
     def __iter__(self) -> Iterator[Tenant]:
@@ -150,9 +149,9 @@ class Tenants:
         return iter(list(self._tenants.values()))
 
     def of(self, header: bytes, *, makes: bool) -> Tenant:
-        """Return the tenant that a request names; one that `makes` something brings a new one into being.
+        """Return the tenant that a request names; `makes` allows the request to create it.
 
-        Raises a problem (404) for one that is not there, (400) for what is no name.
+        Raises a problem: 404 for an unknown tenant, 400 for an invalid name.
         """
         name = header.decode("latin-1").strip() if header else DEFAULT
         tenant = self._tenants.get(name)
@@ -161,20 +160,20 @@ class Tenants:
             return tenant
         if not TENANT.fullmatch(name):
             raise bad_request_data(
-                f"NGSILD-Tenant {shown(name)} is no name of a tenant: letters, digits, _ - and . "
+                f"NGSILD-Tenant {shown(name)} is not a valid tenant name: A-Z, a-z, 0-9, _ - and . "
                 f"({MAX_TENANT_LENGTH} at most)"
             )
         if not makes:
             raise no_such_tenant(
-                f"there is no tenant {shown(name)}; it comes into being with the first entity, subscription "
-                "or registration that is made for it"
+                f"there is no tenant {shown(name)}; it is created with the first entity, subscription "
+                "or registration that is created in it"
             )
         tenant = self._tenants[name] = Tenant(name, self, is_kept=False)
         tenant.active_requests = 1
         return tenant
 
     def inside(self, tenant: Tenant, snapshot_id: str) -> Tenant:
-        """Return what keeps the content of a snapshot, as a tenant keeps its own; made if need be."""
+        """Return the tenant with the content of a snapshot; created if needed."""
         name = inside(tenant.name, snapshot_id)
         found = self._tenants.get(name)
         if found is None:
@@ -182,25 +181,25 @@ class Tenants:
         return found
 
     def drop(self, name: str) -> None:
-        """Forget what belonged to a snapshot that is gone."""
+        """Remove the content of a deleted snapshot."""
         gone = self._tenants.pop(name, None)
         if gone is not None:
             gone.notifier.stop()
             gone.federation.stop()
 
     def commits_of(self, name: str) -> Commits:
-        """Return where the writes of a tenant go; those of one that is not there go where all go."""
+        """Return where the writes of a tenant go; those of an unknown tenant go to the common queue."""
         tenant = self._tenants.get(name)
         return self.commits if tenant is None else tenant.commits
 
     def leave(self, tenant: Tenant) -> None:
-        """Note that a request is over; a tenant for which nothing came to be kept is forgotten."""
+        """Count the end of a request; a tenant without stored data is removed."""
         tenant.active_requests -= 1
         if not tenant.is_kept and not tenant.active_requests:
             self._tenants.pop(tenant.name, None)
 
     def kept(self, name: str) -> Tenant:
-        """Return a tenant that something is kept for."""
+        """Return a tenant that has stored data."""
         tenant = self._tenants.get(name)
         if tenant is None:
             tenant = self._tenants[name] = Tenant(name, self, is_kept=True)
@@ -208,7 +207,7 @@ class Tenants:
         return tenant
 
     def entities(self) -> int:
-        """Return how many entities there are in all."""
+        """Return the number of entities of all tenants."""
         return sum(len(one.store) for one in self._tenants.values())
 
     def _forget_staged(self) -> None:

@@ -81,7 +81,7 @@ class BrokerApplication:
         self._standby_reason = f"another broker writes {self._broker.journal.name}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request that came in over ASGI, or live from start to stop."""
+        """Handle a request over ASGI, or the lifespan."""
         if scope["type"] == "lifespan":
             await self._live(receive, send)
         elif scope["type"] != "http" or not scope["path"].startswith(PREFIX):
@@ -153,7 +153,7 @@ class BrokerApplication:
         await asyncio.to_thread(self._broker.journal.close)
 
     async def _others(self) -> ASGIApp:
-        """Return what answers to all but NGSI-LD: health, metrics and their like."""
+        """Return the application for everything but NGSI-LD: health, metrics and the like."""
         if self._rest is None:
             # Importing the web framework takes a quarter of the start; NGSI-LD does not need it.
             service = await asyncio.to_thread(import_module, "handover.service")
@@ -165,7 +165,7 @@ class BrokerApplication:
         return self._rest
 
     async def answer(self, request: Request, body: bytes | Receive) -> Response | None:
-        """Return the answer to a request about NGSI-LD; None if the client has disconnected."""
+        """Return the response to an NGSI-LD request; None if the client has disconnected."""
         try:
             if self._is_serving:
                 return await self._broker.answer(request, body)
@@ -174,7 +174,7 @@ class BrokerApplication:
             return of_tenant(request, problem_response(problem))
         except Disconnected:
             return None
-        except Exception as error:  # one broken request must not end the connection without an answer
+        except Exception as error:  # an unexpected error must not close the connection without a response
             log.exception("request failed", method=request.method, path=request.path)
             return of_tenant(request, problem_response(went_wrong(error, "answering")))
 

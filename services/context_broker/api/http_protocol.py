@@ -1,7 +1,7 @@
-"""The short way in: NGSI-LD requests go from uvicorn's parser straight to the broker.
+"""A shortcut for NGSI-LD requests: from uvicorn's parser to the broker, without ASGI.
 
-An ASGI server hands over each request in several messages, gives it a task and sends head and body of an
-answer apart, which costs a broker a third of its time. Everything else (health, metrics) takes the usual way.
+An ASGI server passes each request in several messages, creates a task for it, and sends head and body of the
+response separately, which takes a third of the broker's time. Everything else (health, metrics) uses ASGI.
 """
 
 import asyncio
@@ -34,18 +34,18 @@ log = get_logger(__name__)
 
 _PREFIX: Final = PREFIX.encode()
 _ONE_PIECE: Final = 256 * 1024
-"""Bytes of an answer up to which its head and body leave in one call to the system."""
+"""Maximum size of a response whose head and body are sent in one system call."""
 
 _CONTROLS: Final = bytes({*range(32), 127} - {ord("\t")})
 
 Handler = Callable[[Request, bytes | Receive], Coroutine[Any, Any, Response | None]]
-"""Answers a request whose body is there or still to be received; None where the asker has gone."""
+"""Returns the response to a request, whose body is there or still to be received; None after a disconnect."""
 
 
 class BrokerProtocol(HttpProtocol):
-    """One connection. `door` answers what is asked of NGSI-LD and accepted by `policy`."""
+    """One connection. `handler` answers NGSI-LD requests that `policy` accepts."""
 
-    __slots__ = ("_is_reading", "_next", "_said_always", "door", "held", "policy")
+    __slots__ = ("_is_reading", "_next", "_said_always", "handler", "held", "policy")
 
     def __init__(
         self,
@@ -62,15 +62,15 @@ class BrokerProtocol(HttpProtocol):
         self.handler = handler
         self.policy = policy
         self.held: Callable[[], None] | None = None
-        """Sends an answer that has to wait until the asker took what was sent before."""
+        """Sends a response that has to wait until the client has read the last one."""
         self._next: RequestCycle | None = None
         self._is_reading = False
         self._said_always: tuple[object, bytes] = (None, b"")
 
-    # What comes in
+    # Receiving
 
     def data_received(self, data: bytes) -> None:
-        """Read what came, and answer the requests that it brought."""
+        """Parse received bytes, and answer complete requests."""
         self._is_reading = True
         super().data_received(data)
         self._is_reading = False
@@ -78,18 +78,18 @@ class BrokerProtocol(HttpProtocol):
             self._take_turns()
 
     def on_message_begin(self) -> None:
-        """Begin to read a request."""
+        """Start a request."""
         self.phase, self.since_s = HEAD, 0.0
         self.url = b""
         self.headers = []
         self.expect_100_continue = False
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Note a header."""
+        """Add a header."""
         self.headers.append((name.lower(), value))
 
     def on_headers_complete(self) -> None:
-        """Take a request whose head is there."""
+        """Start a request whose head is complete."""
         if not self.url.startswith(_PREFIX) or self.parser.should_upgrade():
             url, headers = self.url, self.headers
             HttpToolsProtocol.on_message_begin(self)
@@ -108,12 +108,12 @@ class BrokerProtocol(HttpProtocol):
         self.cycle = cycle
         if before is None or before.response_complete:
             self._next = cycle
-        else:  # asked before the answer to the last one was there: one after the other
+        else:  # a pipelined request: answered after the one before
             self.flow.pause_reading()
             self.pipeline.appendleft((cycle, self.app))
 
     def on_body(self, body: bytes) -> None:
-        """Take a piece of a body."""
+        """Add a piece of a body."""
         cycle: Any = self.cycle
         if not isinstance(cycle, RequestCycle):
             super().on_body(body)
@@ -123,29 +123,29 @@ class BrokerProtocol(HttpProtocol):
             cycle.take(body)
 
     def on_message_complete(self) -> None:
-        """Note that a request is there as a whole."""
+        """Mark a request as complete."""
         cycle: Any = self.cycle
         if not isinstance(cycle, RequestCycle):
             super().on_message_complete()
             return
         cycle.more_body = False
         cycle.set()
-        if cycle.response_complete:  # it did not wait for the body
+        if cycle.response_complete:  # the client did not wait for 100 Continue
             self.phase, self.since_s = IDLE, 0.0
         else:
             self.phase = IN_USE
 
-    # What goes out
+    # Sending
 
     def said_always(self) -> bytes:
-        """Return the headers that every answer has; they change once a second."""
+        """Return the headers of every response; they change once a second."""
         headers = self.server_state.default_headers
         if self._said_always[0] is not headers:
             self._said_always = headers, b"".join(b"%b: %b\r\n" % header for header in headers)
         return self._said_always[1]
 
     def resume_writing(self) -> None:
-        """Go on where answers had to wait."""
+        """Continue with responses that had to wait."""
         super().resume_writing()
         held, self.held = self.held, None
         if held is not None:
@@ -160,7 +160,7 @@ class BrokerProtocol(HttpProtocol):
             self._take_turns()
 
     def _take_turns(self) -> None:
-        """Answer what was asked, one after the other: most is answered before the next line runs."""
+        """Answer the requests one after the other: most are answered synchronously."""
         self._is_reading = True
         while self._next is not None:
             cycle, self._next = self._next, None
@@ -169,10 +169,10 @@ class BrokerProtocol(HttpProtocol):
 
 
 class RequestCycle:
-    """One request and its answer; has what uvicorn's protocol looks for in a request under way.
+    """One request and its response, with the attributes that uvicorn's protocol expects of an active request.
 
-    It goes as far as it can at once, and on when what it waits for is there, without a task: what needs one
-    makes it.
+    The handler's coroutine is driven without a task: it runs as far as it can at once, and continues when
+    what it waits for is done. An operation that needs a task creates one.
     """
 
     __slots__ = (
@@ -186,7 +186,7 @@ class RequestCycle:
         self.body = b""
         self.more_body = True
         headers, parser = request.headers, protocol.parser
-        # Only who says "connection" can have a connection kept by HTTP/1.0, in which we keep none.
+        # HTTP/1.0 keeps a connection only if the client asks for it; that is not supported.
         is_plain = b"connection" not in headers or parser.get_http_version() != "1.0"
         self.keep_alive: bool = is_plain and parser.should_keep_alive()
         self._protocol = protocol
@@ -196,23 +196,23 @@ class RequestCycle:
 
     @property
     def message_event(self) -> "RequestCycle":
-        """Return what is set when more has come; not kept, or no request would go before it is looked for."""
+        """Return this object as the event of new data; uvicorn sets it."""
         return self
 
     def take(self, piece: bytes) -> None:
-        """Take a piece of the body; nobody sends on while nobody reads."""
+        """Add a piece of the body; stop reading from the client while the handler does not read."""
         self.body += piece
         if len(self.body) > HIGH_WATER_LIMIT:
             self._protocol.flow.pause_reading()
         self.set()
 
     def set(self) -> None:
-        """Hear that more of the body is there, or that the asker has gone."""
+        """Wake the handler: more of the body is there, or the client has disconnected."""
         if self._news is not None and not self._news.done():
             self._news.set_result(None)
 
     def begin(self) -> None:
-        """Begin to answer."""
+        """Start to answer."""
         is_whole = not (self.more_body or self._expects)
         request, policy = self._request, self._protocol.policy
         if not policy.is_known(request.headers) and (
@@ -238,7 +238,7 @@ class RequestCycle:
             if awaited is None:
                 self._protocol.loop.call_soon(self._go_on, context=self._context)
             else:
-                awaited._asyncio_future_blocking = False  # who awaits it has seen it
+                awaited._asyncio_future_blocking = False  # as asyncio.Task does
                 awaited.add_done_callback(self._go_on, context=self._context)
 
     async def _receive(self) -> Message:
@@ -269,7 +269,7 @@ class RequestCycle:
             return
         head = [STATUS_LINE[answer.status], protocol.said_always()]
         for name, value in answer.headers:
-            # What clients sent, and is told back in a header, must not become a header of its own.
+            # A value that is echoed in a header must not inject another header.
             head += (name, b": ", value.translate(None, _CONTROLS), b"\r\n")
         body = answer.body
         if answer.status != 204:

@@ -1,4 +1,4 @@
-"""What was asked, how often, with what end, and how long it took."""
+"""Metrics of requests: operation, status, duration."""
 
 from collections.abc import Iterable, Iterator
 from typing import Final
@@ -12,7 +12,7 @@ BOUNDS_S: Final = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.1, 0.5, 1.0, 5.0)
 
 
 class RequestMetrics(Collector):
-    """The requests answered, by operation and status, and the seconds that they took, commit included."""
+    """Counts responses by operation and status, and their duration, commit included."""
 
     def __init__(self, registry: CollectorRegistry = REGISTRY) -> None:
         self._tallies: dict[tuple[str, int], Tally] = {}
@@ -26,11 +26,11 @@ class RequestMetrics(Collector):
         tally.note(seconds)
 
     def describe(self) -> Iterable[Metric]:
-        """Return what there will be, without numbers."""
+        """Return the metrics without values."""
         return (_answered(), _took())
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the numbers as they are."""
+        """Yield the metrics."""
         answered, took = _answered(), _took()
         together: dict[str, Tally] = {}
         for (operation, status), tally in list(self._tallies.items()):

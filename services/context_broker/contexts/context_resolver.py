@@ -1,7 +1,7 @@
-"""The @contexts that readers and writers name their things by, looked up without the network where possible.
+"""Resolves the @contexts that clients use, without the network where possible.
 
-What we ship is answered from the package; any other URL is fetched once, kept in the journal, and asked for
-again when its time is over, beside the requests that use what there is. One that cannot be fetched is an
+Contexts that are shipped with the broker are read from the package. Any other URL is fetched once, stored in
+the journal, and fetched again in the background when it expires. A context that cannot be fetched is an
 error, and is tried again later.
 """
 
@@ -40,16 +40,16 @@ log = get_logger(__name__)
 
 CORE: Final = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context-v1.8.jsonld"
 LARGEST_REMEMBERED: Final = 32 * 1024
-"""Bytes of a context given in a body that is kept parsed."""
+"""Maximum size of a context in a body that is cached."""
 MAX_CONTEXTS: Final = 1000
-"""Contexts kept parsed; the least recently made are forgotten first."""
+"""Maximum parsed contexts; the oldest are removed first."""
 MAX_FETCHED: Final = 5000
-"""Contexts that were fetched and are kept; beyond it the one not used for longest makes room."""
+"""Maximum fetched contexts; the least recently used one is replaced."""
 PUT_OFF_S: Final = 600.0
-"""When a context whose time is over is asked for again if it could not be fetched anew."""
+"""Delay before an expired context is fetched again after a failure."""
 
 Keep = Callable[[Documents], Awaitable[None]]
-"""Writes documents and returns once they are safe; raises a problem (507) if the disk refuses."""
+"""Writes documents and returns once they are durable; raises a problem (507) if the disk refuses."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,9 +60,9 @@ class _ResolvedContext(Context):
 
 
 class ContextResolver:
-    """All contexts the broker has met.
+    """All contexts that the broker knows.
 
-    `keep` writes those that must survive, `keep_later` how they were used, in passing.
+    `keep` writes documents that must be durable, `keep_later` statistics of their use.
     """
 
     def __init__(
@@ -74,9 +74,9 @@ class ContextResolver:
         default: str | None = None,
     ) -> None:
         self.default = default
-        """The URL of the context of who gives none (clause 5.5.5); None is the core context alone."""
+        """The URL of the context of requests without one (clause 5.5.5); None is the core context alone."""
         self.on_renewal: Callable[[str], Awaitable[None]] = _nobody
-        """Is told the local identifier of a context that was fetched anew and is another now."""
+        """Called with the local identifier of a context whose content has changed."""
         self._keep = keep
         self._fetcher = fetcher
         self._own = own
@@ -89,20 +89,17 @@ class ContextResolver:
         self._refreshing: set[asyncio.Task[None]] = set()
 
     def base(self, headers: Mapping[bytes, bytes]) -> str:
-        """Return where the asker of a request with these headers reaches the broker."""
-        return self._own.told or self._own.called(headers.get(b"host", b""))
+        """Return the URL of the broker for the client of a request with these headers."""
+        return self._own.configured or self._own.called(headers.get(b"host", b""))
 
     def is_ours(self, url: str) -> bool:
-        """Say whether a URL without a path leads to this broker."""
+        """Return whether a URL without a path is that of this broker."""
         return self._own.is_at(url)
 
-    # What the journal holds
+    # Stored contexts
 
     def remember(self, tenant: str, key: str, stored: bytes) -> str:
-        """Take a context as the journal has it, from before a restart or from another process.
-
-        Returns its local identifier.
-        """
+        """Load a stored context, and return its local identifier."""
         one = restored(tenant, key, stored)
         if (before := self._shelf.named(one.id)) is not None:
             one.hits, one.used_s, one.hits_kept = before.hits, before.used_s, before.hits_kept
@@ -111,14 +108,14 @@ class ContextResolver:
         return one.id
 
     def forget(self, key: str) -> None:
-        """Forget a context that the journal no longer has."""
+        """Remove a context."""
         one = self._shelf.named(key)
         if one is not None:
             self._unready(one)
             self._shelf.remove(one)
 
     async def tidy(self) -> None:
-        """Erase what was deleted and is needed no longer; call it once all subscriptions are taken up."""
+        """Delete contexts that are not needed any more; call it once all subscriptions are loaded."""
         gone = [one for one in self._shelf if one.gone and one.id not in self._needed]
         self._needed.clear()
         self._ready = {
@@ -129,7 +126,7 @@ class ContextResolver:
         if gone:
             await self._keep(_erasing(gone))
 
-    # What requests need
+    # For requests
 
     async def of(self, given: Any) -> Context:
         """Return the context for a URL, an object, a list of them, or None for the core context alone.
@@ -140,20 +137,20 @@ class ContextResolver:
         return self.at_hand(key) or self._noted(await self._make(key, given))
 
     def at_hand(self, key: str | bytes) -> Context | None:
-        """Return the context of a URL, or of a document as JSON, if it can be used without waiting."""
+        """Return the context of a URL, or of a document as JSON, if it is cached."""
         ready = self._ready.get(key)
         return None if ready is None else self._noted(ready)
 
     def _noted(self, context: _ResolvedContext) -> _ResolvedContext:
-        """Return a context that is used now."""
+        """Count the use of a context, and return it."""
         if context.uses:
             self.usage.note(context.uses)
         return context
 
     async def as_before(self, given: Any) -> Context:
-        """Return a context that was in use before a restart, be it deleted since; never fetches.
+        """Return a context that was in use before a restart, even if it was deleted since; never fetches.
 
-        One that is not there any more is the core context: what was made with it has its names expanded.
+        A missing one is replaced by the core context: stored names are expanded already.
         """
         key: str | bytes = given if isinstance(given, str) else orjson.dumps(given)
         ready = self._ready.get(key)
@@ -164,14 +161,14 @@ class ContextResolver:
             terms = TermMap(given, lambda url: self._met(url, met, of_before=True))
             self._needed.update(one.id for one in met)
         except ValueError as error:
-            log.warning("a context in use is not there any more", context=str(given)[:200], why=str(error))
+            log.warning("a context in use is missing", context=str(given)[:200], why=str(error))
             return await self.of(None)
         return self._remembered(key, given, terms, met)
 
     async def linked(self, context: Context, tenant: str, base: str) -> Context:
-        """Return the context with a URL that a Link header can name, of the broker at `base` if need be.
+        """Return the context with a URL for a Link header, of the broker at `base` if it has none.
 
-        One that was given in a body is kept as implicitly created for that (clause 5.8.1.4).
+        One that was given in a body is stored as implicitly created (clause 5.8.1.4).
         """
         if context.link is not None:
             return context
@@ -182,7 +179,7 @@ class ContextResolver:
         return await self.of((known or one).address(base))
 
     async def _make(self, key: str | bytes, given: Any) -> _ResolvedContext:
-        """Return a context once everything it refers to is there."""
+        """Return a context once everything it refers to is loaded."""
         while True:
             met: list[StoredContext] = []
             try:
@@ -212,7 +209,7 @@ class ContextResolver:
     def _met(
         self, url: str, met: list[StoredContext], *, of_before: bool = False
     ) -> Mapping[str, Any] | None:
-        """Return the document of a URL if it is there, and note in `met` what it belongs to."""
+        """Return the document of a URL if it is loaded, and add its context to `met`."""
         one = self._at(url, of_before=of_before)
         if one is None:
             return None
@@ -226,7 +223,7 @@ class ContextResolver:
         return self._of_package(url)
 
     def _of_package(self, url: str) -> StoredContext | None:
-        """Return a context that is shipped with the broker; it is there without being kept."""
+        """Return a context that is shipped with the broker."""
         one = self._shipped.get(url)
         if one is None and (document := resolve(url)) is not None:
             one = self._shipped[url] = cached(url, document)
@@ -234,7 +231,7 @@ class ContextResolver:
 
     async def _fetch(self, url: str) -> None:
         fetched = await self._fetcher.fetch(url)
-        if self._at(url) is not None:  # others waited for the same
+        if self._at(url) is not None:  # another request fetched it
             return
         others = [one for one in self._shelf if one.url is not None]
         if len(others) >= MAX_FETCHED:
@@ -245,7 +242,7 @@ class ContextResolver:
         await self._keep_one(cached(url, fetched.document, time.time() + fetched.kept_s))
 
     def _refresh(self, one: StoredContext) -> None:
-        """Fetch a context anew whose time is over, beside the requests that use what there is."""
+        """Fetch an expired context again in the background."""
         one.expires_s = time.time() + PUT_OFF_S
         task = asyncio.get_running_loop().create_task(self._refreshed(one))
         self._refreshing.add(task)
@@ -263,12 +260,12 @@ class ContextResolver:
             else:
                 await self._replace(one, fresh)
         except Problem as problem:
-            log.info("a context is kept beyond its time", url=url, why=problem.detail)
+            log.info("an expired context could not be fetched; it stays in use", url=url, why=problem.detail)
         except Exception:
-            log.exception("a context was not fetched anew", url=url)
+            log.exception("a context could not be fetched again", url=url)
 
     async def _fetched(self, url: str) -> StoredContext:
-        """Return what is published at `url` now; raise a problem (504) if it is no context."""
+        """Return what is published at `url` now; raise a problem (504) if it is not a context."""
         try:
             fetched = await self._fetcher.fetch(url, again=True)
             TermMap(fetched.document, lambda _: {"@context": {}})
@@ -289,7 +286,7 @@ class ContextResolver:
         self._shelf.put(one)
 
     def _unready(self, one: StoredContext) -> None:
-        """Forget what was made of a context that is another now."""
+        """Remove everything that was made of a changed context from the cache."""
         ours = {one.id}
         self._ready = {
             key: ready
@@ -297,7 +294,7 @@ class ContextResolver:
             if ours.isdisjoint(each.id for each in ready.uses)
         }
 
-    # What clients do with them (clause 5.13)
+    # For clients (clause 5.13)
 
     def all(self, tenant: str) -> list[StoredContext]:
         """Return the contexts that a tenant may see, and the core context."""
@@ -308,7 +305,7 @@ class ContextResolver:
         return [*(one for one in used if one.url not in urls), *kept]
 
     def named(self, name: str, tenant: str) -> StoredContext | None:
-        """Return the context that a tenant names by its local identifier or its URL, None if it sees none."""
+        """Return the context with a local identifier or URL, None if the tenant sees none."""
         one = self._shelf.named(name)
         if one is not None and shown_to(tenant, [one]):
             return one
@@ -316,12 +313,12 @@ class ContextResolver:
         return shipped or self._of_package(name)
 
     def served(self, own_id: str) -> StoredContext | None:
-        """Return the context of a local identifier, whoever it belongs to."""
+        """Return the context of a local identifier, of any tenant."""
         one = self._shelf.named(own_id)
         return None if one is None or one.gone else one
 
     async def add(self, tenant: str, given: Any) -> StoredContext:
-        """Keep a context that a client gave; raise a problem: 400 if it is none, 413 if it is too large."""
+        """Store a context of a client; raise a problem: 400 if it is not one, 413 if it is too large."""
         one = hosted(tenant, {"@context": given})
         try:
             TermMap(given, lambda _: {"@context": {}})  # what it refers to is loaded when it is used
@@ -329,12 +326,12 @@ class ContextResolver:
             raise bad_request_data(f"the @context cannot be used: {error}") from None
         stored = one.stored()
         if len(stored) > MAX_CONTEXT_BYTES:
-            raise too_large(f"the @context has {len(stored)} bytes; {MAX_CONTEXT_BYTES} are kept")
+            raise too_large(f"the @context has {len(stored)} bytes; the maximum is {MAX_CONTEXT_BYTES}")
         await self._keep_one(one)
         return one
 
     async def delete(self, one: StoredContext) -> None:
-        """Let go of a context. Subscriptions that were made with it go on with it."""
+        """Delete a context. Subscriptions that were made with it continue to use it."""
         one.gone = True
         try:
             await self._keep(
@@ -349,21 +346,22 @@ class ContextResolver:
         self._unready(one)
 
     async def reload(self, one: StoredContext) -> None:
-        """Fetch a cached context anew; what there is stays if that fails (problem 504, clause 5.13.5.4)."""
+        """Fetch a cached context again; the present one stays if that fails (problem 504, clause
+        5.13.5.4)."""
         await self._replace(one, await self._fetched(one.url or ""))
 
     def is_shipped(self, one: StoredContext) -> bool:
-        """Say whether a context comes with the broker, and is not kept in another version."""
+        """Return whether a context is shipped with the broker, and not stored in another version."""
         return self._shipped.get(one.url or "") is one
 
     @staticmethod
     def is_core(one: StoredContext) -> bool:
-        """Say whether a context is the core context, of whichever version."""
+        """Return whether a context is the core context, of any version."""
         return one.url is not None and is_core(one.url)
 
 
 async def _nobody(_: str) -> None:
-    """Nobody has anything to do with a context that is another now."""
+    """Do nothing."""
 
 
 def _erasing(gone: list[StoredContext]) -> dict[DocumentKey, bytes | None]:
@@ -372,7 +370,7 @@ def _erasing(gone: list[StoredContext]) -> dict[DocumentKey, bytes | None]:
 
 
 def _link(document: Any) -> str | None:
-    """Return the one URL that stands for a context in a Link header, None if none can."""
+    """Return the one URL that represents a context in a Link header, None if there is none."""
     if isinstance(document, str):
         return document
     if isinstance(document, list):

@@ -1,6 +1,6 @@
-"""Fetching an @context over HTTP: once for all who wait, and not again and again while it fails.
+"""Fetches an @context over HTTP: once for all requests that wait for it, and not repeatedly while it fails.
 
-A failure is remembered for twice as long as it took to find out, so that ten requests do not wait ten times.
+A failure is remembered for twice the time that it took, so that ten requests do not wait ten times.
 """
 
 import asyncio
@@ -23,16 +23,16 @@ from services.context_broker.network.http_client import BodyReadingHttpClient, S
 from services.context_broker.network.outbound_policy import OutboundPolicy
 
 MAX_CONTEXT_BYTES: Final = 1024 * 1024
-"""Bytes of an @context, inflated: the largest published ones have half of it."""
+"""Maximum size of an inflated @context: twice that of the largest published ones."""
 MAX_REDIRECTS: Final = 5
 LEAST_PAUSE_S: Final = 1.0
-"""How long a URL that failed at once is left alone."""
+"""How long a URL that failed at once is not requested again."""
 MAX_FAILURES: Final = 1000
-"""URLs whose failure is remembered; more are asked again at once."""
+"""URLs whose failure is remembered; further ones are requested again at once."""
 MIN_KEPT_S: Final = 60.0
-"""How long a context is kept at least, whatever its server says: nobody is asked at every request."""
+"""Minimum time that a context is cached, whatever its server says."""
 USUALLY_KEPT_S: Final = 86_400.0
-"""How long a context is kept whose server says nothing."""
+"""How long a context is cached whose server does not say."""
 MAX_KEPT_S: Final = 30 * 86_400.0
 _MAX_AGE: Final = re.compile(r"(?:^|[\s,])max-age=\"?([0-9]{1,10})")
 _HEADERS: Final = (
@@ -46,14 +46,14 @@ _REDIRECTS: Final = frozenset({301, 302, 303, 307, 308})
 
 @dataclass(frozen=True, slots=True)
 class Fetched:
-    """A document, and how long it may be kept."""
+    """A document, and how long it may be cached."""
 
     document: Mapping[str, Any]
     kept_s: float
 
 
 class Fetcher:
-    """Gets the documents of URLs, from addresses that `policy` leaves open."""
+    """Fetches documents from addresses that `policy` allows."""
 
     def __init__(self, timeout_s: float, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
         self._timeout_s = timeout_s
@@ -62,10 +62,10 @@ class Fetcher:
         self._failed: dict[str, tuple[float, Problem]] = {}
 
     async def fetch(self, url: str, *, again: bool = False) -> Fetched:
-        """Return what is at `url`, an object with an "@context".
+        """Return the document at `url`, an object with an "@context".
 
-        Raises a problem: 504 when it cannot be had (for a while without asking, unless `again`), 400 when it
-        is no context (clause 5.5.6).
+        Raises a problem: 504 when it is not available (for a while without a request, unless `again`), 400
+        when it is not a context (clause 5.5.6).
         """
         if (fault := fault_of_url(url)) is not None:
             raise bad_request_data(f"the @context {_printed(url)} {fault}")
@@ -76,7 +76,7 @@ class Fetcher:
             task = asyncio.get_running_loop().create_task(self._attempt(url))
             self._on_their_way[url] = task
             task.add_done_callback(lambda _: self._on_their_way.pop(url, None))
-        return await asyncio.shield(task)  # who gives up waiting does not stop it for the others
+        return await asyncio.shield(task)  # a client that disconnects does not stop it for the others
 
     def _raise_remembered(self, url: str) -> None:
         failed = self._failed.get(url)
@@ -103,10 +103,9 @@ class Fetcher:
         return Fetched(document, kept_s)
 
     async def _download(self, url: str) -> tuple[bytes, float]:
-        """Return the text at `url`, and for how many seconds it may be kept.
+        """Return the text at `url`, and for how many seconds it may be cached.
 
-        Each redirect is a request of its own: its URL is checked, and its host resolved and judged, like the
-        first.
+        Each redirect is a new request: its URL is checked, and its host resolved and checked, like the first.
         """
         at = url
         try:
@@ -121,7 +120,7 @@ class Fetcher:
                 else:
                     raise unavailable(url, f"it is redirected more than {MAX_REDIRECTS} times")
         except TimeoutError:
-            raise unavailable(url, f"no answer within {self._timeout_s:g} s") from None
+            raise unavailable(url, f"no response within {self._timeout_s:g} s") from None
         except SendError as error:
             cause = str(error) if at == url else f"it redirects to {_printed(at)}: {error}"
             raise unavailable(url, cause) from None
@@ -131,14 +130,14 @@ class Fetcher:
 
 
 def fault_of_url(url: str) -> str | None:
-    """Return why the broker fetches nothing from a URL, None if it may try."""
+    """Return why the broker does not fetch a URL, None if it may."""
     try:
         parts = urlsplit(url)
         is_usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
     except ValueError:
         is_usable = False
     if not is_usable or not url.isascii() or not url.isprintable() or " " in url:
-        return "is no http or https URL of plain characters"
+        return "is not an http or https URL of plain characters"
     if parts.username is not None or parts.password is not None:
         return "carries credentials; publish the @context where none are needed"
     return None
@@ -156,7 +155,8 @@ def _printed(url: str) -> str:
 
 
 def kept_for_s(headers: Mapping[str, str]) -> float:
-    """Return for how many seconds an answer with these headers may be kept (RFC 9111, clauses 4.2, 5.2)."""
+    """Return for how many seconds a response with these headers may be cached (RFC 9111, clauses 4.2,
+    5.2)."""
     wanted: float | None = None
     control = headers.get("cache-control", "").lower()
     if found := _MAX_AGE.search(control):
@@ -167,7 +167,7 @@ def kept_for_s(headers: Mapping[str, str]) -> float:
         try:
             wanted = parsedate_to_datetime(expires).timestamp() - time.time()
         except (ValueError, OverflowError):
-            wanted = 0.0  # as RFC 9111 has it: a time that is none is past
+            wanted = 0.0  # RFC 9111: an invalid time is in the past
     return min(max(USUALLY_KEPT_S if wanted is None else wanted, MIN_KEPT_S), MAX_KEPT_S)
 
 
@@ -183,12 +183,12 @@ def _context_in(text: bytes, url: str) -> Mapping[str, Any]:
 
 def _unusable(url: str, cause: str) -> Problem:
     return bad_request_data(
-        f"what is at {url} is no @context: {cause}; give the URL of a JSON-LD context, or mend what is there"
+        f"the document at {url} is not an @context: {cause}; give the URL of a JSON-LD context, or correct it"
     )
 
 
 def unavailable(url: str, cause: str) -> Problem:
-    """The @context at a URL cannot be had now."""
+    """The @context at a URL is not available."""
     return context_not_available(
         f"the @context {url} cannot be loaded: {cause}; "
         "make it reachable from the broker and send the request again"

@@ -1,7 +1,4 @@
-"""Where the broker itself is reached, for what it publishes: the @contexts that it hosts have URLs there.
-
-It also tells when somebody else's address is the broker's own.
-"""
+"""The URLs of the broker itself, for the @contexts that it hosts; also recognizes them in other documents."""
 
 import re
 from dataclasses import dataclass
@@ -14,23 +11,23 @@ _HOST: Final = re.compile(rb"(?:[A-Za-z0-9.\-_]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])(
 
 @dataclass(frozen=True, slots=True)
 class OwnAddress:
-    """Where the broker is reached: as it is told, else by the name it is called, else where it listens."""
+    """The address of the broker: as configured, else the name of the request, else where it listens."""
 
-    told: str | None
+    configured: str | None
     listens_at: str
 
     def called(self, host: bytes) -> str:
-        """Return the address that goes with a Host header."""
+        """Return the address for a Host header."""
         return f"http://{host.decode()}" if _HOST.fullmatch(host) else self.listens_at
 
     def is_at(self, url: str) -> bool:
-        """Say whether a URL without a path (http or https) leads to the broker, as far as its text tells."""
-        return url == self.told or _plain(url) == _plain(self.listens_at)
+        """Return whether a URL without a path (http or https) is that of the broker, judged by its text."""
+        return url == self.configured or _plain(url) == _plain(self.listens_at)
 
 
 @lru_cache(maxsize=1024)
 def _plain(url: str) -> tuple[str, str, int]:
-    """Return the scheme, the host (one word for this machine) and the port of a URL."""
+    """Return the scheme, the host (one name for all loopback addresses) and the port of a URL."""
     parts = urlsplit(url)
     host = parts.hostname or ""
     is_here = host in {"localhost", "::1"} or host.startswith("127.")

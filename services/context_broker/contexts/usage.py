@@ -1,4 +1,4 @@
-"""How @contexts are used: counted as requests come, and written now and then.
+"""Counts the uses of @contexts, and writes them now and then.
 
 One write for each use would cost more than the use.
 """
@@ -14,11 +14,12 @@ from services.context_broker.contexts.context_store import ContextStore, Documen
 from services.context_broker.storage.entries import Kind
 
 KEPT_S: Final = 5.0
-"""How often it is written; what a crash may take back of the counts."""
+"""The interval of writes; a crash loses the counts since the last one."""
 
 
 class Usage:
-    """Counts the uses of contexts. `keep_later` writes them, `outdated` hears of one whose time is over."""
+    """Counts the uses of contexts. `keep_later` writes them; `outdated` is called for one that has to be
+    fetched again."""
 
     def __init__(
         self,
@@ -32,7 +33,7 @@ class Usage:
         self._due: asyncio.TimerHandle | None = None
 
     def remember(self, key: str, stored: bytes) -> None:
-        """Take how a context was used before."""
+        """Load stored counts."""
         one = self._shelf.named(key)
         if one is not None:
             one.hits, one.used_s = orjson.loads(stored)
@@ -50,13 +51,13 @@ class Usage:
             self._write_soon()
 
     def seen(self, one: StoredContext) -> None:
-        """Count that a client looked at a cached context: it was found there (clause 5.13.3.5)."""
+        """Count that a client read a cached context (clause 5.13.3.5)."""
         one.hits += 1
         if self._due is None:
             self._write_soon()
 
     def write(self) -> None:
-        """Have it written how contexts were used since it was written last."""
+        """Write the counts that changed since the last write."""
         if self._due is not None:
             self._due.cancel()
             self._due = None

@@ -27,7 +27,7 @@ from services.context_broker.model.negotiation import Version
 from services.context_broker.model.rendering import Form, View, render, rendered, with_context
 from services.context_broker.model.validation import tenant_headers, timestamp, timestamp_now
 from services.context_broker.query.linked import Shown, joined
-from services.context_broker.query.q_match import Lookup, nobody
+from services.context_broker.query.q_match import Lookup, no_lookup
 
 log = get_logger(__name__)
 
@@ -62,7 +62,7 @@ def _conformed(data: bytes, version: Version, view: View) -> bytes:
     return orjson.dumps(conformance.conformed(orjson.loads(data), version, simplified=simplified))
 
 
-def entity_data(subscription: Subscription, entity: Entity, lookup: Lookup = nobody) -> bytes:
+def entity_data(subscription: Subscription, entity: Entity, lookup: Lookup = no_lookup) -> bytes:
     """Return the present state of an entity for a subscriber: JSON objects separated by commas.
 
     There is one object, or more with linked entities, which `lookup` finds.
@@ -72,7 +72,7 @@ def entity_data(subscription: Subscription, entity: Entity, lookup: Lookup = nob
     return _written(subscription, _documents(subscription, entity, lookup))
 
 
-def change_data(subscription: Subscription, change: EntityChange, lookup: Lookup = nobody) -> bytes:
+def change_data(subscription: Subscription, change: EntityChange, lookup: Lookup = no_lookup) -> bytes:
     """Return the change of one entity for a subscriber, in the form of `entity_data`."""
     after = change.after
     if after is not None and not subscription.shows_changes:
@@ -81,7 +81,7 @@ def change_data(subscription: Subscription, change: EntityChange, lookup: Lookup
             return entity_data(subscription, after, lookup)
     deleted_at = timestamp(datetime.now(UTC))
     entity = _with_changes(subscription, change, deleted_at)
-    documents = _documents(subscription, entity, lookup if after is not None else nobody)
+    documents = _documents(subscription, entity, lookup if after is not None else no_lookup)
     if after is None:
         documents[0] = (entity, _with_end(documents[0][1], subscription.view, deleted_at))
     elif SCOPE in change.lost and subscription.triggers.reports_deletions:

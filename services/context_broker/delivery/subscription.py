@@ -22,7 +22,7 @@ from services.context_broker.model.validation import moment, require_time, requi
 from services.context_broker.query.entity_selector import EntitySelector, entity_selector
 from services.context_broker.query.geo_query import GeoQuery, geo_query_document
 from services.context_broker.query.linked import Join, check_depth, join_of
-from services.context_broker.query.q_match import Lookup, nobody
+from services.context_broker.query.q_match import Lookup, no_lookup
 from services.context_broker.query.scope_query import ScopeQuery, scope_query
 from services.context_broker.query.selection import Query, compiled
 
@@ -111,14 +111,14 @@ class Subscription:
             return "expired"
         return "active" if self.is_on else "paused"
 
-    def selects(self, entity: Entity, lookup: Lookup = nobody) -> bool:
+    def selects(self, entity: Entity, lookup: Lookup = no_lookup) -> bool:
         """Return whether it selects an entity; `lookup` finds linked entities."""
         selectors = self.selectors
         if len(selectors) == 1:  # as in nearly all subscriptions
             return selectors[0].wants(entity) and self.admits(entity, lookup)
         return (not selectors or any(one.wants(entity) for one in selectors)) and self.admits(entity, lookup)
 
-    def admits(self, entity: Entity, lookup: Lookup = nobody) -> bool:
+    def admits(self, entity: Entity, lookup: Lookup = no_lookup) -> bool:
         """Return whether an entity matches by its attributes, geometry and scopes."""
         return (
             (self.query is None or self.query.holds(entity, lookup))
@@ -126,7 +126,7 @@ class Subscription:
             and (self.places is None or self.places.wants(entity))
         )
 
-    def wants(self, change: EntityChange, now_s: float, lookup: Lookup = nobody) -> bool:
+    def wants(self, change: EntityChange, now_s: float, lookup: Lookup = no_lookup) -> bool:
         """Return whether a change is to be notified; `lookup` finds linked entities."""
         return self.triggers.match(change) and self.is_active(now_s) and self.selects(change.entity, lookup)
 

@@ -1,4 +1,4 @@
-"""What a change makes of an entity: pure functions from the entity before to the entity after.
+"""Changes of entities: pure functions from the entity before to the entity after.
 
 Clauses 5.6.1 to 5.6.5, 5.6.17 and 5.6.18 (create, append, update, partial update, delete, merge, replace).
 """
@@ -20,13 +20,14 @@ from services.context_broker.model.entity_parser import Change
 from services.context_broker.model.nesting import MAX_NESTING, too_deep
 from services.context_broker.model.validation import moment
 
-PRESENT = "the entity has this attribute already and noOverwrite was asked for"
+PRESENT = "the entity has this attribute already and noOverwrite is set"
 
 
 class Outcome(NamedTuple):
-    """An entity after a change, the attributes (IRIs) that were written, and those refused and why.
+    """An entity after a change, the attributes (IRIs) that were written, and those that were refused, with
+    reasons.
 
-    An attribute is both when some of its instances were written and others refused.
+    An attribute is in both if some of its instances were written and others refused.
     """
 
     entity: Entity
@@ -35,7 +36,7 @@ class Outcome(NamedTuple):
 
 
 def created(change: Change, at: str, seq: int) -> Entity:
-    """Return the new entity that `change` tells of."""
+    """Return a new entity."""
     assert change.id is not None  # noqa: S101 - read_entity has seen to it
     attributes = {
         name: [{**one, "createdAt": at, "modifiedAt": at} for one in instances]
@@ -47,7 +48,7 @@ def created(change: Change, at: str, seq: int) -> Entity:
 
 
 def replaced(before: Entity, change: Change, at: str) -> Outcome:
-    """Return the entity with all it has replaced; its place and its createdAt stay (clause 5.6.18)."""
+    """Return the replaced entity; its sequence number and createdAt stay (clause 5.6.18)."""
     attributes = {
         name: _stamped(instances, _by_dataset(before, name), at)
         for name, instances in change.attributes.items()
@@ -69,9 +70,9 @@ def replaced(before: Entity, change: Change, at: str) -> Outcome:
 
 
 def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True) -> Outcome:
-    """Return the entity with attributes added; instances that are there are overwritten, or refused.
+    """Return the entity with attributes added; existing instances are overwritten, or refused.
 
-    Scopes are overwritten too, or added to those that the entity has (clause 5.6.3).
+    Scopes are overwritten too, or added to the existing ones (clause 5.6.3).
     """
     attributes = dict(before.attributes)
     refused: dict[str, str] = {}
@@ -92,9 +93,9 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
 
 
 def updated(before: Entity, change: Change, at: str) -> Outcome:
-    """Return the entity with attributes overwritten, and added where they are not there (5.6.2 and 5.5.8).
+    """Return the entity with attributes overwritten, or added if they do not exist (5.6.2 and 5.5.8).
 
-    Scopes are overwritten if there are any, and else left alone without a word, as the standard has it.
+    Scopes are overwritten if there are any, and ignored otherwise, as the standard requires.
     """
     attributes = dict(before.attributes)
     if change.scopes is not None and not before.scopes:
@@ -107,7 +108,7 @@ def updated(before: Entity, change: Change, at: str) -> Outcome:
 def merged(before: Entity, change: Change, at: str, observed_at: str | None = None) -> Outcome:
     """Return the entity merged with `change`, value objects too (a JSON merge patch with NULL for null).
 
-    `observed_at` is when that was seen which had been seen before and says no time now (clause 5.6.17).
+    `observed_at` is set on attributes that had one and do not get another one (clause 5.6.17).
     """
     attributes = dict(before.attributes)
     for name, instances in change.attributes.items():
@@ -129,7 +130,7 @@ def merged(before: Entity, change: Change, at: str, observed_at: str | None = No
 def partially_updated(before: Entity, name: str, part: Instance, at: str) -> Outcome:
     """Return the entity with members of one instance of the attribute `name` overwritten.
 
-    Raises `KeyError` when the attribute has no instance with the datasetId of `part`.
+    Raises `KeyError` if the attribute has no instance with the datasetId of `part`.
     """
     was = _by_dataset(before, name)[dataset_of(part)]
     same_kind = was["type"] == part["type"]
@@ -141,7 +142,7 @@ def partially_updated(before: Entity, name: str, part: Instance, at: str) -> Out
 def without(before: Entity, name: str, dataset: str | None, at: str, *, every: bool = False) -> Outcome:
     """Return the entity without the attribute `name`, or without its instance of `dataset`.
 
-    Raises `KeyError` when there is none.
+    Raises `KeyError` if there is none.
     """
     instances = before.attributes[name]
     kept = [] if every else [one for one in instances if dataset_of(one) != dataset]
@@ -165,7 +166,7 @@ def pruned(before: Entity, names: frozenset[str], at: str, *, keep: bool) -> Out
 
 
 def outlived(before: Entity, now_s: float, at: str) -> Outcome:
-    """Return the entity without what of its attributes has ended by `now_s` (seconds since 1970)."""
+    """Return the entity without attributes that have expired at `now_s` (seconds since 1970)."""
     attributes: Attributes = {}
     touched: set[str] = set()
     for name, instances in before.attributes.items():
@@ -188,7 +189,7 @@ def _outcome(
     named = frozenset(change.attributes)
     if not named and types == before.types and scopes == before.scopes and expires_at == before.expires_at:
         return Outcome(before, named, refused)
-    touched = named.intersection(attributes)  # what a change deleted is no news to tell
+    touched = named.intersection(attributes)  # deleted attributes are not part of the change
     first = expires_at
     if before.ends_at is not None:
         first = _first_end(expires_at, attributes)
@@ -199,14 +200,14 @@ def _outcome(
 
 
 def _end(before: str | None, change: Change) -> str | None:
-    """Return when the entity ends after a change."""
+    """Return the expiry of the entity after a change."""
     if change.expires_at is None:
         return before
     return None if change.expires_at == NULL else change.expires_at
 
 
 def _first_end(end: str | None, attributes: Attributes) -> str | None:
-    """Return the earliest of `end` and the ends of attributes, None if there is none."""
+    """Return the earliest of `end` and the expiries of attributes, None if there is none."""
     for instances in attributes.values():
         for instance in instances:
             if "expiresAt" in instance:
@@ -246,7 +247,7 @@ def _stamp(instance: Instance, old: Instance | None, at: str) -> Instance:
 
 
 def _merge(old: Instance | None, new: Instance) -> Instance:
-    """Return an instance as a merge leaves it; an instance that is new may tell of deletions too."""
+    """Return an instance after a merge; a new instance may contain NULL too."""
     says = SAYS[new["type"]]
     if old is None or old["type"] != new["type"]:
         return {**new, says: _merge_values(None, new[says])}
@@ -279,7 +280,7 @@ def _merge_values(old: Any, new: Any, depth: int = 0) -> Any:
 
 
 def _without_nulls(instance: Instance) -> Instance:
-    """Return the instance without members, and attributes of it, that a change said to delete."""
+    """Return the instance without members and sub-attributes that are NULL."""
     for member, value in instance.items():
         if value == NULL or (":" in member and _reports_deletion(value)):
             break

@@ -1,7 +1,7 @@
-"""What a change leaves unsaid, filled in with what the entity says: kinds of attributes and their values.
+"""Completes changes from the present entity: the kinds of attributes and their values.
 
-A part of an attribute without its value (clauses 5.5.8 and 5.5.12), and bare values of the simplified form
-(clause 5.6.17), mean nothing by themselves: only the attribute that is there tells what they are.
+A part of an attribute without its value (clauses 5.5.8 and 5.5.12) and bare values of the simplified form
+(clause 5.6.17) are incomplete: the present attribute determines what they are.
 """
 
 from collections.abc import Mapping
@@ -20,15 +20,15 @@ from services.context_broker.model.geometry import looks_like_geometry
 from services.context_broker.model.projection import ENTITY_MEMBERS
 
 _WRAPPED: Final = {"languageMap": "LanguageProperty", "json": "JsonProperty", "vocab": "VocabProperty"}
-"""Members that stand alone in an object where the simplified form has one."""
+"""Members that are alone in an object of the simplified form."""
 
 
 def completed(
     document: Mapping[str, Any], entity: Entity, terms: Terms, language: str | None = None
 ) -> dict[str, Any]:
-    """Return a merge in which each part of an attribute of `entity` says its kind and what it says.
+    """Return a merge in which each part of an attribute of `entity` has its kind and value.
 
-    A text for a LanguageProperty is its wording in `language`.
+    A string for a LanguageProperty is its text in `language`.
     """
     result: dict[str, Any] = {}
     for name, given in document.items():
@@ -43,7 +43,7 @@ def completed(
 
 
 def completed_part(given: Mapping[str, Any], instance: Instance) -> dict[str, Any]:
-    """Return a part of an attribute completed by the kind and the value that its instance has."""
+    """Return a part of an attribute with the kind and the value of the present instance."""
     kind = kind_said(given)
     says = SAYS[instance["type"]]
     if kind is None and any(member in SAYING and member != says for member in given):
@@ -55,7 +55,7 @@ def completed_part(given: Mapping[str, Any], instance: Instance) -> dict[str, An
 
 
 def instance_for(given: Mapping[str, Any], instances: list[Instance]) -> Instance | None:
-    """Return the instance that a part of an attribute is about, by its datasetId; None if there is none."""
+    """Return the instance of a part of an attribute, by its datasetId; None if there is none."""
     dataset = given.get("datasetId")
     wanted = None if dataset == DEFAULT_INSTANCE else dataset
     return next((one for one in instances if one.get("datasetId") == wanted), None)
@@ -64,9 +64,9 @@ def instance_for(given: Mapping[str, Any], instances: list[Instance]) -> Instanc
 def normalized(
     document: Mapping[str, Any], entity: Entity | None, terms: Terms, language: str | None = None
 ) -> dict[str, Any]:
-    """Return a simplified document in normalized form, each attribute of the kind that `entity` has it in.
+    """Return a simplified document in normalized form, each attribute with its kind in `entity`.
 
-    Wordings without a tag are in `language`, or in none.
+    Texts without a language tag are in `language`, or in none.
     """
     known = {} if entity is None else entity.attributes
     return {

@@ -1,7 +1,7 @@
-"""Older versions of NGSI-LD: an entity written so that who knows only an earlier version understands it.
+"""Earlier versions of NGSI-LD: entities in a form that clients of an earlier version understand.
 
-What a version does not have is left out or said in the kinds that it has (clause 4.3.6.8): a VocabProperty
-is a Property to a reader of 1.6. Asked for with `Prefer: ngsi-ld=<version>` (clause 6.3.21), or told of a
+What a version does not have is left out or converted to a kind that it has (clause 4.3.6.8): a VocabProperty
+is a Property for a client of 1.6. Requested with `Prefer: ngsi-ld=<version>` (clause 6.3.21), or known of a
 source.
 """
 
@@ -10,7 +10,7 @@ from typing import Any, Final
 from services.context_broker.model.negotiation import Version
 
 OURS: Final[Version] = (1, 9)
-"""The version that the broker speaks of itself."""
+"""The version of this broker."""
 
 _FALLBACKS: Final = {
     "languageMap": ((1, 4), "value", "Property"),
@@ -19,7 +19,7 @@ _FALLBACKS: Final = {
     "valueList": ((1, 8), "value", "Property"),
     "objectList": ((1, 8), "object", "Relationship"),
 }
-"""What an attribute says: since which version, and how it is said before."""
+"""Kinds of attributes: their first version, and their form before it."""
 _ENTITY_MEMBERS: Final = {"expiresAt": (1, 9), "scope": (1, 4)}
 _ATTRIBUTE_MEMBERS: Final = {
     "datasetId": (1, 3),
@@ -38,16 +38,16 @@ _OPAQUE: Final = frozenset(
      "previousValueList", "previousObjectList", "entity", "entityList"}
 )  # fmt: skip
 _HOLDERS: Final = {"Notification": "data", "FeatureCollection": "features"}
-"""What holds entities, and as which member."""
+"""Types of documents with entities, and the member with these."""
 _ONE_OF_EACH: Final[Version] = (1, 3)
-"""Since when an entity may have several types, and an attribute several instances."""
+"""The first version with several types of an entity, and with several instances of an attribute."""
 
 
 def conformed(document: Any, version: Version, *, simplified: bool = False) -> Any:
-    """Return an entity, a list of entities or a notification as `version` has it, GeoJSON of them likewise.
+    """Return an entity, a list of entities or a notification as `version` has it, also as GeoJSON.
 
-    What is so already is returned itself, other documents too. Of a `simplified` entity only its own members
-    are looked at, for what its attributes say may be anything.
+    A document that conforms already is returned itself, other documents too. Of a `simplified` entity only
+    its own members are converted, since the values of its attributes can be anything.
     """
     if version >= OURS:
         return document
@@ -101,16 +101,16 @@ def _attribute(said: Any, version: Version) -> Any:
 
 
 def _object_of(one: Any) -> Any:
-    """Return the URI that a member of an objectList holds."""
+    """Return the URI in a member of an objectList."""
     return one.get("object", one) if isinstance(one, dict) else one
 
 
 def _without(document: dict[str, Any], since: dict[str, Version], version: Version) -> dict[str, Any]:
-    """Return the document without members that the version does not have, itself if it has none of them."""
+    """Return the document without members that the version does not have; itself if there are none."""
     late = {name for name, first in since.items() if version < first and name in document}
     return {name: said for name, said in document.items() if name not in late} if late else document
 
 
 def _with(document: dict[str, Any], name: str, said: Any) -> dict[str, Any]:
-    """Return the document with another content of `name`, itself if that is the same."""
+    """Return the document with another value of `name`; itself if that is the same."""
     return document if said is document.get(name) else {**document, name: said}

@@ -1,8 +1,7 @@
-"""An entity as the broker keeps it: names expanded to IRIs, attributes always lists of instances.
+"""Stored entities: names are expanded to IRIs, attributes are lists of instances.
 
-An instance is a JSON object with `type`, the member that says something (`value`, `object`, …), metadata
-under their short names, and attributes of the attribute under their IRIs (which all contain a colon).
-Entities are never changed: a change makes a new one, so that what was read stays what it was.
+An instance is a JSON object with `type`, its value member (`value`, `object`, …), metadata with short names,
+and sub-attributes with IRIs (which all contain a colon). Entities are immutable: a change creates a new one.
 """
 
 from collections.abc import Mapping
@@ -17,17 +16,17 @@ Instance = dict[str, Any]
 Attributes = dict[str, list[Instance]]
 
 SAYS: Final = forms.MEMBERS
-"""Each kind of attribute and the member that holds what it says."""
+"""Each kind of attribute with its value member."""
 
 NULL: Final = forms.NULL
-"""What stands in a change where something is to be deleted."""
+"""Marks in a change what is to be deleted."""
 
 
 class Terms(Protocol):
-    """An @context as the broker uses it: one that is another object has other names."""
+    """The terms of an @context."""
 
     def __hash__(self) -> int:
-        """Tell it from others."""
+        """Identifies the terms."""
 
     def expand(self, term: str) -> str:
         """Return the IRI of a short name."""
@@ -38,7 +37,7 @@ class Terms(Protocol):
 
 @dataclass(slots=True, eq=False)
 class Entity:
-    """One entity; `seq` is its place in the order of creation."""
+    """One entity; `seq` is its sequence number."""
 
     id: str
     types: tuple[str, ...]
@@ -47,16 +46,17 @@ class Entity:
     modified_at: str
     seq: int = 0
     scopes: tuple[str, ...] = ()
-    """As they were written: a scope may do without the slash in front."""
+    """As they were written: the leading slash of a scope is optional."""
     expires_at: str | None = None
-    """When a transient entity ends (clause 4.22); None for one that stays."""
+    """The expiry of a transient entity (clause 4.22), None if it has none."""
     ends_at: str | None = None
-    """When it, or the first of its attributes that do, ends; None if nothing of it does."""
+    """The earliest expiry of the entity and its attributes, None if there is none."""
     rendered: dict[Any, bytes] = field(default_factory=dict)
-    """What readers were last given, by context and form: kept because most reads repeat."""
+    """Recently rendered forms, by context and form, because most reads repeat."""
 
     def stored(self) -> bytes:
-        """Return the entity as the journal keeps it; raises `orjson.JSONEncodeError` if nested too deep."""
+        """Return the entity as the journal stores it; raises `orjson.JSONEncodeError` if it is nested too
+        deeply."""
         return orjson.dumps(
             [
                 self.id,
@@ -73,7 +73,7 @@ class Entity:
 
     @classmethod
     def restored(cls, stored: bytes) -> "Entity":
-        """Return the entity that `stored` had been."""
+        """Return the entity of a stored record."""
         entity_id, types, attributes, created_at, modified_at, seq, *later = orjson.loads(stored)
         scopes, expires_at, ends_at = later or ((), None, None)  # which the first release did not keep
         return cls(
@@ -90,10 +90,10 @@ class Entity:
 
 
 class Event(NamedTuple):
-    """A change of one entity: how it was and how it is, None where there is none.
+    """A change of one entity: before and after, None if it does not exist.
 
-    `written` are the attributes (IRIs) that the change wrote, be their values new or not. Others
-    that both ends have are the same objects.
+    `written` are the attributes (IRIs) in the change, whether their values are new or not. Attributes that
+    are not in it are the same objects before and after.
     """
 
     before: Entity | None
@@ -102,17 +102,17 @@ class Event(NamedTuple):
 
     @classmethod
     def end_of(cls, entity: Entity) -> "Event":
-        """Return the end of an entity."""
+        """Return the deletion of an entity."""
         return cls(entity, None, frozenset())
 
 
 def is_deletion(instance: Mapping[str, Any]) -> bool:
-    """Say whether an instance in a change says that it is to be deleted."""
+    """Return whether an instance in a change is to be deleted."""
     said = instance.get(SAYS[instance["type"]])
     return said == NULL or (isinstance(said, dict) and said.get("@none") == NULL)
 
 
 def dataset_of(instance: Mapping[str, Any]) -> str | None:
-    """Return the datasetId that tells an instance from others, None for the default one."""
+    """Return the datasetId of an instance, None for the default one."""
     dataset: str | None = instance.get("datasetId")
     return dataset

@@ -1,4 +1,4 @@
-"""What writers send, read with care: normalized or concise entities become the form that the broker keeps.
+"""Parses entities of clients: normalized or concise entities become stored ones.
 
 Every fault is a problem that names the attribute, the rule and the way out (clauses 4.5.1 to 4.5.24, 4.18).
 """
@@ -25,9 +25,9 @@ from services.context_broker.model.validation import (
 from services.context_broker.model.values import SAID
 
 DEFAULT_INSTANCE: Final = "@none"
-"""The datasetId by which a writer or a reader may name the instance that has none."""
+"""The datasetId that clients may use for the instance without one."""
 DEEPEST: Final = 20
-"""Attributes of attributes of attributes … that are read."""
+"""Maximum depth of sub-attributes."""
 
 KINDS: Final = frozenset(SAYS)
 SAYING: Final = frozenset(SAYS.values())
@@ -37,14 +37,14 @@ METADATA: Final = frozenset(
 _KIND_OF: Final = {said: kind for kind, said in SAYS.items() if kind != "GeoProperty"}
 _TIMES: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"})
 _FROM_THE_BROKER: Final = _TIMES | {"instanceId"}
-"""Members that only the broker writes; a writer that sends back what it read is not refused."""
+"""Members that only the broker writes; a client may send them back."""
 _SAID_BESIDE: Final = METADATA - {"type"}
 _NO_ATTRIBUTES: Final = _FROM_THE_BROKER | {"type", "@type"}
 _ONLY_SHOWN: Final = frozenset(
     {"previousValue", "previousObject", "previousLanguageMap", "previousJson", "previousVocab",
      "previousValueList", "previousObjectList", "entity", "entityList"}
 )  # fmt: skip
-"""Members that tell of other times or other entities (clauses 4.5.2.2 and 4.5.3.2)."""
+"""Members of other representations (clauses 4.5.2.2 and 4.5.3.2)."""
 _MISPLACED: Final = SAYING | _ONLY_SHOWN | {"@context"}
 _SEALED: Final = frozenset({"entityIdSealed", "entityTypeSealed"})
 _PROOF: Final = "ngsildproof"
@@ -53,17 +53,17 @@ _NO_NAMES: Final = (METADATA | SAYING | _FROM_THE_BROKER | _ONLY_SHOWN | _SEALED
     "expiresAt",
     "value",
 }
-"""Words of the core context that cannot name an attribute of an entity (clause 4.5.1). `value` can all the
-same: the published Device has an attribute of that name."""
+"""Terms of the core context that cannot name an attribute (clause 4.5.1). `value` can nevertheless: the
+published Device has an attribute of that name."""
 _NO_ATTRIBUTES_OF_ENTITIES: Final = (
     _NO_NAMES | _TIMES | {"id", "@id", "type", "@type", "scope", "expiresAt", "@context"}
 )
-"""Members of an entity that are no attributes, or cannot be."""
+"""Members of an entity that are not attributes."""
 _CORE: Final = "https://uri.etsi.org/ngsi-ld/"
 _PLACES: Final = frozenset(
     base + name for base in ("", _CORE) for name in ("location", "observationSpace", "operationSpace")
 )
-"""Attributes that are GeoProperties by definition (clause 4.7.1); no context can give these names others."""
+"""Attributes that are GeoProperties by definition (clause 4.7.1); no context can change these names."""
 _KINDS_WITH: Final = {
     "unitCode": frozenset({"Property", "GeoProperty", "ListProperty"}),
     "objectType": frozenset({"Relationship", "ListRelationship"}),
@@ -71,32 +71,31 @@ _KINDS_WITH: Final = {
 }
 _NULL_TEXT: Final = NULL.encode()
 _ESCAPE: Final = b"\\u"
-"""By which a text in JSON may be written in other bytes than its own."""
+"""Characters by which a JSON string may be escaped."""
 _LANG_STRING: Final = frozenset({"langString", "rdf:langString"})
 
 
 class Nulls(Enum):
-    """Where a document may say that something is to be deleted (clauses 5.2.1 and 5.5.4)."""
+    """Where a document may contain NULL (clauses 5.2.1 and 5.5.4)."""
 
     NOWHERE = "nowhere"
     ATTRIBUTES = "attributes"
     VALUES = "values"
-    """Also inside the values of Properties, into which a merge goes."""
+    """Also inside the values of Properties, which a merge changes."""
 
 
 def nulls_in(raw: bytes, allowed: Nulls) -> Nulls:
-    """Return `allowed`, or `VALUES` if `raw`, the JSON that is to be read, cannot have NULL in it anyway.
+    """Return `allowed`, or `VALUES` if the JSON text `raw` cannot contain NULL.
 
-    A look at the bytes is much quicker than one at all values, which is then left out.
+    Searching the text is much faster than checking all values, which is skipped then.
     """
     return allowed if _NULL_TEXT in raw or _ESCAPE in raw else Nulls.VALUES
 
 
 class Change(NamedTuple):
-    """What a writer said about an entity: its id if given, its types if given, and attributes.
+    """A parsed change: the id and the types if given, and attributes.
 
-    `scopes` is None where nothing is said of them, empty where they are to be deleted; `expires_at` is None
-    where nothing is said of it, NULL where the entity is to stay.
+    `scopes` is None if not given, empty to delete them; `expires_at` is None if not given, NULL to remove it.
     """
 
     id: str | None
@@ -107,7 +106,7 @@ class Change(NamedTuple):
 
 
 def read_entity(document: Any, terms: Terms, nulls: Nulls = Nulls.NOWHERE) -> Change:
-    """Return a whole entity; raise a problem if it has no id, no type, or tells of deletions."""
+    """Return a whole entity; raise a problem if it has no id or type, or contains NULL."""
     change = read_change(document, terms, nulls)
     if change.id is None:
         raise bad_request_data('the entity has no "id"; give it a URI such as urn:ngsi-ld:Task:demo:1')
@@ -117,7 +116,7 @@ def read_entity(document: Any, terms: Terms, nulls: Nulls = Nulls.NOWHERE) -> Ch
 
 
 def read_change(document: Any, terms: Terms, nulls: Nulls = Nulls.VALUES) -> Change:
-    """Return part of an entity, as append, update and merge take it."""
+    """Return a part of an entity, for append, update and merge."""
     if not isinstance(document, dict):
         raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
     entity_id: str | None = None
@@ -138,7 +137,7 @@ def read_change(document: Any, terms: Terms, nulls: Nulls = Nulls.VALUES) -> Cha
             expires_at = _end(given, "expiresAt of the entity", nulls)
         elif name in _NO_NAMES and name not in _TIMES:
             raise bad_request_data(
-                f"{shown(name)} is a word of NGSI-LD and cannot name an attribute; choose another name"
+                f"{shown(name)} is a term of NGSI-LD and cannot name an attribute; choose another name"
             )
     if nulls is not Nulls.VALUES:
         refuse_nulls(attributes, terms, nulls)
@@ -146,7 +145,7 @@ def read_change(document: Any, terms: Terms, nulls: Nulls = Nulls.VALUES) -> Cha
 
 
 def refuse_nulls(attributes: Attributes, terms: Terms, nulls: Nulls) -> None:
-    """Raise a problem if attributes tell of something to delete where `nulls` does not allow it."""
+    """Raise a problem if attributes contain NULL where `nulls` does not allow it."""
     for name, instances in attributes.items():
         for instance in instances:
             if _reports_null(instance, nulls):
@@ -160,7 +159,7 @@ def _reports_null(instance: Instance, nulls: Nulls) -> bool:
     if nulls is Nulls.NOWHERE:
         if NULL in instance.values():
             return True
-    elif is_deletion(instance) or instance["type"] == "LanguageProperty":  # may delete a wording
+    elif is_deletion(instance) or instance["type"] == "LanguageProperty":  # may delete the text of a language
         return False
     for member, value in instance.items():
         if value.__class__ is dict or value.__class__ is list:
@@ -176,7 +175,7 @@ _PLAIN: Final = frozenset({float, int, str, bool, type(None)})
 
 
 def _holds_null(value: Any, depth: int = 0) -> bool:
-    """Say whether NULL stands for a member of an object somewhere in `value`."""
+    """Return whether a member of an object in `value` is NULL."""
     if depth > MAX_NESTING:
         raise too_deep()
     if isinstance(value, dict):
@@ -184,12 +183,12 @@ def _holds_null(value: Any, depth: int = 0) -> bool:
     if not isinstance(value, list):
         return False
     if depth < MAX_NESTING and _PLAIN.issuperset(map(type, value)):
-        return False  # most lists are of numbers, as a robot's hundred joints
+        return False  # most lists are of numbers, such as a hundred joints of a robot
     return any(_holds_null(part, depth + 1) for part in value)
 
 
 def read_types(given: Any, terms: Terms) -> tuple[str, ...]:
-    """Return the IRIs of one type or a list of them."""
+    """Return the IRIs of one type or a list of types."""
     if given.__class__ is str and given != NULL:
         return (_iri_of(given, "the entity type", terms),)
     names = given if isinstance(given, list) else [given]
@@ -199,16 +198,16 @@ def read_types(given: Any, terms: Terms) -> tuple[str, ...]:
 
 
 def expand(name: str, terms: Terms) -> str:
-    """Return the IRI of `name`; raise a problem if its @context makes no IRI of it."""
+    """Return the IRI of `name`; raise a problem if its @context does not define one."""
     iri = terms.expand(name)
     if ":" not in iri:
-        raise bad_request_data(f"the @context makes no IRI of {shown(name)}; map it to one or add a @vocab")
+        raise bad_request_data(f"the @context has no IRI for {shown(name)}; map it to one or add a @vocab")
     return iri
 
 
 @lru_cache(maxsize=8192)
 def _iri_of(name: str, what: str, terms: Terms) -> str:
-    """Return the IRI of what is called `name`; remembered, for the same names come again and again."""
+    """Return the IRI of a name; cached, because names repeat."""
     return expand(require_name(name, what), terms)
 
 
@@ -263,7 +262,7 @@ def _are_instances(given: list[Any]) -> bool:
 
 
 def kind_said(given: Mapping[str, Any]) -> str | None:
-    """Return what an attribute gives as its kind, None if nothing, "" for what cannot be one."""
+    """Return the value member of an attribute by its kind, None if there is none, "" if it is ambiguous."""
     kind = given["type"] if "type" in given else given.get("@type")
     return kind if kind is None or isinstance(kind, str) else ""
 
@@ -309,7 +308,7 @@ def _plain(name: str, value: Any, terms: Terms, kind: str = "Property") -> Insta
 
 
 def _kind(name: str, given: Mapping[str, Any]) -> str | None:
-    """Return the kind of an attribute; None when it is a bare value in concise form."""
+    """Return the kind of an attribute; None for a bare value in concise form."""
     kind: str | None = given.get("type")
     if kind.__class__ is str and kind in KINDS:
         return kind

@@ -1,6 +1,6 @@
 """Entities as GeoJSON: one is a Feature, several a FeatureCollection (clauses 4.5.16, 4.5.17 and 6.3.15).
 
-The geometry is that of one GeoProperty, `location` unless another is asked for; null if it has none.
+The geometry is that of one GeoProperty, `location` unless another is requested; null if there is none.
 """
 
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ def feature_of(document: dict[str, Any], at: Any) -> dict[str, Any]:
 def geometry(entity: Entity, place: str, datasets: frozenset[str | None] | None = None) -> Any:
     """Return the geometry of a GeoProperty (IRI); None if it has none.
 
-    Of several instances that is the default one, or the first of the `datasets` that are asked for.
+    Of several instances it is the default one, or the first of the requested `datasets`.
     """
     instances = entity.attributes.get(place, [])
     if datasets is not None:
@@ -36,12 +36,12 @@ def geometry(entity: Entity, place: str, datasets: frozenset[str | None] | None 
 
 
 def feature_body(one: dict[str, Any], context: Context, *, with_context: bool) -> bytes:
-    """Return a Feature as text, its @context in it if wanted."""
+    """Return a Feature as text, with its @context if requested."""
     return _body(orjson.dumps(one), context, with_context=with_context)
 
 
 def collection_body(features: Iterable[dict[str, Any]], context: Context, *, with_context: bool) -> bytes:
-    """Return a FeatureCollection as text, the @context of all in it if wanted."""
+    """Return a FeatureCollection as text, with the @context of all if requested."""
     return _body(
         orjson.dumps({"type": "FeatureCollection", "features": list(features)}),
         context,

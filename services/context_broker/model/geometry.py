@@ -12,9 +12,9 @@ DEPTHS: Final = {
     "Polygon": 2,
     "MultiPolygon": 3,
 }
-"""How deep the positions of each kind of geometry are nested."""
+"""The nesting depth of the positions, by type of geometry."""
 MAX_POSITIONS: Final = 10_000
-"""Positions of one geometry: what relates two geometries takes time with the product of theirs."""
+"""Maximum positions of a geometry: relating two geometries takes time proportional to their product."""
 
 _NUMBERS: Final = frozenset({int, float})
 _RING_FAULT: Final = "each ring of a Polygon has at least four positions, the last the same as the first"
@@ -26,15 +26,15 @@ _SIZE_FAULT: Final = f"a geometry has at most {MAX_POSITIONS} positions; simplif
 
 
 def looks_like_geometry(value: Any) -> bool:
-    """Say whether `value` is meant to be a geometry: its type is one and it has coordinates."""
+    """Return whether `value` is meant as a geometry: it has the type of one, and coordinates."""
     kind = value.get("type") if isinstance(value, Mapping) else None
     return isinstance(kind, str) and kind in DEPTHS and "coordinates" in value
 
 
 def fault_of(value: Any) -> str | None:  # noqa: PLR0911 - a list of rules
-    """Return what is wrong with a geometry, None if nothing is.
+    """Return the fault of a geometry, None if it has none.
 
-    A geometry without fault is safe to compute with: its positions are few enough, finite, and on the globe.
+    A valid geometry is safe to compute with: its positions are few enough, finite, and on the globe.
     """
     kind = value.get("type") if isinstance(value, Mapping) else None
     if not isinstance(kind, str) or kind not in DEPTHS:
@@ -59,7 +59,7 @@ def fault_of(value: Any) -> str | None:  # noqa: PLR0911 - a list of rules
 
 
 def _lines(coordinates: Any, depth: int) -> list[list[Any]] | None:
-    """Return the lists of positions in coordinates of a depth; None where they are nested otherwise."""
+    """Return the lists of positions in coordinates of a depth; None if they are nested differently."""
     lists = [coordinates]
     for _ in range(depth - 1):
         if not all(isinstance(one, list) and one for one in lists):

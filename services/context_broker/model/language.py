@@ -1,7 +1,7 @@
-"""Languages that a reader prefers, and what a LanguageProperty says in the best of them (clause 4.15).
+"""Language preferences, and the best text of a LanguageProperty (clause 4.15).
 
-Preferences are those of RFC 3282 (`fr-CH,fr;q=0.9,*;q=0.5`); a tag is found as RFC 4647 looks it up: as it
-is, then ever shorter, then with more behind it.
+Preferences are those of RFC 3282 (`fr-CH,fr;q=0.9,*;q=0.5`). A tag is looked up as in RFC 4647: as it is,
+then shortened, then with any extension.
 """
 
 from collections.abc import Mapping
@@ -15,12 +15,13 @@ from services.context_broker.model.validation import shown
 LONGEST: Final = 1024
 ANY: Final = "*"
 WITHOUT_TAG: Final = "@none"
-"""The key of a wording that is in no language."""
+"""The key of a text without a language."""
 
 
 @lru_cache(maxsize=1024)
 def preferences(given: str) -> tuple[str, ...]:
-    """Return the ranges of `lang`, best first and in small letters; raise a problem (400) for others."""
+    """Return the language ranges of `lang`, best first, in lower case; raise a problem (400) for invalid
+    ones."""
     if len(given) > LONGEST:
         raise bad_request_data(f"lang has {len(given)} characters; {LONGEST} are read")
     weighed: list[tuple[float, str]] = []
@@ -50,7 +51,7 @@ def _weight(options: list[str], given: str) -> float:
 
 
 def best_tag(wordings: Mapping[str, Any], wanted: tuple[str, ...]) -> str:
-    """Return the key of the wording that fits `wanted` best; any if none fits (there is at least one)."""
+    """Return the key of the text that matches `wanted` best; any if none matches (there is at least one)."""
     tags = {tag.lower(): tag for tag in wordings}
     for language in wanted:
         if language == ANY:
@@ -70,7 +71,7 @@ def _found(tags: Mapping[str, str], language: str) -> str | None:
 
 
 def in_language(instance: Instance, wanted: tuple[str, ...]) -> Instance:
-    """Return a LanguageProperty (or one with such below it) as the Property it is in one language."""
+    """Return a LanguageProperty, also of sub-attributes, as a Property in one language."""
     result: Instance = {}
     for member, value in instance.items():
         if ":" in member:

@@ -1,6 +1,6 @@
-"""What the headers of a request ask for: media types, an @context, preferences (clauses 6.3.4 to 6.3.6).
+"""The headers of a request: media types, @context, preferences (clauses 6.3.4 to 6.3.6).
 
-Pure functions of header values, remembered because clients send the same ones again and again.
+Pure functions of header values, cached because clients repeat them.
 """
 
 import re
@@ -16,9 +16,9 @@ JSON_LD: Final = "application/ld+json"
 GEO_JSON: Final = "application/geo+json"
 MERGE_PATCH: Final = "application/merge-patch+json"
 PLAIN: Final = (JSON, JSON_LD)
-"""What every operation answers in; equal wishes are answered in the order of the list."""
+"""Media types of every operation, in the order of preference if the client has none."""
 WITH_GEO_JSON: Final = (JSON, JSON_LD, GEO_JSON)
-"""What the operations that return entities answer in (clause 6.3.15)."""
+"""Media types of operations that return entities (clause 6.3.15)."""
 
 Version = tuple[int, int]
 """A version of NGSI-LD: major and minor number."""
@@ -32,10 +32,10 @@ _WEIGHT: Final = re.compile(r"(?:0(?:\.[0-9]{0,3})?|1(?:\.0{0,3})?)")
 
 @lru_cache(maxsize=1024)
 def accepted(given: bytes, offered: Sequence[str] = PLAIN) -> str | None:
-    """Return the media type of `offered` that an Accept header likes best; None if it likes none.
+    """Return the preferred media type of `offered` by an Accept header; None if it accepts none.
 
-    The most specific range that fits a type gives its weight (RFC 9110, clause 12.5.1), so that a weight of
-    0 excludes a type even where `*/*` would let it in. A weight that is no weight counts as none at all.
+    The most specific range that matches a type gives its weight (RFC 9110, clause 12.5.1), so a weight of 0
+    excludes a type even if `*/*` is accepted. An invalid weight counts as 0.
     """
     weights: dict[str, float] = {}
     for part in given.decode("latin-1").split(","):
@@ -52,7 +52,7 @@ def accepted(given: bytes, offered: Sequence[str] = PLAIN) -> str | None:
 
 @lru_cache(maxsize=1024)
 def context_link(given: bytes) -> str | None:
-    """Return the URL of the @context that a Link header names; raise a problem if it names several."""
+    """Return the URL of the @context in a Link header; raise a problem if there are several."""
     found: list[str] = _CONTEXT_LINK.findall(given.decode("latin-1"))
     if len(found) > 1:
         raise bad_request_data("the Link header names more than one @context; put them into one document")
@@ -70,7 +70,7 @@ def preferences(given: bytes) -> dict[str, str]:
 
 
 def preferred_version(given: bytes) -> Version | None:
-    """Return the version that `Prefer: ngsi-ld=<version>` asks for, None if it asks for none."""
+    """Return the version of `Prefer: ngsi-ld=<version>`, None if there is none."""
     wanted = preferences(given).get("ngsi-ld")
     if wanted is None:
         return None
@@ -81,7 +81,7 @@ def preferred_version(given: bytes) -> Version | None:
 
 
 def version_of(text: str) -> Version | None:
-    """Return the version that `1.6` or `1.6.1` stands for, None for what is no version."""
+    """Return the version of a text such as `1.6` or `1.6.1`, None if it is not one."""
     found = _VERSION.fullmatch(text)
     return None if found is None else (int(found[1]), int(found[2]))
 

@@ -1,4 +1,4 @@
-"""How deep JSON may be nested: less than what can be written inside an entity, its history or a page."""
+"""The maximum nesting of JSON: less than what can be written inside an entity, its history or a page."""
 
 from typing import Any, Final
 
@@ -8,15 +8,15 @@ from handover.errors import Problem
 from services.context_broker.model.problems import bad_request_data
 
 MAX_NESTING: Final = 200
-"""Levels of objects and lists in a body, or in the value of an attribute."""
+"""Maximum levels of objects and lists in a body, or in the value of an attribute."""
 _WRITTEN: Final = 254
 """Levels that orjson writes; it reads 1024."""
 
 
 def is_too_deep(document: Any) -> bool:
-    """Say whether a document read from JSON has more than `MAX_NESTING` levels.
+    """Return whether a parsed document has more than `MAX_NESTING` levels.
 
-    orjson looks, at a third of the cost of reading, where Python would take ten times as long.
+    orjson checks it, at a third of the cost of parsing; Python would take ten times as long.
     """
     for _ in range(_WRITTEN - MAX_NESTING):
         document = [document]
@@ -28,7 +28,7 @@ def is_too_deep(document: Any) -> bool:
 
 
 def too_deep() -> Problem:
-    """The body, or a value in it, has more levels than can be kept."""
+    """The body, or a value in it, has too many levels."""
     return bad_request_data(
         f"the body is nested deeper than {MAX_NESTING} levels of objects and lists; send it flatter"
     )

@@ -1,6 +1,6 @@
-"""Which members of an entity a reader wants: `pick` names them, `omit` those to leave out (clause 4.21).
+"""The requested members of an entity: `pick` selects them, `omit` leaves them out (clause 4.21).
 
-Braces after the name of a relationship say what is wanted of the entity that it leads to.
+Braces after the name of a relationship select members of the linked entity.
 """
 
 import re
@@ -14,20 +14,21 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_name, shown
 
 DEEPEST_LINK: Final = 10
-"""Braces within braces that are read: as far as links between entities are followed."""
+"""Maximum nesting of braces: the maximum depth of linked entities."""
 ENTITY_MEMBERS: Final = frozenset(
     {"id", "type", "scope", "createdAt", "modifiedAt", "deletedAt", "expiresAt"}
 )
-"""Members of an entity that are no attributes; a projection names them as they are."""
+"""Members of an entity that are not attributes; they are not expanded."""
 
 _SIGN = re.compile(r"[{},|]|[^{},|]+")
 
 
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """What is wanted of an entity: members (attributes by IRI) picked, None for all, less those omitted.
+    """The requested members of an entity: those picked (attributes by IRI; None for all), without those
+    omitted.
 
-    `linked` holds, by relationship (IRI), what is wanted of the entities that it leads to.
+    `linked` has the projections of linked entities, by relationship (IRI).
     """
 
     picked: frozenset[str] | None = None
@@ -35,22 +36,22 @@ class Projection:
     linked: tuple[tuple[str, "Projection"], ...] = ()
 
     def wants(self, member: str) -> bool:
-        """Say whether a member, or an attribute by its IRI, is wanted."""
+        """Return whether a member, or an attribute by its IRI, is requested."""
         return (self.picked is None or member in self.picked) and member not in self.omitted
 
     def below(self, relationship: str) -> "Projection | None":
-        """Return what is wanted of the entities that a relationship (IRI) leads to, None for all of them."""
+        """Return the projection of entities that a relationship (IRI) links to, None for all members."""
         return next((one for name, one in self.linked if name == relationship), None)
 
 
 Names = dict[str, "Names | None"]
-"""Names with what stands in the braces after them, None where there are none."""
+"""Names, each with the content of its braces; None without braces."""
 
 
 def read_projection(pick: str | None, omit: str | None, terms: Terms) -> Projection | None:
-    """Return what `pick` and `omit` ask for together, None for all.
+    """Return the combination of `pick` and `omit`, None for all members.
 
-    Raises a problem (400) for what breaks the grammar, and for a name that is in both.
+    Raises a problem (400) for a syntax error, and for a name in both.
     """
     if pick is None and omit is None:
         return None
@@ -60,7 +61,7 @@ def read_projection(pick: str | None, omit: str | None, terms: Terms) -> Project
 
 
 def read_names(given: str, what: str, terms: Terms) -> Names:
-    """Return the names of a projection with attributes as IRIs; raise a problem (400) for broken grammar."""
+    """Return the names of a projection with attributes as IRIs; raise a problem (400) for a syntax error."""
     signs = iter(_SIGN.findall(given))
     names, end = _read_list(signs, given, what, terms, 0)
     if end == "}":
@@ -84,7 +85,7 @@ def _projection(picked: Names | None, omitted: Names, terms: Terms) -> Projectio
 def _read_list(
     signs: Iterator[str], given: str, what: str, terms: Terms, depth: int
 ) -> tuple[Names, str | None]:
-    """Return the names up to the end, or up to the brace that ends the list; and which of these it was."""
+    """Return the names up to the end or to the closing brace, and which of the two it was."""
     if depth > DEEPEST_LINK:
         raise bad_request_data(f"{what} follows links deeper than {DEEPEST_LINK} entities; ask for less")
     names: Names = {}
@@ -101,7 +102,7 @@ def _read_list(
         if sign == "{":
             if name in ENTITY_MEMBERS:
                 raise bad_request_data(
-                    f"{what}={shown(given)}: {name} leads to no entity; leave the braces out"
+                    f"{what}={shown(given)}: {name} is not a relationship; leave the braces out"
                 )
             names[name], end = _read_list(signs, given, what, terms, depth + 1)
             if end is None:

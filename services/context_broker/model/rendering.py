@@ -1,4 +1,4 @@
-"""What readers get: an entity in the form, with the names, the members and the languages they asked for.
+"""Renders entities for clients: in a form, with names, members and languages as requested.
 
 Forms of clauses 4.5.1 to 4.5.25: normalized, concise and simplified (keyValues).
 """
@@ -16,14 +16,14 @@ from services.context_broker.model.language import in_language
 from services.context_broker.model.projection import Projection
 
 FORMS_KEPT = 4
-"""Rendered forms of one entity that are kept."""
+"""Rendered forms that are cached with an entity."""
 
 _TIMES = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt"})
 _TERM_MEMBERS = ("objectType", "valueType", "entityTypeSealed", "previousVocab")
 
 
 class Form(StrEnum):
-    """A way to write an entity."""
+    """A representation of an entity."""
 
     NORMALIZED = "normalized"
     CONCISE = "concise"
@@ -32,11 +32,11 @@ class Form(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """How a reader wants entities; what is None does not limit or change anything.
+    """How a client requests entities; None does not limit or change anything.
 
-    `attributes` (IRIs) are those of `attrs`, `projection` is what `pick` and `omit` make of an entity,
-    `languages` are the ranges of `lang`, best first, `datasets` the wanted instances by datasetId, with None
-    for the default one.
+    `attributes` (IRIs) are those of `attrs`, `projection` is that of `pick` and `omit`, `languages` are the
+    ranges of `lang`, best first, `datasets` the requested instances by datasetId, with None for the default
+    one.
     """
 
     form: Form = Form.NORMALIZED
@@ -48,7 +48,7 @@ class View:
 
     @property
     def is_whole(self) -> bool:
-        """Say whether all of an entity is wanted, as it is."""
+        """Return whether the whole entity is requested."""
         return (
             self.attributes is None
             and self.projection is None
@@ -58,7 +58,7 @@ class View:
 
 
 def rendered(entity: Entity, context: Context, view: View) -> bytes:
-    """Return the entity as JSON text; what is asked for often is kept with the entity."""
+    """Return the entity as JSON text; frequent forms are cached with the entity."""
     if not view.is_whole:
         return orjson.dumps(render(entity, context.terms, view))
     key = (context.key, view.form, view.sys_attrs)
@@ -71,7 +71,7 @@ def rendered(entity: Entity, context: Context, view: View) -> bytes:
 
 
 def with_context(text: bytes, context: Context) -> bytes:
-    """Return the JSON object `text` with the @context of the reader put in front."""
+    """Return the JSON object `text` with the @context of the client in front."""
     return b'{"@context":' + context.text + (b"," if text != b"{}" else b"") + text[1:]
 
 
@@ -99,12 +99,12 @@ def render(entity: Entity, terms: Terms, view: View) -> dict[str, Any]:
 
 
 def written(instance: Instance, terms: Terms, form: Form, *, sys_attrs: bool) -> Any:
-    """Return one instance of an attribute in a form, as it stands in an entity."""
+    """Return one instance of an attribute in a form."""
     return _WRITERS[form]([instance], terms, sys_attrs)
 
 
 def _wanted(attributes: Attributes, view: View) -> Attributes:
-    """Return the attributes, and the instances of them, that a reader asked for, in their language."""
+    """Return the requested attributes and instances, in the requested language."""
     chosen, projection, datasets, languages = view.attributes, view.projection, view.datasets, view.languages
     result: Attributes = {}
     for name, instances in attributes.items():
@@ -137,7 +137,7 @@ def _normalized_instance(instance: Instance, terms: Terms, sys_attrs: bool) -> d
 
 
 def _use_terms(written: dict[str, Any], kind: str, terms: Terms) -> None:
-    """Write the members whose content are terms with the names of the reader."""
+    """Compact members whose values are terms, with the names of the client."""
     if kind == "VocabProperty":
         written["vocab"] = _compacted(written["vocab"], terms)
     for member in _TERM_MEMBERS:

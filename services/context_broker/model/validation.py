@@ -1,4 +1,4 @@
-"""Ids, times and names as NGSI-LD writes them, checked once at the door."""
+"""Validation of ids, times and names of NGSI-LD."""
 
 import re
 import time
@@ -17,13 +17,13 @@ MAX_TIME_LENGTH = 64
 TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{MAX_TENANT_LENGTH}}}")
 
 _INSIDE = "\u2234"
-"""Begins the name of what belongs to a snapshot: no header can say it, so no asker can name it."""
+"""First character of the name of a snapshot's content: no header can contain it, so no client can use it."""
 
 _UNSEEN = (
     r"\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180e\u200b-\u200f\u2028-\u202f\u2060-\u206f"
     r"\u2800\u3164\ufe00-\ufe0f\ufeff\uffa0\ufdd0-\ufdef\ufff0-\uffff\ud800-\udfff\U000e0000-\U000e0fff"
 )
-"""Signs that are not seen, or turn what stands beside them: an id with one is read as another id."""
+"""Invisible characters, and those that change the direction of text: an id with one looks like another id."""
 _URI = re.compile(rf'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{{}}|\\^`\x00-\x20\x7f-\xa0{_UNSEEN}]+')
 _UNFIT_IN_NAMES = re.compile(r"[\s<>\"'=;,|(){}\[\]\\^`\x00-\x1f\x7f]")
 _SHORT_NAME = re.compile(r"[^\W\d_][\w\-]*")
@@ -31,12 +31,12 @@ _SCOPE = re.compile(r"/?[^\W\d_]\w*(?:/[^\W\d_]\w*)*")
 
 
 def inside(tenant: str, snapshot_id: str) -> str:
-    """Return the name under which what belongs to a snapshot of a tenant is kept, as if it were a tenant."""
+    """Return the internal tenant name of the content of a snapshot."""
     return f"{_INSIDE}{tenant}{_INSIDE}{snapshot_id}"
 
 
 def outside(name: str) -> tuple[str, str | None]:
-    """Return the tenant that a name means to others, and the snapshot if it is that of one."""
+    """Return the tenant of an internal name, and the snapshot if it is that of one."""
     if not name.startswith(_INSIDE):
         return name, None
     _, tenant, snapshot_id = name.split(_INSIDE, 2)
@@ -44,10 +44,10 @@ def outside(name: str) -> tuple[str, str | None]:
 
 
 def tenant_headers(name: str) -> list[tuple[str, str]]:
-    """Return the headers by which others learn of which tenant, and which snapshot of it, something is."""
+    """Return the headers that name a tenant, and a snapshot of it, in requests to others."""
     tenant, snapshot_id = outside(name)
-    told = [("NGSILD-Tenant", tenant)] if tenant else []
-    return told if snapshot_id is None else [*told, ("NGSILD-Snapshot", snapshot_id)]
+    headers = [("NGSILD-Tenant", tenant)] if tenant else []
+    return headers if snapshot_id is None else [*headers, ("NGSILD-Snapshot", snapshot_id)]
 
 
 def timestamp(moment: datetime) -> str:
@@ -56,7 +56,7 @@ def timestamp(moment: datetime) -> str:
 
 
 def timestamp_now() -> str:
-    """Return the time of the wall clock as the broker writes it."""
+    """Return the wall clock time in the format of the broker."""
     second, micros = divmod(time.time_ns() // 1000, 1_000_000)
     return f"{_second(second)}{micros:06d}Z"
 
@@ -68,13 +68,13 @@ def _second(second: int) -> str:
 
 
 def moment(text: str) -> float | None:
-    """Return an ISO 8601 date or date-time in seconds since 1970 (UTC unless it says); None for others."""
+    """Return an ISO 8601 date or date-time in seconds since 1970 (UTC by default); None for anything else."""
     return _moment(text) if 8 <= len(text) <= MAX_TIME_LENGTH else None
 
 
 @lru_cache(maxsize=8192)
 def _moment(text: str) -> float | None:
-    """Return the time; remembered, for the same ones are compared again and again."""
+    """Return the time; cached, because times are compared repeatedly."""
     try:
         parsed = datetime.fromisoformat(text)
         return (parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)).timestamp()
@@ -83,13 +83,13 @@ def _moment(text: str) -> float | None:
 
 
 def is_short_uri(value: str) -> bool:
-    """Say whether a text is a URI of a usual length."""
+    """Return whether a text is a URI of usual length."""
     return len(value) <= MAX_NAME_LENGTH and _is_uri(value)
 
 
 @lru_cache(maxsize=8192)
 def _is_uri(value: str) -> bool:
-    """Say whether a short text is a URI; remembered, for what entities refer to comes again and again."""
+    """Return whether a short text is a URI; cached, because references repeat."""
     return _URI.fullmatch(value) is not None
 
 
@@ -108,21 +108,21 @@ def require_uri(value: Any, what: str) -> str:
 
 
 def is_time(value: Any) -> bool:
-    """Say whether this is a date-time that says to be in UTC."""
+    """Return whether a value is a date-time in UTC."""
     return value.__class__ is str and value[-1:] == "Z" and "T" in value and moment(value) is not None
 
 
 def require_time(value: Any, what: str) -> str:
-    """Return a date-time in UTC (clause 4.6.3); one that says how far it is from UTC is told in UTC.
+    """Return a date-time in UTC (clause 4.6.3); one with another offset is converted.
 
     Raises a problem that names `what` for anything else.
     """
     if is_time(value):
         return str(value)
     if isinstance(value, str) and "T" in value and moment(value) is not None:
-        told = datetime.fromisoformat(value)
-        if told.tzinfo is not None:
-            return told.astimezone(UTC).isoformat().removesuffix("+00:00") + "Z"
+        given = datetime.fromisoformat(value)
+        if given.tzinfo is not None:
+            return given.astimezone(UTC).isoformat().removesuffix("+00:00") + "Z"
     raise bad_request_data(
         f"{what} must be a date-time in UTC such as 2024-05-01T12:00:00Z, not {shown(value)}"
     )
@@ -131,7 +131,7 @@ def require_time(value: Any, what: str) -> str:
 def duration_s(value: Any, what: str) -> float:
     """Return an ISO 8601 duration such as PT5M in seconds, with years of 365 and months of 30 days.
 
-    Raises a problem that names `what` if it is none.
+    Raises a problem that names `what` if it is invalid.
     """
     try:
         return parse_duration(value if isinstance(value, str) else "").nominal_s
@@ -142,24 +142,24 @@ def duration_s(value: Any, what: str) -> float:
 
 
 def has_expired(expires_at: str | None, now_s: float) -> bool:
-    """Say whether a time of expiry, if there is one, has come."""
+    """Return whether an expiry, if there is one, has passed."""
     return expires_at is not None and (moment(expires_at) or 0.0) <= now_s
 
 
 def require_future(value: Any, what: str) -> str:
-    """Return `value` if it is a date-time to come; raise a problem that names `what` if not."""
+    """Return `value` if it is a date-time in the future; raise a problem that names `what` if not."""
     text = require_time(value, what)
     if has_expired(text, time.time()):
-        raise bad_request_data(f"{what} is {text}, which is past; give a time to come, or leave it out")
+        raise bad_request_data(f"{what} is {text}, which is past; give a time in the future, or leave it out")
     return text
 
 
 def require_scope(value: Any) -> str:
-    """Return `value` if it is a scope, as it was written; raise a problem if not (clause 4.18)."""
+    """Return `value` if it is a scope, unchanged; raise a problem if not (clause 4.18)."""
     if not isinstance(value, str) or len(value) > MAX_NAME_LENGTH or not _SCOPE.fullmatch(value):
         raise bad_request_data(
-            f"a scope is a path such as /Madrid/Gardens_2, each level a letter followed by letters, digits "
-            f"and _ ({MAX_NAME_LENGTH} characters at most), not {shown(value)}"
+            f"a scope is a path such as /Madrid/Gardens_2; each level is A-Z or a-z, then digits or _ "
+            f"too ({MAX_NAME_LENGTH} characters at most), not {shown(value)}"
         )
     return value
 
@@ -167,8 +167,8 @@ def require_scope(value: Any) -> str:
 def require_name(value: Any, what: str) -> str:
     """Return `value` if it can name a type or an attribute; raise a problem that names `what` if not.
 
-    A short name is a letter followed by letters, digits and _ (clause 4.6.2); the hyphen, which contexts in
-    use have in their terms, is taken too. An IRI or `prefix:name` may hold more.
+    A short name is alphanumeric with _, and does not begin with a digit (clause 4.6.2). The hyphen is allowed
+    too, because published contexts have it in their terms. An IRI or `prefix:name` may contain more.
     """
     if not isinstance(value, str) or not value:
         raise bad_request_data(f"{what} must be a name, not {shown(value)}")
@@ -178,20 +178,22 @@ def require_name(value: Any, what: str) -> str:
         raise bad_request_data(f"{what} has {len(value)} characters; {MAX_NAME_LENGTH} are allowed")
     if value.startswith("@") or _UNFIT_IN_NAMES.search(value):
         raise bad_request_data(
-            f"{what} {shown(value)} is no name: leave out spaces, quotes, brackets and @ = ; , | < >"
+            f"{what} {shown(value)} is not a valid name: leave out spaces, quotes, brackets and @ = ; , | < >"
         )
-    raise bad_request_data(f"{what} {shown(value)} is no name: a letter, then letters, digits and _")
+    raise bad_request_data(
+        f"{what} {shown(value)} is not a valid name: A-Z or a-z, then A-Z, a-z, digits and _"
+    )
 
 
 @lru_cache(maxsize=8192)
 def _is_name(value: str) -> bool:
-    """Say whether `value` can name something; remembered, for the same names come again and again."""
+    """Return whether `value` is a valid name; cached, because names repeat."""
     if ":" not in value:
         return _SHORT_NAME.fullmatch(value) is not None
     return not value.startswith("@") and _UNFIT_IN_NAMES.search(value) is None
 
 
 def shown(value: Any) -> str:
-    """Return `value` as it may stand in an error: quoted and short."""
+    """Return `value` for an error text: quoted and short."""
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "…"

@@ -1,6 +1,6 @@
-"""What an attribute of each kind may say, checked when it is read.
+"""Validation of values by kind of attribute.
 
-Clauses 4.5.2 to 4.5.24 and 4.6; NULL stands where a change deletes, and is looked for elsewhere.
+Clauses 4.5.2 to 4.5.24 and 4.6. NULL marks deletions and is checked elsewhere.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,7 +21,7 @@ Said = Callable[[str, Any, Terms], Any]
 def _value(name: str, value: Any, _: Terms) -> Any:
     if value is None:
         raise bad_request_data(
-            f"attribute {shown(name)} is null, which NGSI-LD cannot keep; leave it out, or say {NULL} in a "
+            f"attribute {shown(name)} is null, which NGSI-LD cannot store; leave it out, or send {NULL} in a "
             "change to delete it"
         )
     return value
@@ -38,7 +38,7 @@ def _object(name: str, value: Any, _: Terms) -> Any:
 
 def _linked(value: Any, what: str) -> str:
     if value == NULL:
-        raise bad_request_data(f"{what} has {NULL} in its list; send the list without what is to be deleted")
+        raise bad_request_data(f"{what} has {NULL} in its list; send the list without the elements to delete")
     return require_uri(value, what)
 
 
@@ -52,12 +52,12 @@ def _geometry(name: str, value: Any, _: Terms) -> Any:
 
 
 def _decoded(name: str, text: str) -> Any:
-    """Return a geometry that was sent as JSON in a text (clause 4.7.2)."""
+    """Return a geometry that was sent as a JSON string (clause 4.7.2)."""
     try:
         return orjson.loads(text)
     except orjson.JSONDecodeError:
         raise bad_request_data(
-            f"attribute {shown(name)} is a GeoProperty: the text {shown(text)} is no geometry in JSON"
+            f"attribute {shown(name)} is a GeoProperty: the text {shown(text)} is not a geometry in JSON"
         ) from None
 
 
@@ -99,7 +99,7 @@ def _vocab(name: str, value: Any, terms: Terms) -> Any:
 
 
 def _value_list(name: str, value: Any, _: Terms) -> Any:
-    if value == _NULL_LIST:  # which is how a list says that it is to be deleted (clause 4.5.21)
+    if value == _NULL_LIST:  # this deletes a whole list (clause 4.5.21)
         return NULL
     if value != NULL and not isinstance(value, list):
         raise bad_request_data(f"the valueList of {shown(name)} must be a list, not {shown(value)}")
@@ -125,4 +125,4 @@ SAID: Final[Mapping[str, Said]] = {
     "ListProperty": _value_list,
     "ListRelationship": _object_list,
 }
-"""By kind of attribute: what checks what it says, and brings it into the form that is kept."""
+"""By kind of attribute: validates its value, and converts it to the stored form."""

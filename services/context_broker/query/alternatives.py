@@ -1,7 +1,7 @@
-"""Expressions such as `A,(B;C)`: alternatives, each of which asks for one or more things together.
+"""Expressions such as `A,(B;C)`: alternatives, each of which requires one or more names.
 
-Types (clause 4.17) and scopes (clause 4.19) are chosen in this way. `,` and `|` are or, `;` is and; and binds
-tighter. The standard asks for brackets around and; they may be left out, and stand within each other.
+Used for types (clause 4.17) and scopes (clause 4.19). `,` and `|` are or, `;` is and; and binds tighter. The
+standard requires brackets around and; here they are optional, and may be nested.
 """
 
 from collections.abc import Callable
@@ -11,11 +11,11 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import shown
 
 LONGEST: Final = 20_000
-"""Characters of an expression that are read."""
+"""Maximum length of an expression."""
 DEEPEST: Final = 20
-"""Brackets within brackets that are read."""
+"""Maximum nesting of brackets."""
 MOST: Final = 1000
-"""Alternatives that an expression may stand for once its brackets are resolved."""
+"""Maximum number of alternatives after resolving the brackets."""
 
 _SIGNS: Final = ",|;()"
 
@@ -24,9 +24,9 @@ Alternatives = tuple[tuple[Leaf, ...], ...]
 
 
 def alternatives(text: str, what: str, leaf: Callable[[str], Leaf]) -> Alternatives[Leaf]:
-    """Return the alternatives of an expression; `leaf` makes something of each name, `what` is for errors.
+    """Return the alternatives of an expression; `leaf` converts each name, `what` is its name in errors.
 
-    Raises a problem (400) that says where the expression cannot be read.
+    Raises a problem (400) with the position of a syntax error.
     """
     if len(text) > LONGEST:
         raise bad_request_data(f"{what} has {len(text)} characters; {LONGEST} are allowed")
@@ -85,9 +85,9 @@ class _Reader(Generic[Leaf]):
 
     def check(self, count: int) -> None:
         if count > MOST:
-            self.fail(f"it stands for more than {MOST} alternatives; ask in several requests")
+            self.fail(f"it expands to more than {MOST} alternatives; send several requests")
 
     def fail(self, why: str) -> NoReturn:
         raise bad_request_data(
-            f"{self.what} cannot be read at character {self.at + 1} of {shown(self.text)}: {why}"
+            f"{self.what} has an error at character {self.at + 1} of {shown(self.text)}: {why}"
         )

@@ -1,4 +1,4 @@
-"""Where the values of one attribute are found: which entities hold a value, or a number within bounds."""
+"""Index of the values of one attribute: the entities with a value, or with a number in a range."""
 
 from bisect import bisect_left, bisect_right, insort
 from collections.abc import Iterable, Iterator
@@ -7,7 +7,7 @@ from services.context_broker.model.entity import Entity
 from services.context_broker.query.q_index import Condition, Equality, Scalar, scalars
 
 Ids = dict[str, None]
-"""Ids of entities, in the order in which they were filed."""
+"""Ids of entities, in the order in which they were added."""
 
 
 class AttributeIndex:
@@ -25,7 +25,7 @@ class AttributeIndex:
         return len(self._ids)
 
     def refile(self, before: Entity | None, after: Entity | None) -> None:
-        """Take a change of an entity into account."""
+        """Update the index after a change of an entity."""
         instances_before = () if before is None else before.attributes.get(self._attribute, ())
         instances_after = () if after is None else after.attributes.get(self._attribute, ())
         if instances_before is instances_after:
@@ -43,7 +43,7 @@ class AttributeIndex:
             filed = self._ids.get(value)
             if filed is None:
                 filed = self._ids[value] = {}
-                # True and 1 are one key: whichever came first stands for both, and the query looks again.
+                # True and 1 are the same key; the query checks the entities again.
                 if self._numbers is not None and isinstance(value, int | float):
                     insort(self._numbers, value)
             filed[after.id] = None  # type: ignore[union-attr]  # what is to be filed is an entity
@@ -57,7 +57,7 @@ class AttributeIndex:
         return [self._ids[number] for number in numbers[low:high]]
 
     def _sorted_numbers(self) -> list[float]:
-        """Return the numbers among the values, sorted when they are first asked for and kept so."""
+        """Return the numbers among the values; sorted at the first use, and kept sorted."""
         if self._numbers is None:
             self._numbers = sorted(value for value in self._ids if isinstance(value, int | float))
         return self._numbers

@@ -1,6 +1,6 @@
-"""How texts are ordered: by letters first, then by accents, then by case, as a reader expects it.
+"""The order of strings: by base characters first, then by accents, then by case.
 
-A plain stand-in for the root collation of ICU (clause 4.23.1 of ETSI GS CIM 009), with the differences of a
+An approximation of the root collation of ICU (clause 4.23.1 of ETSI GS CIM 009), with the differences of a
 few languages. `collation` is a tag of RFC 6067 such as `und`, `de-u-co-phonebk` or `und-u-ks-level1-kn`.
 """
 
@@ -14,13 +14,13 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import shown
 
 Key = Callable[[str], Any]
-"""Gives a text what it is ordered by."""
+"""Returns the sort key of a string."""
 
 _MAX_TAG_LENGTH: Final = 100
 _REPLACEMENTS: Final = {
     "æ": "ae", "œ": "oe", "ø": "o", "đ": "d", "ð": "d", "ł": "l", "ħ": "h", "þ": "th", "ı": "i",
 }  # fmt: skip
-"""Letters that are not made of a letter and an accent, and where they belong."""
+"""Characters that do not decompose into a base character and an accent, and their replacements."""
 _AFTER_Z: Final = "zz"
 _AT_HOME: Final[dict[str, dict[str, str]]] = {
     "da": {"æ": "a", "ø": "b", "å": "c"},
@@ -32,20 +32,20 @@ _AT_HOME: Final[dict[str, dict[str, str]]] = {
     "no": {"æ": "a", "ø": "b", "å": "c"},
     "sv": {"å": "a", "ä": "b", "ö": "c"},
 }
-"""Languages with letters of their own after z, and the order of these."""
+"""Languages with characters of their own after z, and the order of these."""
 _AS_ROOT: Final = frozenset({"und", "de", "en", "fr", "ga", "id", "it", "ms", "nl", "pt", "root", "sw"})
-"""Languages that are ordered as the root collation has it."""
+"""Languages that use the root collation."""
 _PHONE_BOOK: Final = {"ä": "ae", "ö": "oe", "ü": "ue"}
 _STRENGTHS: Final = {"level1": 1, "level2": 2, "level3": 3, "level4": 3, "identic": 4}
 _LOW: Final = {ord(sign): place for place, sign in enumerate("\t\n _-,;:!?.'\"()[]{}@*/\\&#%`^+<=>|~$", 1)}
-"""Spaces and punctuation come before digits, digits before letters."""
+"""Spaces and punctuation come before digits, digits before other characters."""
 _DIGITS: Final = re.compile(r"\d+")
 
 
 def collation(tag: str | None) -> Key:
-    """Return what orders texts by a collation, None for the root one.
+    """Return the sort key function of a collation, None for the root collation.
 
-    Raises a problem (400) that says what there is, for one that the broker does not have.
+    Raises a problem (400) with the available ones for an unknown collation.
     """
     return _collation("und" if tag is None else tag.lower())
 
@@ -72,12 +72,10 @@ def _collation(tag: str) -> Key:
     @lru_cache(maxsize=4096)
     def key(text: str) -> Any:
         composed = unicodedata.normalize("NFC", text)
-        letters = _without_accents(composed.casefold(), own, replacements)
+        base = _without_accents(composed.casefold(), own, replacements)
         if is_numeric:
-            letters = _DIGITS.sub(
-                lambda found: f"{len(found[0].lstrip('0')):05}{found[0].lstrip('0')}", letters
-            )
-        primary = letters.translate(_LOW)
+            base = _DIGITS.sub(lambda found: f"{len(found[0].lstrip('0')):05}{found[0].lstrip('0')}", base)
+        primary = base.translate(_LOW)
         if strength == 1:
             return (primary,)
         accents = unicodedata.normalize("NFD", composed.casefold())
@@ -90,7 +88,7 @@ def _collation(tag: str) -> Key:
 
 
 def _options(extension: str) -> dict[str, str] | None:
-    """Return the options of a tag by their two letters; None when one is not known."""
+    """Return the options of a tag by their keys; None when one is unknown."""
     known = {"co": {"phonebk", "standard"}, "ks": set(_STRENGTHS), "kn": {"true", "false", ""},
              "kf": {"upper", "lower", "false"}}  # fmt: skip
     options: dict[str, str] = {}
@@ -107,7 +105,7 @@ def _options(extension: str) -> dict[str, str] | None:
 
 
 def _without_accents(text: str, own: dict[str, str], replacements: dict[str, str]) -> str:
-    """Return the text without accents; letters of the language's own are put after z."""
+    """Return the text without accents; characters of the language's own are put after z."""
     if text.isascii():
         return text
     found: list[str] = []
@@ -125,6 +123,6 @@ def _without_accents(text: str, own: dict[str, str], replacements: dict[str, str
 
 def _unknown(tag: str) -> Exception:
     return bad_request_data(
-        f"there is no collation {shown(tag)} here, but {', '.join(sorted(_AS_ROOT | set(_AT_HOME)))}, "
-        "with -u-co-phonebk for de, and -u-ks-level1, -kn and -kf-upper for all; leave it out for the usual"
+        f"the collation {shown(tag)} is unknown; use one of {', '.join(sorted(_AS_ROOT | set(_AT_HOME)))}, "
+        "with -u-co-phonebk for de, and -u-ks-level1, -kn and -kf-upper for all; or leave it out"
     )

@@ -1,4 +1,4 @@
-"""Entity selectors: which entities a subscription is about, by id, pattern of id and type (clause 5.2.33)."""
+"""Entity selectors: the entities of a subscription by id, id pattern and type (clause 5.2.33)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,16 +13,17 @@ from services.context_broker.query.type_selection import TypeSelection, type_sel
 
 @dataclass(frozen=True, slots=True)
 class EntitySelector:
-    """Entities with one of the ids, or whose id fits the pattern, and of wanted types; None takes all."""
+    """Entities with one of the ids, or with an id that matches the pattern, and of the types; None matches
+    all."""
 
     ids: frozenset[str] | None = None
     id_pattern: Pattern | None = None
     types: TypeSelection | None = None
     plain: str | None = None
-    """The one type that is wanted, where it is one: it is looked for quicker than a selection."""
+    """The type, if there is exactly one: comparing it is faster than a selection."""
 
     def wants(self, entity: Entity) -> bool:
-        """Say whether the entity is among those."""
+        """Return whether the entity matches."""
         return (
             (self.ids is None or entity.id in self.ids)
             and (
@@ -34,14 +35,14 @@ class EntitySelector:
         )
 
     def kinds(self) -> list[str] | None:
-        """Return types (IRIs) of which each entity that is wanted has at least one; None if of any type."""
+        """Return types (IRIs) of which each match has at least one; None if it can have any."""
         if self.types is None or self.types.is_every:
             return None
         return [min(one) for one in self.types.alternatives]
 
 
 def entity_selector(kept: Mapping[str, Any]) -> EntitySelector:
-    """Return the selector that a kept document (types are IRIs) tells of; raise a problem (400)."""
+    """Return the selector of a stored document (types are IRIs); raise a problem (400) if it is invalid."""
     ids, wanted, kinds = kept.get("id"), kept.get("idPattern"), kept.get("type")
     if wanted is not None and not isinstance(wanted, str):
         raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
@@ -52,7 +53,7 @@ def entity_selector(kept: Mapping[str, Any]) -> EntitySelector:
         ids=None
         if ids is None
         else frozenset(require_uri(one, "the id of an entity selector") for one in given),
-        id_pattern=None if wanted is None or ids is not None else pattern(wanted),  # an id goes first
+        id_pattern=None if wanted is None or ids is not None else pattern(wanted),  # an id takes precedence
         types=types,
         plain=named[0] if len(named) == 1 else None,
     )

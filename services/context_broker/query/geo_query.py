@@ -1,7 +1,7 @@
-"""Which places are wanted: near a point, within an area, crossing a line (clauses 4.7, 4.10, 5.2.13).
+"""Geo-queries: near a point, within an area, crossing a line (clauses 4.7, 4.10, 5.2.13).
 
 `near` measures in metres on the globe; the other relations are those of OGC simple features on longitude and
-latitude, as RFC 7946 draws them.
+latitude, as in RFC 7946.
 """
 
 import re
@@ -31,14 +31,14 @@ PARAMETERS: Final = frozenset({"georel", "geometry", "coordinates", "geoproperty
 _NEAR: Final = re.compile(r"near;(max|min)Distance==((?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][+-]?\d+)?)")
 _RELATIONS: Final = frozenset({"within", "contains", "intersects", "equals", "disjoint", "overlaps"})
 _FAR_APART: Final = frozenset({"disjoint", "minDistance"})
-"""Relations that hold of what has nothing to do with the reference: no box can narrow them down."""
+"""Relations that also hold far from the reference, so a bounding box does not narrow them."""
 
 Geometry = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeoQuery:
-    """A relation that the places in `attribute` (an IRI) of an entity have to the `reference`.
+    """A relation of the geometries in `attribute` (an IRI) of an entity to the `reference`.
 
     `relation` is one of within, contains, intersects, equals, disjoint, overlaps, and maxDistance and
     minDistance, of which `within_m` is the distance.
@@ -49,18 +49,18 @@ class GeoQuery:
     reference: Geometry
     within_m: float = 0.0
     box: Box | None = None
-    """What every place that fits touches; None when that may be anything."""
+    """The box that every match touches; None if there is none."""
     _prepared: dict[str, Any] = field(default_factory=dict)
 
     def wants(self, entity: Entity) -> bool:
-        """Say whether any place that the entity has fits."""
+        """Return whether any geometry of the entity matches."""
         return any(
             instance["type"] == "GeoProperty" and self.fits(instance["value"])
             for instance in entity.attributes.get(self.attribute, ())
         )
 
     def fits(self, place: Any) -> bool:
-        """Say whether a geometry fits; what is no geometry never does."""
+        """Return whether a geometry matches; an invalid one never does."""
         if fault_of(place) is not None:
             return False
         if self.relation == "maxDistance":
@@ -71,7 +71,7 @@ class GeoQuery:
 
     def _distance_to(self, place: Geometry) -> float:
         here, there = point_of(self.reference), point_of(place)
-        if here is not None and there is not None:  # the usual case, without any library
+        if here is not None and there is not None:  # the usual case, without a library
             return distance_m(here, there)
         if self.box is not None and not boxes_touch(self.box, box_of(place)):
             return self.within_m * 2
@@ -104,7 +104,7 @@ class GeoQuery:
 
 
 def distance_to_m(reference: Geometry, place: Geometry) -> float:
-    """Return the distance of two geometries; none if they touch (clause 4.23.1)."""
+    """Return the distance of two geometries; 0 if they touch (clause 4.23.1)."""
     here, there = point_of(reference), point_of(place)
     if here is not None and there is not None:
         return distance_m(here, there)
@@ -115,9 +115,9 @@ def distance_to_m(reference: Geometry, place: Geometry) -> float:
 
 
 def geo_query(parameters: Mapping[str, str], expand: Callable[[str], str]) -> GeoQuery | None:
-    """Return the geoquery among the query parameters; None if there is none.
+    """Return the geo-query in the query parameters; None if there is none.
 
-    Raises a problem (400) when it is not complete or cannot be read.
+    Raises a problem (400) when it is incomplete or invalid.
     """
     relation, kind, coordinates = (parameters.get(name) for name in ("georel", "geometry", "coordinates"))
     if relation is None and kind is None and coordinates is None:
@@ -125,14 +125,15 @@ def geo_query(parameters: Mapping[str, str], expand: Callable[[str], str]) -> Ge
     for name, given in (("georel", relation), ("geometry", kind), ("coordinates", coordinates)):
         if given is None:
             raise bad_request_data(
-                f"a geoquery has georel, geometry and coordinates; add {name}, for example "
+                f"a geo-query has georel, geometry and coordinates; add {name}, for example "
                 "georel=near;maxDistance==2000&geometry=Point&coordinates=[8,40]"
             )
     return _made(relation, kind, coordinates, parameters.get("geoproperty"), expand)
 
 
 def geo_query_document(given: Any, expand: Callable[[str], str], what: str = "geoQ") -> GeoQuery:
-    """Return the geoquery that the data type GeoQuery (clause 5.2.13) tells of; raise a problem (400)."""
+    """Return the geo-query of the data type GeoQuery (clause 5.2.13); raise a problem (400) if it is
+    invalid."""
     if not isinstance(given, dict):
         raise bad_request_data(f'{what} is an object with "georel", "geometry" and "coordinates"')
     if unknown := sorted(set(given) - PARAMETERS):
@@ -146,7 +147,7 @@ def geo_query_document(given: Any, expand: Callable[[str], str], what: str = "ge
 def reference_geometry(kind: Any, coordinates: Any, names: tuple[str, str]) -> Geometry:
     """Return the geometry of a type and coordinates (a list, or its text); `names` are theirs, for errors.
 
-    Raises a problem (400) when they make no geometry.
+    Raises a problem (400) when it is invalid.
     """
     if not isinstance(kind, str) or kind not in DEPTHS:
         raise bad_request_data(f"{names[0]} is one of {', '.join(DEPTHS)}, not {shown(kind)}")
@@ -166,7 +167,7 @@ def reference_geometry(kind: Any, coordinates: Any, names: tuple[str, str]) -> G
 
 
 def shape_of(geometry: Geometry) -> Any:
-    """Return a geometry as shapely has it; one that crosses itself is put right."""
+    """Return a geometry as a shapely object; one that crosses itself is repaired."""
     import shapely  # noqa: PLC0415 - see above
     from shapely.geometry import shape  # noqa: PLC0415 - see above
 
@@ -175,7 +176,7 @@ def shape_of(geometry: Geometry) -> Any:
 
 
 def boxes_touch(a: Box, b: Box) -> bool:
-    """Say whether two boxes have anything in common, also around the date line."""
+    """Return whether two boxes overlap, also across the date line."""
     if a[1] > b[3] or b[1] > a[3]:
         return False
     return any(a[0] <= b[2] + turn and b[0] + turn <= a[2] for turn in (0.0, 360.0, -360.0))
@@ -211,7 +212,8 @@ def _near(relation: str) -> tuple[str, float]:
 
 
 def _shapes(place: Geometry, reference: Any) -> list[Any]:
-    """Return a place as shapely has it, and once more around the globe if it or the reference leaves it."""
+    """Return a geometry as a shapely object, repeated around the globe if it or the reference crosses the
+    date line."""
     from shapely.affinity import translate  # noqa: PLC0415 - see above
 
     made = shape_of(place)

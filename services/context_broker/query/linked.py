@@ -1,7 +1,7 @@
-"""Entities given together with those that their relationships lead to (clause 4.5.23 of ETSI GS CIM 009).
+"""Linked entities: entities in a response together with those of their relationships (clause 4.5.23).
 
-Inline, a linked entity stands within the relationship; flat, it is appended to the list. Only entities that
-this broker holds are followed; none is given again on the way that led to it.
+Inline, a linked entity is inside the relationship; flat, it is appended to the list. Only entities of this
+broker are linked; an entity is not repeated on its own path.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -17,19 +17,19 @@ from services.context_broker.query.q_match import Lookup
 
 PARAMETERS: Final = frozenset({"join", "joinLevel", "containedBy"})
 DEEPEST: Final = 10
-"""Links that are followed one after the other."""
+"""Maximum depth of links."""
 MAX_LINKED: Final = 10_000
-"""Linked entities in one answer; a web of links could otherwise be told in endless ways."""
+"""Maximum linked entities in one response; cyclic links would otherwise give endless combinations."""
 
 Shown = tuple[Entity, dict[str, Any]]
-"""An entity, and how it is given."""
+"""An entity, and its representation."""
 
 _KINDS: Final = {"Relationship": "entity", "ListRelationship": "entityList"}
 
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """How linked entities are given: `level` links deep; the reader knows those `contained` already."""
+    """How linked entities are requested: `level` links deep; the client has those `contained` already."""
 
     is_flat: bool
     level: int
@@ -37,7 +37,7 @@ class Join:
 
 
 def join_of(given: Mapping[str, Any]) -> Join | None:
-    """Return how linked entities are wanted, by `join`, `joinLevel` and `containedBy`; None without them.
+    """Return the request for linked entities in `join`, `joinLevel` and `containedBy`; None without them.
 
     `given` are query parameters, or a Query or the notification of a subscription, in which the last two are
     a number and a list. Raises a problem (400) that names the parameter and the rule.
@@ -61,21 +61,21 @@ def join_of(given: Mapping[str, Any]) -> Join | None:
 
 
 def check_depth(join: Join | None, projection: Projection | None, hops: int) -> None:
-    """Raise a problem (400) if more links are spoken of than followed; `hops` is how many q follows."""
+    """Raise a problem (400) if q or the projection uses more links than `level`; `hops` are those of q."""
     level = 0 if join is None else join.level
     for name, depth in (("pick or omit", _depth(projection)), ("q", hops)):
         if depth > level:
             raise bad_request_data(
-                f"{name} speaks of entities {depth} links away, and {level or 'none'} are followed; add "
+                f"{name} refers to entities {depth} links away, and {level or 'none'} are followed; add "
                 f"join=inline or join=flat with joinLevel={depth}"
             )
 
 
 def joined(entities: Iterable[Entity], terms: Terms, view: View, join: Join, lookup: Lookup) -> list[Shown]:
-    """Return entities as JSON objects together with those they link to; `lookup` finds these by id.
+    """Return entities as JSON objects together with their linked entities; `lookup` finds these by id.
 
-    Each object comes with the entity that it tells of: those asked for, and flat also the linked ones.
-    Raises a problem (403) when that would be too many.
+    Each object comes with its entity: the requested ones, and flat also the linked ones. Raises a problem
+    (403) when there are too many.
     """
     walk = _Walk(terms, lookup, join.contained)
     if join.is_flat:
@@ -84,7 +84,7 @@ def joined(entities: Iterable[Entity], terms: Terms, view: View, join: Join, loo
 
 
 class _Walk:
-    """A walk along relationships, which counts the entities that it meets."""
+    """Follows relationships, and counts the entities."""
 
     def __init__(self, terms: Terms, lookup: Lookup, contained: frozenset[str]) -> None:
         self._terms = terms
@@ -93,7 +93,7 @@ class _Walk:
         self._met = 0
 
     def inline(self, entity: Entity, view: View, level: int, way: frozenset[str]) -> dict[str, Any]:
-        """Return an entity with linked ones inside; `way` are those that led here."""
+        """Return an entity with linked entities inside; `way` are the entities on its path."""
         result = render(entity, self._terms, view)
         if not level:
             return result
@@ -113,7 +113,7 @@ class _Walk:
         return result
 
     def flat(self, entities: list[Entity], view: View, level: int) -> list[Shown]:
-        """Return entities, then those they link to, level by level, each once."""
+        """Return entities, then their linked entities, level by level, each once."""
         result = [(one, render(one, self._terms, view)) for one in entities]
         seen = {one.id for one in entities} | self._contained
         now = [(one, view) for one in entities]
@@ -142,7 +142,7 @@ class _Walk:
 
 
 def _relationships(entity: Entity, view: View) -> Iterator[tuple[str, list[Instance]]]:
-    """Yield the relationships of an entity that a reader gets to see, with the instances."""
+    """Yield the relationships of an entity that are in its representation, with the instances."""
     for name, instances in entity.attributes.items():
         if view.attributes is not None and name not in view.attributes:
             continue
@@ -156,7 +156,7 @@ def _relationships(entity: Entity, view: View) -> Iterator[tuple[str, list[Insta
 
 
 def _targets(instance: Instance) -> Iterator[str]:
-    """Yield the ids that a relationship leads to."""
+    """Yield the ids in a relationship."""
     if instance["type"] == "Relationship":
         said = instance["object"]
         yield from said if isinstance(said, list) else (said,)
@@ -167,13 +167,13 @@ def _targets(instance: Instance) -> Iterator[str]:
 
 
 def _below(view: View, relationship: str) -> View:
-    """Return how an entity is shown that a relationship leads to: whole, unless braces say otherwise."""
+    """Return the view of a linked entity: all members, unless braces select some."""
     projection = None if view.projection is None else view.projection.below(relationship)
     return replace(view, attributes=None, projection=projection)
 
 
 def _with_linked(written: Any, instances: list[Instance], linked: list[dict[str, Any]], form: Form) -> Any:
-    """Return a written relationship with the linked entities, by their ids, of each instance in it."""
+    """Return a rendered relationship with the linked entities, by their ids, in each instance."""
     if form is Form.KEY_VALUES:
         if len(instances) == 1:
             return _replaced(written, linked[0])

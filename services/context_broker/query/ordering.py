@@ -1,7 +1,7 @@
-"""In which order entities are given: by values, texts, times or distances (clause 4.23 of ETSI GS CIM 009).
+"""The order of entities: by values, texts, times or distances (clause 4.23 of ETSI GS CIM 009).
 
-What an entity is ordered by can be told as JSON, so that a page can go on where the last one ended, be the
-entity there or not.
+The sort key of an entity can be written as JSON, so that a page can continue after the last one even if its
+last entity was deleted.
 """
 
 import re
@@ -20,15 +20,15 @@ from services.context_broker.model.validation import moment, shown
 from services.context_broker.query.collation import Key, collation
 from services.context_broker.query.geo_query import Geometry, distance_to_m, reference_geometry
 from services.context_broker.query.q_grammar import Path, path_of
-from services.context_broker.query.q_match import Expand, Wordings, finder, nobody
+from services.context_broker.query.q_match import Expand, LanguageMap, finder, no_lookup
 
 PARAMETERS: Final = frozenset({"orderBy", "orderFrom", "orderGeometry", "collation"})
 MAX_KEYS: Final = 10
-"""Members by which entities are ordered at once."""
+"""Maximum sort keys."""
 
 MAX_KEY_LENGTH: Final = 256
-"""Characters of a text that count in an order; entities whose texts begin alike come as they were created.
-What an entity is ordered by has to fit into the address of the next page."""
+"""Characters of a text that are compared; entities whose texts begin alike keep the order of creation. The
+sort key has to fit into the URL of the next page."""
 
 _DIRECTIONS: Final = ("asc", "desc", "dist-asc", "dist-desc")
 _TIME_OF_DAY: Final = re.compile(r"\d{2}:\d{2}:\d{2}(?:[.,]\d+)?Z?")
@@ -41,17 +41,17 @@ _HELD: Final[dict[Any, Any]] = {
     _DATE: int | float, _DATE_TIME: int | float, _NULL: NoneType, _ABSENT: NoneType,
 }  # fmt: skip
 _COUNTED: Final = frozenset({_PLACE, _NUMBER, _TRUTH, _DATE, _DATE_TIME})
-"""Kinds of values that are turned round by their sign."""
+"""Kinds of values that are sorted in reverse by negation."""
 _TYPED: Final = {"Time": _TIME, "Date": _DATE, "DateTime": _DATE_TIME}
 
 KeyValue = list[Any]
-"""What an entity is ordered by under one key: what kind of value it is, and the value."""
+"""A sort key value: the kind of the value, and the value."""
 
 
 @total_ordering
 @dataclass(frozen=True, slots=True, eq=False)
 class _Downwards:
-    """A value of which the greater comes first."""
+    """A value that sorts in reverse."""
 
     value: Any
 
@@ -67,54 +67,54 @@ class _Downwards:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OrderKey:
-    tell: Callable[[Entity], KeyValue]
+    read: Callable[[Entity], KeyValue]
     is_descending: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ordering:
-    """An order of entities. `text` is how it was asked for; two of the same text are the same."""
+    """An order of entities. `text` is the request; orders of the same text are equal."""
 
     text: str
     keys: tuple[_OrderKey, ...]
     collated: Key
 
-    def told(self, entity: Entity) -> list[KeyValue]:
-        """Return what the entity is ordered by, as JSON has it."""
-        return [_of_bearable_length(key.tell(entity)) for key in self.keys]
+    def sort_key(self, entity: Entity) -> list[KeyValue]:
+        """Return the sort key of the entity as JSON values."""
+        return [_truncated(key.read(entity)) for key in self.keys]
 
-    def place(self, told: Sequence[Any], seq: int) -> tuple[Any, ...]:
-        """Return what entities are compared by; `seq` decides between equals.
+    def place(self, sort_key: Sequence[Any], seq: int) -> tuple[Any, ...]:
+        """Return what entities are compared by; `seq` decides between equal ones.
 
-        Raises LookupError, TypeError or ValueError for what cannot have been told.
+        Raises LookupError, TypeError or ValueError for an invalid key.
         """
         places: list[Any] = []
-        for key, (kind, value) in zip(self.keys, told, strict=True):
+        for key, (kind, value) in zip(self.keys, sort_key, strict=True):
             if not isinstance(value, _HELD[kind]):
                 raise TypeError
             places.append(self._ranked(kind, value, key.is_descending))
         return (*places, seq)
 
     def place_of(self, entity: Entity) -> tuple[Any, ...]:
-        """Return the entity's place in the order."""
+        """Return the position of the entity in the order."""
         if len(self.keys) == 1:
             key = self.keys[0]
-            kind, value = _of_bearable_length(key.tell(entity))
+            kind, value = _truncated(key.read(entity))
             return self._ranked(kind, value, key.is_descending), entity.seq
-        return self.place(self.told(entity), entity.seq)
+        return self.place(self.sort_key(entity), entity.seq)
 
     def _ranked(self, kind: int, value: Any, is_descending: bool) -> tuple[int, Any]:
         if kind == _TEXT:
             value = (self.collated(value), value)
         if not is_descending:
             return kind, value
-        if value is None:  # nothing comes last, in whichever direction (clause 4.23.2)
+        if value is None:  # missing values come last in both directions (clause 4.23.2)
             return kind, None
         return -kind, -value if kind in _COUNTED else _Downwards(value)
 
 
 def ordering(parameters: Mapping[str, str], expand: Expand) -> Ordering | None:
-    """Return the order that query parameters ask for; None for the order of creation.
+    """Return the order in query parameters; None for the order of creation.
 
     Raises a problem (400) that names the parameter and the way out.
     """
@@ -122,9 +122,7 @@ def ordering(parameters: Mapping[str, str], expand: Expand) -> Ordering | None:
     if wanted is None:
         for name in PARAMETERS - {"orderBy"}:
             if name in parameters:
-                raise bad_request_data(
-                    f"{name} says how to order, but not by what; add orderBy, or leave it out"
-                )
+                raise bad_request_data(f"{name} needs orderBy; add it, or leave {name} out")
         return None
     coordinates, kind = parameters.get("orderFrom"), parameters.get("orderGeometry")
     names = ("orderGeometry", "orderFrom")
@@ -136,7 +134,8 @@ def ordering(parameters: Mapping[str, str], expand: Expand) -> Ordering | None:
 
 
 def ordering_document(given: Any, expand: Expand) -> Ordering:
-    """Return the order that the data type OrderingParams (clause 5.2.43) tells of; raise a problem (400)."""
+    """Return the order of the data type OrderingParams (clause 5.2.43); raise a problem (400) if it is
+    invalid."""
     if not isinstance(given, dict):
         raise bad_request_data('"ordering" is an object such as {"orderBy": ["name", "age;desc"]}')
     known = {"orderBy", "coordinates", "geometry", "collation"}
@@ -161,7 +160,7 @@ def ordering_document(given: Any, expand: Expand) -> Ordering:
 def made(
     terms: Sequence[str], origin: Geometry | None, tag: str | None, expand: Expand, text: str
 ) -> Ordering:
-    """Return the order by `terms` such as `age;desc`; `origin` is where distances are measured from."""
+    """Return the order by `terms` such as `age;desc`; distances are measured from `origin`."""
     if len(terms) > MAX_KEYS:
         raise bad_request_data(f"orderBy has {len(terms)} members; {MAX_KEYS} are allowed")
     return Ordering(text, tuple(_order_key(term, origin, expand) for term in terms), collation(tag))
@@ -173,17 +172,17 @@ def _order_key(term: str, origin: Geometry | None, expand: Expand) -> _OrderKey:
     if direction not in _DIRECTIONS:
         raise bad_request_data(f"orderBy={shown(term)}: the direction is one of {', '.join(_DIRECTIONS)}")
     path = path_of(member, "orderBy")
-    tell = _teller(path, expand)
+    read = _reader(path, expand)
     if direction.startswith("dist"):
         if origin is None:
             raise bad_request_data(
                 f"orderBy={shown(term)} needs a place to measure from; add orderFrom=[8,40]"
             )
-        tell = _distance_teller(path, origin, tell, expand)
-    return _OrderKey(tell, direction.endswith("desc"))
+        read = _distance_reader(path, origin, read, expand)
+    return _OrderKey(read, direction.endswith("desc"))
 
 
-def _teller(path: Path, expand: Expand) -> Callable[[Entity], KeyValue]:
+def _reader(path: Path, expand: Expand) -> Callable[[Entity], KeyValue]:
     name = path.names[0] if len(path.names) == 1 and not path.trail else ""
     if name == "id":
         return lambda entity: [_TEXT, entity.id]
@@ -194,28 +193,29 @@ def _teller(path: Path, expand: Expand) -> Callable[[Entity], KeyValue]:
     find = finder(path, expand)
     is_time = path.names[-1] in _TIMES and not path.trail
 
-    def tell(entity: Entity) -> KeyValue:
-        for value in find(entity, nobody):  # of several instances the first, which is the default one if any
+    def read(entity: Entity) -> KeyValue:
+        # Of several instances the first one, which is the default one if there is one.
+        for value in find(entity, no_lookup):
             return _key_value(value, is_time=is_time)
         return [_ABSENT, None]
 
-    return tell
+    return read
 
 
-def _distance_teller(
-    path: Path, origin: Geometry, tell: Callable[[Entity], KeyValue], expand: Expand
+def _distance_reader(
+    path: Path, origin: Geometry, read: Callable[[Entity], KeyValue], expand: Expand
 ) -> Callable[[Entity], KeyValue]:
     find = finder(path, expand)
 
-    def told(entity: Entity) -> KeyValue:
+    def sort_key(entity: Entity) -> KeyValue:
         distances = [
             distance_to_m(origin, value)
-            for value in find(entity, nobody)
+            for value in find(entity, no_lookup)
             if isinstance(value, dict) and fault_of(value) is None
         ]
-        return [_PLACE, min(distances)] if distances else tell(entity)
+        return [_PLACE, min(distances)] if distances else read(entity)
 
-    return told
+    return sort_key
 
 
 def _key_value(value: Any, *, is_time: bool) -> KeyValue:
@@ -226,7 +226,7 @@ def _key_value(value: Any, *, is_time: bool) -> KeyValue:
     if isinstance(value, str):
         seconds = moment(value) if is_time else None
         return [_TEXT, value] if seconds is None else [_DATE_TIME, seconds]
-    if isinstance(value, Wordings):
+    if isinstance(value, LanguageMap):
         return _key_value(value.get("@none", next(iter(value.values()), None)), is_time=False)
     return _object_value(value) if isinstance(value, dict) else _list_value(value)
 
@@ -234,7 +234,7 @@ def _key_value(value: Any, *, is_time: bool) -> KeyValue:
 def _list_value(value: Any) -> KeyValue:
     if not isinstance(value, list):
         return [_NULL, None]
-    # A relationship to one entity is told as a list of one.
+    # A relationship to one entity is sorted as a list of one.
     return _key_value(value[0], is_time=False) if len(value) == 1 else [_LIST, _written(value)]
 
 
@@ -248,9 +248,11 @@ def _object_value(value: dict[str, Any]) -> KeyValue:
     return [_TEXT, literal] if seconds is None else [typed, seconds]
 
 
-def _of_bearable_length(told: KeyValue) -> KeyValue:
-    kind, value = told
-    return [kind, value[:MAX_KEY_LENGTH]] if isinstance(value, str) and len(value) > MAX_KEY_LENGTH else told
+def _truncated(sort_key: KeyValue) -> KeyValue:
+    kind, value = sort_key
+    return (
+        [kind, value[:MAX_KEY_LENGTH]] if isinstance(value, str) and len(value) > MAX_KEY_LENGTH else sort_key
+    )
 
 
 def _written(value: Any) -> str:

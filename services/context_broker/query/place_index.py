@@ -1,10 +1,10 @@
-"""Where the places of one attribute are found: a grid over the globe, fine or coarse as a question needs it.
+"""Index of the geometries of one attribute: grids over the globe with cells of different sizes.
 
-A change of one place costs a few entries, so that robots on the move cost no rebuilding.
+A change of a geometry updates a few cells, so moving robots do not cause a rebuild.
 """
 
+import math
 from collections.abc import Iterable, Iterator
-from math import floor
 from typing import Any, Final
 
 from prometheus_client import Counter
@@ -19,22 +19,22 @@ log = get_logger(__name__)
 
 SKIPPED: Final = Counter(
     "handover_broker_geometries_skipped_total",
-    "Stored geometries that geoqueries skip, for they are not valid",
+    "Invalid stored geometries that geo-queries skip",
 )
 
 _SIZES_DEG: Final = (0.0001, 0.001, 0.01, 0.1, 1.0, 10.0)
-"""Sides of the cells, from some ten metres on; a grid is made when a question first needs it."""
+"""Sides of the cells, from some ten metres on; a grid is created when a query first needs it."""
 _MOST_ASKED: Final = 64
-"""Cells a question looks into; for a larger area a coarser grid is taken."""
+"""Maximum cells that a query reads; for a larger area a coarser grid is used."""
 _MOST_FILED: Final = 16
-"""Cells a place is filed in; larger places are looked at for each question."""
+"""Maximum cells of a geometry; larger ones are checked by each query."""
 
 Cell = tuple[int, int]
 Ids = dict[str, None]
 
 
 class PlaceIndex:
-    """The entities by the places that one attribute (an IRI) tells of."""
+    """The entities by the geometries of one attribute (an IRI)."""
 
     def __init__(self, attribute: str, entities: Iterable[Entity]) -> None:
         self._attribute = attribute
@@ -44,11 +44,11 @@ class PlaceIndex:
             self.refile(None, entity)
 
     def __len__(self) -> int:
-        """Return how many entities have a place."""
+        """Return how many entities have a geometry."""
         return len(self._boxes)
 
     def refile(self, before: Entity | None, after: Entity | None) -> None:
-        """Take a change of an entity into account."""
+        """Update the index after a change of an entity."""
         instances_before = () if before is None else before.attributes.get(self._attribute, ())
         instances_after = () if after is None else after.attributes.get(self._attribute, ())
         if instances_before is instances_after:
@@ -62,7 +62,7 @@ class PlaceIndex:
                 grid.put_in(after.id, boxes)
 
     def found(self, box: Box) -> list[str]:
-        """Return the ids of the entities of which a place may touch `box`."""
+        """Return the ids of entities with a geometry that may touch `box`."""
         west, south, east, north = box
         if east - west >= 360:
             west, east = -180.0, 180.0
@@ -86,7 +86,7 @@ class PlaceIndex:
 
 
 class _Grid:
-    """Cells of one size, and what lies in them."""
+    """Cells of one size, and their content."""
 
     def __init__(self, size_deg: float) -> None:
         self._size_deg = size_deg
@@ -119,7 +119,7 @@ class _Grid:
             for cell in _cells(box, self._size_deg):
                 hits.update(self._cells.get(cell, {}))
             return hits
-        west, south, east, north = (floor(side / self._size_deg) for side in box)
+        west, south, east, north = (math.floor(side / self._size_deg) for side in box)
         for (x, y), ids in self._cells.items():
             if west <= x <= east and south <= y <= north:
                 hits.update(ids)
@@ -127,7 +127,7 @@ class _Grid:
 
 
 def _boxes(entity_id: str, attribute: str, instances: Iterable[dict[str, Any]]) -> list[Box]:
-    """Return the boxes of the valid geometries; others were stored before they were checked."""
+    """Return the boxes of the valid geometries; old ones were stored without a check."""
     boxes = []
     for one in instances:
         if one["type"] != "GeoProperty":
@@ -141,12 +141,12 @@ def _boxes(entity_id: str, attribute: str, instances: Iterable[dict[str, Any]]) 
 
 
 def _count(box: Box, size_deg: float) -> int:
-    west, south, east, north = (floor(side / size_deg) for side in box)
+    west, south, east, north = (math.floor(side / size_deg) for side in box)
     return (east - west + 1) * (north - south + 1)
 
 
 def _cells(box: Box, size_deg: float) -> Iterator[Cell]:
-    west, south, east, north = (floor(side / size_deg) for side in box)
+    west, south, east, north = (math.floor(side / size_deg) for side in box)
     for x in range(west, east + 1):
         for y in range(south, north + 1):
             yield x, y

@@ -1,8 +1,8 @@
-"""The query language `q`, read into a tree: who asks for Tasks in progress writes `status=="inProgress"`.
+"""Parser of the query language `q`: for example, Tasks in progress are `status=="inProgress"`.
 
 Grammar of ETSI GS CIM 009, clause 4.9. `;` is and, `|` is or; and binds tighter. `sensor{humidity}` is the
-humidity of the entity that the relationship `sensor` leads to. The tree holds short names; `q_match` gives
-them a meaning.
+humidity of the entity that the relationship `sensor` links to. The tree contains short names; `q_match`
+expands them.
 """
 
 import re
@@ -19,13 +19,13 @@ from services.context_broker.model.validation import moment, shown
 from services.context_broker.query.patterns import Pattern, pattern
 
 LONGEST: Final = 20_000
-"""Characters of a query that are read."""
+"""Maximum length of a query."""
 DEEPEST: Final = 50
-"""Brackets within brackets, and links after links, that are read."""
+"""Maximum nesting of brackets, and of links."""
 
 
 class Kind(Enum):
-    """What a literal is, and so what it can be compared with."""
+    """The kind of a literal, which determines what it is compared with."""
 
     TEXT = "text"
     NUMBER = "number"
@@ -33,12 +33,12 @@ class Kind(Enum):
     TIME = "time"
     URI = "uri"
     TERM = "term"
-    """A word that stands for an IRI of the @context (expandValues)."""
+    """A term of the @context (expandValues)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Literal:
-    """A value in a query; a time is in seconds since 1970 for dates, or its text for times of day."""
+    """A literal; a time is in seconds since 1970 for dates, or its text for times of day."""
 
     kind: Kind
     value: str | float | bool
@@ -54,9 +54,9 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Where a value is: `names` lead to an attribute (of an attribute …), `trail` into its value.
+    """The location of a value: `names` are an attribute and its sub-attributes, `trail` a path in the value.
 
-    With a `link` they lead to a relationship, and the way goes on in the entities that it leads to.
+    With a `link` they name a relationship, and the path continues in the linked entities.
     """
 
     names: tuple[str, ...]
@@ -71,7 +71,7 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """The way on in a linked entity that has any of `types` (short names); without types in any."""
+    """The rest of a path in a linked entity of any of `types` (short names); without types in any entity."""
 
     types: tuple[str, ...]
     path: Path
@@ -79,14 +79,14 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Exists:
-    """There is such an attribute."""
+    """The attribute exists."""
 
     path: Path
 
 
 @dataclass(frozen=True, slots=True)
 class Compare:
-    """The value stands in relation `operator` to one of `values`."""
+    """The value has the relation `operator` to one of `values`."""
 
     path: Path
     operator: str
@@ -95,7 +95,7 @@ class Compare:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """The text fits (or, negated, does not fit) the pattern."""
+    """The text matches (or, negated, does not match) the pattern."""
 
     path: Path
     pattern: Pattern
@@ -104,14 +104,14 @@ class Matches:
 
 @dataclass(frozen=True, slots=True)
 class And:
-    """All terms hold."""
+    """All terms are true."""
 
     terms: tuple["Term", ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Or:
-    """At least one term holds."""
+    """At least one term is true."""
 
     terms: tuple["Term", ...]
 
@@ -130,10 +130,10 @@ _URI = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:\S+")
 
 
 def parse(text: str, expanded: Collection[str] = (), what: str = "q") -> Term:
-    """Return the tree of a query; raise a problem (400) that says where and why it cannot be read.
+    """Return the tree of a query; raise a problem (400) with the position and the cause of a syntax error.
 
-    `expanded` are the attributes whose values are terms of the @context (expandValues): what they are
-    compared with needs no quotes. `what` is the name of the query in problems.
+    `expanded` are the attributes whose values are terms of the @context (expandValues): their literals need
+    no quotes. `what` is the name of the query in problems.
     """
     if len(text) > LONGEST:
         raise bad_request_data(f"{what} has {len(text)} characters; {LONGEST} are allowed")
@@ -141,7 +141,7 @@ def parse(text: str, expanded: Collection[str] = (), what: str = "q") -> Term:
 
 
 def path_of(text: str, what: str) -> Path:
-    """Return a path that stands by itself, such as `name` or `address[city]`; raise a problem (400)."""
+    """Return a single path, such as `name` or `address[city]`; raise a problem (400) if it is invalid."""
     if len(text) > LONGEST:
         raise bad_request_data(f"{what} has {len(text)} characters; {LONGEST} are allowed")
     parser = _Parser(text, (), what)
@@ -171,7 +171,7 @@ class _Parser:
         term = self.either(0)
         if self.at < len(self.text):
             if self.text.startswith("}.", self.at - 1):
-                self.fail("what is asked of a linked entity stands in the braces: sensor{Sensor:humidity}")
+                self.fail("attributes of a linked entity are in the braces: sensor{Sensor:humidity}")
             self.fail("expected ; or | or the end")
         return term
 
@@ -232,7 +232,7 @@ class _Parser:
         return Path(tuple(names))
 
     def link(self, depth: int) -> Link:
-        """Take what stands in braces after a relationship: `humidity`, or `Device:humidity` with a type."""
+        """Parse the braces after a relationship: `humidity`, or `Device:humidity` with a type."""
         if depth > DEEPEST:
             self.fail(f"links follow each other deeper than {DEEPEST}")
         types: list[str] = []
@@ -276,7 +276,7 @@ class _Parser:
         return tuple(values)
 
     def term(self) -> Literal | Span:
-        """Take a term, in quotes or without; what cannot be one is taken as for any other attribute."""
+        """Parse a term, with or without quotes; anything else is parsed as for other attributes."""
         quoted = self.match(_QUOTED)
         if quoted is not None:
             return Literal(Kind.TERM, self.unquoted(quoted))
@@ -322,7 +322,7 @@ class _Parser:
             self.fail(problem.detail)
 
     def bare_pattern(self) -> str:
-        """Take an unquoted pattern: up to the ; | or ) that is not inside its own brackets."""
+        """Parse an unquoted pattern: up to the ; | or ) that is not inside its own brackets."""
         start, depth = self.at, 0
         while self.at < len(self.text):
             sign = self.text[self.at]
@@ -342,7 +342,7 @@ class _Parser:
         try:
             text: str = orjson.loads(quoted)
         except (orjson.JSONDecodeError, UnicodeEncodeError):
-            # A pattern such as "\d+" is no JSON string: there a backslash is a backslash.
+            # A pattern such as "\d+" is not a JSON string: a backslash is a backslash in it.
             text = quoted[1:-1].replace('\\"', '"')
         return text
 
@@ -361,7 +361,7 @@ class _Parser:
 
     def fail(self, why: str) -> NoReturn:
         raise bad_request_data(
-            f"{self.what} cannot be read at character {self.at + 1} of {shown(self.text)}: {why}"
+            f"{self.what} has an error at character {self.at + 1} of {shown(self.text)}: {why}"
         )
 
 

@@ -1,6 +1,6 @@
-"""What must hold of every hit of a query, told so plainly that an index can answer it.
+"""Conditions that every hit of a query fulfils, and that an index can evaluate.
 
-The rest of the query is put to those entities that the index names.
+The whole query is then evaluated for the entities that the indexes return.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -17,7 +17,7 @@ Scalar = str | float | bool
 
 @dataclass(frozen=True, slots=True)
 class Equality:
-    """The attribute (IRI) has, or holds in its list, one of `values`."""
+    """The attribute (IRI) has one of `values`, or a list with one of them."""
 
     attribute: str
     values: frozenset[Scalar]
@@ -25,7 +25,7 @@ class Equality:
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """The attribute (IRI) has, or holds in its list, a number from `low` to `high`, both included."""
+    """The attribute (IRI) has a number from `low` to `high`, or a list with one; both included."""
 
     attribute: str
     low: float
@@ -36,7 +36,7 @@ Condition = Equality | Range
 
 
 def conditions(term: Term, expand: Callable[[str], str]) -> tuple[Condition, ...]:
-    """Return conditions that every hit of `term` fulfils; none when an index cannot help."""
+    """Return conditions that every hit of `term` fulfils; none when an index does not help."""
     if isinstance(term, And):
         return tuple(found for part in term.terms for found in conditions(part, expand))
     if not isinstance(term, Compare) or len(term.path.names) != 1:
@@ -76,7 +76,7 @@ def _bounded(attribute: str, term: Compare) -> Range | None:
 
 
 def scalars(instances: Iterable[Instance]) -> Iterator[Scalar]:
-    """Yield every plain value that a condition may be looking for."""
+    """Yield every plain value that a condition may look for."""
     for instance in instances:
         for said in leaves(instance[SAYS[instance["type"]]]):
             yield from _scalars_of(said)

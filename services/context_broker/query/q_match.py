@@ -1,6 +1,6 @@
-"""A query made into a question that can be put to an entity (clause 4.9 of ETSI GS CIM 009).
+"""Compiles a query to a predicate on entities (clause 4.9 of ETSI GS CIM 009).
 
-What an index can answer of it is told by `q_index`.
+`q_index` has the part that indexes can evaluate.
 """
 
 import re
@@ -27,62 +27,62 @@ from services.context_broker.query.q_grammar import (
 METADATA: Final = frozenset(
     {"observedAt", "unitCode", "datasetId", "createdAt", "modifiedAt", "valueType", "objectType", "lang"}
 )
-"""What an instance of an attribute has beside its value and its attributes."""
+"""Members of an instance besides its value and its sub-attributes."""
 ENTITY_TIMES: Final = {
     "createdAt": "created_at",
     "modifiedAt": "modified_at",
     "expiresAt": "expires_at",
 }
-"""Times of an entity that a query may ask for, and where an entity has them."""
+"""Times of an entity that a query may use, and their members."""
 
 _PLAIN: Final = (str, int, float, bool)
 _TIME_OF_DAY: Final = re.compile(r"\d{2}:\d{2}:\d{2}(?:[.,]\d+)?Z?")
 
 Lookup = Callable[[str], Entity | None]
-"""Finds the entity that a relationship leads to, by its id."""
+"""Finds a linked entity by its id."""
 Expand = Callable[[str], str]
 Test = Callable[[Any], bool]
-"""What a single value is compared by."""
+"""The test of a single value."""
 
 
-def nobody(_: str) -> Entity | None:
-    """Find no entity: for those who follow no relationships."""
+def no_lookup(_: str) -> Entity | None:
+    """Find no entity: for queries without links."""
     return None
 
 
 class Predicate(Protocol):
-    """A question that is put to an entity; `lookup` finds the entities that its relationships lead to."""
+    """A predicate on an entity; `lookup` finds its linked entities."""
 
-    def __call__(self, entity: Entity, lookup: Lookup = nobody, /) -> bool:
-        """Say whether the answer is yes."""
+    def __call__(self, entity: Entity, lookup: Lookup = no_lookup, /) -> bool:
+        """Return whether the entity matches."""
 
 
 class _Find(Protocol):
     def __call__(self, entity: Entity, lookup: Lookup, /) -> Iterator[Any]: ...
 
 
-class Wordings(dict[str, Any]):
-    """What a LanguageProperty says: any of its wordings may be what is asked for."""
+class LanguageMap(dict[str, Any]):
+    """The texts of a LanguageProperty: a query matches any of them."""
 
 
 class _Objects(list[Any]):
-    """What a Relationship leads to: these are the same or not, but never greater, and fit no pattern."""
+    """The objects of a Relationship: they can be equal or not, but neither greater nor match a pattern."""
 
 
 def predicate(term: Term, expand: Expand) -> Predicate:
-    """Return the question that `term` puts to an entity; `expand` gives names their IRIs."""
+    """Return the predicate of `term`; `expand` returns the IRIs of names."""
     if isinstance(term, And | Or):
         return _combined(term, expand)
     if isinstance(term, Exists):
         find = finder(term.path, expand)
-        return lambda entity, lookup=nobody: any(True for _ in find(entity, lookup))
+        return lambda entity, lookup=no_lookup: any(True for _ in find(entity, lookup))
     if isinstance(term, Matches):
         return _matching(term, expand)
     return _comparing(term, expand)
 
 
 def finder(path: Path, expand: Expand) -> _Find:
-    """Return what finds all values at `path`: of every instance, along every list and every link."""
+    """Return a function that finds all values at `path`: of every instance, in every list and link."""
     first, *below = path.names
     trail, link = path.trail, path.link
     if first in ENTITY_TIMES and not below and link is None:
@@ -103,7 +103,7 @@ def finder(path: Path, expand: Expand) -> _Find:
 
 
 def leaves(said: Any) -> Iterator[Any]:
-    """Yield a value, or the values in its list."""
+    """Yield a value, or the elements of a list."""
     if isinstance(said, list):
         for one in said:
             yield from leaves(one)
@@ -112,9 +112,9 @@ def leaves(said: Any) -> Iterator[Any]:
 
 
 def comparable(value: Any) -> Iterator[Any]:
-    """Yield what of a value can be compared: itself, the items of a list, a typed value, wordings."""
+    """Yield the comparable values in a value: itself, the elements of a list, a typed value, texts."""
     for leaf in leaves(value):
-        if isinstance(leaf, Wordings):
+        if isinstance(leaf, LanguageMap):
             yield from leaves(list(leaf.values()))
         elif isinstance(leaf, dict):
             yield from leaves(leaf.get("@value", []))
@@ -126,8 +126,8 @@ def _combined(term: And | Or, expand: Expand) -> Predicate:
     parts = tuple(predicate(part, expand) for part in term.terms)
     wanted = isinstance(term, Or)
 
-    def holds(entity: Entity, lookup: Lookup = nobody) -> bool:
-        for part in parts:  # written out, since this is asked of every candidate
+    def holds(entity: Entity, lookup: Lookup = no_lookup) -> bool:
+        for part in parts:  # no helper functions, since this runs for every candidate
             if part(entity, lookup) is wanted:
                 return wanted
         return not wanted
@@ -173,7 +173,7 @@ def _said(instance: Instance) -> Any:
         return _Objects(said if isinstance(said, list) else (said,))
     if kind == "ListRelationship":
         return _Objects(one["object"] for one in said)
-    return Wordings(said) if kind == "LanguageProperty" and isinstance(said, dict) else said
+    return LanguageMap(said) if kind == "LanguageProperty" and isinstance(said, dict) else said
 
 
 def _along(value: Any, trail: tuple[str, ...]) -> Iterator[Any]:
@@ -199,7 +199,7 @@ def _matching(term: Matches, expand: Expand) -> Predicate:
     find = finder(term.path, expand)
     expected, negated = term.pattern, term.negated
 
-    def matches(entity: Entity, lookup: Lookup = nobody) -> bool:
+    def matches(entity: Entity, lookup: Lookup = no_lookup) -> bool:
         texts = [
             leaf
             for value in find(entity, lookup)
@@ -218,7 +218,7 @@ def _comparing(term: Compare, expand: Expand) -> Predicate:
     negated = term.operator == "!="
     of_objects = term.operator in {"==", "!="}
 
-    def compares(entity: Entity, lookup: Lookup = nobody) -> bool:
+    def compares(entity: Entity, lookup: Lookup = no_lookup) -> bool:
         found = False
         for value in find(entity, lookup):
             found = True
@@ -239,7 +239,7 @@ def _any_of(tests: list[Test]) -> Test:
 
 
 def _test(operator: str, value: Literal | Span, expand: Expand) -> Test:
-    """Return what a single value is compared by; whoever asks for != turns the answer round for them all."""
+    """Return the test of a single value; the caller of != negates the result for all of them."""
     if isinstance(value, Span):
         low, high = _test(">=", value.low, expand), _test("<=", value.high, expand)
         return lambda leaf: low(leaf) and high(leaf)
@@ -259,7 +259,7 @@ def _test(operator: str, value: Literal | Span, expand: Expand) -> Test:
 
 
 def _equality_test(kind: Kind, wanted: str | float | bool) -> Test:
-    """Return the test that most queries are made of, as plain as can be. True is not 1 here."""
+    """Return the most frequent test, as simple as possible. True is not 1 here."""
     if kind is Kind.TRUTH:
         return lambda leaf: leaf is wanted
     if kind is Kind.NUMBER:

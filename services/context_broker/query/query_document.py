@@ -1,4 +1,4 @@
-"""A query sent as a document: the data type Query (clause 5.2.23), told as query parameters and selectors."""
+"""The data type Query (clause 5.2.23), converted to query parameters and selectors."""
 
 from collections.abc import Callable
 from typing import Any, Final
@@ -13,18 +13,17 @@ from services.context_broker.query.selection import Selection
 from services.context_broker.query.type_selection import type_selection
 
 MAX_SELECTORS: Final = 1000
-"""Entity selectors in one query."""
+"""Maximum entity selectors in one query."""
 
 TEMPORAL: Final = frozenset({"temporalQ", "aggrParams"})
-"""Members that only a query for how entities have been may have."""
+"""Members of temporal queries only."""
 
 
 def query_parameters(document: Any, beside: frozenset[str] = frozenset()) -> dict[str, str]:
-    """Return the query parameters that say the same as a Query document.
+    """Return the query parameters that correspond to a Query document.
 
-    Several entity selectors cannot be said so: these are in `selectors_of`. `beside` are members that the
-    caller reads by itself. Raises a problem (400) that names
-    what is wrong.
+    Several entity selectors have no such parameters; `selectors_of` returns them. `beside` are members that
+    the caller reads itself. Raises a problem (400) that names the fault.
     """
     if not isinstance(document, dict) or document.get("type", "Query") != "Query":
         raise bad_request_data('the body is an object with "type": "Query"')
@@ -45,9 +44,9 @@ def query_parameters(document: Any, beside: frozenset[str] = frozenset()) -> dic
 
 
 def selectors_of(document: Any, context: Context) -> tuple[Selection, ...]:
-    """Return what several entity selectors (clause 5.2.33) of a Query select, an entity fits one of them.
+    """Return the selections of several entity selectors (clause 5.2.33); an entity has to match one of them.
 
-    A single one is told by `query_parameters`. Raises a problem (400) that names what is wrong.
+    A single one is in `query_parameters`. Raises a problem (400) that names the fault.
     """
     selectors = _selectors(document)
     if len(selectors) < 2:
@@ -104,7 +103,7 @@ def _texts(name: str, value: Any) -> dict[str, str]:
 
 
 def _names(name: str, value: Any) -> dict[str, str]:
-    # The standard has these as text with commas; a list says the same.
+    # The standard has these as text with commas; a list is accepted too.
     return _texts(name, value) if isinstance(value, list) else _text(name, value)
 
 

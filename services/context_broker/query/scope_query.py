@@ -1,6 +1,6 @@
-"""Which scopes are wanted: `/Madrid/Gardens`, `/Madrid/+/ParqueNorte`, `/Madrid/#` with all below it.
+"""Scope queries: `/Madrid/Gardens`, `/Madrid/+/ParqueNorte`, `/Madrid/#` with all below it.
 
-The scope query language of clause 4.19 of ETSI GS CIM 009. `,` and `|` are or, `(/A;/B)` asks for both.
+The scope query language of clause 4.19 of ETSI GS CIM 009. `,` and `|` are or, `(/A;/B)` requires both.
 """
 
 from collections.abc import Collection
@@ -18,13 +18,13 @@ ALL_BELOW: Final = "#"
 
 @dataclass(frozen=True, slots=True)
 class ScopePattern:
-    """One scope that is asked for, level by level; `below` takes in the whole tree under it."""
+    """One scope pattern, level by level; `below` includes the whole tree under it."""
 
     levels: tuple[str, ...]
     below: bool
 
     def fits(self, scope: str) -> bool:
-        """Say whether a scope such as `/Madrid/Gardens` is one of those asked for."""
+        """Return whether a scope such as `/Madrid/Gardens` matches."""
         levels = scope.strip("/").split("/")
         if len(levels) != len(self.levels) and not (self.below and len(levels) > len(self.levels)):
             return False
@@ -33,13 +33,13 @@ class ScopePattern:
 
 @dataclass(frozen=True, slots=True)
 class ScopeQuery:
-    """A scope query: the scopes of an entity fit all patterns of at least one of the `alternatives`."""
+    """A scope query: the scopes of an entity match all patterns of at least one of the `alternatives`."""
 
     text: str
     alternatives: Alternatives[ScopePattern]
 
     def wants(self, scopes: Collection[str]) -> bool:
-        """Say whether an entity within `scopes` is wanted; one without scopes never is."""
+        """Return whether an entity with `scopes` matches; one without scopes never does."""
         return any(
             all(any(pattern.fits(scope) for scope in scopes) for pattern in patterns)
             for patterns in self.alternatives
@@ -47,7 +47,7 @@ class ScopeQuery:
 
 
 def scope_query(given: Any, what: str = "scopeQ") -> ScopeQuery:
-    """Return the query that the text `given` tells of; raise a problem (400) when it cannot be read."""
+    """Return the query in the text `given`; raise a problem (400) when it is invalid."""
     if not isinstance(given, str) or not given:
         raise bad_request_data(f"{what} is text such as /Madrid/Gardens/#, not {shown(given)}")
     return _scope_query(given, what)
@@ -63,7 +63,7 @@ def _pattern(name: str, what: str) -> ScopePattern:
     below = levels[-1] == ALL_BELOW
     if below:
         levels.pop()
-    # The examples of the standard also write a first level without its slash.
+    # The examples of the standard also have a first level without its slash.
     if not name.strip("/") or not all(levels) or any(_is_unfit(level) for level in levels):
         raise bad_request_data(
             f"{what} has no scope {shown(name)}: write levels such as /Madrid/Gardens, + for any one level "

@@ -1,6 +1,6 @@
-"""Which entities a reader or a subscriber wants: by id, type, attributes, query, scope and place.
+"""Selections of entities: by id, type, attributes, query, scope and geometry.
 
-Clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2. Indexes answer what they can; the rest is looked at one by one.
+Clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2. Indexes narrow the candidates; the rest is evaluated for each entity.
 """
 
 import asyncio
@@ -17,23 +17,23 @@ from services.context_broker.model.entity import Entity
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.query.geo_query import GeoQuery
 from services.context_broker.query.ordering import Ordering
-from services.context_broker.query.pages import Place, Window
+from services.context_broker.query.pages import PagePosition, Window
 from services.context_broker.query.patterns import Pattern, fits
 from services.context_broker.query.q_grammar import parse, paths
 from services.context_broker.query.q_index import Condition, conditions
-from services.context_broker.query.q_match import ENTITY_TIMES, Lookup, Predicate, nobody, predicate
+from services.context_broker.query.q_match import ENTITY_TIMES, Lookup, Predicate, no_lookup, predicate
 from services.context_broker.query.scope_query import ScopeQuery
 from services.context_broker.query.type_selection import TypeSelection
 
 CHUNK: Final = 256
-"""Entities looked at before the clock is."""
+"""Entities that are evaluated before the elapsed time is checked."""
 TURN_S: Final = 0.004
-"""How long entities are looked at before others get their turn: a notification is to wait no longer."""
+"""How long a query runs before other tasks do: notifications must not wait longer."""
 MAX_QUERIES: Final = 1000
 
 
 class EntityStore(Protocol):
-    """Where entities are searched; candidates come in the order of their creation."""
+    """Where entities are searched; candidates come in the order of creation."""
 
     def get(self, entity_id: str) -> Entity | None:
         """Return an entity."""
@@ -45,15 +45,15 @@ class EntityStore(Protocol):
         conditions: Iterable[Condition] = (),
         places: GeoQuery | None = None,
     ) -> list[Entity]:
-        """Return entities among which all hits are; what is None does not limit them."""
+        """Return entities among which all hits are; an argument that is None does not narrow them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Query:
     """A compiled `q`.
 
-    `conditions` hold of every hit; `hops` is how many relationships are followed; `names_attributes` says
-    whether it asks for anything but times that every entity has.
+    `conditions` are fulfilled by every hit; `hops` is the number of relationships that it follows;
+    `names_attributes` is true if it uses anything but the times that every entity has.
     """
 
     holds: Predicate
@@ -64,9 +64,9 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What is wanted; an absent part (None) wants all. Attributes are IRIs.
+    """A selection; a part that is None matches all. Attributes are IRIs.
 
-    Of the selections in `any_of`, if there are any, an entity has to fit one.
+    If `any_of` is not empty, an entity has to match one of its selections too.
     """
 
     ids: tuple[str, ...] | None = None
@@ -78,52 +78,52 @@ class Selection:
     places: GeoQuery | None = None
     any_of: tuple["Selection", ...] = ()
 
-    def wants(self, entity: Entity, lookup: Lookup = nobody) -> bool:
-        """Say whether the entity is among those wanted; `lookup` finds those that it links to."""
+    def wants(self, entity: Entity, lookup: Lookup = no_lookup) -> bool:
+        """Return whether the entity matches; `lookup` finds linked entities."""
         return all(question(entity, lookup) for question in self.questions())
 
     def questions(self) -> list[Predicate]:
-        """Return the questions that all are to be answered with yes, those soon answered first."""
+        """Return the predicates that all have to be true, the fast ones first."""
         asked: list[Predicate] = []
         ids, types, names, wanted = self.ids, self.types, self.attributes, self.id_pattern
         scopes, places, any_of = self.scopes, self.places, self.any_of
         if ids is not None:
             known = frozenset(ids)
-            asked.append(lambda entity, _=nobody: entity.id in known)
+            asked.append(lambda entity, _=no_lookup: entity.id in known)
         if types is not None and not types.is_every:
-            asked.append(lambda entity, _=nobody: types.wants(entity.types))
+            asked.append(lambda entity, _=no_lookup: types.wants(entity.types))
         if names is not None:
-            asked.append(lambda entity, _=nobody: not names.isdisjoint(entity.attributes))
+            asked.append(lambda entity, _=no_lookup: not names.isdisjoint(entity.attributes))
         if wanted is not None:
-            asked.append(lambda entity, _=nobody: fits(wanted, entity.id))
+            asked.append(lambda entity, _=no_lookup: fits(wanted, entity.id))
         if self.query is not None:
             asked.append(self.query.holds)
         if scopes is not None:
-            asked.append(lambda entity, _=nobody: scopes.wants(entity.scopes))
+            asked.append(lambda entity, _=no_lookup: scopes.wants(entity.scopes))
         if places is not None:
-            asked.append(lambda entity, _=nobody: places.wants(entity))
+            asked.append(lambda entity, _=no_lookup: places.wants(entity))
         if any_of:
             ways = [one.questions() for one in any_of]
             asked.append(
-                lambda entity, lookup=nobody: any(all(one(entity, lookup) for one in way) for way in ways)
+                lambda entity, lookup=no_lookup: any(all(one(entity, lookup) for one in way) for way in ways)
             )
         return asked
 
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A piece of the hits; `total` is there if it was asked for.
+    """A page of hits; `total` is set if it was requested.
 
-    `more` and `before` say whether there are hits after and before it; `first` and `last` are the places at
-    its ends.
+    `more` and `before` are true if there are hits after and before it; `first` and `last` are the positions
+    at its ends.
     """
 
     entities: list[Entity] = field(default_factory=list)
     more: bool = False
     total: int | None = None
     before: bool = False
-    first: Place | None = None
-    last: Place | None = None
+    first: PagePosition | None = None
+    last: PagePosition | None = None
 
 
 _Placed = tuple[tuple[Any, ...], Entity]
@@ -132,10 +132,10 @@ _compiled: OrderedDict[tuple[str, int, Collection[str]], Query] = OrderedDict()
 
 
 def compiled(text: str, context: Context, expanded: frozenset[str] = frozenset(), what: str = "q") -> Query:
-    """Return `text` compiled with the names of `context`; what is asked again is not compiled again.
+    """Return the compiled `text` with the names of `context`; recent ones are cached.
 
     The values of the attributes `expanded` (short names) are terms of the @context (expandValues). Raises a
-    problem (400) that names `what`, where it cannot be read and why.
+    problem (400) that names `what`, with the position and the cause of a syntax error.
     """
     key = (text, context.key, expanded)
     query = _compiled.get(key)
@@ -157,7 +157,7 @@ def compiled(text: str, context: Context, expanded: frozenset[str] = frozenset()
 async def search(
     store: EntityStore, selection: Selection, window: Window, order: Ordering | None = None
 ) -> Page:
-    """Return the hits that `window` shows, in the order of their creation or the one that is asked for."""
+    """Return the hits in `window`, in the order of creation or in `order`."""
     candidates = store.candidates(*_narrowed(selection))
     if order is not None:
         return await _ordered(store, selection, window, candidates, order)
@@ -178,32 +178,32 @@ async def search(
         len(hits) > offset + window.limit,
         total if window.count else None,
         place is not None or window.offset > 0,
-        Place(page[0].seq, (), is_end=True) if page else _turned(place),
-        Place(page[-1].seq) if page else None,
+        PagePosition(page[0].seq, (), is_end=True) if page else _turned(place),
+        PagePosition(page[-1].seq) if page else None,
     )
 
 
 async def hits_of(store: EntityStore, selection: Selection, most: int | None = None) -> list[Entity]:
-    """Return all hits, or the first `most` of them, in the order of their creation."""
+    """Return all hits, or the first `most` of them, in the order of creation."""
     return await _hits(store, selection, store.candidates(*_narrowed(selection)), most)
 
 
 async def _backwards(
-    store: EntityStore, selection: Selection, window: Window, candidates: list[Entity], place: Place
+    store: EntityStore, selection: Selection, window: Window, candidates: list[Entity], place: PagePosition
 ) -> Page:
     end, limit = bisect_left(candidates, place.seq, key=_seq), window.limit
     hits = await _hits(store, selection, candidates[:end][::-1], None if window.count else limit + 1)
     page = hits[:limit][::-1]
     total = len(hits) + len(await _hits(store, selection, candidates[end:])) if window.count else None
-    first = Place(page[0].seq, (), is_end=True) if page else None
-    last = Place(page[-1].seq) if page else _turned(place)
+    first = PagePosition(page[0].seq, (), is_end=True) if page else None
+    last = PagePosition(page[-1].seq) if page else _turned(place)
     return Page(page, True, total, len(hits) > limit, first, last)
 
 
 async def _ordered(
     store: EntityStore, selection: Selection, window: Window, candidates: list[Entity], order: Ordering
 ) -> Page:
-    """Return the page of hits that are put in order, without sorting more than the page needs."""
+    """Return a page of ordered hits, without sorting more than the page needs."""
     place, limit = window.place, window.limit
     border = None if place is None else _border(order, place)
     hits = await _hits(store, selection, candidates)
@@ -227,24 +227,24 @@ async def _ordered(
     entities = [entity for _, entity in page]
     first = last = _turned(place)
     if entities:
-        first = Place(entities[0].seq, order.told(entities[0]), is_end=True)
-        last = Place(entities[-1].seq, order.told(entities[-1]))
+        first = PagePosition(entities[0].seq, order.sort_key(entities[0]), is_end=True)
+        last = PagePosition(entities[-1].seq, order.sort_key(entities[-1]))
     return Page(entities, more, len(hits) if window.count else None, before, first, last)
 
 
-def _border(order: Ordering, place: Place) -> tuple[Any, ...]:
+def _border(order: Ordering, place: PagePosition) -> tuple[Any, ...]:
     try:
-        return order.place(place.told, place.seq)
+        return order.place(place.sort_key, place.seq)
     except (LookupError, TypeError, ValueError):
         raise bad_request_data(
-            "place is not from a Link header of this broker; leave it out to start anew"
+            "place is not from a Link header of this broker; leave it out to start again"
         ) from None
 
 
 async def _hits(
     store: EntityStore, selection: Selection, candidates: Sequence[Entity], most: int | None = None
 ) -> list[Entity]:
-    """Return the candidates that are wanted, the first `most` of them if that is given."""
+    """Return the candidates that match, or the first `most` of them."""
     lookup, questions = store.get, selection.questions()
     hits: list[Entity] = []
     began_s = time.perf_counter()
@@ -252,7 +252,7 @@ async def _hits(
         if start:
             began_s = await _gave_way(began_s)
         for entity in candidates[start : start + CHUNK]:
-            for question in questions:  # written out, since this is the innermost of a query
+            for question in questions:  # no helper functions: this is the innermost loop of a query
                 if not question(entity, lookup):
                     break
             else:
@@ -263,7 +263,7 @@ async def _hits(
 
 
 async def _gave_way(began_s: float) -> float:
-    """Let others have their turn if it is time to; return when the own turn began."""
+    """Let other tasks run if it is time; return when this one resumed."""
     if time.perf_counter() - began_s < TURN_S:
         return began_s
     await asyncio.sleep(0)
@@ -273,7 +273,7 @@ async def _gave_way(began_s: float) -> float:
 def _narrowed(
     selection: Selection,
 ) -> tuple[tuple[str, ...] | None, TypeSelection | None, tuple[Condition, ...], GeoQuery | None]:
-    """Return what the indexes can narrow the candidates down by."""
+    """Return what the indexes narrow the candidates by."""
     ids, types = selection.ids, selection.types
     if selection.any_of:
         if all(one.ids is not None for one in selection.any_of):
@@ -285,9 +285,9 @@ def _narrowed(
     return ids, types, selection.query.conditions if selection.query else (), selection.places
 
 
-def _turned(place: Place | None) -> Place | None:
-    """Return the same place, to be read from in the other direction."""
-    return None if place is None else Place(place.seq, place.told, not place.is_end)
+def _turned(place: PagePosition | None) -> PagePosition | None:
+    """Return the same position for the other direction."""
+    return None if place is None else PagePosition(place.seq, place.sort_key, not place.is_end)
 
 
 def _seq(entity: Entity) -> int:

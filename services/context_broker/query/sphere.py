@@ -1,7 +1,7 @@
-"""Distances on the globe, in metres, between geometries of GeoJSON; right at the poles and the date line.
+"""Distances on the globe, in metres, between GeoJSON geometries; correct at the poles and the date line.
 
-The earth is a sphere here, as clause 4.23.1 of ETSI GS CIM 009 has it; the ellipsoid differs by half a
-percent at most. Lines are straight in longitude and latitude (RFC 7946, section 3.1.1).
+The earth is a sphere (clause 4.23.1 of ETSI GS CIM 009); the ellipsoid differs by half a percent at most.
+Lines are straight in longitude and latitude (RFC 7946, section 3.1.1).
 """
 
 import itertools
@@ -14,18 +14,18 @@ from services.context_broker.model.geometry import DEPTHS
 EARTH_RADIUS_M: Final = 6_371_008.8
 """The mean radius of the earth."""
 FARTHEST_M: Final = EARTH_RADIUS_M * pi
-"""Half around the earth: nothing is farther."""
+"""Half the circumference of the earth: the maximum distance."""
 
 _LONGEST_PIECE_DEG: Final = 5.0
-"""Lines are cut into pieces of this length, in which the distance to a point has but one minimum."""
+"""Lines are cut into segments of this length, in which the distance to a point has only one minimum."""
 _ZOOMS: Final = 10
-"""How often the part of a piece in which the nearest point is sought is halved."""
+"""Bisections of a segment in the search for the nearest point."""
 _TOUCH_UPS: Final = 3
-"""How often the point found is moved along its piece as on a flat map of its surroundings."""
+"""Newton steps on a flat map around the nearest point."""
 _ROWS: Final = 128
-"""Pieces of one geometry that are compared with all of the other at once; with 100,000 that takes 300 MB."""
+"""Segments of one geometry that are compared with all of the other at once; with 100,000 it takes 300 MB."""
 _PAIRS: Final = 1024
-"""Pairs of pieces that are measured at once."""
+"""Pairs of segments that are measured at once."""
 
 Position = tuple[float, float]
 """Longitude and latitude in degrees."""
@@ -42,7 +42,7 @@ def distance_m(a: Position, b: Position) -> float:
 
 
 def point_of(geometry: Mapping[str, Any]) -> Position | None:
-    """Return where a Point is; None for other geometries."""
+    """Return the position of a Point; None for other geometries."""
     if geometry["type"] != "Point":
         return None
     longitude, latitude, *_ = geometry["coordinates"]
@@ -52,8 +52,8 @@ def point_of(geometry: Mapping[str, Any]) -> Position | None:
 def border_distance_m(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
     """Return the shortest distance of the points, lines and borders of two geometries that do not cross.
 
-    It is the distance of an end of one piece to the other piece. Which pairs come into question is seen by
-    the distance of their middles, all at once.
+    It is the distance from an end of one segment to the other segment. The candidates are selected by the
+    distances of the segments' midpoints, all at once.
     """
     import numpy as np  # noqa: PLC0415 - takes time to load, and few ask for anything but points near points
 
@@ -79,7 +79,7 @@ def border_distance_m(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
 
 
 def box_of(geometry: Mapping[str, Any]) -> Box:
-    """Return the box around a geometry."""
+    """Return the bounding box of a geometry."""
     positions = list(_positions(geometry["coordinates"], DEPTHS[geometry["type"]]))
     longitudes = [one[0] for one in positions]
     latitudes = [one[1] for one in positions]
@@ -87,13 +87,13 @@ def box_of(geometry: Mapping[str, Any]) -> Box:
 
 
 def box_around(box: Box, within_m: float) -> Box:
-    """Return a box that holds everything that is at most `within_m` from something in `box`."""
+    """Return a box that contains everything within `within_m` of `box`."""
     west, south, east, north = box
     margin = within_m / EARTH_RADIUS_M
     margin_deg = degrees(margin) * 1.000001 + 1e-9
     farthest_from_equator = max(abs(south), abs(north))
     if farthest_from_equator + margin_deg >= 90:
-        wide_deg = 360.0  # a pole is within reach: every longitude is
+        wide_deg = 360.0  # a pole is within the distance: all longitudes are
     else:
         wide_deg = degrees(asin(min(1.0, sin(margin) / cos(radians(farthest_from_equator)))))
         wide_deg = wide_deg * 1.000001 + 1e-9
@@ -127,7 +127,7 @@ def _lines(geometry: Mapping[str, Any]) -> Iterator[list[Position]]:
 
 
 def _pieces(geometry: Mapping[str, Any]) -> list[Segment]:
-    """Return the lines of a geometry cut into short pieces; a point is a piece without length."""
+    """Return the lines of a geometry cut into short segments; a point is a segment without length."""
     pieces: list[Segment] = []
     for line in _lines(geometry):
         if len(line) == 1:
@@ -144,7 +144,7 @@ def _along(start: Position, end: Position, share: float) -> Position:
 
 
 def _middles(pieces: Any) -> tuple[Any, Any]:
-    """Return the middles of pieces as arrows from the centre of the earth, and half their lengths in m."""
+    """Return the midpoints of segments as unit vectors, and half their lengths in m."""
     import numpy as np  # noqa: PLC0415 - see above
 
     ends = np.radians(pieces)
@@ -157,13 +157,13 @@ def _middles(pieces: Any) -> tuple[Any, Any]:
         ),
         axis=1,
     )
-    # A way in degrees is longest on the equator; a metre more is for what arccos cannot tell apart.
+    # A degree is longest on the equator; a metre is added for the precision of arccos.
     halves = np.hypot(*(ends[:, 1] - ends[:, 0]).T) / 2 * EARTH_RADIUS_M + 1.0
     return arrows, halves
 
 
 def _shortest_m(some: Any, others: Any) -> float:
-    """Return the shortest distance within pairs of pieces: `some[0]` and `others[0]`, and so on."""
+    """Return the shortest distance within pairs of segments: `some[0]` and `others[0]`, and so on."""
     return min(
         float(_to_pieces_m(points, pieces).min())
         for points, pieces in (
@@ -176,7 +176,7 @@ def _shortest_m(some: Any, others: Any) -> float:
 
 
 def _to_pieces_m(points: Any, pieces: Any) -> Any:
-    """Return the distance of each point to its piece."""
+    """Return the distance of each point to its segment."""
     import numpy as np  # noqa: PLC0415 - see above
 
     start, way = pieces[:, 0], pieces[:, 1] - pieces[:, 0]

@@ -1,6 +1,6 @@
-"""Which types of entities are wanted: `Task`, `Task,Alert` for either, `(Device;Asset)` for both at once.
+"""Type selections: `Task`, `Task,Alert` for either, `(Device;Asset)` for both.
 
-The type selection language of clause 4.17 of ETSI GS CIM 009. `*` stands for every type.
+The type selection language of clause 4.17 of ETSI GS CIM 009. `*` matches every type.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -16,26 +16,26 @@ EVERY: Final = "*"
 
 @dataclass(frozen=True, slots=True)
 class TypeSelection:
-    """The wanted types (IRIs): an entity has all types of at least one of the `alternatives`.
+    """Selected types (IRIs): an entity has all types of at least one of the `alternatives`.
 
-    An alternative without types is what `*` stands for: every entity fits it.
+    An alternative without types is `*`: it matches every entity.
     """
 
     alternatives: tuple[frozenset[str], ...]
 
     def wants(self, types: Collection[str]) -> bool:
-        """Say whether an entity of `types` is wanted."""
+        """Return whether an entity of `types` matches."""
         if len(self.alternatives) == 1:
             return self.alternatives[0].issubset(types)
         return any(one.issubset(types) for one in self.alternatives)
 
     @property
     def is_every(self) -> bool:
-        """Say whether entities of every type are wanted."""
+        """Return whether it matches every type."""
         return any(not one for one in self.alternatives)
 
     def names(self) -> Iterator[str]:
-        """Yield the IRIs of all types that are named."""
+        """Yield the IRIs of all types in it."""
         for one in self.alternatives:
             yield from one
 
@@ -45,9 +45,9 @@ class TypeSelection:
 
 
 def type_selection(given: Any, expand: Callable[[str], str], what: str = "the type") -> TypeSelection:
-    """Return the selection that the text `given` tells of, its names expanded.
+    """Return the selection in the text `given`, its names expanded.
 
-    Raises a problem (400) that names `what` when it cannot be read.
+    Raises a problem (400) that names `what` when it is invalid.
     """
     if not isinstance(given, str) or not given:
         raise bad_request_data(f"{what} is text such as Task,Alert or (Device;Asset), not {shown(given)}")
@@ -56,13 +56,13 @@ def type_selection(given: Any, expand: Callable[[str], str], what: str = "the ty
 
     def leaf(name: str) -> str:
         if name == EVERY:
-            raise bad_request_data(f"{what} {EVERY} stands for every type by itself; leave the others out")
+            raise bad_request_data(f"{what} {EVERY} matches every type by itself; leave the others out")
         iri = expand(require_name(name, what))
         if ":" not in iri:
-            raise bad_request_data(f"the @context makes no IRI of {shown(name)}; map it or add a @vocab")
+            raise bad_request_data(f"the @context has no IRI for {shown(name)}; map it or add a @vocab")
         return iri
 
-    if given.isalnum():  # nearly always it is one plain name
+    if given.isalnum():  # it is nearly always one plain name
         return TypeSelection((frozenset((leaf(given),)),))
     found = alternatives(given, what, leaf)
     return TypeSelection(tuple(dict.fromkeys(frozenset(one) for one in found)))

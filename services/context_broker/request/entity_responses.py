@@ -15,7 +15,7 @@ from services.context_broker.model.negotiation import GEO_JSON, JSON_LD, WITH_GE
 from services.context_broker.model.rendering import View, render, rendered, with_context
 from services.context_broker.query.linked import Join, joined
 from services.context_broker.query.pages import Window
-from services.context_broker.query.q_match import Lookup, nobody
+from services.context_broker.query.q_match import Lookup, no_lookup
 from services.context_broker.query.selection import Page
 from services.context_broker.request.geojson_parameters import has_context_in_body, place_of
 from services.context_broker.request.query_parameters import json_headers, page_link
@@ -28,7 +28,7 @@ class Showing(NamedTuple):
     context: Context
     view: View
     join: Join | None = None
-    lookup: Lookup = nobody
+    lookup: Lookup = no_lookup
 
 
 def entity_answer(request: RequestContext, entity: Entity, showing: Showing) -> Response:

@@ -390,7 +390,7 @@ def test_a_value_of_the_past_that_is_damaged_is_not_served(own_broker: Any) -> N
         assert http.get(f"/entities/{entity['id']}").status_code == 200
         answer = http.get(f"/temporal/entities/{entity['id']}", params=ever)
         assert answer.status_code == 503, answer.text
-        assert "the past at place 1 is not as it was written" in answer.json()["detail"]
+        assert "the history at place 1 is not as it was written" in answer.json()["detail"]
 
 
 @in_a_file
@@ -428,7 +428,7 @@ def test_a_database_that_was_stopped_in_order_can_be_restored_alone(
 def test_a_second_broker_on_the_same_file_is_refused_in_one_line(own_broker: Any) -> None:
     own_broker.start()
     last = refused(type(own_broker)(own_broker.data_dir))
-    assert "another broker is at work" in last
+    assert "another broker runs on" in last
     assert "HANDOVER_DATA_DIR" in last
 
 

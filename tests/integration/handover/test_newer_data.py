@@ -10,10 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from services.context_broker.storage.database import APPLICATION_ID
+
 
 def of_a_newer_broker(folder: Path) -> Path:
     file = folder / "broker.db"
     with closing(sqlite3.connect(file)) as database:
+        database.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         database.execute("PRAGMA user_version = 99")
     return file
 

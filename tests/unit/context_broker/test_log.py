@@ -187,7 +187,7 @@ def test_the_log_of_another_opening_or_database_is_noticed(tmp_path: Path) -> No
     log = begun(tmp_path)
     log.append(b"of another time")
     log.close()
-    with pytest.raises(Damaged, match="one of them is older"):
+    with pytest.raises(Damaged, match="one of the two is older"):
         read(tmp_path, opening=b"opening2")
     again = WriteAheadLog(tmp_path / "broker.db")
     with pytest.raises(Damaged, match="another database"):

@@ -12,7 +12,7 @@ from handover.errors import Problem
 from services.context_broker.model.entity import Entity
 from services.context_broker.query.collation import collation
 from services.context_broker.query.ordering import Ordering, ordering, ordering_document
-from services.context_broker.query.pages import Place, Window, mark_of, place_of
+from services.context_broker.query.pages import PagePosition, Window, mark_of, place_of
 from services.context_broker.query.selection import Page, Selection, search
 from services.context_broker.query.type_selection import of_types
 from services.context_broker.storage.store import Store
@@ -91,9 +91,9 @@ def test_a_walk_neither_repeats_nor_misses_what_was_there_all_the_time(
             if not end.entities:
                 return
             last = end.entities[-1]
-            told = order.told(last) if order else ()
+            sort_key = order.sort_key(last) if order else ()
             # Back from a place behind everything: what came last is still to be seen.
-            window = Window(0, limit, False, Place(last.seq, told, is_end=True))
+            window = Window(0, limit, False, PagePosition(last.seq, sort_key, is_end=True))
             seen.append(last.id)
         rounds = itertools.chain(changes, itertools.repeat([]))
         while window is not None:
@@ -150,8 +150,8 @@ def test_a_place_that_is_none_is_refused(text: str) -> None:
 
 def test_a_place_in_another_order_is_refused() -> None:
     mark = mark_of("a", b"b")
-    text = Place(5, [[1, 2]]).written(mark)
-    assert place_of(text, mark) == Place(5, [[1, 2]])
+    text = PagePosition(5, [[1, 2]]).written(mark)
+    assert place_of(text, mark) == PagePosition(5, [[1, 2]])
     with pytest.raises(Problem, match="another order"):
         place_of(text, mark_of("a", b"c"))
 
@@ -159,11 +159,11 @@ def test_a_place_in_another_order_is_refused() -> None:
 @pytest.mark.parametrize(
     "told", [[], [[1]], [[1, "x"]], [[2, 5]], [[99, 1]], [["x", 1]], [7], [[1, 1], [1, 1]]]
 )
-def test_a_place_that_tells_nonsense_is_refused(told: list[Any]) -> None:
+def test_a_place_that_tells_nonsense_is_refused(sort_key: list[Any]) -> None:
     store = empty_store()
     store.take(thing(1, 1, 5))
     with pytest.raises(Problem) as refused:
-        look(store, Window(0, 5, False, Place(3, told)), ordering({"orderBy": "a"}, expand))
+        look(store, Window(0, 5, False, PagePosition(3, sort_key)), ordering({"orderBy": "a"}, expand))
     assert refused.value.status == 400
 
 

@@ -25,7 +25,7 @@ from services.context_broker.query.q_grammar import (
     paths,
 )
 from services.context_broker.query.q_index import Equality, Range, conditions, scalars
-from services.context_broker.query.q_match import nobody, predicate
+from services.context_broker.query.q_match import no_lookup, predicate
 
 VOCAB = "https://a.example/"
 
@@ -320,7 +320,7 @@ def test_what_linked_entities_are_like_can_be_asked(written: str, holds: bool) -
     entities = things()
     question = predicate(parse(written), expand)
     assert question(entities["urn:x:a"], entities.get) is holds
-    assert question(entities["urn:x:a"], nobody) is False
+    assert question(entities["urn:x:a"], no_lookup) is False
 
 
 @pytest.mark.parametrize(
