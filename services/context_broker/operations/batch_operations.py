@@ -1,4 +1,4 @@
-"""Operations on many entities in one request, each with its own fate (clauses 5.6.7 to 5.6.10, 6.14 ff)."""
+"""Operations on many entities in one request, each with its own result (clauses 5.6.7 to 5.6.10, 6.14 ff)."""
 
 import asyncio
 from collections.abc import Callable
@@ -39,7 +39,7 @@ from services.context_broker.request.request_context import RequestContext, Resp
 from services.context_broker.request.routing import Operation, brief
 from services.context_broker.storage.store import Store
 
-MOST_ENTITIES: Final = 10_000
+MAX_ENTITIES: Final = 10_000
 _LOCAL: Final = frozenset({"local"})
 _WRITE: Final = _LOCAL | {"options", "format"}
 _UPSERTING: Final = frozenset({"update", "replace"})
@@ -48,7 +48,7 @@ _KEEPING: Final = frozenset({"noOverwrite"})
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """A change on its way; without `fate` there was nothing to do, `refusal` tells what was left undone."""
+    """A started change; without `outcome` there was nothing to do, `refusal` is what was not done."""
 
     entity_id: str
     outcome: asyncio.Future[None] | None
@@ -58,7 +58,7 @@ class _Change:
 
 @dataclass(slots=True)
 class _BatchResult:
-    """What has become of the entities of one request."""
+    """The results of the entities of one request."""
 
     created: list[str] = field(default_factory=list)
     succeeded: list[str] = field(default_factory=list)
@@ -66,11 +66,11 @@ class _BatchResult:
     on_their_way: list[_Change] = field(default_factory=list)
 
     def refuse(self, entity_id: Any, problem: Problem) -> None:
-        """Note that an entity was refused."""
+        """Add a refused entity."""
         self.errors.append({"entityId": entity_id, "error": problem.body()})
 
     async def settle(self) -> None:
-        """Wait until everything on its way is safe, or known not to be."""
+        """Wait until every started change is durable or has failed."""
         for change in self.on_their_way:
             try:
                 if change.outcome is not None:
@@ -85,7 +85,7 @@ class _BatchResult:
                     self.created.append(change.entity_id)
 
     def answer(self, all_well: Response) -> Response:
-        """Return `all_well` if nothing was refused, else 207 with what was, and what was not."""
+        """Return `all_well` if nothing was refused, else 207 with the successes and the errors."""
         if not self.errors:
             return all_well
         body = orjson.dumps({"success": self.succeeded, "errors": self.errors})
@@ -93,10 +93,10 @@ class _BatchResult:
 
 
 class BatchOperations:
-    """What can be done to many entities at once."""
+    """Operations on many entities."""
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         at = "entityOperations"
         asking = VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS
         return brief(
@@ -118,7 +118,7 @@ class BatchOperations:
         return result.answer(_created(result.created))
 
     async def upsert(self, request: RequestContext) -> Response:
-        """POST entityOperations/upsert; options=update keeps attributes that are not named."""
+        """POST entityOperations/upsert; options=update keeps attributes that are not in the body."""
         options = _UPSERTING.intersection(options_of(request, FORMS | _UPSERTING))
         if len(options) > 1:
             raise bad_request_data("options is update or replace, not both")
@@ -131,7 +131,7 @@ class BatchOperations:
         return result.answer(_created(result.created) if result.created else DONE)
 
     async def update(self, request: RequestContext) -> Response:
-        """POST entityOperations/update; options=noOverwrite leaves attributes that are there alone."""
+        """POST entityOperations/update; options=noOverwrite leaves existing attributes unchanged."""
         overwrite = "noOverwrite" not in options_of(request, FORMS | _KEEPING)
         result = await self._each(
             request,
@@ -164,7 +164,9 @@ class BatchOperations:
         given = {**request.parameters, **query_parameters(document)}
         asked, request.parameters = request.parameters, given
         asking = entity_query_of(request, given, context, selectors_of(document, context))
-        request.parameters = asked  # the links to other pages repeat what the URL had; the body is sent again
+        request.parameters = (
+            asked  # the links to other pages have the query of the URL; the body is sent again
+        )
         return await answered(request, request.tenant.store, asking)
 
     async def _each(
@@ -173,7 +175,7 @@ class BatchOperations:
         act: Callable[[Store, Any, Context], _Change],
         others: frozenset[str] = frozenset(),
     ) -> _BatchResult:
-        """Have `act` done with each document; `others` are options that the operation has besides forms."""
+        """Apply `act` to each document; `others` are options of the operation besides forms."""
         if is_simplified(request, others):
             act = partial(_from_simplified, act)
         media_type = request.content_type()
@@ -212,19 +214,19 @@ class BatchOperations:
         return self._carry_out(store, before, changes.replaced(before, change, timestamp_now()))
 
     def _append(self, store: Store, given: Any, context: Context, *, overwrite: bool) -> _Change:
-        change = read_change(given, context.terms, Nulls.ATTRIBUTES)  # before its existence (5.6.9.4)
+        change = read_change(given, context.terms, Nulls.ATTRIBUTES)  # checked before its existence (5.6.9.4)
         before = self._existing(store, given)
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         if outcome.refused:
             names = ", ".join(outcome.refused)
-            refusal = bad_request_data(f"attributes {names} were left as they are: {changes.PRESENT}")
+            refusal = bad_request_data(f"attributes {names} were left unchanged: {changes.PRESENT}")
             return replace(self._carry_out(store, before, outcome), refusal=refusal)
         return self._carry_out(store, before, outcome)
 
     def _merge(self, store: Store, given: Any, context: Context) -> _Change:
         before = self._known(store, given)
         if before is None:
-            read_change(given, context.terms, Nulls.VALUES)  # before its existence (5.6.20.4)
+            read_change(given, context.terms, Nulls.VALUES)  # checked before its existence (5.6.20.4)
             raise absent(id_of(given))
         change = read_merge(given, before, context)
         return self._carry_out(store, before, changes.merged(before, change, timestamp_now()))
@@ -237,7 +239,7 @@ class BatchOperations:
 
     @staticmethod
     def _known(store: Store, given: Any) -> Entity | None:
-        """Return the entity that a document is about, as the last write left it; None if there is none."""
+        """Return the entity of a document, as the last write left it; None if there is none."""
         return store.latest(id_of(given))
 
     @staticmethod
@@ -269,9 +271,9 @@ def id_of(document: Any) -> str:
 
 def _as_list(document: Any, what: str) -> list[Any]:
     if not isinstance(document, list) or not document:
-        raise bad_request_data(f"the body is a list of {what} with at least one in it")
-    if len(document) > MOST_ENTITIES:
-        raise bad_request_data(f"the body holds {len(document)} {what}; {MOST_ENTITIES} are taken at once")
+        raise bad_request_data(f"the body is a list of {what} with at least one element")
+    if len(document) > MAX_ENTITIES:
+        raise bad_request_data(f"the body holds {len(document)} {what}; {MAX_ENTITIES} are taken at once")
     if None in document:
         raise bad_request_data(f"the list of {what} has null in it; nothing was done, send it without")
     return document

@@ -1,4 +1,4 @@
-"""Operations on the @contexts that the broker keeps (clauses 5.13.2 to 5.13.5, 6.29 and 6.30)."""
+"""Operations on the @contexts that the broker stores (clauses 5.13.2 to 5.13.5, 6.29 and 6.30)."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -16,13 +16,13 @@ DONE: Final = Response(204)
 
 
 class ContextOperations:
-    """What can be done to @contexts."""
+    """Operations on @contexts."""
 
     def __init__(self, contexts: ContextResolver) -> None:
         self._contexts = contexts
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         all_of_them, one = "jsonldContexts", "jsonldContexts/{contextId}"
         kinds, details = frozenset({"details", "kind"}), frozenset({"details"})
         return (
@@ -33,18 +33,18 @@ class ContextOperations:
         )
 
     async def add(self, request: RequestContext) -> Response:
-        """POST jsonldContexts: the @context stands in the body, whichever media type it has."""
+        """POST jsonldContexts: the @context is in the body, with any media type."""
         request.content_type()
         document = request.document()
         if not isinstance(document, Mapping) or "@context" not in document:
             raise invalid_request('the body is an object with an "@context"; put the context there')
         one = await self._contexts.add(request.tenant.name, document["@context"])
-        # Absolute: what a client does with it is to name it as the @context of its requests.
+        # Absolute, because the client uses it as the @context of its requests.
         location = one.address(self._contexts.base(request.headers))
         return Response(201, b"", [(b"location", location.encode())])
 
     async def list(self, request: RequestContext) -> Response:
-        """GET jsonldContexts: their URLs; with details=true how they are used too."""
+        """GET jsonldContexts: their URLs; with details=true their use too."""
         media_type, base = request.accept(), self._contexts.base(request.headers)
         kind = request.parameter("kind")
         if kind is not None and kind not in set(ContextKind):
@@ -55,18 +55,19 @@ class ContextOperations:
         return _answer([one.address(base) for one in found], media_type)
 
     async def serve(self, request: RequestContext) -> Response:
-        """GET jsonldContexts/{contextId}: its content, with details=true how it is used.
+        """GET jsonldContexts/{contextId}: its content, with details=true its use.
 
-        The content is also given to who names no tenant, whichever it belongs to: what reads an @context
-        from a Link header cannot name one, and nobody guesses the identifier. Another tenant finds nothing.
+        A request without a tenant gets the content of any tenant's context: a client that reads an @context
+        from a Link header cannot name a tenant, and the identifier cannot be guessed. Another tenant gets
+        404.
         """
         media_type = request.accept()
         if request.flag("details"):
             found = self._existing(request)
-            told = found.details(self._contexts.base(request.headers))
+            description = found.details(self._contexts.base(request.headers))
             if found.kind is ContextKind.CACHED and not self._contexts.is_shipped(found):
                 self._contexts.usage.seen(found)
-            return _answer(told, media_type)
+            return _answer(description, media_type)
         one = self._contexts.named(request.names[0], request.tenant.name)
         if one is None and not request.tenant.name:
             one = self._contexts.served(request.names[0])
@@ -75,12 +76,12 @@ class ContextOperations:
         if one.kind is ContextKind.CACHED:
             raise not_supported(
                 f"the broker serves its own contexts only; get {one.url} where it is published, "
-                "or add details=true to learn how it is used here"
+                "or add details=true to see its use here"
             )
         return _answer(one.document, media_type)
 
     async def delete(self, request: RequestContext) -> Response:
-        """DELETE jsonldContexts/{contextId}; with reload=true a cached one is fetched anew."""
+        """DELETE jsonldContexts/{contextId}; with reload=true a cached one is fetched again."""
         one = self._existing(request)
         again = request.flag("reload")
         if self._contexts.is_core(one):
@@ -90,14 +91,14 @@ class ContextOperations:
         if again:
             if one.kind is not ContextKind.CACHED:
                 raise bad_request_data(
-                    f"{one.id} is {one.kind} and can be fetched from nowhere; delete it without reload, "
+                    f"{one.id} is {one.kind} and has no URL to fetch it from; delete it without reload, "
                     "and add it again"
                 )
             await self._contexts.reload(one)
             return DONE
         if self._contexts.is_shipped(one):
             raise bad_request_data(
-                f"{one.url} comes with the broker and stays; reload=true fetches what is published there"
+                f"{one.url} is shipped with the broker and stays; reload=true fetches what is published there"
             )
         await self._contexts.delete(one)
         return DONE

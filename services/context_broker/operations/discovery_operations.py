@@ -1,7 +1,7 @@
-"""What there is: types, attributes and what they look like (clauses 5.7.5 to 5.7.10), and who answers.
+"""Discovery: types, attributes and their details (clauses 5.7.5 to 5.7.10), and the identity of the broker.
 
-What is stored is counted as it changes (see `census.py`); what sources have registered is told beside it,
-unless `local=true` asks for ours alone.
+Stored entities are counted as they change (`type_statistics.py`). Registered types and attributes of context
+sources are added, unless `local=true` excludes them.
 """
 
 import time
@@ -25,13 +25,13 @@ _ONE: Final = frozenset({"local"})
 
 
 class DiscoveryOperations:
-    """What readers can learn about the broker's content as a whole."""
+    """Operations on the broker's content as a whole."""
 
     def __init__(self) -> None:
         self._since_s = time.monotonic()
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         identity, attribute = "info/sourceIdentity", "attributes/{attrId}"
         return brief(
             Operation("GET", "types", "retrieveEntityTypes", "6.25.3.1", self.types, _LIST),
@@ -44,7 +44,7 @@ class DiscoveryOperations:
                 "retrieveContextSourceIdentity",
                 "6.33.3.1",
                 self.source_identity,
-                makes_tenant=True,  # who wants to register a tenant here asks for its alias first
+                makes_tenant=True,  # a client that registers a tenant here asks for its alias first
             ),
         )
 
@@ -134,7 +134,7 @@ class DiscoveryOperations:
         return _answer(request, context, body)
 
     async def source_identity(self, request: RequestContext) -> Response:
-        """GET info/sourceIdentity (clause 5.15): who answers, for the tenant that is asked about."""
+        """GET info/sourceIdentity (clause 5.15): the identity of the broker for a tenant."""
         context = await request.reader_context()
         alias = request.tenant.alias
         body = {
@@ -149,17 +149,17 @@ class DiscoveryOperations:
 
 
 def _registered(request: RequestContext) -> Iterator[Announced]:
-    """Yield what sources have registered for the tenant; nothing if it is asked for what is stored here."""
+    """Yield what sources have registered for the tenant; nothing for a local request."""
     if request.flag("local"):
         return
     yield from request.tenant.federation.announced()
 
 
 def _names(request: RequestContext, kind: str, registered: list[Announced]) -> list[str]:
-    """Return the attributes of a type, those stored first."""
+    """Return the attributes of a type, stored ones first."""
     stored = request.tenant.store.census.attributes_of(kind)
-    told = (name for names, types in registered if kind in types for name in sorted(names))
-    return list(dict.fromkeys((*stored, *told)))
+    others = (name for names, types in registered if kind in types for name in sorted(names))
+    return list(dict.fromkeys((*stored, *others)))
 
 
 def _types_with(request: RequestContext, name: str, registered: list[Announced]) -> list[str]:

@@ -56,7 +56,7 @@ from services.context_broker.storage.store import Store
 DONE: Final = Response(204)
 _AT: Final = f"{PREFIX}entities/".encode()
 _AS_IT_IS: Final = b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.-~:"
-"""What stands in a path as it is."""
+"""Characters that need no percent-encoding in a path."""
 _FORM: Final = frozenset({"options", "format"})
 _CREATE: Final = _FORM | {"local"}
 _RETRIEVE: Final = VIEW_PARAMETERS | LINK_PARAMETERS | {"local", "type"}
@@ -69,10 +69,10 @@ _SIMPLIFIED: Final = frozenset({"simplified", "keyValues"})
 
 
 class EntityOperations:
-    """What can be done to entities one at a time."""
+    """Operations on single entities."""
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         one, attributes, attribute = "entities/{id}", "entities/{id}/attrs", "entities/{id}/attrs/{name}"
         return brief(
             Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _CREATE, True),
@@ -148,7 +148,7 @@ class EntityOperations:
         return DONE
 
     async def merge(self, request: RequestContext) -> Response:
-        """PATCH entities/{id}: what is left unsaid stays, NULL deletes, objects as values are merged."""
+        """PATCH entities/{id}: other attributes stay, NULL deletes, objects as values are merged."""
         simplified = is_simplified(request)
         observed_at, language = request.parameter("observedAt"), request.parameter("lang")
         if observed_at is not None:
@@ -250,9 +250,10 @@ class EntityOperations:
         return DONE
 
     def existing(self, request: RequestContext, context: Context | None) -> Entity:
-        """Return the entity that the path names, as the last write left it.
+        """Return the entity in the path, as the last write left it.
 
-        Raises a problem (404) if there is none, or none of the types that the parameter `type` selects.
+        Raises a problem (404) if there is none, or if it has none of the types that the parameter `type`
+        selects.
         """
         entity = request.tenant.store.latest(request.names[0])
         if entity is None:
@@ -262,7 +263,7 @@ class EntityOperations:
         return entity
 
     async def _carry_out(self, request: RequestContext, outcome: Outcome) -> None:
-        """Make an outcome durable. No await may stand between reading the entity and this."""
+        """Make an outcome durable. No await is allowed between reading the entity and this."""
         before = request.tenant.store.latest(request.names[0])
         if before is not None and outcome.entity is not before:
             await request.tenant.store.stage(Event(before, outcome.entity, outcome.touched))
@@ -277,13 +278,13 @@ class EntityOperations:
         if instances is None:
             raise not_found(
                 f"entity {entity.id} has no attribute {shown(request.names[1])}; "
-                "append it, or read the entity to see what it has"
+                "append it, or read the entity to see its attributes"
             )
         return instances
 
 
 def creation(store: Store, change: Change) -> Event:
-    """Return the coming into being of an entity; raise a problem (409) if its id is taken."""
+    """Return the creation of an entity; raise a problem (409) if its id exists."""
     if store.latest(change.id or "") is not None:
         raise already_exists(f"there is an entity {change.id} already; update it, or choose another id")
     entity = changes.created(change, timestamp_now(), store.next_seq())
@@ -297,13 +298,13 @@ def _location(entity_id: str) -> bytes:
 
 
 def absent(entity_id: str) -> Problem:
-    """There is no such entity."""
+    """The entity does not exist."""
     return not_found(f"there is no entity {entity_id}; create it, or ask GET entities for those there are")
 
 
 def nothing_left(entity_id: str) -> Problem:
-    """The entity has nothing of what is picked, or nothing that is not omitted."""
-    return not_found(f"pick and omit leave nothing of entity {entity_id}; ask for something that it has")
+    """The entity has no member that is picked, or none that is not omitted."""
+    return not_found(f"pick and omit leave nothing of entity {entity_id}; select a member that it has")
 
 
 def _absent_instance(request: RequestContext, dataset: str | None) -> Problem:
@@ -319,7 +320,7 @@ def read_merge(
     *,
     simplified: bool = False,
 ) -> Change:
-    """Return a merge, read by what the entity says: see `completion`."""
+    """Return a merge, completed from the present entity (`completion`)."""
     if isinstance(document, dict):
         complete = normalized if simplified else completed
         document = complete(document, before, context.terms, language)
@@ -327,17 +328,17 @@ def read_merge(
 
 
 def bare(document: object, context: Context, before: Entity | None = None) -> object:
-    """Return a document in simplified form in normalized form, by what the entity says if there is one.
+    """Return a simplified document in normalized form, with the kinds of the present entity if there is one.
 
-    The standard has simplified bodies for merges alone; others are taken too because brokers in use do.
+    The standard allows simplified bodies for merges only; other brokers accept them everywhere.
     """
     return normalized(document, before, context.terms) if isinstance(document, dict) else document
 
 
 def is_simplified(request: RequestContext, others: frozenset[str] = frozenset()) -> bool:
-    """Say whether the body is in simplified form; any other form tells by itself which it is.
+    """Return whether the body is in simplified form; the others are recognized from the body.
 
-    `others` are the options that the operation has besides.
+    `others` are additional options of the operation.
     """
     if not request.parameters:
         return False
@@ -346,15 +347,15 @@ def is_simplified(request: RequestContext, others: frozenset[str] = frozenset())
     if wanted is not None:
         if wanted not in FORMS:
             raise invalid_request(f"format is one of {', '.join(sorted(FORMS))}, not {shown(wanted)}")
-        forms = {wanted}  # it comes before what options say (table 6.5.3.4-1)
+        forms = {wanted}  # it precedes the options (table 6.5.3.4-1)
     return not forms.isdisjoint(_SIMPLIFIED)
 
 
 def _about(request: RequestContext, change: Change) -> Change:
-    """Return a change if it is about the entity that the path names; raise a problem if not."""
+    """Return a change if it is for the entity in the path; raise a problem if not."""
     if change.id is not None and change.id != request.names[0]:
         raise bad_request_data(
-            f"the body is about {change.id}, the path about {request.names[0]}; agree on one"
+            f"the body is for {change.id}, the path for {request.names[0]}; use the same id in both"
         )
     return change
 
@@ -372,7 +373,8 @@ def _without_context(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _update_result(change: Change, outcome: Outcome) -> Response:
-    """Return what became of the attributes (5.2.18); their names are IRIs, for it has no @context (6.3.6)."""
+    """Return the result for the attributes (5.2.18); their names are IRIs, since it has no @context
+    (6.3.6)."""
     if not outcome.refused:
         return DONE
     names = [*change.attributes, "scope"] if change.scopes and outcome.entity.scopes else change.attributes

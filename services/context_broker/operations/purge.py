@@ -1,4 +1,4 @@
-"""Purging: entities that a selection finds are deleted, or lose some of their attributes (clause 5.6.21)."""
+"""Purge: selected entities are deleted, or lose some of their attributes (clause 5.6.21)."""
 
 import asyncio
 from typing import Any, Final
@@ -20,13 +20,13 @@ PURGE_PARAMETERS: Final = frozenset(
      "geoproperty", "expandValues", "jsonKeys", "local", "keep", "drop"}
 )  # fmt: skip
 AT_ONCE: Final = 500
-"""Entities whose fate is waited for together; so many may be on their way to disk."""
+"""Entities that are written together."""
 
 _SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt", "observedAt"})
 
 
 async def purge(request: RequestContext) -> Response:
-    """DELETE entities: 204 when all are purged, 207 with what was not."""
+    """DELETE entities: 204 when all are purged, 207 with those that were not."""
     context = await request.reader_context()
     selection = selection_to_purge(request, context)
     names, keep = _named(request, context)
@@ -58,7 +58,7 @@ async def purge(request: RequestContext) -> Response:
 
 
 def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | None:
-    """Return what the purge makes of an entity, None if it has nothing of what is to go."""
+    """Return the effect of the purge on an entity, None if there is none."""
     if names is None:
         return Event.end_of(entity)
     outcome = changes.pruned(entity, names, timestamp_now(), keep=keep)
@@ -66,7 +66,7 @@ def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | 
 
 
 def _named(request: RequestContext, context: Context) -> tuple[frozenset[str] | None, bool]:
-    """Return the attributes that are to go or, if so said, to stay; None if the entities go."""
+    """Return the attributes to delete or to keep; None if whole entities are deleted."""
     keep, drop = request.parameter("keep"), request.parameter("drop")
     if keep is not None and drop is not None:
         raise bad_request_data("keep and drop exclude each other: what is not kept is dropped; leave out one")
@@ -74,15 +74,15 @@ def _named(request: RequestContext, context: Context) -> tuple[frozenset[str] | 
 
 
 def selection_to_purge(request: RequestContext, context: Context) -> Selection:
-    """Return what is to be purged; raise a problem (400) if that is whatever is there.
+    """Return the selection to purge; raise a problem (400) if it selects everything.
 
-    Ids and system attributes alone choose nothing, unless only attributes are to go (clause 5.6.21.4).
+    Ids and system attributes alone select nothing, unless only attributes are deleted (clause 5.6.21.4).
     """
     given = request.parameters
     attributes = given.get("attrs", "").split(",")
     selection = selection_of({**given, "local": "true"}, context)
     if selection.query is not None and selection.query.hops:
-        raise bad_request_data("a purge looks at the entities themselves; leave linked entities out of q")
+        raise bad_request_data("a purge does not follow links; leave linked entities out of q")
     narrows = (
         selection.types is not None
         or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
@@ -93,7 +93,7 @@ def selection_to_purge(request: RequestContext, context: Context) -> Selection:
     )
     if not narrows and not request.flag("local"):
         raise bad_request_data(
-            "the purge is too wide: say which entities by type, by an attribute in attrs or q, or by place; "
-            "local=true purges whatever is in this broker"
+            "the purge is too broad: select entities by type, by an attribute in attrs or q, or by place; "
+            "local=true purges all entities of this broker"
         )
     return selection

@@ -48,21 +48,21 @@ _SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
 
 
 class SubscriptionOperations:
-    """What can be done to subscriptions. Changes are rare and made one after the other.
+    """Operations on subscriptions. Changes are rare and serialized.
 
-    Subscriptions to registrations of context sources are the same in another book (`source_subscriptions`).
+    Subscriptions to context source registrations are a subclass with another dispatcher.
     """
 
     KIND = Kind.SUBSCRIPTION
     BESIDES: frozenset[str] = frozenset()
-    """Members that such a subscription has besides those of all."""
+    """Additional members of a subclass's subscriptions."""
 
     def __init__(self, contexts: ContextResolver) -> None:
         self._contexts = contexts
         self._one_at_a_time = asyncio.Lock()
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         all_of_them, one = "subscriptions", "subscriptions/{id}"
         name = "createSubscription"
         return (
@@ -73,23 +73,23 @@ class SubscriptionOperations:
             Operation("DELETE", one, "deleteSubscription", "6.11.3.3", self.delete, _LOCAL),
         )
 
-    def book(self, tenant: Tenant) -> SubscriptionDispatcher:
-        """Return who knows a tenant's subscriptions and has their notifications delivered."""
+    def dispatcher(self, tenant: Tenant) -> SubscriptionDispatcher:
+        """Return the dispatcher of a tenant's subscriptions."""
         return tenant.notifier
 
     async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
-        """Take up the subscriptions of before, each with its counts; their contexts are kept too."""
+        """Load the stored subscriptions, each with its counts; their contexts are kept."""
         found: list[Subscription] = []
-        for body, told in kept:
+        for body, counts in kept:
             try:
                 one = await self._restored(body)
-            except Problem as problem:  # what another release took must not keep this one from starting
+            except Problem as problem:  # a subscription that is not valid any more must not prevent the start
                 log.exception("a subscription cannot be used", document=body.decode(), why=problem.detail)
                 continue
-            if told is not None:
-                one.counts = Counts(*orjson.loads(told))
+            if counts is not None:
+                one.counts = Counts(*orjson.loads(counts))
             found.append(one)
-        self.book(tenant).start(found)
+        self.dispatcher(tenant).start(found)
 
     async def _restored(self, body: bytes) -> Subscription:
         document = orjson.loads(body)
@@ -101,17 +101,17 @@ class SubscriptionOperations:
         )
 
     async def renew(self, tenant: Tenant, context_id: str) -> None:
-        """Make those subscriptions anew whose context was fetched anew: their filters, and what they tell.
+        """Compile subscriptions again whose context has changed.
 
-        The types and attributes that they name stay what these were when they were written.
+        Stored types and attributes stay expanded as they are; filters and notifications use the new names.
         """
         async with self._one_at_a_time:
-            book = self.book(tenant)
-            for one in book.all():
+            dispatcher = self.dispatcher(tenant)
+            for one in dispatcher.all():
                 if one.context.is_made_of(context_id) or one.names.is_made_of(context_id):
                     try:
-                        book.put(await self._restored(orjson.dumps(one.document)))
-                    except Problem as problem:  # it goes on with the context that it was made with
+                        dispatcher.put(await self._restored(orjson.dumps(one.document)))
+                    except Problem as problem:  # it continues with its present context
                         log.warning("a subscription keeps its context", one=one.id, why=problem.detail)
 
     async def create(self, request: RequestContext) -> Response:
@@ -161,7 +161,7 @@ class SubscriptionOperations:
             gone = (self.KIND, request.tenant.name, before.id)
             counts = (Kind.COUNTS, request.tenant.name, before.id)
             await self.write(request.tenant, Entries(documents={gone: None, counts: None}))
-            self.book(request.tenant).remove(before.id)
+            self.dispatcher(request.tenant).remove(before.id)
         return DONE
 
     async def retrieve(self, request: RequestContext) -> Response:
@@ -174,7 +174,7 @@ class SubscriptionOperations:
         """GET subscriptions."""
         media_type, context = request.accept(), await request.reader_context()
         window = window_of(request)
-        found = self.book(request.tenant).all()
+        found = self.dispatcher(request.tenant).all()
         page = found[window.offset : window.offset + window.limit]
         documents = [_with_context(self._shown(one, request, context), media_type, context) for one in page]
         answer = _answer(documents, media_type, context)
@@ -186,7 +186,7 @@ class SubscriptionOperations:
 
     def _existing(self, request: RequestContext) -> Subscription:
         subscription_id = require_uri(request.names[0], "the subscription id in the path")
-        found = self.book(request.tenant).get(subscription_id)
+        found = self.dispatcher(request.tenant).get(subscription_id)
         if found is None:
             raise _absent(subscription_id)
         return found
@@ -194,7 +194,7 @@ class SubscriptionOperations:
     async def _made(self, document: dict[str, Any], names: Context) -> Subscription:
         """Return the subscription of a document whose names are in `names`.
 
-        Notifications are written in `jsonldContext` if the subscriber names one, else in the same.
+        Notifications use `jsonldContext` if it is set, else the same context.
         """
         named = document.get("jsonldContext")
         used = names if named is None else await self._contexts.of(require_uri(named, '"jsonldContext"'))
@@ -205,7 +205,7 @@ class SubscriptionOperations:
         return subscription(kept, used, names)
 
     async def _with_link(self, request: RequestContext, made: Subscription) -> Subscription:
-        """Return the subscription with a context that its notifications can name in a Link header."""
+        """Return the subscription with a context that has a URL for a Link header."""
         base = self._contexts.base(request.headers)
         linked = await self._contexts.linked(made.context, request.tenant.name, base)
         if linked is made.context:
@@ -218,9 +218,9 @@ class SubscriptionOperations:
         await policy.require_allowed(made.endpoint.host, "notification.endpoint.uri")
 
     async def keep(self, tenant: Tenant, made: Subscription) -> None:
-        """Write a new or a changed subscription, and heed it once it is safe."""
+        """Store a new or changed subscription, and activate it once it is durable."""
         await self.write(tenant, self.entries_of(tenant, made))
-        self.book(tenant).put(made)
+        self.dispatcher(tenant).put(made)
 
     def entries_of(self, tenant: Tenant, made: Subscription) -> Entries:
         """Return what is to be written for a subscription."""

@@ -3,7 +3,6 @@
 A change of a geometry updates a few cells, so moving robots do not cause a rebuild.
 """
 
-import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
@@ -119,7 +118,7 @@ class _Grid:
             for cell in _cells(box, self._size_deg):
                 hits.update(self._cells.get(cell, {}))
             return hits
-        west, south, east, north = (math.floor(side / self._size_deg) for side in box)
+        west, south, east, north = (int(side / self._size_deg // 1) for side in box)
         for (x, y), ids in self._cells.items():
             if west <= x <= east and south <= y <= north:
                 hits.update(ids)
@@ -141,12 +140,12 @@ def _boxes(entity_id: str, attribute: str, instances: Iterable[dict[str, Any]]) 
 
 
 def _count(box: Box, size_deg: float) -> int:
-    west, south, east, north = (math.floor(side / size_deg) for side in box)
+    west, south, east, north = (int(side / size_deg // 1) for side in box)
     return (east - west + 1) * (north - south + 1)
 
 
 def _cells(box: Box, size_deg: float) -> Iterator[Cell]:
-    west, south, east, north = (math.floor(side / size_deg) for side in box)
+    west, south, east, north = (int(side / size_deg // 1) for side in box)
     for x in range(west, east + 1):
         for y in range(south, north + 1):
             yield x, y

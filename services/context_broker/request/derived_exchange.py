@@ -1,4 +1,4 @@
-"""Exchanges made from other ones, for a part of an operation."""
+"""Request contexts derived from others, for a part of an operation."""
 
 import copy
 from typing import Any
@@ -7,7 +7,7 @@ from services.context_broker.request.request_context import RequestContext
 
 
 def derived(exchange: RequestContext, **changes: Any) -> RequestContext:
-    """Return a copy of the exchange with some attributes changed."""
+    """Return a copy of the request context with some attributes changed."""
     result = copy.copy(exchange)
     for name, value in changes.items():
         setattr(result, name, value)

@@ -1,4 +1,4 @@
-"""Answers that are one JSON document, or a list of them, in the media type that the client accepts."""
+"""Responses of one JSON document, or a list of them, in the media type that the client accepts."""
 
 from typing import Any
 
@@ -18,5 +18,5 @@ def document_answer(body: Any, media_type: str, context: Context) -> Response:
 
 
 def in_media_type(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:
-    """Return the document, with its @context if it is sent as JSON-LD."""
+    """Return the document, with its @context for JSON-LD."""
     return {"@context": context.document, **document} if media_type == JSON_LD else document

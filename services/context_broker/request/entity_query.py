@@ -1,6 +1,6 @@
-"""A query for entities as a whole: which, how, in what order, with what they link to, and which page of them.
+"""An entity query: selection, view, order, linked entities and page.
 
-Clauses 5.7.2, 6.4.3.2 and 6.23. Parameters and a Query document ask for the same things in two ways.
+Clauses 5.7.2, 6.4.3.2 and 6.23. Query parameters and a Query document are two forms of it.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from services.context_broker.storage.store import Store
 
 @dataclass(frozen=True, slots=True)
 class EntityQuery:
-    """What one asker wants of the entities; `mark` tells its order from others in the links to pages."""
+    """A query of one request; `mark` identifies its order in the links to pages."""
 
     context: Context
     view: View
@@ -38,9 +38,9 @@ def entity_query_of(
     context: Context,
     any_of: tuple[Selection, ...] = (),
 ) -> EntityQuery:
-    """Return what the parameters `given` ask for, of entities that fit one of `any_of` if there are any.
+    """Return the query in the parameters `given`, for entities that match one of `any_of` if there are any.
 
-    Raises a problem (400) that names what cannot be read, or may not be asked for.
+    Raises a problem (400) that names what is invalid or not allowed.
     """
     view = view_of(request, context)
     selection = selection_of(given, context, any_of)
@@ -51,7 +51,7 @@ def entity_query_of(
 
 
 def join_of(given: Mapping[str, str], view: View, selection: Selection | None = None) -> Join | None:
-    """Return how linked entities are wanted; raise a problem (400) if more are spoken of than followed."""
+    """Return the request for linked entities; raise a problem (400) if more links are used than followed."""
     join = linked.join_of(given)
     hops = 0 if selection is None or selection.query is None else selection.query.hops
     if hops or view.projection is not None:
@@ -60,7 +60,7 @@ def join_of(given: Mapping[str, str], view: View, selection: Selection | None = 
 
 
 async def answered(request: RequestContext, store: Store, asking: EntityQuery) -> Response:
-    """Return the answer to a query out of the entities in `store`."""
+    """Return the response to a query of the entities in `store`."""
     page = await search(store, asking.selection, asking.window, asking.order)
     showing = Showing(asking.context, asking.view, asking.join, store.get)
     return entities_answer(request, page, asking.window, showing, asking.mark)

@@ -1,4 +1,4 @@
-"""Entities as the answer to a request: one or a page of them, in the media type that was asked for.
+"""Responses with one entity or a page of entities, in the accepted media type.
 
 Clauses 6.3.4 to 6.3.7, 6.3.10 and 6.3.15.
 """
@@ -23,7 +23,7 @@ from services.context_broker.request.request_context import RequestContext, Resp
 
 
 class Showing(NamedTuple):
-    """How a reader gets entities: in which names and form, and with which others; `lookup` finds these."""
+    """The representation of entities: names, form and linked entities; `lookup` finds these."""
 
     context: Context
     view: View
@@ -32,7 +32,7 @@ class Showing(NamedTuple):
 
 
 def entity_answer(request: RequestContext, entity: Entity, showing: Showing) -> Response:
-    """Return one entity as an answer; with flat linked ones it is a list, be there any or not (4.5.23.3)."""
+    """Return a response with one entity; with flat linked ones it is a list, even of one (4.5.23.3)."""
     if showing.join is not None and showing.join.is_flat:
         return Response(200, *_list_body(request, [entity], showing))
     accept, context = request.accept(WITH_GEO_JSON), showing.context
@@ -49,9 +49,10 @@ def entity_answer(request: RequestContext, entity: Entity, showing: Showing) -> 
 def entities_answer(
     request: RequestContext, page: Page, window: Window, showing: Showing, mark: int = 0
 ) -> Response:
-    """Return a page of entities as an answer, with links to its neighbours.
+    """Return a response with a page of entities, and links to the previous and the next page.
 
-    The links hold places in the order that `mark` tells from others. To a POST the same body goes with them.
+    The links contain positions in the order that `mark` identifies. After a POST the same body is sent to
+    them.
     """
     body, headers = _list_body(request, page.entities, showing)
     if page.total is not None:
@@ -94,10 +95,10 @@ def _texts(entities: list[Entity], showing: Showing) -> Iterable[bytes]:
 def _features(request: RequestContext, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:
     place, terms, view = place_of(request, showing.context), showing.context.terms, showing.view
     if showing.join is None:
-        told = [(one, render(one, terms, view)) for one in entities]
+        documents = [(one, render(one, terms, view)) for one in entities]
     else:
-        told = joined(entities, terms, view, showing.join, showing.lookup)
-    return [feature_of(document, geometry(entity, place, view.datasets)) for entity, document in told]
+        documents = joined(entities, terms, view, showing.join, showing.lookup)
+    return [feature_of(document, geometry(entity, place, view.datasets)) for entity, document in documents]
 
 
 def _geo_headers(context: Context, in_body: bool) -> list[tuple[bytes, bytes]]:

@@ -1,4 +1,4 @@
-"""What a request asks of GeoJSON: which geometry, and where the @context goes."""
+"""Parameters of GeoJSON responses: the geometry, and the place of the @context."""
 
 import re
 from typing import Final
@@ -15,9 +15,9 @@ _PLAIN_BODY: Final = re.compile(rb'(?:^|[,;\s])body\s*=\s*"?json"?(?:$|[,;\s])',
 
 
 def place_of(request: RequestContext, context: Context) -> str:
-    """Return the GeoProperty (IRI) that is asked to be the geometry.
+    """Return the GeoProperty (IRI) that is requested as the geometry.
 
-    Raises a problem (400) if one is asked for and the answer is not to be GeoJSON.
+    Raises a problem (400) if one is requested and the response is not GeoJSON.
     """
     given = request.parameter("geometryProperty")
     if given is None:
@@ -28,5 +28,5 @@ def place_of(request: RequestContext, context: Context) -> str:
 
 
 def has_context_in_body(request: RequestContext) -> bool:
-    """Say whether the @context goes into the GeoJSON: yes, unless the asker prefers plain JSON as body."""
+    """Return whether the @context is in the GeoJSON: yes, unless the client prefers a plain JSON body."""
     return _PLAIN_BODY.search(request.headers.get(b"prefer", b"")) is None

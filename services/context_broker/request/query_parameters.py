@@ -1,4 +1,4 @@
-"""How readers ask: the query parameters of a request made into a selection, a view and a page.
+"""Query parameters of a request, converted to a selection, a view and a page.
 
 Clauses 6.3.7 (representation), 6.3.10 (pagination) and 6.4.3.2 (query parameters).
 """
@@ -30,16 +30,16 @@ VIEW_PARAMETERS: Final = frozenset(
 )
 PAGE_PARAMETERS: Final = frozenset({"limit", "offset", "count", "options", "local"})
 WALK_PARAMETERS: Final = PAGE_PARAMETERS | {PLACE}
-"""Those of pages that are walked through by places in an order."""
+"""Parameters of pages that are linked by positions in an order."""
 LINK_PARAMETERS: Final = linked.PARAMETERS
 MAP_PARAMETERS: Final = frozenset({"entityMap", "entityMapLifetime"})
-"""Parameters of a query that is to be answered by an entity map."""
+"""Parameters of a query that is answered with an entity map."""
 QUERY_PARAMETERS: Final = (
     VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS | ordering.PARAMETERS | geo_query.PARAMETERS
     | {"id", "idPattern", "type", "q", "expandValues", "jsonKeys", "scopeQ", "csf", "splitEntities"}
 )  # fmt: skip
 _SYSTEM: Final = frozenset({"id", "type", "scope", "createdAt", "modifiedAt", "deletedAt", "expiresAt"})
-"""What every entity has: to ask for it narrows nothing down (clause 5.7.2.4)."""
+"""Attributes of every entity: requiring one does not narrow a query (clause 5.7.2.4)."""
 
 _FORMS: Final = {
     "normalized": Form.NORMALIZED,
@@ -51,22 +51,22 @@ _OPTIONS: Final = frozenset({*_FORMS, "sysAttrs", "count"})
 
 
 WHOLE: Final = View()
-"""How entities are wanted by who says nothing of it: most do, and most often."""
+"""The default view, which most requests use."""
 
 
 def options_of(request: RequestContext, known: frozenset[str] = _OPTIONS) -> set[str]:
-    """Return the parameter `options` as a set; raise a problem for one that is not known."""
+    """Return the parameter `options` as a set; raise a problem for an unknown one."""
     given = request.parameter("options")
     if not given:
         return set()
     options = set(given.split(","))
     if unknown := sorted(options - known):
-        raise invalid_request(f"options has no {shown(unknown[0])} here; it knows {', '.join(sorted(known))}")
+        raise invalid_request(f"options has no {shown(unknown[0])} here; use {', '.join(sorted(known))}")
     return options
 
 
 def names_of(given: str | None, context: Context) -> frozenset[str] | None:
-    """Return a comma list of attribute names as IRIs."""
+    """Return a comma-separated list of attribute names as IRIs."""
     if given is None:
         return None
     names = [expand(require_name(name, "a name in attrs"), context.terms) for name in given.split(",")]
@@ -74,7 +74,7 @@ def names_of(given: str | None, context: Context) -> frozenset[str] | None:
 
 
 def view_of(request: RequestContext, context: Context) -> View:
-    """Return how the asker wants entities."""
+    """Return the requested view of entities."""
     if not request.parameters:
         return WHOLE
     options = options_of(request)
@@ -83,9 +83,9 @@ def view_of(request: RequestContext, context: Context) -> View:
     if wanted is not None:
         if wanted not in _FORMS:
             raise invalid_request(f"format is one of {', '.join(_FORMS)}, not {shown(wanted)}")
-        forms = {_FORMS[wanted]}  # it comes before what options say (clause 6.3.7)
+        forms = {_FORMS[wanted]}  # it precedes the options (clause 6.3.7)
     if len(forms) > 1:
-        raise invalid_request(f"more than one form is asked for ({', '.join(sorted(forms))}); choose one")
+        raise invalid_request(f"more than one form is requested ({', '.join(sorted(forms))}); choose one")
     form = forms.pop() if forms else Form.NORMALIZED
     attrs, pick, omit = (request.parameter(name) for name in ("attrs", "pick", "omit"))
     if attrs is not None and (pick is not None or omit is not None):
@@ -93,7 +93,7 @@ def view_of(request: RequestContext, context: Context) -> View:
             "attrs goes together with neither pick nor omit; name attributes in one of them"
         )
     if request.parameter("geometryProperty") is not None:
-        place_of(request, context)  # a fault in it is told before anything is looked for
+        place_of(request, context)  # an invalid one is refused before the query runs
     languages = request.parameter("lang")
     return View(
         form,
@@ -106,7 +106,7 @@ def view_of(request: RequestContext, context: Context) -> View:
 
 
 def datasets_of(given: str | None) -> frozenset[str | None] | None:
-    """Return a comma list of datasetIds, with None for `@none`, the default instance."""
+    """Return a comma-separated list of datasetIds, with None for `@none`, the default instance."""
     if given is None:
         return None
     return frozenset(
@@ -116,14 +116,14 @@ def datasets_of(given: str | None) -> frozenset[str | None] | None:
 
 
 def window_of(request: RequestContext, options: frozenset[str] = _OPTIONS, mark: int = 0) -> Window:
-    """Return which page the asker wants; `mark` tells the order in which its place is one."""
+    """Return the requested page; `mark` identifies the order of its position."""
     offset = _whole_number(request, "offset", 0)
     limit = _whole_number(request, "limit", DEFAULT_LIMIT)
     if limit > MAX_LIMIT:
-        raise too_many_results(f"limit is at most {MAX_LIMIT}, not {limit}; ask page by page with offset")
+        raise too_many_results(f"limit is at most {MAX_LIMIT}, not {limit}; request page by page with offset")
     count = request.flag("count") or "count" in options_of(request, options)
     if limit == 0 and not count:
-        raise bad_request_data("limit=0 asks for nothing; add count=true to learn how many there are")
+        raise bad_request_data("limit=0 returns nothing; add count=true to get the number")
     place = request.parameter(PLACE)
     return Window(offset, limit, count, None if place is None else pages.place_of(place, mark))
 
@@ -131,10 +131,11 @@ def window_of(request: RequestContext, options: frozenset[str] = _OPTIONS, mark:
 def selection_of(
     parameters: Mapping[str, str], context: Context, any_of: tuple[Selection, ...] = ()
 ) -> Selection:
-    """Return which entities are asked for by query parameters (clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2.4).
+    """Return the selection in query parameters (clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2.4).
 
-    If there are any in `any_of`, the entities fit one of these, too. Raises a problem (400) for what cannot
-    be read, and for a query that is too broad: ids alone do not narrow it down (clauses 5.7.2.4, 5.7.4.4).
+    If `any_of` is not empty, entities have to match one of its selections too. Raises a problem (400) for an
+    invalid parameter, and for a query that is too broad: ids alone do not narrow it (clauses 5.7.2.4,
+    5.7.4.4).
     """
     ids, wanted, types, q = (parameters.get(name) for name in ("id", "idPattern", "type", "q"))
     expand_name = context.terms.expand
@@ -149,7 +150,7 @@ def selection_of(
         places=geo_query.geo_query(parameters, expand_name),
         any_of=any_of,
     )
-    _short_names(parameters, "jsonKeys")  # values are compared as they are, so that there is nothing to do
+    _short_names(parameters, "jsonKeys")  # values are compared as they are, so there is nothing to expand
     if (csf := parameters.get("csf")) is not None:
         compiled(csf, context, what="csf")
     refuse_too_broad(selection, parameters)
@@ -157,10 +158,10 @@ def selection_of(
 
 
 def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> None:
-    """Raise a problem (400) if the query is about everything, unless it asks for all that is here."""
+    """Raise a problem (400) if the query selects everything, unless it is local."""
     local = parameters.get("local")
     if selection.types is not None and selection.types.is_every and local == "false":
-        raise bad_request_data("type=* asks for all that is here: local=false contradicts it, leave it out")
+        raise bad_request_data("type=* selects everything here: local=false contradicts it, leave it out")
     attributes = parameters.get("attrs", "").split(",")
     narrows = (
         selection.types is not None
@@ -172,7 +173,7 @@ def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> Non
     if not narrows and local != "true":
         raise bad_request_data(
             "the query is too broad: add type, attrs, q or georel to narrow it down, which id and idPattern "
-            "alone do not (clause 5.7.2.4), or local=true to search all that this broker holds"
+            "alone do not (clause 5.7.2.4), or local=true to search all entities of this broker"
         )
 
 
@@ -184,7 +185,7 @@ def _short_names(parameters: Mapping[str, str], name: str) -> frozenset[str]:
 
 
 def json_headers(context: Context) -> list[tuple[bytes, bytes]]:
-    """Return the headers of an answer in plain JSON, its context named in a Link."""
+    """Return the headers of a response in plain JSON, with its context in a Link header."""
     headers = [(b"content-type", b"application/json")]
     if context.link is not None:
         headers.append((b"link", link_header(context.link).encode()))
@@ -194,7 +195,7 @@ def json_headers(context: Context) -> list[tuple[bytes, bytes]]:
 def page_links(
     request: RequestContext, window: Window, media_type: str, *, more: bool
 ) -> list[tuple[bytes, bytes]]:
-    """Return the Link headers to the page before and after."""
+    """Return the Link headers to the previous and the next page."""
     links: list[tuple[bytes, bytes]] = []
     if window.limit == 0:
         return links
@@ -208,7 +209,7 @@ def page_links(
 def page_link(
     request: RequestContext, offset: int, relation: str, media_type: str, place: str | None = None
 ) -> tuple[bytes, bytes]:
-    """Return the Link header to another page of what was asked for; `place` is where it starts or ends."""
+    """Return the Link header to another page; `place` is the position where it starts or ends."""
     parameters = {name: value for name, value in request.parameters.items() if name != PLACE}
     parameters["offset"] = str(offset)
     if place is not None:

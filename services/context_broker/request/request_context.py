@@ -1,6 +1,6 @@
-"""A request as the broker's rooms see it, and the answer: media types, @contexts and limits are settled here.
+"""Requests and responses of operations: media types, @contexts, limits.
 
-Plain ASGI with orjson, no framework: this is the broker's hottest path (clauses 6.3.4 to 6.3.6).
+Plain ASGI with orjson, without a framework: this is the most frequent code path (clauses 6.3.4 to 6.3.6).
 """
 
 import re
@@ -44,17 +44,17 @@ __all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Disconnected", "Request", "
 PREFIX: Final = "/ngsi-ld/v1/"
 MAX_QUERY_LENGTH: Final = 64 * 1024
 _ANSWERED_AS: Final = {"HEAD": "GET"}
-"""An operation is carried out alike for both; the server leaves the body of an answer to HEAD out."""
+"""Operations treat both the same; the server leaves out the body of a response to HEAD."""
 MAX_HEADER_LENGTH: Final = 4096
 MAX_PARAMETERS: Final = 100
-"""Parameters that are read: no operation has half as many."""
+"""Maximum query parameters: no operation has half as many."""
 LONGEST_REMEMBERED: Final = 1024
-"""Characters of the query of a URL that is kept parsed."""
+"""Maximum length of a query string that is cached."""
 
 BOOLEANS: Final = frozenset(
     {"count", "deleteAll", "details", "entityMap", "local", "reload", "splitEntities"}
 )
-"""Query parameters that are true or false, wherever they stand."""
+"""Boolean query parameters."""
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
 _PLAINLY_SAID: Final = {one.encode(): one for one in _READABLE}
 _WITH_BODY = {"POST", "PATCH", "PUT"}
@@ -62,22 +62,22 @@ _WITH_ENTITIES = tuple(
     PREFIX + path
     for path in ("entities", "entityOperations/query", "temporal/entities", "temporal/entityOperations")
 )
-"""Where entities are asked for."""
+"""Paths of entities."""
 _WITHOUT_BODY: Final[Mapping[int, tuple[tuple[bytes, bytes], ...]]] = {
     411: (),
     415: ((b"accept", f"{JSON}, {JSON_LD}".encode()),),
 }
-"""Refusals without a body (clause 6.3.4), with headers that tell the way out instead (RFC 9110, 15.5.16)."""
+"""Refusals without a body (clause 6.3.4), with headers that name the way out instead (RFC 9110, 15.5.16)."""
 _BROKEN_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
 
 
 class Disconnected(Exception):
-    """The asker has gone before the request was read."""
+    """The client has disconnected before the request was read."""
 
 
 @dataclass(slots=True)
 class Response:
-    """What goes back: a status, a body and headers."""
+    """A response: status, body and headers."""
 
     status: int
     body: bytes = b""
@@ -86,9 +86,9 @@ class Response:
 
 @dataclass(slots=True)
 class Request:
-    """A request as it came: what its head says, and once it is read what it asks for.
+    """A request: its head, and once it is read its parameters and body.
 
-    `headers` are by name in lower case; what was sent twice is joined with a comma.
+    `headers` are by name in lower case; repeated ones are joined with a comma.
     """
 
     method: str
@@ -100,13 +100,13 @@ class Request:
 
     @classmethod
     def of_scope(cls, scope: Scope) -> "Request":
-        """Return the request that ASGI tells of."""
+        """Return the request of an ASGI scope."""
         path = scope.get("raw_path") or scope["path"].encode()
         return cls(scope["method"], path.partition(b"?")[0], scope["query_string"], by_name(scope["headers"]))
 
     @property
     def path(self) -> str:
-        """Return the path as a person reads it."""
+        """Return the decoded path."""
         path = self.raw_path.decode("latin-1")
         return unquote(path) if "%" in path else path
 
@@ -135,7 +135,7 @@ def by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
 
 
 class RequestContext:
-    """A request on its way through the broker; `names` are the parts of the path that name things."""
+    """A request while it is executed; `names` are the variable parts of its path."""
 
     __slots__ = ("contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
 
@@ -156,13 +156,13 @@ class RequestContext:
         return self.parameters.get(name)
 
     def flag(self, name: str) -> bool:
-        """Return a query parameter that is true or false; `require_known` has refused anything else."""
+        """Return a boolean query parameter; `require_known` has refused any other value."""
         return self.parameters.get(name) == "true"
 
     def require_known(self, known: frozenset[str]) -> None:
-        """Refuse parameters that the operation does not have, and booleans that are neither true nor false.
+        """Refuse parameters that the operation does not have, and invalid booleans.
 
-        All booleans are checked here, since an operation reads only those that matter for its answer.
+        All booleans are checked here, since an operation reads only those that it needs.
         """
         for name, given in self.parameters.items():
             if name in BOOLEANS and name in known and given not in {"true", "false"}:
@@ -173,7 +173,7 @@ class RequestContext:
                 )
 
     def document(self) -> Any:
-        """Return the body as JSON; raise a problem (400) if it is none, or nested too deep."""
+        """Return the body as JSON; raise a problem (400) if it is not JSON, or nested too deeply."""
         try:
             document = orjson.loads(self.raw)
         except orjson.JSONDecodeError as error:
@@ -187,7 +187,7 @@ class RequestContext:
         return document
 
     async def body(self) -> tuple[Any, Context]:
-        """Return the body and the context that its names are in."""
+        """Return the body and the context of its names."""
         media_type = self.content_type()
         document = self.document()
         if document.__class__ is dict and media_type != JSON_LD and "@context" not in document:
@@ -199,12 +199,12 @@ class RequestContext:
         return document, await self.context_of(document, media_type)
 
     def content_type(self) -> str:
-        """Return the media type of the body; raise a problem (415) if the broker cannot read it."""
+        """Return the media type of the body; raise a problem (415) if it is not supported."""
         given = self.headers.get(b"content-type", b"")
         media_type = _PLAINLY_SAID.get(given) or given.decode("latin-1").partition(";")[0].strip().lower()
         if media_type not in _READABLE or (media_type == MERGE_PATCH and self.method != "PATCH"):
             raise unsupported_media_type(
-                f"Content-Type {shown(given.decode('latin-1'))} is not read here; send {JSON} (@context in a "
+                f"Content-Type {shown(given.decode('latin-1'))} is not supported; send {JSON} (@context in a "
                 f"Link header) or {JSON_LD} (@context in the body)"
             )
         return media_type
@@ -220,19 +220,17 @@ class RequestContext:
             return await self.contexts.of(in_body)
         if isinstance(document, dict) and "@context" in document:
             raise bad_request_data(
-                f"with {media_type} the @context stands in a Link header; move it there, or send {JSON_LD}"
+                f"with {media_type} the @context belongs into a Link header; move it there, or send {JSON_LD}"
             )
         return await self.contexts.of(link or self.contexts.default)
 
     def require_no_link(self, media_type: str) -> None:
-        """Refuse a Link header beside a body that holds its @context itself (clause 6.3.5)."""
+        """Refuse a Link header beside a body with an @context (clause 6.3.5)."""
         if media_type == JSON_LD and self.link() is not None:
-            raise bad_request_data(
-                f"with {JSON_LD} the @context stands in the body; leave the Link header out"
-            )
+            raise bad_request_data(f"with {JSON_LD} the @context is in the body; leave the Link header out")
 
     async def reader_context(self) -> Context:
-        """Return the context that the asker wants names in."""
+        """Return the context of the names in the response."""
         return await self.contexts.of(self.link() or self.contexts.default)
 
     def link(self) -> str | None:
@@ -241,12 +239,12 @@ class RequestContext:
         return None if given is None else context_link(_of_bearable_length(given, "Link"))
 
     def accept(self, offered: tuple[str, ...] = PLAIN) -> str:
-        """Return the media type of `offered` to answer in; raise a problem (406) if none is wanted."""
+        """Return the accepted media type of `offered`; raise a problem (406) if none is."""
         given = self.headers.get(b"accept")
         chosen = offered[0] if given is None else accepted(_of_bearable_length(given, "Accept"), offered)
         if chosen is None:
             raise not_acceptable(
-                f"Accept {shown((given or b'').decode('latin-1'))} leaves nothing; accept "
+                f"Accept {shown((given or b'').decode('latin-1'))} excludes all of them; accept "
                 f"{', '.join(offered[:-1])} or {offered[-1]}",
                 offered,
             )
@@ -255,7 +253,9 @@ class RequestContext:
 
 def _of_bearable_length(given: bytes, name: str) -> bytes:
     if len(given) > MAX_HEADER_LENGTH:
-        raise invalid_request(f"the {name} header has {len(given)} characters; {MAX_HEADER_LENGTH} are read")
+        raise invalid_request(
+            f"the {name} header has {len(given)} characters; the maximum is {MAX_HEADER_LENGTH}"
+        )
     return given
 
 
@@ -272,7 +272,7 @@ def _read_parameters(query: bytes) -> Mapping[str, str]:
         pairs = parse_qsl(text, keep_blank_values=True, errors="strict", max_num_fields=MAX_PARAMETERS)
     except ValueError as error:
         raise invalid_request(
-            f"the query of the URL cannot be read: {error}; percent-encode it as UTF-8"
+            f"the query of the URL is invalid: {error}; percent-encode it as UTF-8"
         ) from None
     if _BROKEN_PERCENT.search(text):
         raise invalid_request("the query of the URL has a % without two digits after it; write %25 for a %")
@@ -283,7 +283,7 @@ def _read_parameters(query: bytes) -> Mapping[str, str]:
 
 
 async def read(request: Request, body: bytes | Receive, max_bytes: int) -> None:
-    """Read what a request asks for, and its body: the whole of it, or what is still to be received.
+    """Read the parameters and the body of a request: the whole body, or what is still to be received.
 
     Raises a problem: 411 for a body without a Content-Length (clause 6.3.4 has no exception for chunks), 413
     for one larger than `max_bytes`.
@@ -299,7 +299,7 @@ async def read(request: Request, body: bytes | Receive, max_bytes: int) -> None:
         if request.method in _WITH_BODY:
             raise length_required()
     elif announced.isdigit() and int(announced) > max_bytes:
-        raise too_large(f"the body has {int(announced)} bytes; {max_bytes} are read, send less at once")
+        raise too_large(f"the body has {int(announced)} bytes; the maximum is {max_bytes}, send less at once")
     request.body = body if isinstance(body, bytes) else await _whole(body, max_bytes)
 
 
@@ -319,7 +319,7 @@ async def _whole(receive: Receive, max_bytes: int) -> bytes:
 
 
 async def send_response(send: Send, answer: Response) -> None:
-    """Send an answer."""
+    """Send a response."""
     headers = [*answer.headers, (b"content-length", str(len(answer.body)).encode())]
     if answer.status == 204:
         headers = answer.headers
@@ -328,10 +328,10 @@ async def send_response(send: Send, answer: Response) -> None:
 
 
 def with_echoed_headers(request: Request, answer: Response) -> Response:
-    """Return the answer with what the asker is told of its own headers: the tenant, the version it prefers.
+    """Return the response with headers that echo the request: the tenant, the preferred version.
 
-    The tenant is told in errors too (clause 6.3.14). An answer that was made to conform to an earlier version
-    has the status 203 (clause 6.3.21); where nothing had to be changed it stays what it is.
+    The tenant is in errors too (clause 6.3.14). A response that was converted to an earlier version has the
+    status 203 (clause 6.3.21); one that did not have to be converted keeps its status.
     """
     tenant = request.headers.get(b"ngsild-tenant")
     if tenant is not None:
@@ -343,10 +343,10 @@ def with_echoed_headers(request: Request, answer: Response) -> Response:
 
 
 def of_tenant(request: Request, answer: Response) -> Response:
-    """Return the answer to a request that was refused before it was read, with its tenant told back."""
+    """Return the response to a request that was refused before it was read, with its tenant."""
     tenant = request.headers.get(b"ngsild-tenant")
-    told = [] if tenant is None else [(b"ngsild-tenant", tenant)]
-    return Response(answer.status, answer.body, [*answer.headers, *told])
+    tenant_headers = [] if tenant is None else [(b"ngsild-tenant", tenant)]
+    return Response(answer.status, answer.body, [*answer.headers, *tenant_headers])
 
 
 def _as_preferred(request: Request, prefer: bytes, answer: Response) -> Response:
@@ -372,7 +372,7 @@ def _as_preferred(request: Request, prefer: bytes, answer: Response) -> Response
 
 
 def problem_response(problem: Problem) -> Response:
-    """Return a problem as an answer: RFC 7807 as plain JSON, for old clients (clauses 5.5.3 and 6.3.3)."""
+    """Return a problem as a response: RFC 7807 as plain JSON, for old clients (clauses 5.5.3 and 6.3.3)."""
     if problem.status in _WITHOUT_BODY:
         return Response(problem.status, b"", list(_WITHOUT_BODY[problem.status]))
     headers = [(b"content-type", JSON.encode())]

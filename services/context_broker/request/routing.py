@@ -1,7 +1,7 @@
-"""An operation of the API: where it is found, what it is called, what it takes, and what answers it.
+"""Operations and the router that finds them: path, name, parameters and handler of each.
 
-The rooms list their operations with this; the front door finds its way by the lists, refuses parameters that
-an operation does not have, and `operations.md` is checked against them.
+The router refuses parameters that an operation does not have, and `operations.md` is checked against the
+list.
 """
 
 from collections.abc import Awaitable, Callable, Iterable, Mapping
@@ -18,12 +18,12 @@ _NAME: Final = "{"
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """One operation. `path` is what comes after /ngsi-ld/v1/, with the parts that name things in braces.
+    """One operation. `path` is the part after /ngsi-ld/v1/, with its variable parts in braces.
 
-    `name` is the operation's name in the standard (table 4.20-1 where it has one there), `clause` where the
-    standard tells of its HTTP binding; `makes_tenant` says that it may be the first thing of a new tenant,
-    `of_no_tenant` that it finds out itself whose it is, `is_brief` that it waits for nothing but the disk and
-    an @context: it is carried out without a task of its own.
+    `name` is the operation's name in the standard (table 4.20-1 where it is listed), `clause` that of its
+    HTTP binding. `makes_tenant` allows it to create a tenant, `of_no_tenant` means that it finds the tenant
+    itself. `is_brief` means that it waits only for the disk and for an @context, and needs no task of its
+    own.
     """
 
     method: str
@@ -38,7 +38,7 @@ class Operation:
 
     @property
     def title(self) -> str:
-        """Return what it is called in metrics."""
+        """Return its name in metrics."""
         return f"{self.method} {self.path}"
 
 
@@ -49,7 +49,7 @@ def brief(*operations: Operation) -> tuple[Operation, ...]:
 
 @dataclass(slots=True)
 class _Route:
-    """A path, and what can be done there by method."""
+    """A path, and its operations by method."""
 
     template: tuple[str, ...]
     methods: dict[str, Operation] = field(default_factory=dict)
@@ -57,18 +57,18 @@ class _Route:
     _names: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        """Note where words and where names stand; the first word has led here."""
+        """Note the positions of fixed and variable parts; the first part was compared before."""
         places = tuple(enumerate(self.template))
         self._words = tuple((at, part) for at, part in places[1:] if part != _NAME)
         self._names = tuple(at for at, part in places if part == _NAME)
 
     def allowed(self) -> tuple[str, ...]:
-        """Return what can be done here, by HTTP's names."""
+        """Return the allowed methods."""
         head = ("HEAD",) if "GET" in self.methods else ()
         return (*self.methods, *head, "OPTIONS")
 
     def names(self, parts: list[str]) -> tuple[str, ...] | None:
-        """Return the parts that name things if the path leads here."""
+        """Return the variable parts if the path matches."""
         for at, word in self._words:
             if parts[at] != word:
                 return None
@@ -76,7 +76,7 @@ class _Route:
 
 
 class Router:
-    """Finds the operation for a request."""
+    """Finds the operation of a request."""
 
     def __init__(self, operations: Iterable[Operation]) -> None:
         self._places: dict[tuple[str, int], list[_Route]] = {}
@@ -91,9 +91,10 @@ class Router:
             place.methods[one.method] = one
 
     def find(self, request: Request) -> tuple[Operation, tuple[str, ...]]:
-        """Return the operation and the names in its path; raise a problem (404 or 405) if there is none.
+        """Return the operation and the variable parts of its path; raise a problem (404 or 405) if there is
+        none.
 
-        HEAD finds what GET finds.
+        HEAD finds the same as GET.
         """
         place, names = self._place(request)
         method = request.method
@@ -101,13 +102,13 @@ class Router:
         if operation is None:
             path = request.path
             if path == f"{PREFIX}entities/":  # PUT and PATCH, of an entity without an id (5.6.17, 5.6.18)
-                raise bad_request_data("the path ends where the id of an entity is to stand; add it")
+                raise bad_request_data("the path ends where the id of an entity belongs; add it")
             allowed = place.allowed()
             raise method_not_allowed(f"{path} takes {', '.join(allowed)}, not {method}", allowed)
         return operation, names
 
     def allowed(self, request: Request) -> tuple[str, ...]:
-        """Return the methods that a path takes; raise a problem (404) if there is no such path."""
+        """Return the methods of a path; raise a problem (404) if there is no such path."""
         return self._place(request)[0].allowed()
 
     def _place(self, request: Request) -> tuple[_Route, tuple[str, ...]]:

@@ -34,15 +34,15 @@ class SourceSubscriptionOperations(SubscriptionOperations):
             Operation("DELETE", one, "deleteCSRSubscription", "6.13.3.3", self.delete),
         )
 
-    def book(self, tenant: Tenant) -> SubscriptionDispatcher:
+    def dispatcher(self, tenant: Tenant) -> SubscriptionDispatcher:
         """Return the dispatcher of a tenant's subscriptions to registrations."""
         return federated(tenant).source_notifier
 
     async def keep(self, tenant: Tenant, made: Subscription) -> None:
         """Store a subscription together with the notification of all matching registrations."""
-        book = self.book(tenant)
+        dispatcher = self.dispatcher(tenant)
         entries = self.entries_of(tenant, made)
-        entries.pending = notices_of_all(book, federated(tenant).registry, made)
+        entries.pending = notices_of_all(dispatcher, federated(tenant).registry, made)
         await self.write(tenant, entries)
-        book.put(made)
-        book.deliver(entries.pending)
+        dispatcher.put(made)
+        dispatcher.deliver(entries.pending)
