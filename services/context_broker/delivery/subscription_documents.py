@@ -9,6 +9,7 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import moment, require_name, shown
+from services.context_broker.query.parameters import Use, members_for
 from services.context_broker.query.type_selection import type_selection
 
 NAMES_IN: Final = "namesIn"
@@ -20,10 +21,9 @@ CAME_BY: Final = "cameBy"
 
 _KNOWN: Final = frozenset(
     {"id", "type", "subscriptionName", "description", "entities", "watchedAttributes", "notificationTrigger",
-     "timeInterval", "q", "geoQ", "scopeQ", "csf", "isActive", "expiresAt", "throttling", "lang", "datasetId",
-     "localOnly", "notification", "jsonldContext", "@context", "expandValues", "jsonKeys", "splitEntities",
-     "ngsildConformance"}
-)  # fmt: skip
+     "timeInterval", "isActive", "expiresAt", "throttling", "localOnly", "notification", "jsonldContext",
+     "@context", "ngsildConformance"}
+) | members_for(Use.SUBSCRIPTION)  # fmt: skip
 _KNOWN_IN_NOTIFICATION: Final = frozenset(
     {"attributes", "pick", "omit", "format", "sysAttrs", "showChanges", "join", "joinLevel", "endpoint"}
 )

@@ -11,14 +11,12 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity, Event
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import timestamp_now
+from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.query.selection import Selection, hits_of
 from services.context_broker.request.query_parameters import names_of, selection_of
 from services.context_broker.request.request_context import RequestContext, Response
 
-PURGE_PARAMETERS: Final = frozenset(
-    {"type", "id", "idPattern", "attrs", "q", "csf", "scopeQ", "geometry", "georel", "coordinates",
-     "geoproperty", "expandValues", "jsonKeys", "local", "keep", "drop"}
-)  # fmt: skip
+PURGE_PARAMETERS: Final = names_for(Use.PURGE)
 AT_ONCE: Final = 500
 """Entities that are written together."""
 

@@ -16,6 +16,7 @@ from services.context_broker.model.entity import Entity
 from services.context_broker.model.geometry import DEPTHS, fault_of
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_name, shown
+from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.query.sphere import (
     Box,
     border_distance_m,
@@ -26,7 +27,7 @@ from services.context_broker.query.sphere import (
 )
 
 DEFAULT_PROPERTY: Final = "location"
-PARAMETERS: Final = frozenset({"georel", "geometry", "coordinates", "geoproperty"})
+PARAMETERS: Final = names_for(Use.GEO)
 
 _NEAR: Final = re.compile(r"near;(max|min)Distance==((?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][+-]?\d+)?)")
 _RELATIONS: Final = frozenset({"within", "contains", "intersects", "equals", "disjoint", "overlaps"})

@@ -13,9 +13,10 @@ from services.context_broker.model.problems import bad_request_data, too_many_re
 from services.context_broker.model.projection import Projection
 from services.context_broker.model.rendering import Form, View, render
 from services.context_broker.model.validation import require_uri, shown
+from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.query.q_match import Lookup
 
-PARAMETERS: Final = frozenset({"join", "joinLevel", "containedBy"})
+PARAMETERS: Final = names_for(Use.LINKS)
 DEEPEST: Final = 10
 """Maximum depth of links."""
 MAX_LINKED: Final = 10_000

@@ -19,10 +19,11 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import moment, shown
 from services.context_broker.query.collation import Key, collation
 from services.context_broker.query.geo_query import Geometry, distance_to_m, reference_geometry
+from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.query.q_grammar import Path, path_of
 from services.context_broker.query.q_match import Expand, LanguageMap, finder, no_lookup
 
-PARAMETERS: Final = frozenset({"orderBy", "orderFrom", "orderGeometry", "collation"})
+PARAMETERS: Final = names_for(Use.ORDER)
 MAX_KEYS: Final = 10
 """Maximum sort keys."""
 

@@ -8,6 +8,7 @@ import orjson
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_uri, shown
+from services.context_broker.query.parameters import KIND_BY_MEMBER, Kind
 from services.context_broker.query.patterns import pattern
 from services.context_broker.query.selection import Selection
 from services.context_broker.query.type_selection import type_selection
@@ -149,23 +150,13 @@ def _members(what: str, given: Any, names: dict[str, str]) -> dict[str, str]:
     return parameters
 
 
-_READERS: Final[dict[str, Callable[[str, Any], dict[str, str]]]] = {
-    "q": _text,
-    "geoQ": _place,
-    "scopeQ": _text,
-    "csf": _text,
-    "attrs": _texts,
-    "pick": _texts,
-    "omit": _texts,
-    "datasetId": _texts,
-    "containedBy": _texts,
-    "expandValues": _names,
-    "jsonKeys": _names,
-    "join": _text,
-    "joinLevel": _level,
-    "lang": _text,
-    "ordering": _order,
-    "splitEntities": _flag,
-    "entityMap": _flag,
-    "entityMapLifetime": _text,
+_READER_BY_KIND: Final[dict[Kind, Callable[[str, Any], dict[str, str]]]] = {
+    Kind.TEXT: _text,
+    Kind.LIST: _texts,
+    Kind.NAMES: _names,
+    Kind.FLAG: _flag,
+    Kind.NUMBER: _level,
+    Kind.GEO: _place,
+    Kind.ORDER: _order,
 }
+_READERS: Final = {member: _READER_BY_KIND[kind] for member, kind in KIND_BY_MEMBER.items()}

@@ -14,8 +14,9 @@ from services.context_broker.model.problems import bad_request_data, invalid_req
 from services.context_broker.model.projection import read_projection
 from services.context_broker.model.rendering import Form, View
 from services.context_broker.model.validation import require_name, require_uri, shown
-from services.context_broker.query import geo_query, linked, ordering, pages
+from services.context_broker.query import geo_query, pages
 from services.context_broker.query.pages import PLACE, Window
+from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.query.patterns import pattern
 from services.context_broker.query.scope_query import scope_query
 from services.context_broker.query.selection import Selection, compiled
@@ -25,19 +26,16 @@ from services.context_broker.request.request_context import RequestContext
 
 DEFAULT_LIMIT: Final = 20
 MAX_LIMIT: Final = 1000
-VIEW_PARAMETERS: Final = frozenset(
-    {"options", "format", "attrs", "pick", "omit", "lang", "datasetId", "geometryProperty", "local"}
-)
-PAGE_PARAMETERS: Final = frozenset({"limit", "offset", "count", "options", "local"})
-WALK_PARAMETERS: Final = PAGE_PARAMETERS | {PLACE}
+VIEW_PARAMETERS: Final = names_for(Use.VIEW)
+PAGE_PARAMETERS: Final = names_for(Use.PAGE)
+WALK_PARAMETERS: Final = names_for(Use.PAGE | Use.POSITION)
 """Parameters of pages that are linked by positions in an order."""
-LINK_PARAMETERS: Final = linked.PARAMETERS
-MAP_PARAMETERS: Final = frozenset({"entityMap", "entityMapLifetime"})
+LINK_PARAMETERS: Final = names_for(Use.LINKS)
+MAP_PARAMETERS: Final = names_for(Use.MAP)
 """Parameters of a query that is answered with an entity map."""
-QUERY_PARAMETERS: Final = (
-    VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS | ordering.PARAMETERS | geo_query.PARAMETERS
-    | {"id", "idPattern", "type", "q", "expandValues", "jsonKeys", "scopeQ", "csf", "splitEntities"}
-)  # fmt: skip
+QUERY_PARAMETERS: Final = names_for(
+    Use.VIEW | Use.PAGE | Use.POSITION | Use.LINKS | Use.ORDER | Use.GEO | Use.SELECTION
+)
 _SYSTEM: Final = frozenset({"id", "type", "scope", "createdAt", "modifiedAt", "deletedAt", "expiresAt"})
 """Attributes of every entity: requiring one does not narrow a query (clause 5.7.2.4)."""
 

@@ -37,6 +37,7 @@ from services.context_broker.model.problems import (
     unsupported_media_type,
 )
 from services.context_broker.model.validation import shown
+from services.context_broker.query.parameters import BOOLEANS
 from services.context_broker.tenants import Tenant
 
 __all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Disconnected", "Request", "RequestContext", "Response"]
@@ -51,10 +52,6 @@ MAX_PARAMETERS: Final = 100
 LONGEST_REMEMBERED: Final = 1024
 """Maximum length of a query string that is cached."""
 
-BOOLEANS: Final = frozenset(
-    {"count", "deleteAll", "details", "entityMap", "local", "reload", "splitEntities"}
-)
-"""Boolean query parameters."""
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
 _PLAINLY_SAID: Final = {one.encode(): one for one in _READABLE}
 _WITH_BODY = {"POST", "PATCH", "PUT"}

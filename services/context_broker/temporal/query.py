@@ -16,6 +16,7 @@ from services.context_broker.model.projection import read_projection
 from services.context_broker.model.rendering import Form, View
 from services.context_broker.model.validation import moment, require_time, shown
 from services.context_broker.query.pages import Window
+from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.request.query_parameters import datasets_of, names_of, options_of, window_of
 from services.context_broker.request.request_context import RequestContext as Exchange
 from services.context_broker.temporal.aggregation import METHODS, Aggregation
@@ -24,8 +25,8 @@ from services.context_broker.temporal.history import DRIFT_S, micros_of
 
 OBSERVED: Final = "observedAt"
 TIME_PROPERTIES: Final = (OBSERVED, "createdAt", "modifiedAt", "deletedAt")
-TIME_PARAMETERS: Final = frozenset({"timerel", "timeAt", "endTimeAt", "timeproperty", "lastN"})
-AGGREGATION_PARAMETERS: Final = frozenset({"aggrMethods", "aggrPeriodDuration"})
+TIME_PARAMETERS: Final = names_for(Use.TIME)
+AGGREGATION_PARAMETERS: Final = names_for(Use.AGGREGATION)
 MAX_LAST_N: Final = 10**9
 
 

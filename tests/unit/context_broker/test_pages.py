@@ -157,7 +157,7 @@ def test_a_place_in_another_order_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "told", [[], [[1]], [[1, "x"]], [[2, 5]], [[99, 1]], [["x", 1]], [7], [[1, 1], [1, 1]]]
+    "sort_key", [[], [[1]], [[1, "x"]], [[2, 5]], [[99, 1]], [["x", 1]], [7], [[1, 1], [1, 1]]]
 )
 def test_a_place_that_tells_nonsense_is_refused(sort_key: list[Any]) -> None:
     store = empty_store()

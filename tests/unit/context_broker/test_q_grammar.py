@@ -91,7 +91,7 @@ def test_patterns_end_where_their_brackets_do() -> None:
         assert isinstance(tree, And)
         first = tree.terms[0]
         assert isinstance(first, Matches)
-        assert first.pattern.pattern == "^(b|c)"
+        assert first.pattern.text == "^(b|c)"
     negated = parse('a!~="x"')
     assert isinstance(negated, Matches)
     assert negated.negated

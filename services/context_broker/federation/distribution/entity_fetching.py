@@ -22,7 +22,6 @@ from services.context_broker.federation.distribution.forwarding import (
     quoted,
 )
 from services.context_broker.federation.distribution.fragment_collector import FragmentCollector
-from services.context_broker.federation.distribution.query_targets import FILTERS
 from services.context_broker.federation.distribution.source_responses import query_source, read_entities
 from services.context_broker.federation.registrations.registration import (
     EntityTarget,
@@ -33,6 +32,7 @@ from services.context_broker.federation.registrations.registration import (
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
 from services.context_broker.network.http_client import HttpResponse
+from services.context_broker.query.parameters import FILTERS, FORWARDED_TEXTS
 from services.context_broker.request.request_context import JSON
 
 ONE: Final = ("retrieveEntity", "queryEntity", "queryBatch")
@@ -228,7 +228,7 @@ def _question(operation: str, dialect: SourceDialect, parameters: list[tuple[str
     for name in ("attrs", "expandValues", "jsonKeys"):
         if name in given:
             document[name] = given[name].split(",")
-    document |= {name: given[name] for name in ("q", "scopeQ") if name in given}
+    document |= {name: given[name] for name in FORWARDED_TEXTS if name in given}
     if "georel" in given:
         coordinates = orjson.loads(given["coordinates"])
         document["geoQ"] = {"coordinates": coordinates, **{one: given[one] for one in _GEO if one in given}}

@@ -29,7 +29,6 @@ from services.context_broker.federation.distribution.forwarding import (
 )
 from services.context_broker.federation.distribution.fragment_collector import FragmentCollector
 from services.context_broker.federation.distribution.query_targets import (
-    FILTERS,
     refuse_order,
     selector_parameters,
     target_of,
@@ -44,6 +43,7 @@ from services.context_broker.federation.entity_maps.mapped_exchange import with_
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.validation import require_uri
+from services.context_broker.query.parameters import FILTERS
 from services.context_broker.request.request_context import RequestContext as Exchange
 from services.context_broker.request.request_context import Response as Answer
 from services.context_broker.temporal.operations import temporal_parameters

@@ -16,6 +16,7 @@ from services.context_broker.delivery.subscription_documents import NAMES_IN, sh
 from services.context_broker.federation.distribution.forwarding import SourceDialect
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
 from services.context_broker.federation.registrations.registration_parser import registration
+from services.context_broker.query.parameters import FILTER_MEMBERS
 from services.context_broker.query.type_selection import TypeSelection
 
 PATH: Final = "sourceNotifications"
@@ -24,7 +25,6 @@ _NOT_PASSED_ON: Final = (
     "notification", "createdAt", "modifiedAt", "watchedAttributes", "splitEntities", "ngsildConformance",
 )  # fmt: skip
 """Members that only this broker evaluates, or that it sets itself."""
-_FILTERS: Final = ("q", "geoQ", "scopeQ", "expandValues", "jsonKeys")
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ def forwarded_document(one: Subscription, source: Registration, dialect: SourceD
         piece.attributes is None for piece in source.information
     )
     if not is_whole or dialect.context.key != one.names.key or NAMES_IN in one.document:
-        for name in _FILTERS:
+        for name in FILTER_MEMBERS:
             document.pop(name, None)
     names = _watched(one, source)
     if names is not None and one.interval_s is None:

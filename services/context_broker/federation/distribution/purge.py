@@ -26,10 +26,11 @@ from services.context_broker.federation.distribution.forwarding import (
     SourceRequest,
 )
 from services.context_broker.federation.distribution.outcomes import Outcome
-from services.context_broker.federation.distribution.query_targets import FILTERS, may_be_split, target_of
+from services.context_broker.federation.distribution.query_targets import may_be_split, target_of
 from services.context_broker.federation.registrations.registration import EntityTarget, Match
 from services.context_broker.model.context import Context
 from services.context_broker.operations.purge import selection_to_purge
+from services.context_broker.query.parameters import FILTERS, FORWARDED
 from services.context_broker.query.selection import hits_of
 from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import selection_of
@@ -37,7 +38,6 @@ from services.context_broker.request.request_context import RequestContext as Ex
 from services.context_broker.request.request_context import Response as Answer
 
 _NAMING: Final = frozenset({"q", "geoproperty"})
-_AS_THEY_ARE: Final = ("q", "scopeQ", "georel", "geometry", "coordinates", "geoproperty", "idPattern")
 
 
 async def purge(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
@@ -118,7 +118,7 @@ def _narrowed(
     wanted = [("type", _joined(types, dialect))] if types else []
     if match.ids:
         wanted.append(("id", ",".join(match.ids)))
-    wanted += [(name, parameters[name]) for name in _AS_THEY_ARE if name in parameters]
+    wanted += [(name, parameters[name]) for name in FORWARDED if name in parameters]
     gone = _attributes(parameters.get("drop"), context)
     kept = _attributes(parameters.get("keep"), context)
     if all(piece.attributes is not None for piece in one.information):

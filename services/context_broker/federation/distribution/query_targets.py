@@ -12,15 +12,12 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.query import geo_query
+from services.context_broker.query.parameters import FILTERS
 from services.context_broker.query.patterns import pattern
 from services.context_broker.query.scope_query import scope_query
 from services.context_broker.query.selection import compiled
 from services.context_broker.request.query_parameters import datasets_of
 
-FILTERS: Final = (
-    "q", "expandValues", "jsonKeys", "scopeQ", "georel", "geometry", "coordinates", "geoproperty"
-)  # fmt: skip
-"""Parameters that filter whole entities."""
 _NEEDS_MORE: Final = (*FILTERS, "join")
 """Parameters that need attributes beyond those in the response."""
 _TYPE_SIGNS: Final = re.compile(r"[,;|()]+")

@@ -13,7 +13,6 @@ import orjson
 from handover.errors import Problem
 from services.context_broker.federation.distribution import temporal_merge
 from services.context_broker.federation.distribution.distributed_operations import Perform, Sources
-from services.context_broker.federation.distribution.query_targets import FILTERS
 from services.context_broker.federation.distribution.temporal_fetching import (
     SHOWING,
     FetchPart,
@@ -28,6 +27,7 @@ from services.context_broker.federation.distribution.temporal_merge import Evolu
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.model.entity import Entity, Instance
 from services.context_broker.model.entity_parser import expand, read_attribute
+from services.context_broker.query.parameters import FILTER_MEMBERS, FILTERS
 from services.context_broker.query.query_document import selectors_of
 from services.context_broker.query.selection import Selection
 from services.context_broker.request.derived_exchange import derived
@@ -37,7 +37,7 @@ from services.context_broker.temporal.query import TIME_PARAMETERS
 
 MAX_PAGES: Final = 20
 """Pages of a thousand entities that are read from one source."""
-_CONDITIONS: Final = frozenset({"q", "geoQ", "scopeQ", "expandValues", "jsonKeys"})
+_CONDITIONS: Final = frozenset(FILTER_MEMBERS)
 """Filter members of a Query document."""
 _IN_DOCUMENTS: Final = _CONDITIONS | {"aggrParams", "attrs", "datasetId", "lang", *SHOWING}
 _NOT_ASKED: Final = frozenset({*FILTERS, "lastN", "count", "offset", "limit", "attrs", "datasetId", "lang"})

@@ -21,7 +21,6 @@ from services.context_broker.federation.distribution.distributed_operations impo
 )
 from services.context_broker.federation.distribution.forwarding import quoted
 from services.context_broker.federation.distribution.query_targets import (
-    FILTERS,
     coverage_of,
     may_be_split,
     refuse_order,
@@ -50,6 +49,7 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.validation import require_uri
 from services.context_broker.query.pages import Window
+from services.context_broker.query.parameters import FILTERS
 from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import (
     DEFAULT_LIMIT,

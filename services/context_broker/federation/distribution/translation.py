@@ -10,6 +10,7 @@ from typing import Any, Final
 from services.context_broker.model import conformance
 from services.context_broker.model.entity import SAYS, Terms
 from services.context_broker.model.negotiation import Version, version_of
+from services.context_broker.query.parameters import SINCE
 
 _NAMES_NOTHING: Final = frozenset(
     {"id", "@id", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt", "observedAt",
@@ -61,13 +62,7 @@ def _older_question(document: dict[str, Any], at: Version) -> dict[str, Any]:
     return kept
 
 
-_LATE_MEMBERS: Final = {
-    "scopeQ": (1, 4),
-    "notificationTrigger": (1, 6),
-    "jsonldContext": (1, 7),
-    "expandValues": (1, 8),
-    "jsonKeys": (1, 8),
-}
+_LATE_MEMBERS: Final = SINCE | {"notificationTrigger": (1, 6), "jsonldContext": (1, 7)}
 """Members of a query or a subscription with the version that introduced them."""
 _LATE_IN_NOTIFICATION: Final = {"showChanges": (1, 6), "sysAttrs": (1, 6)}
 _ANYTHING: Final = {"id": "urn:ngsi-ld:Part:1", "type": "Part"}

@@ -16,15 +16,14 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_name, require_uri, shown
 from services.context_broker.query import geo_query
 from services.context_broker.query.geo_query import GeoQuery
+from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.query.patterns import pattern
 from services.context_broker.query.scope_query import ScopeQuery, scope_query
 from services.context_broker.query.selection import Selection, compiled
 from services.context_broker.query.type_selection import type_selection
 
-SEARCH_PARAMETERS: Final = geo_query.PARAMETERS | {
-    "id", "type", "idPattern", "attrs", "q", "csf", "timerel", "timeAt", "endTimeAt", "timeproperty", "scopeQ"
-}  # fmt: skip
-_ENOUGH: Final = ("id", "type", "idPattern", "attrs", "q", "csf", "georel", "scopeQ")
+SEARCH_PARAMETERS: Final = names_for(Use.SEARCH)
+_ENOUGH: Final = names_for(Use.SEARCH_CRITERION)
 
 
 @dataclass(frozen=True, slots=True)
