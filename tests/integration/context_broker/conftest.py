@@ -159,7 +159,7 @@ def broker_on() -> Iterator[Callable[[Path], BrokerProcess]]:
 
 
 class Subscriber:
-    """A subscriber: notes what it is told, and answers as it is told to."""
+    """A subscriber that records notifications, and answers with a configured status."""
 
     def __init__(self, port: int = 0) -> None:
         self.received: list[dict[str, Any]] = []
@@ -275,14 +275,14 @@ def near(brokers: list[BrokerProcess]) -> Iterator[httpx.Client]:
 
 @pytest.fixture
 def far(brokers: list[BrokerProcess]) -> Iterator[httpx.Client]:
-    """A client of the second broker, which the first may be told of."""
+    """A client of the second broker, which may be registered with the first."""
     with brokers[1].client() as client:
         yield client
 
 
 @pytest.fixture
 def source() -> Iterator[ScriptedSource]:
-    """A context source that does as it is told."""
+    """A context source with configured responses."""
     made = ScriptedSource()
     yield made
     made.stop()

@@ -1,4 +1,4 @@
-"""Any request to any operation: it is answered, told what is wrong with it, and never breaks the broker.
+"""Any request to any operation: it is answered, with the reason if it is refused, and breaks nothing.
 
 Requests are drawn from the table of operations: names that are there or odd, parameters known and unknown,
 headers, bodies that are almost right. Nothing may be answered with 500, and what was taken must be readable
@@ -361,15 +361,15 @@ def furnish(http: httpx.Client) -> None:
 
 
 def check(answer: httpx.Response, drawn: dict[str, Any]) -> None:
-    told = f"{answer.request.method} {answer.request.url} {drawn}: {answer.status_code} {answer.text[:500]}"
-    assert answer.status_code < 500 or answer.status_code in FROM_ELSEWHERE, told
+    result = f"{answer.request.method} {answer.request.url} {drawn}: {answer.status_code} {answer.text[:500]}"
+    assert answer.status_code < 500 or answer.status_code in FROM_ELSEWHERE, result
     if answer.status_code in {411, 415}:
-        assert not answer.content, told
+        assert not answer.content, result
     elif answer.status_code >= 400:
-        assert answer.json()["detail"], told
-        assert answer.json()["title"], told
+        assert answer.json()["detail"], result
+        assert answer.json()["title"], result
     elif answer.content:
-        assert "json" in answer.headers["content-type"], told
+        assert "json" in answer.headers["content-type"], result
         answer.json()
 
 

@@ -1,4 +1,4 @@
-"""Batches over HTTP: each entity has its own fate."""
+"""Batches over HTTP: each entity has its own result."""
 
 import json
 from typing import Any
@@ -18,7 +18,7 @@ def post(http: httpx.Client, operation: str, body: Any, **parameters: str) -> ht
     return http.post(f"/entityOperations/{operation}", json=body, params=parameters)
 
 
-def test_a_batch_creates_what_it_can_and_tells_the_rest(http: httpx.Client) -> None:
+def test_a_batch_creates_what_it_can_and_reports_the_rest(http: httpx.Client) -> None:
     answer = post(http, "create", [lamp("a"), lamp("b", lit=True)])
     assert answer.status_code == 201
     assert answer.json() == [lamp("a")["id"], lamp("b")["id"]]

@@ -101,7 +101,7 @@ def test_what_a_hosted_context_refers_to_is_fetched_and_cached(http: httpx.Clien
     hosted = str(http.base_url).rstrip("/") + path
     entity = {"id": "urn:x:parts", "type": "Thing", "speed": 3}
     assert http.post("/entities", json=entity, headers=link(hosted)).status_code == 201
-    assert [details(http, url)[told] for told in ("kind", "numberOfHits")] == ["Cached", 2]
+    assert [details(http, url)[received] for received in ("kind", "numberOfHits")] == ["Cached", 2]
     assert details(http, url)["numberOfHits"] == 3  # it was found there, to be looked at
     assert details(http, path.rpartition("/")[2])["numberOfHits"] == 1
     read = http.get("/entities/urn:x:parts?options=keyValues").json()
@@ -110,7 +110,7 @@ def test_what_a_hosted_context_refers_to_is_fetched_and_cached(http: httpx.Clien
     assert (refused.status_code, refused.json()["type"]) == (422, ERRORS + "OperationNotSupported")
 
 
-def test_a_cached_context_is_fetched_anew_when_told_to(http: httpx.Client, publisher: Any) -> None:
+def test_a_cached_context_is_fetched_again_on_request(http: httpx.Client, publisher: Any) -> None:
     url = f"http://127.0.0.1:{publisher.port}/changing.jsonld"
     named = f"/jsonldContexts/{quote(url, safe='')}"
     query = {"options": "keyValues", "type": "Thing", "id": "urn:x:changing"}
@@ -130,7 +130,7 @@ def test_a_cached_context_is_fetched_anew_when_told_to(http: httpx.Client, publi
     assert http.get(f"{named}?details=true").status_code == 404
 
 
-def test_what_was_made_with_a_context_is_made_anew_when_it_is_fetched_anew(
+def test_subscriptions_are_compiled_again_when_their_context_changes(
     http: httpx.Client, publisher: Any, subscriber: Any, eventually: Callable[..., Any]
 ) -> None:
     url = f"http://127.0.0.1:{publisher.port}/renewed.jsonld"
@@ -163,8 +163,8 @@ def test_what_was_made_with_a_context_is_made_anew_when_it_is_fetched_anew(
     assert http.delete(f"/jsonldContexts/{quote(url, safe='')}?reload=true").status_code == 204
     http.patch("/entities/urn:x:pump/attrs", json={"stream": 0}, headers=link(url))
     http.patch("/entities/urn:x:pump/attrs", json={"flow": 3}, headers=link(url))
-    told = eventually(lambda: subscriber.entities("urn:x:sub:renewed")[1:])
-    assert told == [{"id": "urn:x:pump", "type": "Pump", "stream": 0, "flow": 3}]
+    received = eventually(lambda: subscriber.entities("urn:x:sub:renewed")[1:])
+    assert received == [{"id": "urn:x:pump", "type": "Pump", "stream": 0, "flow": 3}]
     eventually(lambda: http.get("/subscriptions/urn:x:sub:renewed").json()["notification"]["timesSent"] == 2)
     assert http.delete("/csourceRegistrations/urn:x:csr:renewed").status_code == 204
 
@@ -190,7 +190,7 @@ def test_who_gives_no_context_has_the_one_that_is_set(own_broker: Any, publisher
         assert core.json()["https://a.example/speed"] == 3
 
 
-def test_a_hosted_context_cannot_be_fetched_anew(http: httpx.Client) -> None:
+def test_a_hosted_context_cannot_be_fetched_again(http: httpx.Client) -> None:
     answer = http.delete(f"{add(http, {})}?reload=true")
     assert (answer.status_code, answer.json()["type"]) == (400, ERRORS + "BadRequestData")
 
@@ -288,7 +288,7 @@ def test_ten_requests_ask_a_server_that_hangs_once(own_broker: Any) -> None:
         with ThreadPoolExecutor(10) as pool:
             answers = list(pool.map(lambda _: http.get("/entities?type=T", headers=link(url)), range(10)))
         assert {answer.status_code for answer in answers} == {504}
-        assert "no answer within 0.5 s" in answers[0].json()["detail"]
+        assert "no response within 0.5 s" in answers[0].json()["detail"]
         asked = 0
         with suppress(BlockingIOError):
             while True:
@@ -339,9 +339,9 @@ def test_contexts_survive_a_power_cut(own_broker: Any, publisher: Any, subscribe
         full = {"id": "urn:x:2", "type": "T", "https://a.example/glow": 5, "https://a.example/speed": 1}
         assert http.post("/entities", json=full).status_code == 201
         wait_for(lambda: len(subscriber.received) >= 2)
-        told = {one["subscriptionId"]: one["data"][0] for one in subscriber.received}
-        assert told["urn:x:sub:0"]["glow"]["value"] == 5, "a deleted context serves its subscriptions on"
-        assert told["urn:x:sub:1"]["speed"]["value"] == 1
+        received = {one["subscriptionId"]: one["data"][0] for one in subscriber.received}
+        assert received["urn:x:sub:0"]["glow"]["value"] == 5, "a deleted context serves its subscriptions on"
+        assert received["urn:x:sub:1"]["speed"]["value"] == 1
 
 
 @pytest.mark.slow

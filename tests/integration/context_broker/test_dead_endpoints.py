@@ -1,4 +1,4 @@
-"""Endpoints that do not answer: what they cost, what is bounded, and what is given up."""
+"""Endpoints that do not answer: what they cost, what is bounded, and what is dropped."""
 
 import re
 import socket
@@ -46,8 +46,8 @@ def closing() -> Iterator[Closing]:
 
 
 def subscribe(http: httpx.Client, name: str, url: str, kind: str, **endpoint: Any) -> str:
-    told = {"entities": [{"type": kind}], "notification": {"endpoint": endpoint}}
-    return f"/subscriptions/{acts.subscribe(http, name, url, **told)}"
+    received = {"entities": [{"type": kind}], "notification": {"endpoint": endpoint}}
+    return f"/subscriptions/{acts.subscribe(http, name, url, **received)}"
 
 
 def create(http: httpx.Client, kind: str, **attributes: Any) -> str:
@@ -104,7 +104,7 @@ def test_after_a_failure_the_endpoint_has_the_rest_that_was_asked_for(
     assert closing.connections == 1
 
 
-def test_what_is_owed_to_a_subscription_that_ends_is_given_up(
+def test_pending_notifications_of_an_expired_subscription_are_dropped(
     http: httpx.Client, shared_broker: Any, closing: Closing, eventually: Eventually
 ) -> None:
     path = subscribe(http, "ending", closing.url, "Ending")
@@ -115,9 +115,9 @@ def test_what_is_owed_to_a_subscription_that_ends_is_given_up(
     assert http.patch(path, json={"expiresAt": soon}).status_code == 204
     given_up = r'handover_broker_notifications_dropped_total\{reason="expired"\}'
     eventually(lambda: shared_broker.metric(given_up) == 3)
-    told = http.get(path).json()
-    assert told["status"] == "expired"
-    assert told["notification"].get("timesFailed", 0) >= 3
+    received = http.get(path).json()
+    assert received["status"] == "expired"
+    assert received["notification"].get("timesFailed", 0) >= 3
     assert http.patch(path, json={"expiresAt": "2999-01-01T00:00:00Z"}).status_code == 204
     assert http.get(path).json()["status"] == "active"
 
@@ -138,8 +138,12 @@ def test_counts_are_true_after_a_power_cut(
             create(http, f"Other{_}", n=0)
         own_broker.kill()
         own_broker.start()
-        told = http.get(good).json()["notification"]
-        assert (told.get("timesSent", 0), told.get("timesFailed", 0), told["status"]) == (1, 0, "ok")
+        received = http.get(good).json()["notification"]
+        assert (received.get("timesSent", 0), received.get("timesFailed", 0), received["status"]) == (
+            1,
+            0,
+            "ok",
+        )
         after = http.get(bad).json()["notification"]
         assert after.get("timesFailed", 0) >= before.get("timesFailed", 0)
         assert after["lastFailure"] >= before["lastFailure"]
@@ -147,7 +151,7 @@ def test_counts_are_true_after_a_power_cut(
 
 
 @pytest.mark.slow
-def test_however_much_a_dead_endpoint_is_owed_the_memory_stays_as_it_is(
+def test_pending_notifications_of_a_dead_endpoint_do_not_grow_memory(
     own_broker: Any, closing: Closing, eventually: Eventually
 ) -> None:
     """Some thousand notifications are enough to see whether a million would fill it."""
@@ -170,10 +174,10 @@ def test_however_much_a_dead_endpoint_is_owed_the_memory_stays_as_it_is(
 
 
 @pytest.mark.slow
-def test_what_a_dead_endpoint_is_owed_fills_neither_memory_nor_disk(
+def test_pending_notifications_of_a_dead_endpoint_are_limited(
     own_broker: Any, closing: Closing, eventually: Eventually
 ) -> None:
-    """Sixty megabytes of notifications are owed, of which one may wait."""
+    """Sixty megabytes of notifications are pending, of which one is allowed."""
     own_broker.extra = {"HANDOVER_BROKER_NOTIFICATION_KEEP_MB": "1"}
     own_broker.start()
     with own_broker.client() as http:

@@ -41,7 +41,7 @@ def test_types_are_listed_by_the_names_of_the_reader(plant: httpx.Client) -> Non
     assert "@context" in linked
 
 
-def test_types_tell_their_attributes(plant: httpx.Client) -> None:
+def test_types_are_returned_with_their_attributes(plant: httpx.Client) -> None:
     details = {one["typeName"]: one for one in plant.get("/types?details=true").json()}
     assert details["Machine"] == {
         "id": f"{DEFAULT}Machine",
@@ -68,7 +68,7 @@ def test_types_tell_their_attributes(plant: httpx.Client) -> None:
     ]
 
 
-def test_attributes_are_listed_and_tell_their_types(plant: httpx.Client) -> None:
+def test_attributes_are_listed_with_their_types(plant: httpx.Client) -> None:
     found = plant.get("/attributes").json()
     assert found["type"] == "AttributeList"
     assert sorted(found["attributeList"]) == ["isIn", "location", "speed"]
@@ -104,7 +104,7 @@ def test_parameters_that_discovery_does_not_have_are_refused(plant: httpx.Client
     assert (answer.status_code, answer.json()["type"]) == (400, f"{ERRORS}InvalidRequest")
 
 
-def test_what_sources_have_registered_is_told_too(plant: httpx.Client) -> None:
+def test_registered_types_and_attributes_are_returned_too(plant: httpx.Client) -> None:
     registration = {
         "id": "urn:x:registration:discovery",
         "type": "ContextSourceRegistration",

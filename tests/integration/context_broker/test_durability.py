@@ -1,4 +1,4 @@
-"""What was acknowledged is there: after a power cut, after a full disk, for those not told yet."""
+"""Acknowledged changes survive power failures and full disks, with their pending notifications."""
 
 import re
 import resource
@@ -25,7 +25,7 @@ def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
     body = {
         "id": subscription_id,
         "type": "Subscription",
-        "entities": [{"type": "Owed"}],
+        "entities": [{"type": "Waiting"}],
         "notification": {"endpoint": {"uri": url, "accept": "application/json"}},
         **members,
     }
@@ -34,9 +34,9 @@ def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
 
 
 def numbers(subscriber: Any) -> list[int]:
-    """What a subscriber was told, without what it was told twice in a row."""
-    told = [entity["n"]["value"] for entity in subscriber.entities()]
-    return [number for place, number in enumerate(told) if place == 0 or told[place - 1] != number]
+    """Return what a subscriber received, without immediate repetitions."""
+    received = [entity["n"]["value"] for entity in subscriber.entities()]
+    return [number for place, number in enumerate(received) if place == 0 or received[place - 1] != number]
 
 
 def refused(broker: Any) -> str:
@@ -51,18 +51,18 @@ def refused(broker: Any) -> str:
 
 @pytest.mark.slow
 @on_both
-def test_what_was_owed_before_a_power_cut_is_told_after_it(
+def test_notifications_pending_at_a_power_failure_are_sent_after_it(
     own_broker: Any, new_subscriber: Callable[..., Any], eventually: Eventually
 ) -> None:
     subscriber = new_subscriber()
     subscriber.status = 503
     own_broker.start()
     with own_broker.client() as http:
-        subscription = subscribe(http, "owed", subscriber.url)
+        subscription = subscribe(http, "waiting", subscriber.url)
         throttled = subscribe(http, "throttled", subscriber.url, throttling=0.2)
         gone = subscribe(http, "gone", subscriber.url)
         for number in range(300):  # more than memory holds for one subscriber
-            entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "n": number}
+            entity = {"id": f"urn:ngsi-ld:Waiting:demo:{number}", "type": "Waiting", "n": number}
             assert http.post("/entities", json=entity).status_code == 201
         assert http.delete(f"/subscriptions/{gone}").status_code == 204
     own_broker.kill()
@@ -70,13 +70,13 @@ def test_what_was_owed_before_a_power_cut_is_told_after_it(
     own_broker.start()
     with own_broker.client() as http:
 
-        def told(one: str) -> list[int]:
+        def received(one: str) -> list[int]:
             return [entity["n"]["value"] for entity in subscriber.entities(one)]
 
-        eventually(lambda: len(told(subscription)) >= 300)
-        assert told(subscription) == list(range(300))
-        eventually(lambda: set(told(throttled)) == set(range(300)))
-        assert told(gone) == []
+        eventually(lambda: len(received(subscription)) >= 300)
+        assert received(subscription) == list(range(300))
+        eventually(lambda: set(received(throttled)) == set(range(300)))
+        assert received(gone) == []
         path = f"/subscriptions/{subscription}"
         eventually(lambda: http.get(path).json()["notification"]["timesSent"] >= 300)
     own_broker.stop()
@@ -84,10 +84,10 @@ def test_what_was_owed_before_a_power_cut_is_told_after_it(
     own_broker.start()
     with own_broker.client() as http:
         assert http.get(path).json()["notification"]["timesSent"] >= 300
-        entity = {"id": "urn:ngsi-ld:Owed:demo:last", "type": "Owed", "n": 300}
+        entity = {"id": "urn:ngsi-ld:Waiting:demo:last", "type": "Waiting", "n": 300}
         assert http.post("/entities", json=entity).status_code == 201
-        eventually(lambda: 300 in told(subscription))
-    assert subscriber.received[before]["data"][0]["n"]["value"] == 300, "what was delivered is not told again"
+        eventually(lambda: 300 in received(subscription))
+    assert subscriber.received[before]["data"][0]["n"]["value"] == 300, "what was delivered is not sent again"
 
 
 @pytest.mark.slow
@@ -103,13 +103,13 @@ def test_power_cuts_while_notifying_lose_no_notification_and_keep_the_order(
         with own_broker.client() as http:
             for _ in range(60):
                 number += 1
-                entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "n": number}
+                entity = {"id": f"urn:ngsi-ld:Waiting:demo:{number}", "type": "Waiting", "n": number}
                 assert http.post("/entities", json=entity).status_code == 201
         own_broker.kill()
         own_broker.start()
     eventually(lambda: set(numbers(subscriber)) == set(range(1, number + 1)))
-    first_told = list(dict.fromkeys(numbers(subscriber)))
-    assert first_told == sorted(first_told)
+    first_received = list(dict.fromkeys(numbers(subscriber)))
+    assert first_received == sorted(first_received)
 
 
 @pytest.mark.slow
@@ -122,7 +122,7 @@ def test_a_million_would_not_fill_the_memory_because_a_window_of_them_is_held(
     own_broker.start()
     with own_broker.client() as http:
         subscribe(http, "slow", subscriber.url)
-        entities = [{"id": f"urn:ngsi-ld:Owed:demo:{n}", "type": "Owed", "n": n} for n in range(1500)]
+        entities = [{"id": f"urn:ngsi-ld:Waiting:demo:{n}", "type": "Waiting", "n": n} for n in range(1500)]
         for start in range(0, 1500, 500):
             answer = http.post("/entityOperations/create", json=entities[start : start + 500])
             assert answer.status_code == 201
@@ -154,7 +154,7 @@ def test_a_full_disk_refuses_writes_and_nothing_else(
 ) -> None:
     with own_broker.client() as http:
         subscribe(http, "full", subscriber.url)
-        first = {"id": "urn:ngsi-ld:Owed:demo:first", "type": "Owed", "n": 0}
+        first = {"id": "urn:ngsi-ld:Waiting:demo:first", "type": "Waiting", "n": 0}
         assert http.post("/entities", json=first).status_code == 201
         eventually(lambda: numbers(subscriber) == [0])
         path = f"/entities/{first['id']}"
@@ -163,7 +163,7 @@ def test_a_full_disk_refuses_writes_and_nothing_else(
         assert refused.status_code == 507, refused.text
         assert "not stored" in refused.json()["detail"]
         pad = "x" * 1_000_000
-        lost = {"id": "urn:ngsi-ld:Owed:demo:lost", "type": "Owed", "n": 9, "pad": pad}
+        lost = {"id": "urn:ngsi-ld:Waiting:demo:lost", "type": "Waiting", "n": 9, "pad": pad}
         assert http.post("/entities", json=lost).status_code == 507
         batch = http.post("/entityOperations/upsert", json=[{**first, "n": 5, "pad": pad}, lost])
         assert batch.status_code == 207
@@ -222,19 +222,21 @@ def test_a_broker_on_a_full_disk_starts_serves_reads_and_recovers_by_itself(
     broker = broker_on(small_disk).start()
     subscriber.status = 503
     ever = {"timerel": "after", "timeAt": "1970-01-01T00:00:00Z", "timeproperty": "modifiedAt"}
-    ids = [f"urn:ngsi-ld:Owed:demo:{number}" for number in range(40)]
+    ids = [f"urn:ngsi-ld:Waiting:demo:{number}" for number in range(40)]
     with broker.client() as http:
         subscribe(http, "full", subscriber.url)
         for name in ids[:30]:
-            entity = {"id": name, "type": "Owed", "n": 0, "pad": "x" * 2000}
+            entity = {"id": name, "type": "Waiting", "n": 0, "pad": "x" * 2000}
             assert http.post("/entities", json=entity).status_code == 201
         assert http.delete(f"/entities/{ids[0]}").status_code == 204
-        assert len(http.get("/temporal/entities", params={"type": "Owed", "limit": 50, **ever}).json()) == 30
+        assert (
+            len(http.get("/temporal/entities", params={"type": "Waiting", "limit": 50, **ever}).json()) == 30
+        )
         with closing(sqlite3.connect(small_disk / "broker.db", isolation_level=None)) as other:
             if ends == "killed":
                 other.execute("BEGIN IMMEDIATE")  # so that the log alone has the rest
             for name in ids[30:]:
-                assert http.post("/entities", json={"id": name, "type": "Owed", "n": 1}).status_code == 201
+                assert http.post("/entities", json={"id": name, "type": "Waiting", "n": 1}).status_code == 201
             assert http.patch(f"/entities/{ids[1]}/attrs", json={"n": 2}).status_code == 204
             assert http.delete(f"/entities/{ids[2]}").status_code == 204
             broker.kill() if ends == "killed" else broker.stop()
@@ -244,28 +246,30 @@ def test_a_broker_on_a_full_disk_starts_serves_reads_and_recovers_by_itself(
     assert str(small_disk) in answer.json()["storage"]
     assert " bytes free" in answer.json()["storage"]
     with broker.client() as http:
-        found = http.get("/entities", params={"type": "Owed", "limit": 100, "options": "keyValues"}).json()
+        found = http.get("/entities", params={"type": "Waiting", "limit": 100, "options": "keyValues"}).json()
         assert [one["id"] for one in found] == [ids[1], *ids[3:]]
         assert found[0]["n"] == 2
         for _ in range(3):
-            refused = http.post("/entities", json={"id": "urn:ngsi-ld:Owed:demo:more", "type": "Owed"})
+            refused = http.post("/entities", json={"id": "urn:ngsi-ld:Waiting:demo:more", "type": "Waiting"})
             assert refused.status_code == 507
             assert "not stored" in refused.json()["detail"]
-        assert http.get("/entities/urn:ngsi-ld:Owed:demo:more").status_code == 404
-        past = http.get("/temporal/entities", params={"type": "Owed", "limit": 50, **ever})
+        assert http.get("/entities/urn:ngsi-ld:Waiting:demo:more").status_code == 404
+        past = http.get("/temporal/entities", params={"type": "Waiting", "limit": 50, **ever})
         assert past.status_code == (503 if ends == "killed" else 200)
         fill(small_disk)
         (small_disk / "filler").unlink()
         eventually(lambda: httpx.get(f"{broker.url}/readyz", trust_env=False).is_success)
-        entity = {"id": "urn:ngsi-ld:Owed:demo:more", "type": "Owed", "n": 3}
+        entity = {"id": "urn:ngsi-ld:Waiting:demo:more", "type": "Waiting", "n": 3}
         assert http.post("/entities", json=entity).status_code == 201
-        assert len(http.get("/temporal/entities", params={"type": "Owed", "limit": 50, **ever}).json()) == 41
+        assert (
+            len(http.get("/temporal/entities", params={"type": "Waiting", "limit": 50, **ever}).json()) == 41
+        )
         subscriber.status = 200
         eventually(lambda: {one["id"] for one in subscriber.entities()} >= {*ids[30:], entity["id"]})
     broker.kill()
     broker.start()
     with broker.client() as http:
-        found = http.get("/entities", params={"type": "Owed", "limit": 100}).json()
+        found = http.get("/entities", params={"type": "Waiting", "limit": 100}).json()
         assert [one["id"] for one in found] == [ids[1], *ids[3:], entity["id"]]
     broker.stop()
     assert [row[0] for row in _rows(small_disk)] == ["ok"]
@@ -285,7 +289,7 @@ def test_a_running_broker_whose_disk_becomes_full_refuses_writes_until_there_is_
     with broker.client() as http:
         fill(small_disk)
         for number in range(200):  # the log has space of its own, and takes some of them
-            entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "pad": "x" * 100_000}
+            entity = {"id": f"urn:ngsi-ld:Waiting:demo:{number}", "type": "Waiting", "pad": "x" * 100_000}
             answer = http.post("/entities", json=entity)
             if answer.status_code != 201:
                 break
@@ -302,7 +306,7 @@ def test_a_running_broker_whose_disk_becomes_full_refuses_writes_until_there_is_
     broker.kill()
     broker.start()
     with broker.client() as http:
-        asked = {"type": "Owed", "limit": 1000, "pick": "id"}
+        asked = {"type": "Waiting", "limit": 1000, "pick": "id"}
         assert [one["id"] for one in http.get("/entities", params=asked).json()] == created
 
 
@@ -317,15 +321,15 @@ def test_writes_go_on_and_stay_while_somebody_else_holds_the_tables(
         with closing(sqlite3.connect(own_broker.data_dir / "broker.db", isolation_level=None)) as other:
             other.execute("BEGIN IMMEDIATE")
             for number in range(50):
-                entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "n": number}
+                entity = {"id": f"urn:ngsi-ld:Waiting:demo:{number}", "type": "Waiting", "n": number}
                 assert http.post("/entities", json=entity).status_code == 201
             own_broker.kill()
             other.execute("ROLLBACK")
     own_broker.start()
     with own_broker.client() as http:
-        found = http.get("/entities", params={"type": "Owed", "limit": 100, "options": "keyValues"}).json()
+        found = http.get("/entities", params={"type": "Waiting", "limit": 100, "options": "keyValues"}).json()
         assert [one["n"] for one in found] == list(range(50))
-        ever = {"type": "Owed", "limit": 100, "timerel": "after", "timeAt": "1970-01-01T00:00:00Z"}
+        ever = {"type": "Waiting", "limit": 100, "timerel": "after", "timeAt": "1970-01-01T00:00:00Z"}
         ever["timeproperty"] = "modifiedAt"
         assert len(http.get("/temporal/entities", params=ever).json()) == 50
     eventually(lambda: sorted(set(numbers(subscriber))) == list(range(50)))
@@ -340,13 +344,13 @@ def test_a_damaged_log_is_refused_in_one_line(own_broker: Any) -> None:
     ):
         other.execute("BEGIN IMMEDIATE")
         for number in range(3):
-            entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "pad": "x" * 5000}
+            entity = {"id": f"urn:ngsi-ld:Waiting:demo:{number}", "type": "Waiting", "pad": "x" * 5000}
             assert http.post("/entities", json=entity).status_code == 201
         own_broker.kill()
         other.execute("ROLLBACK")
     file = own_broker.data_dir / "broker.log-1"
     content = file.read_bytes()
-    at = content.rindex(b"Owed:demo:1")
+    at = content.rindex(b"Waiting:demo:1")
     file.write_bytes(content[:at] + b"?" + content[at + 1 :])
     last = refused(own_broker)
     assert "damaged data: " in last
@@ -358,7 +362,7 @@ def test_a_damaged_log_is_refused_in_one_line(own_broker: Any) -> None:
 def test_a_bit_that_flips_in_an_entity_is_refused_in_one_line(own_broker: Any) -> None:
     own_broker.start()
     with own_broker.client() as http:
-        entity = {"id": "urn:ngsi-ld:Owed:demo:1", "type": "Owed", "speed": 1234567}
+        entity = {"id": "urn:ngsi-ld:Waiting:demo:1", "type": "Waiting", "speed": 1234567}
         assert http.post("/entities", json=entity).status_code == 201
     own_broker.stop()
     file = own_broker.data_dir / "broker.db"
@@ -377,7 +381,7 @@ def test_a_value_of_the_past_that_is_damaged_is_not_served(own_broker: Any) -> N
     own_broker.start()
     ever = {"timerel": "after", "timeAt": "1970-01-01T00:00:00Z", "timeproperty": "modifiedAt"}
     with own_broker.client() as http:
-        entity = {"id": "urn:ngsi-ld:Owed:demo:1", "type": "Owed", "speed": 1234567}
+        entity = {"id": "urn:ngsi-ld:Waiting:demo:1", "type": "Waiting", "speed": 1234567}
         assert http.post("/entities", json=entity).status_code == 201
         assert http.patch(f"/entities/{entity['id']}/attrs", json={"speed": 1}).status_code == 204
     own_broker.stop()
@@ -400,7 +404,7 @@ def test_a_database_that_was_stopped_in_order_can_be_restored_alone(
 ) -> None:
     """Beside the log of a broker that was killed it is refused: that log has changes that are in no table."""
     own_broker.start()
-    entity = {"id": "urn:ngsi-ld:Owed:demo:kept", "type": "Owed", "n": 1}
+    entity = {"id": "urn:ngsi-ld:Waiting:demo:kept", "type": "Waiting", "n": 1}
     with own_broker.client() as http:
         assert http.post("/entities", json=entity).status_code == 201
     own_broker.stop()

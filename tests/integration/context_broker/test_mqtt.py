@@ -153,11 +153,11 @@ def test_what_could_not_be_published_comes_in_order_when_the_server_is_back(
     mosquitto.stop()
     for number in range(1, 20):
         assert http.patch(f"/entities/{entity}/attrs", json={"n": number}).status_code == 204
-    told = eventually(
+    result = eventually(
         lambda: (found := http.get(path).json()["notification"])["timesFailed"] and found,
         why="nothing failed",
     )
-    assert told["status"] == "failed"
+    assert result["status"] == "failed"
     assert http.patch(path, json={"isActive": False}).status_code == 204  # until somebody listens again
     mosquitto.start()
     assert mosquitto.is_listening.wait(120)
@@ -167,9 +167,7 @@ def test_what_could_not_be_published_comes_in_order_when_the_server_is_back(
     assert list(dict.fromkeys(values)) == list(range(20))
 
 
-def test_a_server_that_is_not_there_is_a_failure_that_is_told(
-    http: httpx.Client, eventually: Eventually
-) -> None:
+def test_an_unreachable_server_is_a_reported_failure(http: httpx.Client, eventually: Eventually) -> None:
     path = subscribe(http, "MqttNobody", "mqtt://127.0.0.1:9/topic")
     create(http, "MqttNobody", a=1)
     eventually(lambda: http.get(path).json()["notification"].get("status") == "failed")

@@ -142,7 +142,7 @@ def test_a_context_is_fetched_once_and_survives_the_loss_of_its_server(
         (task("n1", scope="/a//b"), JSON, 400, "scope"),
     ],
 )
-def test_what_cannot_be_taken_is_told_why(
+def test_an_invalid_registration_is_refused_with_the_reason(
     http: httpx.Client, body: Any, headers: dict[str, str], status: int, word: str
 ) -> None:
     answer = post(http, body, headers)
@@ -293,7 +293,7 @@ def test_an_earlier_version_is_spoken_to_who_prefers_it(http: httpx.Client) -> N
     assert "1.6" in refused.json()["detail"]
 
 
-def test_a_tenant_is_told_back_in_errors_too(http: httpx.Client) -> None:
+def test_errors_echo_the_tenant_too(http: httpx.Client) -> None:
     for _ in range(2):
         for path, status in (("/types", 404), ("/nowhere", 404), ("/entityOperations/create", 405)):
             answer = http.get(path, headers={"NGSILD-Tenant": "no-such-tenant"})
@@ -302,7 +302,7 @@ def test_a_tenant_is_told_back_in_errors_too(http: httpx.Client) -> None:
     assert "ngsild-tenant" not in http.get("/entities?type=Task").headers
 
 
-def test_a_tenant_is_told_that_there_is_one_tenant_only(http: httpx.Client) -> None:
+def test_a_tenant_is_refused_where_there_is_only_one(http: httpx.Client) -> None:
     answer = http.get("/types", headers={"NGSILD-Tenant": "cell-4"})
     assert answer.status_code == 404
     assert answer.json()["type"].endswith("NonexistentTenant")

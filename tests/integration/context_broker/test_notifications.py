@@ -1,4 +1,4 @@
-"""Notifications: who is told what, in which order, and what happens when somebody does not listen."""
+"""Notifications: content, order, and endpoints that do not respond."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -11,26 +11,26 @@ from tests.integration.context_broker.acts import Eventually, create, patch, sub
 
 
 def change_data(http: httpx.Client, subscription: str) -> dict[str, Any]:
-    """What the broker tells of a subscription's notifications: no counts before the first attempt."""
-    told: dict[str, Any] = http.get(f"/subscriptions/{subscription}").json()["notification"]
-    return told
+    """Return the counts of a subscription; there are none before the first attempt."""
+    received: dict[str, Any] = http.get(f"/subscriptions/{subscription}").json()["notification"]
+    return received
 
 
-def test_a_notification_tells_how_the_entity_is_now(
+def test_a_notification_has_the_present_entity(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
-    subscription = subscribe(http, "Tell", subscriber.url)
-    create(http, "Tell", status="pending")
+    subscription = subscribe(http, "Present", subscriber.url)
+    create(http, "Present", status="pending")
     eventually(lambda: subscriber.received)
-    told = subscriber.received[0]
-    assert told["type"] == "Notification"
-    assert told["id"].startswith("urn:ngsi-ld:Notification:")
-    assert told["subscriptionId"] == subscription
-    assert told["notifiedAt"].endswith("Z")
-    assert told["data"] == [
+    received = subscriber.received[0]
+    assert received["type"] == "Notification"
+    assert received["id"].startswith("urn:ngsi-ld:Notification:")
+    assert received["subscriptionId"] == subscription
+    assert received["notifiedAt"].endswith("Z")
+    assert received["data"] == [
         {
-            "id": "urn:ngsi-ld:Tell:demo:1",
-            "type": "Tell",
+            "id": "urn:ngsi-ld:Present:demo:1",
+            "type": "Present",
             "status": {"type": "Property", "value": "pending"},
         }
     ]
@@ -38,7 +38,7 @@ def test_a_notification_tells_how_the_entity_is_now(
     assert "json-ld#context" in subscriber.headers[0]["link"]
 
 
-def test_only_watched_attributes_are_told(
+def test_only_watched_attributes_are_notified(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     subscribe(http, "Watch", subscriber.url, watchedAttributes=["status", "requestedStatus"])
@@ -52,7 +52,7 @@ def test_only_watched_attributes_are_told(
     assert subscriber.entities()[1]["other"]["value"] == 2
 
 
-def test_q_id_and_pattern_choose_who_is_told_of(
+def test_q_id_and_pattern_select_notified_entities(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     selectors = [
@@ -77,7 +77,7 @@ def test_q_id_and_pattern_choose_who_is_told_of(
         ("simplified", "pending"),
     ],
 )
-def test_format_and_attributes_shape_what_is_told(
+def test_format_and_attributes_shape_notifications(
     http: httpx.Client, subscriber: Any, eventually: Eventually, form: str, status: Any
 ) -> None:
     kind = f"Form{form}"
@@ -87,7 +87,7 @@ def test_format_and_attributes_shape_what_is_told(
     assert subscriber.entities() == [{"id": f"urn:ngsi-ld:{kind}:demo:1", "type": kind, "status": status}]
 
 
-def test_who_knows_an_earlier_version_only_is_told_in_its_kinds(
+def test_clients_of_an_earlier_version_receive_kinds_that_they_know(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     subscribe(http, "Older", subscriber.url, ngsildConformance="1.6")
@@ -102,8 +102,8 @@ def test_who_knows_an_earlier_version_only_is_told_in_its_kinds(
     )
     create(http, "Older", colour={"type": "VocabProperty", "vocab": "red"})
     eventually(lambda: len(subscriber.received) == 2)
-    for told in (one["data"] for one in subscriber.received):
-        shown = told[0] if isinstance(told, list) else told["features"][0]["properties"]
+    for received in (one["data"] for one in subscriber.received):
+        shown = received[0] if isinstance(received, list) else received["features"][0]["properties"]
         assert shown["colour"] == {"type": "Property", "value": "red"}
 
 
@@ -148,7 +148,7 @@ def test_the_order_is_kept_and_the_counts_are_true(
     assert "lastFailure" not in notification
 
 
-def test_the_paused_the_expired_and_the_deleted_are_not_told(
+def test_paused_expired_and_deleted_subscriptions_are_not_notified(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     subscribe(http, "Quiet", subscriber.url, isActive=False)
@@ -179,13 +179,13 @@ def test_a_dead_and_a_hanging_subscriber_delay_nobody_else(
         patch(http, entity, n=number)
     eventually(lambda: len(subscriber.received) == 100, within_s=4)
     assert hanging.received == []
-    told = http.get(f"/subscriptions/{dead}").json()["notification"]
-    assert told["status"] == "failed"
-    assert told.get("timesFailed", 0) >= 1
+    received = http.get(f"/subscriptions/{dead}").json()["notification"]
+    assert received["status"] == "failed"
+    assert received.get("timesFailed", 0) >= 1
     hanging.go_on.set()
     eventually(lambda: len({one["n"]["value"] for one in hanging.entities()}) == 100, within_s=30)
-    first_told = list(dict.fromkeys(one["n"]["value"] for one in hanging.entities()))
-    assert first_told == list(range(100))
+    first_received = list(dict.fromkeys(one["n"]["value"] for one in hanging.entities()))
+    assert first_received == list(range(100))
 
 
 def test_what_could_not_be_delivered_comes_when_the_subscriber_is_back(
@@ -206,7 +206,7 @@ def test_what_could_not_be_delivered_comes_when_the_subscriber_is_back(
             and found
         )
     )
-    assert sent_again.get("timesFailed", 0) >= 2  # each attempt; sent is what was told, however often it took
+    assert sent_again.get("timesFailed", 0) >= 2  # each attempt; sent counts notifications, not attempts
 
 
 def test_a_notification_that_is_refused_for_good_makes_way_for_the_next(
@@ -224,7 +224,7 @@ def test_a_notification_that_is_refused_for_good_makes_way_for_the_next(
     assert shared_broker.metric("handover_broker_notifications_dropped_total") >= 1
 
 
-def test_throttled_changes_are_told_together_and_the_last_state_is_never_lost(
+def test_throttled_changes_are_sent_together_and_the_last_state_is_never_lost(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     subscribe(http, "Throttle", subscriber.url, throttling=0.5)

@@ -1,4 +1,4 @@
-"""How entities are told: members picked and omitted, languages, instances, GeoJSON, system attributes."""
+"""Representations of entities: pick and omit, languages, instances, GeoJSON, system attributes."""
 
 from typing import Any
 
@@ -83,7 +83,7 @@ def test_a_projection_that_is_none_is_refused(http: httpx.Client, parameters: di
         ("pt", "fr"),
     ],
 )
-def test_a_wording_is_told_in_the_best_language(http: httpx.Client, wanted: str, tag: str) -> None:
+def test_a_text_is_returned_in_the_best_language(http: httpx.Client, wanted: str, tag: str) -> None:
     words = {"fr": "Grand Place", "nl": "Grote Markt", "en-US": ["Main Square", "Square"]}
     shop = "urn:ngsi-ld:Shop:demo:words"
     http.post(
@@ -131,7 +131,7 @@ def test_instances_are_chosen_by_dataset(http: httpx.Client) -> None:
     assert read(http, shop, datasetId="urn:x:de", attrs="name") == {"id": shop, "type": "Shop"}
 
 
-def test_an_entity_is_told_as_a_feature(http: httpx.Client) -> None:
+def test_an_entity_is_returned_as_a_feature(http: httpx.Client) -> None:
     point, other = ({"type": "Point", "coordinates": [x, 2]} for x in (1, 9))
     location = [
         {"type": "GeoProperty", "value": other, "datasetId": "urn:x:gps"},
@@ -167,7 +167,7 @@ def test_an_entity_is_told_as_a_feature(http: httpx.Client) -> None:
     assert "geo+json" in refused(http, shop, geometryProperty="spot")
 
 
-def test_a_page_is_told_as_a_collection_of_features(http: httpx.Client) -> None:
+def test_a_page_is_a_feature_collection(http: httpx.Client) -> None:
     shop = made(http, "collection", location={"type": "Point", "coordinates": [1, 2]})
     answer = http.get("/entities", params={"type": "Shop", "id": shop, "count": "true"}, headers=GEO)
     assert answer.headers["ngsild-results-count"] == "1"
@@ -177,7 +177,7 @@ def test_a_page_is_told_as_a_collection_of_features(http: httpx.Client) -> None:
     assert "@context" not in body["features"][0]
 
 
-def test_ends_are_told_with_the_system_attributes(http: httpx.Client) -> None:
+def test_expiries_are_returned_with_the_system_attributes(http: httpx.Client) -> None:
     end = "2100-01-01T00:00:00Z"
     shop = made(http, "ends", expiresAt=end, size={"type": "Property", "value": 1, "expiresAt": end})
     assert "expiresAt" not in http.get(f"/entities/{shop}").text

@@ -170,7 +170,10 @@ def test_brokers_that_are_killed_in_turn_lose_nothing_and_repeat_little(
             found = http.get("/entities", params={"type": "Load", "limit": 1000}).json()
         assert {one["id"] for one in found} == things_of(writers)
         promised = {
-            (thing, number) for writer in writers for thing, sent in writer.told.items() for number in sent
+            (thing, number)
+            for writer in writers
+            for thing, sent in writer.returned.items()
+            for number in sent
         }
         eventually(lambda promised=promised: promised <= received(subscriber), 60, "some were not notified")
         repeated = [one["id"] for one in subscriber.received[before:]]

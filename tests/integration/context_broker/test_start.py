@@ -45,7 +45,7 @@ def test_what_is_seldom_used_is_not_loaded_at_a_start(own_broker: Any) -> None:
     own_broker.start()
     loaded = Path(f"/proc/{own_broker.process.pid}/maps")
     if not loaded.exists():
-        pytest.skip("only Linux tells what a process has loaded")
+        pytest.skip("only Linux lists what a process has loaded")
     assert "site-packages/orjson" in loaded.read_text()
     assert not [name for name in SELDOM if f"site-packages/{name}" in loaded.read_text()]
 

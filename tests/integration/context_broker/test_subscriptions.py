@@ -72,7 +72,7 @@ def test_a_subscription_is_read_back_as_it_was(http: httpx.Client) -> None:
     assert kept == given
 
 
-def test_what_is_told_periodically_and_what_is_picked_are_read_back(http: httpx.Client) -> None:
+def test_periodic_and_picked_subscriptions_are_read_back(http: httpx.Client) -> None:
     given = wish(
         "periodic",
         entities=[{"type": "(Device;Asset),Task"}],
@@ -278,7 +278,7 @@ def test_subscriptions_are_listed_page_by_page(http: httpx.Client) -> None:
         ({"geoQ": {}}, 400, "geoQ"),
     ],
 )
-def test_a_subscription_that_cannot_be_is_told_why(
+def test_an_invalid_subscription_is_refused_with_the_reason(
     http: httpx.Client, members: dict[str, Any], status: int, word: str
 ) -> None:
     body = {name: value for name, value in wish("refused", **members).items() if value is not None}

@@ -14,25 +14,25 @@ def soon(seconds: float) -> str:
     return (datetime.now(UTC) + timedelta(seconds=seconds)).isoformat()[:23] + "Z"
 
 
-def guest(short: str, /, **members: Any) -> dict[str, Any]:
-    return {"id": f"urn:ngsi-ld:Guest:demo:{short}", "type": "Guest", **members}
+def visitor(short: str, /, **members: Any) -> dict[str, Any]:
+    return {"id": f"urn:ngsi-ld:Visitor:demo:{short}", "type": "Visitor", **members}
 
 
 def status(http: httpx.Client, name: str) -> int:
-    return http.get(f"/entities/urn:ngsi-ld:Guest:demo:{name}").status_code
+    return http.get(f"/entities/urn:ngsi-ld:Visitor:demo:{name}").status_code
 
 
 def test_an_entity_ends_when_its_time_has_come(http: httpx.Client, eventually: Callable[..., Any]) -> None:
-    assert http.post("/entities", json=guest("short", expiresAt=soon(0.4))).status_code == 201
-    assert http.post("/entities", json=guest("long", expiresAt=soon(3600))).status_code == 201
+    assert http.post("/entities", json=visitor("short", expiresAt=soon(0.4))).status_code == 201
+    assert http.post("/entities", json=visitor("long", expiresAt=soon(3600))).status_code == 201
     eventually(lambda: status(http, "short") == 404)
     assert status(http, "long") == 200
 
 
 def test_an_end_may_be_put_off_or_taken_back(http: httpx.Client, eventually: Callable[..., Any]) -> None:
     for name in ("later", "never", "first"):
-        assert http.post("/entities", json=guest(name, expiresAt=soon(0.5))).status_code == 201
-    later, never = (f"/entities/urn:ngsi-ld:Guest:demo:{name}" for name in ("later", "never"))
+        assert http.post("/entities", json=visitor(name, expiresAt=soon(0.5))).status_code == 201
+    later, never = (f"/entities/urn:ngsi-ld:Visitor:demo:{name}" for name in ("later", "never"))
     assert http.patch(later, json={"expiresAt": soon(3600)}).status_code == 204
     assert http.patch(never, json={"expiresAt": "urn:ngsi-ld:null"}).status_code == 204
     eventually(lambda: status(http, "first") == 404)
@@ -42,10 +42,10 @@ def test_an_end_may_be_put_off_or_taken_back(http: httpx.Client, eventually: Cal
 
 def test_an_attribute_ends_and_the_entity_stays(http: httpx.Client, eventually: Callable[..., Any]) -> None:
     badge = {"type": "Property", "value": "visitor", "expiresAt": soon(0.4)}
-    assert http.post("/entities", json=guest("badge", badge=badge, name="Ada")).status_code == 201
-    path = "/entities/urn:ngsi-ld:Guest:demo:badge"
+    assert http.post("/entities", json=visitor("badge", badge=badge, name="Ada")).status_code == 201
+    path = "/entities/urn:ngsi-ld:Visitor:demo:badge"
     eventually(lambda: "badge" not in http.get(path).json())
-    assert http.get(path, params={"options": "keyValues"}).json() == guest("badge", name="Ada")
+    assert http.get(path, params={"options": "keyValues"}).json() == visitor("badge", name="Ada")
 
 
 def test_an_end_that_is_past_is_refused(http: httpx.Client) -> None:
@@ -54,7 +54,7 @@ def test_an_end_that_is_past_is_refused(http: httpx.Client) -> None:
         {"expiresAt": "soon"},
         {"a": {"value": 1, "expiresAt": "2020-01-01T00:00:00Z"}},
     ):
-        answer = http.post("/entities", json=guest("past", **members))
+        answer = http.post("/entities", json=visitor("past", **members))
         assert answer.status_code == 400
         assert "expiresAt" in answer.json()["detail"]
 
@@ -65,8 +65,8 @@ def test_what_should_have_ended_while_the_broker_was_down_ends_at_its_start(
     own_broker.start()
     end = time.time() + 0.3
     with own_broker.client() as http:
-        assert http.post("/entities", json=guest("gone", expiresAt=soon(0.3))).status_code == 201
-        assert http.post("/entities", json=guest("here", a=1)).status_code == 201
+        assert http.post("/entities", json=visitor("gone", expiresAt=soon(0.3))).status_code == 201
+        assert http.post("/entities", json=visitor("here", a=1)).status_code == 201
     own_broker.kill()
     eventually(lambda: time.time() > end)
     own_broker.start()
@@ -88,35 +88,35 @@ def test_a_subscriber_is_told_of_an_end(
     assert http.post("/subscriptions", json=subscription).status_code == 201
     leaver = {"id": "urn:ngsi-ld:Leaver:demo:1", "type": "Leaver", "expiresAt": soon(0.3)}
     assert http.post("/entities", json=leaver).status_code == 201
-    told = eventually(subscriber.entities)
-    assert told[0]["id"] == leaver["id"]
+    result = eventually(subscriber.entities)
+    assert result[0]["id"] == leaver["id"]
 
 
 def test_the_past_of_an_entity_ends_when_its_time_has_come(
     http: httpx.Client, eventually: Callable[..., Any]
 ) -> None:
-    one = "urn:ngsi-ld:Guest:demo:remembered"
+    one = "urn:ngsi-ld:Visitor:demo:remembered"
     end = soon(1.5)
-    body = {"id": one, "type": "Guest", "expiresAt": soon(3600), "a": readings([1, 2])}
+    body = {"id": one, "type": "Visitor", "expiresAt": soon(3600), "a": readings([1, 2])}
     assert http.post(PAST, json=body).status_code == 201
     assert http.post(f"{PAST}/{one}/attrs", json={"expiresAt": end, "a": readings([3], 2)}).status_code == 204
     told_with = read_evolution(http, one, options="sysAttrs")
     assert (told_with["expiresAt"], values(told_with, "a")) == (end, [1, 2, 3])
     assert "expiresAt" not in read_evolution(http, one)
     eventually(lambda: http.get(f"{PAST}/{one}").status_code == 404)
-    since = {"type": "Guest", "id": one, "timerel": "after", "timeAt": at(0), "timeproperty": "observedAt"}
+    since = {"type": "Visitor", "id": one, "timerel": "after", "timeAt": at(0), "timeproperty": "observedAt"}
     assert http.get(PAST, params=since).json() == []
     assert http.post(f"{PAST}/{one}/attrs", json={"a": readings([4], 3)}).status_code == 404
-    assert http.post(PAST, json={"id": one, "type": "Guest", "a": readings([5], 4)}).status_code == 201
+    assert http.post(PAST, json={"id": one, "type": "Visitor", "a": readings([5], 4)}).status_code == 201
     assert values(read_evolution(http, one), "a") == [5]
 
 
 def test_an_instance_of_the_past_ends_when_its_time_has_come(
     http: httpx.Client, eventually: Callable[..., Any]
 ) -> None:
-    one = "urn:ngsi-ld:Guest:demo:fading"
+    one = "urn:ngsi-ld:Visitor:demo:fading"
     fading = [*readings([1]), *readings([2], 1, expiresAt=soon(1.0))]
-    assert http.post(PAST, json={"id": one, "type": "Guest", "a": fading}).status_code == 201
+    assert http.post(PAST, json={"id": one, "type": "Visitor", "a": fading}).status_code == 201
     assert [("expiresAt" in each) for each in read_evolution(http, one, options="sysAttrs")["a"]] == [
         False,
         True,
@@ -126,8 +126,8 @@ def test_an_instance_of_the_past_ends_when_its_time_has_come(
 
 def test_the_past_of_what_ended_now_is_still_told(http: httpx.Client, eventually: Callable[..., Any]) -> None:
     badge = {"type": "Property", "value": "visitor", "expiresAt": soon(0.4)}
-    assert http.post("/entities", json=guest("left", badge=badge)).status_code == 201
-    one, listed = "urn:ngsi-ld:Guest:demo:left", {"timeproperty": "modifiedAt", "options": "sysAttrs"}
+    assert http.post("/entities", json=visitor("left", badge=badge)).status_code == 201
+    one, listed = "urn:ngsi-ld:Visitor:demo:left", {"timeproperty": "modifiedAt", "options": "sysAttrs"}
     eventually(lambda: "badge" not in http.get(f"/entities/{one}").json())
     assert values(read_evolution(http, one, **listed), "badge") == ["visitor"]
     end = soon(3600)
@@ -136,9 +136,9 @@ def test_the_past_of_what_ended_now_is_still_told(http: httpx.Client, eventually
 
 
 def test_the_end_of_a_current_entity_is_not_set_in_its_past(http: httpx.Client) -> None:
-    assert http.post("/entities", json=guest("present", a=1)).status_code == 201
-    refused = http.post(PAST, json=guest("present", a=readings([1]), expiresAt=soon(3600)))
+    assert http.post("/entities", json=visitor("present", a=1)).status_code == 201
+    refused = http.post(PAST, json=visitor("present", a=readings([1]), expiresAt=soon(3600)))
     assert refused.status_code == 400
     assert "expiresAt" in refused.json()["detail"]
-    refused = http.post(PAST, json=guest("late", a=readings([1]), expiresAt="2020-01-01T00:00:00Z"))
+    refused = http.post(PAST, json=visitor("late", a=readings([1]), expiresAt="2020-01-01T00:00:00Z"))
     assert refused.status_code == 400

@@ -137,19 +137,19 @@ def test_pruning_takes_attributes_or_leaves_them() -> None:
     assert changes.pruned(before, frozenset({"x:y"}), AFTER, keep=False).entity is before
 
 
-def test_a_merge_that_is_told_when_it_was_seen_renews_times_that_were_there() -> None:
+def test_a_merge_with_observed_at_updates_existing_times() -> None:
     old, new, own = (f"2026-01-0{day}T00:00:00Z" for day in (1, 2, 3))
     before = entity(a={"value": 1, "observedAt": old}, b={"value": 1, "observedAt": old}, c=1)
     part = change(a=2, b={"value": 2, "observedAt": own}, c=2)
-    told = shown(changes.merged(before, part, AFTER, new).entity, Form.CONCISE)
-    assert told == {"a": {"value": 2, "observedAt": new}, "b": {"value": 2, "observedAt": own}, "c": 2}
+    result = shown(changes.merged(before, part, AFTER, new).entity, Form.CONCISE)
+    assert result == {"a": {"value": 2, "observedAt": new}, "b": {"value": 2, "observedAt": own}, "c": 2}
 
 
 def test_a_merge_leaves_no_null_in_what_is_new() -> None:
-    told = shown(
+    result = shown(
         changes.merged(entity(), change(a={"value": {"x": NULL, "y": {"z": NULL, "w": 1}}}), AFTER).entity
     )
-    assert told == {"a": {"y": {"w": 1}}}
+    assert result == {"a": {"y": {"w": 1}}}
 
 
 def test_scopes_are_overwritten_added_or_left_alone() -> None:

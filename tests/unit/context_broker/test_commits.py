@@ -1,4 +1,4 @@
-"""Commits, on the event loop and in a thread: each maker is told once, in order, of what is on disk."""
+"""Commits, on the event loop and in a thread: each writer is called back once, in order."""
 
 import asyncio
 import math
@@ -101,10 +101,10 @@ def test_what_is_long_is_left_to_the_thread(tmp_path: Path) -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(turns=st.lists(st.tuples(st.booleans(), st.integers(1, 5), st.booleans()), max_size=12))
-def test_however_quick_the_disk_is_makers_are_told_once_and_in_order(
+def test_writers_are_called_back_once_and_in_order_on_any_disk(
     tmp_path_factory: pytest.TempPathFactory, turns: list[tuple[bool, int, bool]]
 ) -> None:
-    told: list[int] = []
+    result: list[int] = []
     made = 0
 
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
@@ -113,14 +113,14 @@ def test_however_quick_the_disk_is_makers_are_told_once_and_in_order(
             journal.took_s = QUICK if is_quick else SLOW
             for _ in range(writes):
                 made += 1
-                queue.submit(entity(made), lambda place=made: told.append(place), lambda _: None)  # type: ignore[misc]
+                queue.submit(entity(made), lambda place=made: result.append(place), lambda _: None)  # type: ignore[misc]
             if waits:
                 await queue.store(Entries())
             else:
                 await asyncio.sleep(0)
 
     journal = run(tmp_path_factory.mktemp("turns"), steps)
-    assert told == list(range(1, made + 1))
+    assert result == list(range(1, made + 1))
     assert journal.last_sequence() == made
     journal.close()
 

@@ -1,4 +1,4 @@
-"""Contexts that are kept: for how long, what is fetched anew, what a restart finds."""
+"""Stored contexts: how long they are cached, what is fetched again, what a restart loads."""
 
 import asyncio
 from collections.abc import Mapping
@@ -109,7 +109,7 @@ async def test_a_context_is_fetched_once_while_its_time_lasts() -> None:
     assert "expiresAt" in one.details("http://x")
 
 
-async def test_a_context_whose_time_is_over_is_fetched_anew_beside_its_use() -> None:
+async def test_an_expired_context_is_fetched_again_in_the_background() -> None:
     shelf = Shelf(Published(context(speed="old"), -1))
     before = await shelf.book.of(URL)
     shelf.published.document = context(speed="new")
@@ -126,7 +126,7 @@ async def test_a_context_whose_time_is_over_is_fetched_anew_beside_its_use() -> 
     assert (await shelf.opened().as_before(URL)).terms.expand("speed") == "https://a.example/new"
 
 
-async def test_a_context_that_cannot_be_fetched_anew_is_kept_beyond_its_time() -> None:
+async def test_an_expired_context_that_cannot_be_fetched_stays_in_use() -> None:
     shelf = Shelf(Published(context(speed="old"), -1))
     for document in (context(speed="old"), None, {"@context": 5}):
         await shelf.book.of(URL)

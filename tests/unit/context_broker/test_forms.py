@@ -1,4 +1,4 @@
-"""Intake and rendering: what was sent comes back, in each form, and all forms tell the same."""
+"""Parsing and rendering: entities are returned as sent, in each form, and all forms are equivalent."""
 
 from dataclasses import asdict
 from typing import Any
@@ -130,7 +130,7 @@ def test_concise_is_read_back_to_the_same_entity(document: dict[str, Any]) -> No
 
 
 @given(both(ENTITIES, SCOPES))
-def test_scopes_are_told_in_every_form(document: dict[str, Any]) -> None:
+def test_scopes_are_returned_in_every_form(document: dict[str, Any]) -> None:
     for form in Form:
         assert render(kept(document), TERMS, View(form)).get("scope") == document.get("scope")
 

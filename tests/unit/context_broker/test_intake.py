@@ -239,7 +239,7 @@ def test_a_whole_entity_has_an_id_and_a_type() -> None:
     for document in documents:
         with pytest.raises(Problem):
             read_entity(document, TERMS)
-    change = read_entity({"@id": "urn:x:1", "@type": ["Task", "Chore", "Task"]}, TERMS)
+    change = read_entity({"@id": "urn:x:1", "@type": ["Task", "Job", "Task"]}, TERMS)
     assert (change.id, len(change.types)) == ("urn:x:1", 2)
 
 

@@ -1,4 +1,4 @@
-"""`operations.md` tells of every operation and parameter that the broker has, and of tests that are there."""
+"""`operations.md` lists every operation and parameter of the broker, with tests that exist."""
 
 import re
 from pathlib import Path
@@ -29,21 +29,23 @@ def rows(heading: str) -> dict[str, list[str]]:
     return found
 
 
-def test_every_operation_is_told_of_as_it_is(table: tuple[Operation, ...]) -> None:
-    told = rows("By path")
+def test_every_operation_is_documented(table: tuple[Operation, ...]) -> None:
+    result = rows("By path")
     for one in table:
         parameters = ", ".join(f"`{name}`" for name in sorted(one.parameters)) or "–"
         expected = [one.name, one.clause, parameters]
         path = f"{one.method} {one.path}"
         row = f"| `{path}` | {' | '.join(expected)} | `test_file.py::test_that_shows_it` |"
-        assert told.get(path, [])[:3] == expected, f"operations.md needs the row {row}"
-    assert told.keys() == {f"{one.method} {one.path}" for one in table}, "and no others"
+        assert result.get(path, [])[:3] == expected, f"operations.md needs the row {row}"
+    assert result.keys() == {f"{one.method} {one.path}" for one in table}, "and no others"
 
 
-def test_every_parameter_is_told_of(table: tuple[Operation, ...]) -> None:
+def test_every_parameter_is_documented(table: tuple[Operation, ...]) -> None:
     there = {name for one in table for name in one.parameters}
-    told = rows("Parameters")
-    assert told.keys() == there, f"operations.md differs in {sorted(told.keys() ^ there)} under Parameters"
+    result = rows("Parameters")
+    assert result.keys() == there, (
+        f"operations.md differs in {sorted(result.keys() ^ there)} under Parameters"
+    )
 
 
 @pytest.mark.parametrize("heading", ["By path", "Parameters", "Headers and methods", "Context sources"])

@@ -159,7 +159,7 @@ def test_a_place_in_another_order_is_refused() -> None:
 @pytest.mark.parametrize(
     "sort_key", [[], [[1]], [[1, "x"]], [[2, 5]], [[99, 1]], [["x", 1]], [7], [[1, 1], [1, 1]]]
 )
-def test_a_place_that_tells_nonsense_is_refused(sort_key: list[Any]) -> None:
+def test_a_position_with_an_invalid_sort_key_is_refused(sort_key: list[Any]) -> None:
     store = empty_store()
     store.take(thing(1, 1, 5))
     with pytest.raises(Problem) as refused:

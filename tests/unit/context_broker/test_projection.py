@@ -34,7 +34,7 @@ def status_of(act: Callable[[], object]) -> int | None:
     return None
 
 
-def test_braces_tell_what_is_wanted_of_linked_entities() -> None:
+def test_braces_select_members_of_linked_entities() -> None:
     wanted = read_projection("id,at{name,in{id|description}}", "at{type},b", TERMS)
     assert wanted is not None
     at = TERMS.expand("at")
@@ -82,10 +82,10 @@ def test_the_best_language_is_found(wordings: tuple[str, ...], wanted: str, tag:
     assert best_tag(dict.fromkeys(wordings, "x"), preferences(wanted)) == tag
 
 
-def test_wordings_below_an_attribute_are_told_in_the_language_too() -> None:
+def test_texts_of_sub_attributes_are_returned_in_the_language_too() -> None:
     one = entity(a={"value": 1, "note": {"languageMap": {"en": "part", "fi": "osa"}}})
-    told = render(one, TERMS, View(Form.CONCISE, languages=preferences("fi")))
-    assert told["a"] == {"value": 1, "note": {"value": "osa", "lang": "fi"}}
+    result = render(one, TERMS, View(Form.CONCISE, languages=preferences("fi")))
+    assert result["a"] == {"value": 1, "note": {"value": "osa", "lang": "fi"}}
 
 
 def test_a_feature_has_the_geometry_of_the_default_instance() -> None:

@@ -241,7 +241,7 @@ OPERATIONS = st.lists(st.tuples(st.integers(0, 3), st.lists(PLAIN, max_size=3)),
 
 
 @given(OPERATIONS, st.integers(-3, 3), st.integers(-3, 3))
-def test_an_index_that_follows_changes_is_the_one_made_anew(
+def test_an_updated_index_equals_a_rebuilt_one(
     changes: list[tuple[int, list[object]]], low: int, high: int
 ) -> None:
     kept = AttributeIndex(VOCAB + "a", [])

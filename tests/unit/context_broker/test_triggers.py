@@ -1,4 +1,4 @@
-"""Triggers: which changes concern which subscriptions, and what is told of them."""
+"""Triggers: which changes concern which subscriptions, and what is notified of them."""
 
 import asyncio
 from dataclasses import replace
@@ -75,18 +75,18 @@ INSTANCE_ADDED = changed(entity(a=[_KEPT]), entity(a=[_KEPT, instance(2, "urn:x:
     ],
 )
 def test_each_kind_of_change_has_its_triggers(event: Event, kinds: set[str]) -> None:
-    heeded = {kind for kind in ALL if Triggers(read_kinds([kind])).match(entity_change(event))}
-    assert heeded == kinds
+    matched = {kind for kind in ALL if Triggers(read_kinds([kind])).match(entity_change(event))}
+    assert matched == kinds
 
 
 def test_without_triggers_attributes_that_are_made_or_changed_count() -> None:
     assert read_kinds(None) is DEFAULT
     assert read_kinds(["attributeUpdated", "attributeCreated"]) is DEFAULT
-    heeded = [
+    matched = [
         Triggers().match(entity_change(event))
         for event in (CREATED, UPDATED, APPENDED, ATTRIBUTE_GONE, DELETED)
     ]
-    assert heeded == [True, True, True, False, False]
+    assert matched == [True, True, True, False, False]
 
 
 @pytest.mark.parametrize("kinds", [None, ["entityUpdated"], list(ALL)])
@@ -108,12 +108,12 @@ def test_scopes_are_watched_by_their_name() -> None:
 
 @pytest.mark.parametrize("form", ["normalized", "concise"])
 @pytest.mark.parametrize("shows", [True, False])
-def test_scopes_are_told_as_they_are_and_their_end_by_null(form: str, shows: bool) -> None:
+def test_scopes_are_notified_and_their_deletion_is_null(form: str, shows: bool) -> None:
     members = {"notificationTrigger": ["entityUpdated"]}
     wanted = {"format": form, "showChanges": shows}
-    assert told(RESCOPED, notification=wanted, **members)["scope"] == "/yard"
-    assert told(UNSCOPED, notification=wanted, **members)["scope"] == NULL
-    assert "scope" not in told(UNSCOPED, notification={**wanted, "pick": ["a"]}, **members)
+    assert returned(RESCOPED, notification=wanted, **members)["scope"] == "/yard"
+    assert returned(UNSCOPED, notification=wanted, **members)["scope"] == NULL
+    assert "scope" not in returned(UNSCOPED, notification={**wanted, "pick": ["a"]}, **members)
 
 
 @pytest.mark.parametrize("given", [[], "entityCreated", ["created"], [4], [["entityCreated"]], {}])
@@ -128,32 +128,32 @@ def subscribed(**members: Any) -> Subscription:
     return subscription({**kept_document(given, CONTEXT), "context": HANDOVER_URL}, CONTEXT)
 
 
-def told(event: Event, **members: Any) -> Any:
+def returned(event: Event, **members: Any) -> Any:
     return orjson.loads(change_data(subscribed(**members), entity_change(event)))
 
 
-def test_the_end_of_an_entity_is_told_by_its_time_alone() -> None:
-    said = told(DELETED, notificationTrigger=["entityDeleted"])
+def test_a_deleted_entity_is_notified_by_deleted_at() -> None:
+    said = returned(DELETED, notificationTrigger=["entityDeleted"])
     assert list(said) == ["id", "type", "deletedAt"]
 
 
-def test_the_end_of_watched_attributes_with_their_entity_is_told_one_by_one() -> None:
+def test_watched_attributes_of_a_deleted_entity_are_listed() -> None:
     members = {"notificationTrigger": ["attributeDeleted"], "watchedAttributes": ["a"]}
-    said = told(DELETED, **members)
+    said = returned(DELETED, **members)
     assert {name: said[name] for name in said if name not in {"id", "type", "deletedAt"}} == {
         "a": {"type": "Property", "value": NULL}
     }
-    with_times = told(DELETED, notification={"sysAttrs": True}, **members)["a"]
+    with_times = returned(DELETED, notification={"sysAttrs": True}, **members)["a"]
     assert with_times["createdAt"] == AT
     assert set(with_times) == {"type", "value", "createdAt", "modifiedAt", "deletedAt"}
 
 
-def test_what_was_there_is_told_to_who_wants_changes() -> None:
+def test_existing_values_are_notified_with_show_changes() -> None:
     changes = {"notification": {"showChanges": True}}
-    assert told(UPDATED, **changes)["a"] == {"type": "Property", "value": 2, "previousValue": 1}
-    assert told(UPDATED, **changes)["b"] == {"type": "Property", "value": 1}
-    assert told(CREATED, **changes)["a"] == {"type": "Property", "value": 1}
-    gone = told(DELETED, notificationTrigger=["entityDeleted"], **changes)
+    assert returned(UPDATED, **changes)["a"] == {"type": "Property", "value": 2, "previousValue": 1}
+    assert returned(UPDATED, **changes)["b"] == {"type": "Property", "value": 1}
+    assert returned(CREATED, **changes)["a"] == {"type": "Property", "value": 1}
+    gone = returned(DELETED, notificationTrigger=["entityDeleted"], **changes)
     assert gone["a"] == {"type": "Property", "value": NULL, "previousValue": 1}
 
 
@@ -166,18 +166,18 @@ def test_what_was_there_is_told_to_who_wants_changes() -> None:
     ],
 )
 def test_an_attribute_that_is_gone_is_null_in_every_form(form: str, gone: Any) -> None:
-    said = told(ATTRIBUTE_GONE, notificationTrigger=["attributeDeleted"], notification={"format": form})
+    said = returned(ATTRIBUTE_GONE, notificationTrigger=["attributeDeleted"], notification={"format": form})
     assert said["b"] == gone
     assert "a" in said
 
 
-def test_an_instance_that_is_gone_is_told_beside_those_that_stay() -> None:
-    said = told(INSTANCE_GONE, notificationTrigger=["attributeDeleted"])
+def test_a_deleted_instance_is_notified_beside_those_that_stay() -> None:
+    said = returned(INSTANCE_GONE, notificationTrigger=["attributeDeleted"])
     assert said["a"] == [
         {"type": "Property", "value": 1},
         {"type": "Property", "value": NULL, "datasetId": "urn:x:d"},
     ]
-    plain = told(
+    plain = returned(
         INSTANCE_GONE, notificationTrigger=["attributeDeleted"], notification={"format": "keyValues"}
     )
     assert plain["a"] == {"dataset": {"@none": 1, "urn:x:d": NULL}}
@@ -200,9 +200,9 @@ def test_every_kind_of_attribute_has_its_null_and_its_previous(
     event = changed(entity(a=[instance(value, kind=kind, says=says)], b=1), entity(b=1))
     for form in ("normalized", "concise"):
         view = {"showChanges": True, "format": form}
-        said = told(event, notificationTrigger=["attributeDeleted"], notification=view)["a"]
+        said = returned(event, notificationTrigger=["attributeDeleted"], notification=view)["a"]
         assert {name: said[name] for name in (says, previous)} == {says: null, previous: value}
-    simple = told(event, notificationTrigger=["attributeDeleted"], notification={"format": "keyValues"})
+    simple = returned(event, notificationTrigger=["attributeDeleted"], notification={"format": "keyValues"})
     assert simple["a"] == NULL
 
 
@@ -243,10 +243,12 @@ def events(draw: st.DrawFn) -> Event:
 
 
 @given(events(), st.sets(st.sampled_from(ALL), min_size=1), st.sets(st.sampled_from(ALL), min_size=1))
-def test_triggers_together_heed_what_one_of_them_heeds(event: Event, some: set[str], more: set[str]) -> None:
+def test_several_triggers_match_what_any_of_them_matches(
+    event: Event, some: set[str], more: set[str]
+) -> None:
     change = entity_change(event)
-    heeded = [Triggers(read_kinds(list(kinds))).match(change) for kinds in (some | more, some, more)]
-    assert heeded[0] is (heeded[1] or heeded[2])
+    matched = [Triggers(read_kinds(list(kinds))).match(change) for kinds in (some | more, some, more)]
+    assert matched[0] is (matched[1] or matched[2])
 
 
 VIEWS = st.fixed_dictionaries(
@@ -269,10 +271,10 @@ LIMITS = st.sampled_from([{}, {"lang": "fr"}, {"datasetId": "urn:x:d"}, {"watche
 
 @settings(deadline=None)
 @given(events(), st.sets(st.sampled_from(ALL), min_size=1), VIEWS, LIMITS)
-def test_any_change_can_be_told_in_any_way(
+def test_any_change_can_be_notified_in_any_form(
     event: Event, kinds: set[str], view: dict[str, Any], limits: dict[str, Any]
 ) -> None:
-    said = told(event, notificationTrigger=list(kinds), notification=view, **limits)
+    said = returned(event, notificationTrigger=list(kinds), notification=view, **limits)
     assert said["id"] == "urn:ngsi-ld:Task:demo:1"
     assert ("createdAt" in str(said)) <= view["sysAttrs"]
     assert ("previous" in str(said)) <= ("showChanges" in view)

@@ -16,7 +16,7 @@ def at(seconds: float) -> str:
 
 
 def transient(name: str, end: str | None) -> Entity:
-    return Entity(f"urn:x:{name}", ("urn:x:Guest",), {}, AT, AT, 1, (), end, end)
+    return Entity(f"urn:x:{name}", ("urn:x:Visitor",), {}, AT, AT, 1, (), end, end)
 
 
 class Shelf:
@@ -31,9 +31,9 @@ class Shelf:
 
     def stage(self, event: Event) -> asyncio.Future[None]:
         self.staged.append(event)
-        fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        fate.set_result(None)
-        return fate
+        outcome: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        outcome.set_result(None)
+        return outcome
 
 
 def put(ends: ExpiryQueue, shelf: Shelf, entity: Entity) -> None:

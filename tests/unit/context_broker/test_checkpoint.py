@@ -72,7 +72,7 @@ def tenant_of(place: int) -> str:
 
 
 def in_turn(made: list[Entries]) -> list[Entries]:
-    """Return commits of which none settles what is not owed yet; a place is that of one tenant for ever."""
+    """Return commits of which none settles what is not pending yet; a place belongs to one tenant."""
     pending = 0
     for entries in made:
         for place, row in entries.entities.items():
@@ -99,10 +99,10 @@ def test_a_record_says_what_was_to_be_written(entries: Entries) -> None:
         entries.cleared,
         entries.departed,
     )
-    assert [told(notice) for notice in again.pending] == [told(notice) for notice in entries.pending]
+    assert [result(notice) for notice in again.pending] == [result(notice) for notice in entries.pending]
 
 
-def told(one: PendingNotification) -> tuple[Any, ...]:
+def result(one: PendingNotification) -> tuple[Any, ...]:
     return one.tenant, one.subscription, one.entity, one.at, one.body, one.seq, one.headers
 
 
@@ -141,11 +141,11 @@ def test_what_a_killed_broker_has_left_in_the_log_is_filed_at_the_next_start(
         del writer
     journal.close()
     opened(folder / "copy" / "broker.db").close()
-    opened(folder / "broker.db").close()  # which also clears away what is owed to no subscription
+    opened(folder / "broker.db").close()  # which also deletes notifications without a subscription
     assert tables(folder / "copy" / "broker.db") == tables(folder / "broker.db")
 
 
-def test_what_was_owed_and_told_is_written_nowhere() -> None:
+def test_delivered_notifications_are_not_written_to_the_tables() -> None:
     first, second = Entries(), Entries()
     first.pending = [PendingNotification("", "urn:s", "urn:e", 1.0, b"{}", seq) for seq in (1, 2)]
     second.settled = [1, 8]

@@ -1,4 +1,4 @@
-"""What subscribers ask to be told: triggers, changes, places, scopes, periods, headers of requests."""
+"""What subscriptions notify: triggers, changes, places, scopes, periods, headers of requests."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,19 +11,19 @@ HERE = {"type": "Point", "coordinates": [8.0, 40.0]}
 FAR = {"type": "Point", "coordinates": [9.0, 41.0]}
 
 
-def test_the_end_of_an_entity_is_told_to_who_wants_it(
+def test_the_deletion_of_an_entity_is_notified_on_request(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     subscribe(http, "End", subscriber.url, notificationTrigger=["entityDeleted"])
     entity = create(http, "End", a=1)
     patch(http, entity, a=2)
     assert http.delete(f"/entities/{entity}").status_code == 204
-    (told,) = eventually(subscriber.entities)
-    assert told.pop("deletedAt").endswith("Z")
-    assert told == {"id": entity, "type": "End"}
+    (received,) = eventually(subscriber.entities)
+    assert received.pop("deletedAt").endswith("Z")
+    assert received == {"id": entity, "type": "End"}
 
 
-def test_what_was_before_is_told_to_who_wants_it(
+def test_previous_values_are_notified_on_request(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     kinds = ["attributeUpdated", "attributeDeleted"]
@@ -33,13 +33,13 @@ def test_what_was_before_is_told_to_who_wants_it(
     patch(http, entity, a=2)
     assert http.delete(f"/entities/{entity}/attrs/b").status_code == 204
     eventually(lambda: len(subscriber.received) == 2)
-    told = subscriber.entities()
-    assert told[0]["a"] == {"value": 2, "previousValue": 1}
-    assert told[1]["b"] == {"value": "urn:ngsi-ld:null", "previousValue": 1}
-    assert told[1]["a"] == 2
+    received = subscriber.entities()
+    assert received[0]["a"] == {"value": 2, "previousValue": 1}
+    assert received[1]["b"] == {"value": "urn:ngsi-ld:null", "previousValue": 1}
+    assert received[1]["a"] == 2
 
 
-def test_places_and_scopes_choose_who_is_told_of(
+def test_geometries_and_scopes_select_notified_entities(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     near = {"georel": "near;maxDistance==2000", "geometry": "Point", "coordinates": [8, 40]}
@@ -88,11 +88,13 @@ def test_members_languages_and_instances_are_chosen(
         n=[{"type": "Property", "value": 1}, {"type": "Property", "value": 2, "datasetId": "urn:x:d"}],
         other=3,
     )
-    (told,) = eventually(subscriber.entities)
-    assert told == {"id": "urn:ngsi-ld:Choice:demo:1", "word": "pince", "n": 1}
+    (received,) = eventually(subscriber.entities)
+    assert received == {"id": "urn:ngsi-ld:Choice:demo:1", "word": "pince", "n": 1}
 
 
-def test_places_are_told_as_geojson(http: httpx.Client, subscriber: Any, eventually: Eventually) -> None:
+def test_geometries_are_returned_as_geojson(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
     endpoint = {"accept": "application/geo+json", "receiverInfo": [{"key": "Prefer", "value": "body=json"}]}
     subscribe(http, "Geo", subscriber.url, notification={"endpoint": endpoint, "format": "keyValues"})
     entity = create(http, "Geo", location=HERE, a=1)
@@ -107,7 +109,7 @@ def test_places_are_told_as_geojson(http: httpx.Client, subscriber: Any, eventua
     assert subscriber.headers[0]["content-type"] == "application/geo+json"
 
 
-def test_linked_entities_are_told_along(
+def test_linked_entities_are_included(
     http: httpx.Client, subscriber: Any, new_subscriber: Callable[..., Any], eventually: Eventually
 ) -> None:
     inside = new_subscriber()
@@ -129,8 +131,8 @@ def test_what_linked_entities_say_chooses_too(
     oslo = create(http, "City", "oslo", title="Oslo")
     create(http, "Ride", "north", goesTo={"type": "Relationship", "object": oslo})
     south = create(http, "Ride", "south", goesTo={"type": "Relationship", "object": rome})
-    (told,) = eventually(subscriber.entities)
-    assert told["id"] == south
+    (received,) = eventually(subscriber.entities)
+    assert received["id"] == south
 
 
 def test_headers_of_the_request_are_passed_on_where_the_subscriber_wants_them(
@@ -152,7 +154,7 @@ def test_headers_of_the_request_are_passed_on_where_the_subscriber_wants_them(
     assert "authorization" not in subscriber.headers[1]
 
 
-def test_a_periodic_subscriber_is_told_of_all_whatever_changes(
+def test_a_periodic_subscriber_receives_all_entities_changed_or_not(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     every_second = subscribe(http, "Round", subscriber.url, timeInterval=1, q="n>0")
@@ -164,7 +166,7 @@ def test_a_periodic_subscriber_is_told_of_all_whatever_changes(
     assert http.get(f"/subscriptions/{every_second}").json()["notification"]["timesSent"] >= 2
 
 
-def test_a_throttled_subscriber_hears_of_ends_too(
+def test_a_throttled_subscriber_is_notified_of_expiries_too(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     kinds = ["entityCreated", "attributeUpdated", "entityDeleted"]
@@ -178,7 +180,7 @@ def test_a_throttled_subscriber_hears_of_ends_too(
     assert len(subscriber.received) == 2
 
 
-def test_the_context_of_notifications_is_told_and_need_not_be_that_of_the_names(
+def test_the_context_of_notifications_may_differ_from_that_of_the_names(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     context = "https://w3id.org/handover/context.jsonld"
@@ -196,8 +198,8 @@ def test_the_context_of_notifications_is_told_and_need_not_be_that_of_the_names(
     for state in ("idle", "busy"):
         entity = {"id": f"urn:ngsi-ld:Device:demo:{state}", "type": "Device", "deviceState": state}
         assert http.post("/entities", json=entity, headers=link).status_code == 201
-    (told,) = eventually(subscriber.entities)
-    assert told["id"] == "urn:ngsi-ld:Device:demo:busy"
+    (received,) = eventually(subscriber.entities)
+    assert received["id"] == "urn:ngsi-ld:Device:demo:busy"
     assert core in subscriber.headers[0]["link"]
     kept = http.get(f"/subscriptions/{body['id']}", headers=link).json()
     assert kept["jsonldContext"] == core
