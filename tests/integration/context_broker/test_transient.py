@@ -75,7 +75,7 @@ def test_what_should_have_ended_while_the_broker_was_down_ends_at_its_start(
         assert status(http, "here") == 200
 
 
-def test_a_subscriber_is_told_of_an_end(
+def test_a_subscriber_is_notified_of_an_expiry(
     http: httpx.Client, subscriber: Any, eventually: Callable[..., Any]
 ) -> None:
     subscription = {
@@ -100,8 +100,8 @@ def test_the_past_of_an_entity_ends_when_its_time_has_come(
     body = {"id": one, "type": "Visitor", "expiresAt": soon(3600), "a": readings([1, 2])}
     assert http.post(PAST, json=body).status_code == 201
     assert http.post(f"{PAST}/{one}/attrs", json={"expiresAt": end, "a": readings([3], 2)}).status_code == 204
-    told_with = read_evolution(http, one, options="sysAttrs")
-    assert (told_with["expiresAt"], values(told_with, "a")) == (end, [1, 2, 3])
+    returned = read_evolution(http, one, options="sysAttrs")
+    assert (returned["expiresAt"], values(told_with, "a")) == (end, [1, 2, 3])
     assert "expiresAt" not in read_evolution(http, one)
     eventually(lambda: http.get(f"{PAST}/{one}").status_code == 404)
     since = {"type": "Visitor", "id": one, "timerel": "after", "timeAt": at(0), "timeproperty": "observedAt"}
@@ -124,7 +124,9 @@ def test_an_instance_of_the_past_ends_when_its_time_has_come(
     eventually(lambda: values(read_evolution(http, one), "a") == [1])
 
 
-def test_the_past_of_what_ended_now_is_still_told(http: httpx.Client, eventually: Callable[..., Any]) -> None:
+def test_the_history_of_an_expired_entity_is_still_returned(
+    http: httpx.Client, eventually: Callable[..., Any]
+) -> None:
     badge = {"type": "Property", "value": "visitor", "expiresAt": soon(0.4)}
     assert http.post("/entities", json=visitor("left", badge=badge)).status_code == 201
     one, listed = "urn:ngsi-ld:Visitor:demo:left", {"timeproperty": "modifiedAt", "options": "sysAttrs"}
