@@ -137,7 +137,9 @@ def test_json_of_any_depth_is_refused(
         assert "nested deeper than 200" in answer.json()["detail"], (method, where, answer.text)
 
 
-def test_what_is_as_deep_as_allowed_is_kept_and_read_in_every_form(http: httpx.Client, kind: str) -> None:
+def test_json_of_the_maximum_depth_is_stored_and_returned_in_every_form(
+    http: httpx.Client, kind: str
+) -> None:
     value: Any = 1
     for number in range(196):
         value = [value] if number % 2 else {"a": value}

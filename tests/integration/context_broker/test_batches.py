@@ -62,7 +62,7 @@ def test_batches_update_merge_and_delete(http: httpx.Client) -> None:
     assert answer.json()["success"] == [lamp("x")["id"], lamp("y")["id"]]
 
 
-def test_a_batch_that_is_none_is_refused(http: httpx.Client) -> None:
+def test_an_invalid_batch_is_refused(http: httpx.Client) -> None:
     bodies: tuple[Any, ...] = ({}, [], "x")
     for operation in ("create", "upsert", "update", "merge", "delete"):
         for body in bodies:
@@ -128,7 +128,7 @@ def test_a_batch_merge_deletes_what_is_null_and_leaves_the_rest(http: httpx.Clie
     assert answer.json()["success"] == []
 
 
-def test_what_is_wrong_in_itself_is_said_before_that_it_is_not_there(http: httpx.Client) -> None:
+def test_an_invalid_element_is_reported_before_a_missing_entity(http: httpx.Client) -> None:
     wrong = {"id": "urn:ngsi-ld:Lamp:demo:absent", "type": "Lamp", "on": {"type": "Nonsense", "value": 1}}
     for operation in ("update", "merge"):
         (error,) = post(http, operation, [wrong]).json()["errors"]

@@ -98,7 +98,7 @@ def test_a_body_of_a_megabyte_is_read_whole(line: EndpointQueue, http: httpx.Cli
     assert json.loads(line.answer()[2])["a"]["value"] == value
 
 
-def test_who_waits_for_a_go_ahead_gets_one(line: EndpointQueue) -> None:
+def test_a_client_that_expects_100_continue_receives_it(line: EndpointQueue) -> None:
     head, _, body = post("urn:ngsi-ld:Wire:expects", "Expect: 100-continue").partition(b"\r\n\r\n")
     line.send(head + b"\r\n\r\n")
     assert line.answer(has_body=False)[0] == 100
@@ -106,13 +106,13 @@ def test_who_waits_for_a_go_ahead_gets_one(line: EndpointQueue) -> None:
     assert line.answer()[0] == 201
 
 
-def test_what_is_refused_by_its_head_needs_no_body(line: EndpointQueue) -> None:
+def test_a_request_refused_by_its_head_needs_no_body(line: EndpointQueue) -> None:
     head = b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
     line.send(head + b"Content-Length: 99999999999\r\nExpect: 100-continue\r\n\r\n")
     assert line.answer()[0] == 413, "and no go-ahead before"
 
 
-def test_after_a_refused_body_the_connection_goes_on(line: EndpointQueue) -> None:
+def test_the_connection_stays_usable_after_a_refused_body(line: EndpointQueue) -> None:
     line.send(
         b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n"
         b"5\r\nhello\r\n"
@@ -127,7 +127,7 @@ def test_headers_that_come_twice_are_one(line: EndpointQueue) -> None:
     assert line.answer()[0] == 200
 
 
-def test_who_asks_to_hang_up_is_answered_first(shared_broker: BrokerProcess, line: EndpointQueue) -> None:
+def test_connection_close_is_answered_first(shared_broker: BrokerProcess, line: EndpointQueue) -> None:
     line.send(post("urn:ngsi-ld:Wire:close", "Connection: close"))
     status, headers, _ = line.answer()
     assert (status, headers["connection"]) == (201, "close")
@@ -146,7 +146,7 @@ def test_head_has_no_body_and_the_next_answer_follows(line: EndpointQueue) -> No
     assert int(headers["content-length"]) == len(line.answer()[2])
 
 
-def test_what_is_no_http_is_refused(line: EndpointQueue) -> None:
+def test_invalid_http_is_refused(line: EndpointQueue) -> None:
     line.send(b"\x00 rubbish\r\n\r\n")
     assert line.answer()[0] == 400
     assert line.is_closed()
@@ -157,7 +157,9 @@ def test_no_other_protocol_is_spoken(line: EndpointQueue) -> None:
     assert line.answer()[0] == 200, "as if it had not been asked for"
 
 
-def test_a_slow_reader_gets_everything_and_holds_up_nobody(line: EndpointQueue, http: httpx.Client) -> None:
+def test_a_slow_reader_gets_everything_and_blocks_no_other_client(
+    line: EndpointQueue, http: httpx.Client
+) -> None:
     value = "y" * 900_000
     line.send(post("urn:ngsi-ld:Wire:slow", value=value))
     assert line.answer()[0] == 201
@@ -167,9 +169,7 @@ def test_a_slow_reader_gets_everything_and_holds_up_nobody(line: EndpointQueue, 
         assert json.loads(line.answer()[2])["a"]["value"] == value
 
 
-def test_who_leaves_before_the_answer_has_written_all_the_same(
-    shared_broker: BrokerProcess, http: httpx.Client
-) -> None:
+def test_a_write_of_a_disconnected_client_is_stored(shared_broker: BrokerProcess, http: httpx.Client) -> None:
     names = [f"urn:ngsi-ld:Wire:gone:{number}" for number in range(30)]
     hasty = EndpointQueue(shared_broker.port)
     hasty.send(b"".join(map(post, names)))

@@ -89,13 +89,13 @@ def test_a_hosted_context_is_served_listed_used_and_deleted(shared_broker: Any, 
         (b'{"@context": {"a": "' + b"x" * 1_100_000 + b'"}}', 413, "InvalidRequest"),
     ],
 )
-def test_what_is_no_context_is_not_hosted(http: httpx.Client, body: bytes, status: int, kind: str) -> None:
+def test_an_invalid_context_is_not_hosted(http: httpx.Client, body: bytes, status: int, kind: str) -> None:
     answer = http.post("/jsonldContexts", content=body, headers=JSON)
     assert (answer.status_code, answer.json()["type"]) == (status, ERRORS + kind)
     assert answer.json()["detail"]
 
 
-def test_what_a_hosted_context_refers_to_is_fetched_and_cached(http: httpx.Client, publisher: Any) -> None:
+def test_references_of_a_hosted_context_are_fetched_and_cached(http: httpx.Client, publisher: Any) -> None:
     url = f"http://127.0.0.1:{publisher.port}/part.jsonld"
     path = add(http, [url, CORE])
     hosted = str(http.base_url).rstrip("/") + path
@@ -169,7 +169,7 @@ def test_subscriptions_are_compiled_again_when_their_context_changes(
     assert http.delete("/csourceRegistrations/urn:x:csr:renewed").status_code == 204
 
 
-def test_who_gives_no_context_has_the_one_that_is_set(own_broker: Any, publisher: Any) -> None:
+def test_the_default_context_is_a_setting(own_broker: Any, publisher: Any) -> None:
     url = f"http://127.0.0.1:{publisher.port}/default.jsonld"
     publisher.document = {"@context": {"speed": "https://a.example/speed"}}
     own_broker.extra["HANDOVER_BROKER_DEFAULT_CONTEXT"] = url
@@ -297,7 +297,7 @@ def test_ten_requests_ask_a_server_that_hangs_once(own_broker: Any) -> None:
         assert asked == 1
 
 
-def test_link_local_addresses_are_not_asked_for_a_context(http: httpx.Client) -> None:
+def test_contexts_are_not_fetched_from_link_local_addresses(http: httpx.Client) -> None:
     answer = http.get("/entities?type=T", headers=link("http://169.254.169.254/latest/meta-data"))
     assert answer.status_code == 504
     assert "metadata service" in answer.json()["detail"]

@@ -92,7 +92,7 @@ def test_one_that_is_not_taken_does_not_hold_up_others_at_the_same_endpoint(
     eventually(lambda: len(subscriber.received) == 51, within_s=30)
 
 
-def test_after_a_failure_the_endpoint_has_the_rest_that_was_asked_for(
+def test_the_cooldown_of_a_subscription_applies_after_a_failure(
     http: httpx.Client, closing: Closing, eventually: Eventually
 ) -> None:
     path = subscribe(http, "cooling", closing.url, "Cooling", cooldown=3_600_000)

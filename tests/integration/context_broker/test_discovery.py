@@ -90,7 +90,7 @@ def test_attributes_are_listed_with_their_types(plant: httpx.Client) -> None:
         "id", "type", "scope", "createdAt", "modifiedAt", "deletedAt"
     ))],
 )  # fmt: skip
-def test_what_nobody_has_is_not_found(plant: httpx.Client, path: str) -> None:
+def test_a_missing_type_or_attribute_is_not_found(plant: httpx.Client, path: str) -> None:
     answer = plant.get(f"/{path}")
     assert (answer.status_code, answer.json()["type"]) == (404, f"{ERRORS}ResourceNotFound")
 

@@ -281,7 +281,7 @@ def _rows(folder: Path) -> list[Any]:
         return database.execute("PRAGMA integrity_check").fetchall()
 
 
-def test_a_running_broker_whose_disk_becomes_full_refuses_writes_until_there_is_room(
+def test_a_full_disk_refuses_writes_until_there_is_space(
     small_disk: Path, eventually: Eventually, broker_on: Callable[[Path], Any]
 ) -> None:
     broker = broker_on(small_disk).start()
@@ -311,7 +311,7 @@ def test_a_running_broker_whose_disk_becomes_full_refuses_writes_until_there_is_
 
 
 @in_a_file
-def test_writes_go_on_and_stay_while_somebody_else_holds_the_tables(
+def test_writes_continue_while_another_process_locks_the_tables(
     own_broker: Any, subscriber: Any, eventually: Eventually
 ) -> None:
     """A copy being made, or a tool left open: the log takes what is written meanwhile."""
@@ -437,7 +437,7 @@ def test_a_second_broker_on_the_same_file_is_refused_in_one_line(own_broker: Any
 
 
 @in_a_file
-def test_a_file_that_is_no_database_is_refused_in_one_line(own_broker: Any) -> None:
+def test_an_invalid_database_file_is_refused_in_one_line(own_broker: Any) -> None:
     (own_broker.data_dir / "broker.db").write_bytes(b"shopping list: bolts, nuts" * 100)
     refused(own_broker)
     assert own_broker.log().strip().count("\n") == 0

@@ -37,7 +37,7 @@ def problem(answer: httpx.Response, status: int, kind: str, *words: str) -> None
         assert word in body["detail"]
 
 
-def test_what_is_created_is_read_back_as_it_was(http: httpx.Client) -> None:
+def test_a_created_entity_is_read_back_unchanged(http: httpx.Client) -> None:
     entity = task(
         "round-trip",
         status=PENDING,
@@ -107,7 +107,7 @@ def test_an_id_that_is_taken_is_refused(http: httpx.Client) -> None:
         ("DELETE", "/attrs/status"),
     ],
 )
-def test_what_is_not_there_is_not_found(http: httpx.Client, method: str, path: str) -> None:
+def test_a_missing_entity_is_not_found(http: httpx.Client, method: str, path: str) -> None:
     body = {"status": {"value": 1}} if "/attrs/" not in path else {"value": 1}
     content: dict[str, Any] = {} if method in {"GET", "DELETE"} else {"json": body}
     answer = http.request(method, f"/entities/urn:ngsi-ld:Task:demo:nobody{path}", **content)
@@ -206,7 +206,7 @@ def test_instances_are_distinguished_by_dataset(http: httpx.Client) -> None:
     assert "speed" not in read(http, entity_id)
 
 
-def test_system_attributes_are_shown_when_asked_for(http: httpx.Client) -> None:
+def test_system_attributes_are_returned_on_request(http: httpx.Client) -> None:
     entity_id = made(http, "times", status=PENDING)
     assert "createdAt" not in read(http, entity_id)
     assert "createdAt" not in read(http, entity_id)["status"]

@@ -62,7 +62,7 @@ def ids(http: httpx.Client, world: None) -> Callable[..., str]:
         ('locatedAt{isIn{name}}=="France";name=="house"', 2, "b2"),
     ],
 )
-def test_q_asks_linked_entities(ids: Callable[..., str], q: str, level: int, hits: str) -> None:
+def test_q_filters_by_linked_entities(ids: Callable[..., str], q: str, level: int, hits: str) -> None:
     assert ids(q=q, join="flat", joinLevel=level).split()[: len(hits.split())] == hits.split()
     assert ids(q=q, join="inline", joinLevel=level) == hits
 
@@ -153,7 +153,7 @@ def test_entities_are_chosen_and_ordered(
     assert ids(**parameters) == hits
 
 
-def test_everything_here_can_be_asked_for(http: httpx.Client, world: None) -> None:
+def test_a_local_query_may_select_everything(http: httpx.Client, world: None) -> None:
     for parameters in ({"local": "true"}, {"type": "*"}, {"type": "*", "local": "true"}):
         answer = http.get("/entities", params={**parameters, "limit": 0, "count": "true"})
         assert answer.headers["ngsild-results-count"] == "9"

@@ -143,7 +143,7 @@ def test_json_ld_has_its_context_in_the_body(
     assert "@context" in message["body"]
 
 
-def test_what_could_not_be_published_comes_in_order_when_the_server_is_back(
+def test_pending_messages_are_published_in_order_when_the_server_returns(
     http: httpx.Client, mosquitto: Mosquitto, eventually: Eventually
 ) -> None:
     quality = [{"key": "MQTT-QoS", "value": "1"}]

@@ -153,7 +153,7 @@ def test_an_invalid_registration_is_refused_with_the_reason(
 
 
 @pytest.mark.parametrize("media_type", ["text/plain", "application/merge-patch+json", "application/xml", ""])
-def test_what_is_not_read_is_refused_without_a_word(http: httpx.Client, media_type: str) -> None:
+def test_an_unsupported_media_type_is_refused_without_a_body(http: httpx.Client, media_type: str) -> None:
     headers = {"NGSILD-Tenant": "media", **({"Content-Type": media_type} if media_type else {})}
     answer = http.post("/entities", content=b'{"id": "urn:x:1", "type": "T"}', headers=headers)
     assert (answer.status_code, answer.content) == (415, b"")
@@ -190,7 +190,7 @@ def test_a_body_that_is_too_large_is_refused(http: httpx.Client) -> None:
         ("application/json;q=0", 406),
     ],
 )
-def test_what_nobody_accepts_is_not_sent(http: httpx.Client, accept: str, status: int) -> None:
+def test_an_unacceptable_media_type_is_refused(http: httpx.Client, accept: str, status: int) -> None:
     answer = http.get("/entities?type=Task", headers={"Accept": accept})
     assert answer.status_code == status
     if status == 406:
@@ -253,7 +253,7 @@ def test_a_percent_sign_stands_before_two_digits(shared_broker: Any) -> None:
     assert "%25" in text
 
 
-def test_options_and_head_answer_as_http_says(http: httpx.Client) -> None:
+def test_options_and_head_conform_to_http(http: httpx.Client) -> None:
     entity = task("head", a=1)
     post(http, entity, JSON)
     path = f"/entities/{entity['id']}"
@@ -308,7 +308,9 @@ def test_a_tenant_is_refused_where_there_is_only_one(http: httpx.Client) -> None
     assert answer.json()["type"].endswith("NonexistentTenant")
 
 
-def test_who_hangs_up_in_the_middle_disturbs_nobody(shared_broker: Any, http: httpx.Client) -> None:
+def test_a_disconnect_during_a_request_affects_no_other_client(
+    shared_broker: Any, http: httpx.Client
+) -> None:
     for _ in range(50):
         with socket.create_connection(("127.0.0.1", shared_broker.port)) as rude:
             rude.sendall(

@@ -165,7 +165,7 @@ def test_paused_expired_and_deleted_subscriptions_are_not_notified(
     assert [one["n"]["value"] for one in subscriber.entities()] == [2]
 
 
-def test_a_dead_and_a_hanging_subscriber_delay_nobody_else(
+def test_dead_and_hanging_subscribers_delay_no_other(
     http: httpx.Client, subscriber: Any, new_subscriber: Callable[..., Any], eventually: Eventually
 ) -> None:
     hanging = new_subscriber()
@@ -188,7 +188,7 @@ def test_a_dead_and_a_hanging_subscriber_delay_nobody_else(
     assert first_received == list(range(100))
 
 
-def test_what_could_not_be_delivered_comes_when_the_subscriber_is_back(
+def test_pending_notifications_arrive_when_the_subscriber_returns(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     subscriber.status = 503

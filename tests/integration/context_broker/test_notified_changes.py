@@ -123,7 +123,7 @@ def test_linked_entities_are_included(
     assert inside.entities()[0]["goesTo"] == {"id": city, "type": "City", "title": "Paris"}
 
 
-def test_what_linked_entities_say_chooses_too(
+def test_linked_entities_select_notifications_too(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     subscribe(http, "Linked", subscriber.url, entities=[{"type": "Ride"}], q='goesTo{title}=="Rome"')
@@ -135,7 +135,7 @@ def test_what_linked_entities_say_chooses_too(
     assert received["id"] == south
 
 
-def test_headers_of_the_request_are_passed_on_where_the_subscriber_wants_them(
+def test_headers_of_the_request_are_forwarded_on_request(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
     wanted = [

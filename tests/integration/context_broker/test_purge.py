@@ -77,7 +77,7 @@ def test_a_purge_that_chooses_nothing_is_refused(http: httpx.Client, parameters:
     assert read(http, "urn:ngsi-ld:Jar:demo:stays") != 404
 
 
-def test_a_purge_of_all_that_is_here_is_for_a_tenant_that_says_so(http: httpx.Client) -> None:
+def test_a_purge_of_everything_needs_local(http: httpx.Client) -> None:
     tenant = {"NGSILD-Tenant": "purged"}
     entity = {"id": "urn:ngsi-ld:Jar:demo:tenant", "type": "Jar"}
     assert http.post("/entities", json=entity, headers=tenant).status_code == 201

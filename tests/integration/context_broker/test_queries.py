@@ -258,7 +258,7 @@ def test_types_are_listed(http: httpx.Client, stocked: None) -> None:
     assert http.get("/types/Nobody").status_code == 404
 
 
-def test_terms_and_keys_of_json_are_read_as_the_asker_says(http: httpx.Client) -> None:
+def test_expand_values_and_json_keys_change_the_meaning_of_q(http: httpx.Client) -> None:
     shop = {
         "id": "urn:x:terms-and-keys",
         "type": "TermShop",

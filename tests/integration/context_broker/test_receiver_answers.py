@@ -103,7 +103,7 @@ def test_a_2xx_head_is_a_delivery_however_the_answer_ends(
 
 
 @pytest.mark.parametrize("ending", FAILED)
-def test_what_is_no_2xx_head_is_a_failure(
+def test_a_response_without_a_2xx_head_is_a_failure(
     http: httpx.Client, receiver: RubbishSource, kind: str, ending: str
 ) -> None:
     receiver.says(*FAILED[ending])

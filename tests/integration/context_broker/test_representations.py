@@ -65,7 +65,7 @@ def test_members_are_picked_and_omitted(http: httpx.Client) -> None:
         {"pick": "a{" * 20 + "a" + "}" * 20},
     ],
 )
-def test_a_projection_that_is_none_is_refused(http: httpx.Client, parameters: dict[str, str]) -> None:
+def test_an_invalid_projection_is_refused(http: httpx.Client, parameters: dict[str, str]) -> None:
     http.post("/entities", json={"id": "urn:ngsi-ld:Shop:demo:refused", "type": "Shop", "a": 1})
     assert refused(http, "urn:ngsi-ld:Shop:demo:refused", **parameters)
 
@@ -103,7 +103,7 @@ def test_a_text_is_returned_in_the_best_language(http: httpx.Client, wanted: str
     assert read(http, shop, lang=wanted, format="simplified")["street"] == words[tag]
 
 
-def test_a_language_that_is_none_is_refused(http: httpx.Client) -> None:
+def test_an_invalid_language_is_refused(http: httpx.Client) -> None:
     shop = made(http, "languages")
     for wanted in ("", "en;q=2", "e n", "en,", "en;x=1"):
         assert refused(http, shop, lang=wanted)

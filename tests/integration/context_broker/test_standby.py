@@ -98,7 +98,7 @@ def notified(subscriber: Any) -> list[int]:
     return [one["n"] for one in subscriber.entities() if "n" in one]
 
 
-def test_a_second_broker_is_a_standby_and_says_so(pair: Pair) -> None:
+def test_a_second_broker_is_a_standby_and_reports_it(pair: Pair) -> None:
     first = pair.serving(0)
     second = pair.standby(1)
     with second.client() as http:
@@ -215,7 +215,7 @@ def test_a_broker_that_lost_the_lock_becomes_a_standby_and_loads_the_database_ag
         assert http.post("/entities", json=entity("2", n=1)).status_code == 201
 
 
-def test_a_standby_stops_when_it_is_asked_to(pair: Pair) -> None:
+def test_a_standby_stops_on_sigterm(pair: Pair) -> None:
     pair.serving(0)
     process = pair.standby(1).process
     assert process is not None

@@ -22,7 +22,7 @@ in_a_file = pytest.mark.parametrize("own_broker", ["sqlite"], indirect=True)
 
 
 @in_a_file
-def test_what_everybody_uses_is_there_without_a_network(own_broker: Any) -> None:
+def test_common_contexts_need_no_network(own_broker: Any) -> None:
     own_broker.extra["HANDOVER_BROKER_CONTEXT_TIMEOUT_S"] = str(NO_TIME_S)
     own_broker.start()
     linked = {"Content-Type": "application/ld+json"}
@@ -41,7 +41,7 @@ def test_what_everybody_uses_is_there_without_a_network(own_broker: Any) -> None
 
 
 @in_a_file
-def test_what_is_seldom_used_is_not_loaded_at_a_start(own_broker: Any) -> None:
+def test_rarely_used_modules_are_not_loaded_at_the_start(own_broker: Any) -> None:
     own_broker.start()
     loaded = Path(f"/proc/{own_broker.process.pid}/maps")
     if not loaded.exists():

@@ -162,7 +162,7 @@ def test_a_change_that_cannot_be_leaves_everything_as_it_was(http: httpx.Client)
     assert http.get(path).json()["status"] == "active"
 
 
-def test_an_expired_subscription_says_so(http: httpx.Client, eventually: Any) -> None:
+def test_an_expired_subscription_has_that_status(http: httpx.Client, eventually: Any) -> None:
     soon = datetime.now(UTC) + timedelta(seconds=1)
     path = made(http, "expired", expiresAt=soon.strftime("%Y-%m-%dT%H:%M:%S.%fZ"))
     eventually(lambda: http.get(path).json()["status"] == "expired")
@@ -170,7 +170,7 @@ def test_an_expired_subscription_says_so(http: httpx.Client, eventually: Any) ->
     assert http.get(path).json()["status"] == "active"
 
 
-def test_what_is_deleted_is_gone(http: httpx.Client) -> None:
+def test_a_deleted_subscription_is_not_found(http: httpx.Client) -> None:
     path = made(http, "gone")
     assert http.delete(path).status_code == 204
     for answer in (http.get(path), http.delete(path), http.patch(path, json={"isActive": True})):

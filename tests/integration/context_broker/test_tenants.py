@@ -47,7 +47,7 @@ def test_a_tenant_comes_into_being_with_the_first_thing_made_for_it(http: httpx.
 
 
 @pytest.mark.parametrize("name", ["a b", "ä", "x" * 200, "a/b", "a,b"])
-def test_what_is_no_name_of_a_tenant_is_refused(http: httpx.Client, name: str) -> None:
+def test_an_invalid_tenant_name_is_refused(http: httpx.Client, name: str) -> None:
     answer = http.post(
         "/entities", json={"id": "urn:x:1", "type": "T"}, headers={b"NGSILD-Tenant": name.encode()}
     )

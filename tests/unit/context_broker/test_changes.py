@@ -55,7 +55,7 @@ def test_a_change_that_changes_nothing_makes_no_new_entity() -> None:
     assert changes.appended(before, change(status=1), AFTER, overwrite=False).entity is before
 
 
-def test_what_was_deleted_is_gone_but_no_news() -> None:
+def test_deleted_attributes_are_not_part_of_an_expiry() -> None:
     outcome = changes.merged(entity(status="a", note="b"), change(note="urn:ngsi-ld:null"), AFTER)
     assert shown(outcome.entity) == {"status": "a"}
     assert outcome.touched == frozenset()
@@ -103,7 +103,7 @@ def test_instances_are_written_one_by_one() -> None:
         changes.without(outcome.entity, name, "urn:x:radar", AFTER)
 
 
-def test_what_ends_first_is_known_of_every_entity() -> None:
+def test_every_entity_has_its_earliest_expiry() -> None:
     early, late = "2100-01-01T00:00:00Z", "2200-01-01T00:00:00Z"
     before = entity(expiresAt=late, a={"value": 1, "expiresAt": early}, b=1)
     assert before.ends_at == early

@@ -85,7 +85,7 @@ def in_turn(made: list[Entries]) -> list[Entries]:
 
 
 @given(commits)
-def test_a_record_says_what_was_to_be_written(entries: Entries) -> None:
+def test_a_record_decodes_to_the_encoded_entries(entries: Entries) -> None:
     for number, notice in enumerate(entries.pending, 7):
         notice.seq = number
     again = decoded(encoded(entries))
@@ -126,7 +126,7 @@ def test_many_commits_in_one_transaction_leave_what_each_alone_would(
 
 @settings(deadline=None, max_examples=15)
 @given(made=st.lists(commits, min_size=1, max_size=8))
-def test_what_a_killed_broker_has_left_in_the_log_is_filed_at_the_next_start(
+def test_the_log_of_a_killed_broker_is_written_to_the_tables_at_the_next_start(
     tmp_path_factory: pytest.TempPathFactory, made: list[Entries]
 ) -> None:
     folder = tmp_path_factory.mktemp("killed")
@@ -172,7 +172,7 @@ def test_a_reader_sees_what_was_committed(tmp_path: Path) -> None:
     journal.close()
 
 
-def test_while_the_tables_cannot_be_written_commits_go_on_until_the_log_is_full(tmp_path: Path) -> None:
+def test_commits_continue_without_checkpoints_until_the_log_is_full(tmp_path: Path) -> None:
     journal = opened(tmp_path / "broker.db")
     committed = 0
 

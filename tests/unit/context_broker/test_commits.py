@@ -91,7 +91,7 @@ def test_few_writes_are_worth_a_flush_on_the_loop_only_where_it_has_nothing_else
     assert run(tmp_path, steps).committed_by == who
 
 
-def test_what_is_long_is_left_to_the_thread(tmp_path: Path) -> None:
+def test_large_writes_are_committed_by_the_thread(tmp_path: Path) -> None:
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
         await queue.store(entity(1, QUICK_BYTES))
         await queue.store(entity(2))
@@ -126,7 +126,7 @@ def test_writers_are_called_back_once_and_in_order_on_any_disk(
 
 
 @pytest.mark.parametrize("is_quick", [True, False])
-def test_what_the_disk_refuses_is_refused_and_then_it_goes_on(tmp_path: Path, is_quick: bool) -> None:
+def test_a_refused_write_does_not_block_later_ones(tmp_path: Path, is_quick: bool) -> None:
     failures: list[str] = []
 
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:

@@ -32,7 +32,7 @@ def test_our_own_version_changes_nothing() -> None:
     assert conformed([ENTITY], (2, 0)) == [ENTITY]
 
 
-def test_kinds_that_came_later_are_said_in_earlier_ones() -> None:
+def test_later_kinds_are_converted_to_earlier_ones() -> None:
     shown = conformed(ENTITY, (1, 6))
     assert shown["category"] == {"type": "Property", "value": "food"}
     assert shown["raw"] == {"type": "Property", "value": {"vocab": 1}}

@@ -94,7 +94,9 @@ async def settled() -> None:
         ({"expires": "0"}, MIN_KEPT_S),
     ],
 )
-def test_a_server_says_how_long_its_context_is_kept(headers: dict[str, str], kept_s: float) -> None:
+def test_response_headers_determine_how_long_a_context_is_cached(
+    headers: dict[str, str], kept_s: float
+) -> None:
     assert kept_for_s(headers) == kept_s
 
 
@@ -138,7 +140,7 @@ async def test_an_expired_context_that_cannot_be_fetched_stays_in_use() -> None:
     assert shelf.published.asked <= 4, "and not asked for at every request"
 
 
-async def test_a_context_that_is_not_there_is_no_context_after_a_restart_either() -> None:
+async def test_a_missing_context_is_missing_after_a_restart_too() -> None:
     shelf = Shelf(Published(None, 3600))
     with pytest.raises(Problem, match=URL):
         await shelf.book.of(URL)
@@ -155,7 +157,7 @@ async def test_contexts_of_the_first_release_are_taken_over() -> None:
     assert (await shelf.book.of(URL)).terms.expand("speed") == "https://a.example/speed"
 
 
-async def test_what_was_deleted_serves_those_who_had_it_and_then_is_erased() -> None:
+async def test_a_deleted_context_serves_its_subscriptions_and_is_then_erased() -> None:
     shelf = Shelf(Published(None, 3600))
     one = await shelf.book.add("", {"speed": "https://a.example/speed"})
     url = one.address("http://127.0.0.1:1026")

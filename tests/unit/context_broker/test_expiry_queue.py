@@ -50,7 +50,7 @@ def started(ends: ExpiryQueue) -> None:
     asyncio.run(start())
 
 
-def test_what_is_due_ends_and_what_is_put_off_stays() -> None:
+def test_due_entities_expire_and_postponed_ones_stay() -> None:
     ends, shelf = ExpiryQueue(), Shelf()
     now = time.time()
     put(ends, shelf, transient("due", at(now - 1)))
@@ -64,7 +64,7 @@ def test_what_is_due_ends_and_what_is_put_off_stays() -> None:
     assert ends.waiting == 2
 
 
-def test_entities_that_are_gone_or_change_often_do_not_fill_the_queue() -> None:
+def test_deleted_and_frequently_changed_entities_do_not_fill_the_queue() -> None:
     ends, shelf = ExpiryQueue(), Shelf()
     far = time.time() + 10**6
     for number in range(3 * LEFT_BEHIND):

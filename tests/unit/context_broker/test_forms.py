@@ -164,7 +164,7 @@ def test_a_merge_is_the_same_when_it_comes_twice(first: dict[str, Any], second: 
 
 
 @given(ENTITIES)
-def test_key_values_says_what_normalized_says(document: dict[str, Any]) -> None:
+def test_key_values_has_the_values_of_normalized(document: dict[str, Any]) -> None:
     simple = render(kept(document), TERMS, View(Form.KEY_VALUES))
     for name, attribute in document.items():
         if isinstance(attribute, dict) and attribute["type"] in {"Property", "GeoProperty"}:
@@ -175,7 +175,7 @@ def test_key_values_says_what_normalized_says(document: dict[str, Any]) -> None:
 
 
 @given(ENTITIES)
-def test_what_the_journal_keeps_is_what_it_was(document: dict[str, Any]) -> None:
+def test_the_journal_returns_the_stored_entity(document: dict[str, Any]) -> None:
     entity = kept(document)
     again = Entity.restored(entity.stored())
     assert asdict(again) == asdict(entity)

@@ -77,7 +77,7 @@ def test_the_distance_of_lines_is_the_shortest_that_samples_find(
 
 @settings(deadline=None)  # libraries are loaded on the way
 @given(POSITIONS, POSITIONS, st.floats(1, 2e7))
-def test_what_is_near_lies_in_the_box_around(
+def test_near_matches_are_inside_the_bounding_box(
     a: tuple[float, float], b: tuple[float, float], within_m: float
 ) -> None:
     if distance_m(a, b) <= within_m:
@@ -142,7 +142,7 @@ def test_relations_are_those_of_simple_features(
         ({"geometry": "MultiPoint", "coordinates": str([[0, 0]] * 10_001).replace(" ", "")}, "simplify"),
     ],
 )
-def test_what_is_no_geoquery_is_refused_with_the_way_out(parameters: dict[str, str], word: str) -> None:
+def test_an_invalid_geo_query_is_refused_with_the_way_out(parameters: dict[str, str], word: str) -> None:
     whole = {"georel": "near;maxDistance==1", "geometry": "Point", "coordinates": "[8,40]"}
     with pytest.raises(Problem, match=word) as refused:
         geo_query({**whole, **parameters}, str)

@@ -97,7 +97,7 @@ def test_any_numbers_are_refused_or_safe_to_compute_with(geometry: dict[str, Any
         ("MultiPolygon", [[[[[[0, 0]]]]]], "fit no MultiPolygon"),
     ],
 )
-def test_what_is_no_geometry_on_the_globe_is_named(kind: str, coordinates: Any, word: str) -> None:
+def test_the_fault_of_an_invalid_geometry_is_named(kind: str, coordinates: Any, word: str) -> None:
     assert word in str(fault_of({"type": kind, "coordinates": coordinates}))
     with pytest.raises(Problem, match=word):
         geo_query_document({"georel": "within", "geometry": kind, "coordinates": coordinates}, str)
@@ -113,11 +113,11 @@ def test_what_is_no_geometry_on_the_globe_is_named(kind: str, coordinates: Any, 
         ("MultiPoint", [[0, 0]] * MAX_POSITIONS),
     ],
 )  # fmt: skip
-def test_the_whole_globe_can_be_said(kind: str, coordinates: Any) -> None:
+def test_a_geometry_may_cover_the_whole_globe(kind: str, coordinates: Any) -> None:
     assert fault_of({"type": kind, "coordinates": coordinates}) is None
 
 
-def test_a_stored_geometry_that_is_not_valid_is_skipped_and_counted() -> None:
+def test_an_invalid_stored_geometry_is_skipped_and_counted() -> None:
     before = SKIPPED._value.get()
     index = PlaceIndex(PLACE, [stored({"type": "Point", "coordinates": [1e308, 1e308]})])
     assert len(index) == 0

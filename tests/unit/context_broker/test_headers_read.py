@@ -68,7 +68,7 @@ def test_preferences_are_found_among_others() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "1", "one.six", "1.6.1.1", "1.-6", "9999.1"])
-def test_what_is_no_version_is_refused(text: str) -> None:
+def test_an_invalid_version_is_refused(text: str) -> None:
     assert version_of(text) is None
     with pytest.raises(Problem, match=r"1\.6"):
         preferred_version(f"ngsi-ld={text}".encode())

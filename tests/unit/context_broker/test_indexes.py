@@ -117,7 +117,7 @@ def test_the_fewest_candidates_are_looked_at() -> None:
     assert count(None, (Equality(VALUE, frozenset({77})),)) == 0
 
 
-def test_what_comes_out_of_order_is_given_in_order() -> None:
+def test_entities_added_out_of_order_are_returned_in_order() -> None:
     store = store_of([entity(number, seq=seq) for number, seq in enumerate((5, 2, 9, 1))])
     for found in (store.candidates(), store.candidates(types=of_types(["urn:t:a"]))):
         assert [one.seq for one in found] == [1, 2, 5, 9]
@@ -128,7 +128,7 @@ def test_what_comes_out_of_order_is_given_in_order() -> None:
     assert [one.seq for one in store.candidates(types=of_types(["urn:t:b"]))] == [1, 20]
 
 
-def test_an_attribute_that_nobody_has_makes_room_for_others() -> None:
+def test_an_unused_index_is_replaced() -> None:
     store = store_of([entity(1, value=5)])
     for number in range(3 * MAX_INDEXES):
         assert not store.candidates(conditions=(Equality(f"urn:a:{number}", frozenset({1})),))

@@ -64,7 +64,7 @@ def refusal(document: dict[str, Any], nulls: Nulls = Nulls.NOWHERE) -> str:
         ({"type": "GeoProperty", "value": '{"type": "Point", "coordinates": [1, 2]}'}, None),
     ],
 )
-def test_every_kind_is_known_by_what_it_says(given: Any, kept: Any) -> None:
+def test_every_kind_is_recognized_by_its_value_member(given: Any, kept: Any) -> None:
     instance = taken(given)
     if kept is not None:
         assert instance == kept
@@ -89,7 +89,7 @@ def test_words_of_a_vocabulary_and_types_become_iris() -> None:
     assert c["valueType"] == default + "Length"
 
 
-def test_a_proof_says_what_it_seals() -> None:
+def test_a_proof_covers_its_attributes() -> None:
     proof = {"value": {"type": "DataIntegrityProof"}, "entityIdSealed": "urn:x:1", "entityTypeSealed": "Task"}
     kept = taken({"type": "Property", **proof}, "ngsildproof")
     assert kept["entityIdSealed"] == "urn:x:1"
@@ -130,7 +130,7 @@ def test_a_proof_says_what_it_seals() -> None:
         {},
     ],
 )
-def test_what_a_kind_may_not_have_is_refused(given: Any) -> None:
+def test_members_of_other_kinds_are_refused(given: Any) -> None:
     assert refusal({"a": given})
 
 
@@ -166,7 +166,7 @@ def test_an_id_has_no_sign_that_is_not_seen(sign: str) -> None:
 
 
 @pytest.mark.parametrize("scope", ["9bad", "/a//b", "a-b", NULL, ["/ok", "9bad"], "", "/", 7, None, "/a/"])
-def test_a_scope_that_is_none_is_refused(scope: Any) -> None:
+def test_an_invalid_scope_is_refused(scope: Any) -> None:
     assert refusal({"scope": scope})
 
 
@@ -256,7 +256,7 @@ def test_bytes_without_null_need_no_look_at_their_values() -> None:
     assert nulls_in(b'{"a":"urn:ngsi-ld:Task:1"}', Nulls.NOWHERE) is Nulls.VALUES
 
 
-def test_a_time_that_says_how_far_it_is_from_utc_is_kept_in_utc() -> None:
+def test_a_time_with_an_offset_is_stored_in_utc() -> None:
     assert require_time("2026-01-01T12:00:00+02:00", "it") == "2026-01-01T10:00:00Z"
     assert require_time("2026-01-01T12:00:00.250+00:00", "it") == "2026-01-01T12:00:00.250000Z"
     assert require_time("2026-01-01T12:00:00.25Z", "it") == "2026-01-01T12:00:00.25Z"

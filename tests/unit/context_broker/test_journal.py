@@ -58,7 +58,7 @@ def test_a_journal_of_a_newer_release_is_refused_and_left_as_it_is(tmp_path: Pat
     assert file.read_bytes() == before
 
 
-def test_a_file_that_is_no_journal_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "broker.db").write_bytes(b"not a database at all, but long enough to look at" * 100)
     journal = Journal(SqliteDatabase(tmp_path / "broker.db"))
     with pytest.raises(UsageError, match=r"damaged data: .*broker\.db: file is not a database; restore"):

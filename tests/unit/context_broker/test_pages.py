@@ -142,7 +142,7 @@ def test_a_place_counts_everything_all_the_same() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "x", "bm9uc2Vuc2U", "é", "A" * 40_000, "WzEsMiwzLDRd", "bnVsbA"])
-def test_a_place_that_is_none_is_refused(text: str) -> None:
+def test_an_invalid_position_is_refused(text: str) -> None:
     with pytest.raises(Problem, match="Link header") as refused:
         place_of(text, 0)
     assert refused.value.status == 400
@@ -212,7 +212,7 @@ def test_texts_are_in_the_order_of_readers(tag: str | None, texts: list[str]) ->
 
 
 @pytest.mark.parametrize("tag", ["!!nope", "", "xx", "fi-u-co-phonebk", "und-u-zz-x", "de-u-ks", "u" * 200])
-def test_a_collation_that_is_not_there_is_refused(tag: str) -> None:
+def test_an_unknown_collation_is_refused(tag: str) -> None:
     with pytest.raises(Problem, match="collation"):
         collation(tag)
 
@@ -267,7 +267,7 @@ def test_distances_put_entities_in_order() -> None:
         ({"orderBy": ["a;sideways"]}, "direction"),
     ],
 )
-def test_what_is_no_order_is_refused(given_ordering: Any, word: str) -> None:
+def test_an_invalid_order_is_refused(given_ordering: Any, word: str) -> None:
     with pytest.raises(Problem, match=word) as refused:
         ordering_document(given_ordering, expand)
     assert refused.value.status == 400

@@ -50,7 +50,7 @@ def test_braces_select_members_of_linked_entities() -> None:
     assert wanted.below(TERMS.expand("other")) is None
 
 
-def test_what_is_omitted_of_a_linked_entity_leaves_the_link() -> None:
+def test_omitting_members_of_a_linked_entity_keeps_the_link() -> None:
     wanted = read_projection(None, "type,at{name}", TERMS)
     assert wanted is not None
     assert wanted.wants(TERMS.expand("at"))

@@ -142,7 +142,7 @@ def test_patterns_end_where_their_brackets_do() -> None:
         "a" * 30_000,
     ],
 )
-def test_what_cannot_be_read_is_refused_with_a_reason(written: str) -> None:
+def test_an_invalid_query_is_refused_with_the_reason_and_position(written: str) -> None:
     with pytest.raises(Problem) as refused:
         parse(written)
     assert refused.value.status == 400
@@ -316,7 +316,7 @@ def things() -> dict[str, Entity]:
         ("gone{name}!=\"main\"", False),
     ],
 )  # fmt: skip
-def test_what_linked_entities_are_like_can_be_asked(written: str, holds: bool) -> None:
+def test_linked_entities_can_be_queried(written: str, holds: bool) -> None:
     entities = things()
     question = predicate(parse(written), expand)
     assert question(entities["urn:x:a"], entities.get) is holds
@@ -334,7 +334,7 @@ def test_what_linked_entities_are_like_can_be_asked(written: str, holds: bool) -
         ("color==https://a.example/red", True),
     ],
 )
-def test_terms_are_expanded_where_it_is_asked_for(written: str, holds: bool) -> None:
+def test_terms_are_expanded_on_request(written: str, holds: bool) -> None:
     instance = {"type": "VocabProperty", "vocab": VOCAB + "red"}
     entity = Entity("urn:x:1", ("urn:t",), {VOCAB + "color": [instance]}, "", "")
     assert predicate(parse(written, {"color"}), expand)(entity) is holds

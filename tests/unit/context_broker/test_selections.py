@@ -57,7 +57,7 @@ def test_a_selection_is_written_with_the_names_of_the_reader() -> None:
     "written", ["", "a b", "A,", ",A", "A;;B", "(A", "A)", "()", "(A;B", "A(B)", "(" * 30 + "A" + ")" * 30,
                 "(A,B)" + ";(A,B)" * 20, "A" * 30_000, "*,A"]
 )  # fmt: skip
-def test_what_is_no_selection_of_types_is_refused(written: str) -> None:
+def test_an_invalid_type_selection_is_refused(written: str) -> None:
     with pytest.raises(Problem) as refused:
         type_selection(written, expand)
     assert refused.value.status == 400
@@ -87,7 +87,7 @@ def test_scopes_are_chosen_by_patterns(written: str, wanted: list[str], unwanted
 
 
 @pytest.mark.parametrize("written", ["", "/", "//", "/a//b", "/#/a", "/a#", "/a+", "(/a", "/a,", ";", "/a/"])
-def test_what_is_no_query_of_scopes_is_refused(written: str) -> None:
+def test_an_invalid_scope_query_is_refused(written: str) -> None:
     with pytest.raises(Problem, match="scopeQ") as refused:
         scope_query(written)
     assert refused.value.status == 400

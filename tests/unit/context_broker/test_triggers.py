@@ -165,7 +165,7 @@ def test_existing_values_are_notified_with_show_changes() -> None:
         ("keyValues", NULL),
     ],
 )
-def test_an_attribute_that_is_gone_is_null_in_every_form(form: str, gone: Any) -> None:
+def test_a_deleted_attribute_is_null_in_every_form(form: str, gone: Any) -> None:
     said = returned(ATTRIBUTE_GONE, notificationTrigger=["attributeDeleted"], notification={"format": form})
     assert said["b"] == gone
     assert "a" in said

@@ -24,7 +24,7 @@ def entity(one: str, kinds: list[str], said: dict[str, Any]) -> Entity:
 
 
 @given(changes)
-def test_what_is_counted_is_what_there_is(made: list[tuple[str, Any, bool]]) -> None:
+def test_counts_equal_the_stored_entities(made: list[tuple[str, Any, bool]]) -> None:
     census, there = TypeStatistics(), dict[str, Entity]()
     for one, body, keeps in made:
         before = there.pop(one, None)
@@ -63,7 +63,7 @@ def test_what_is_counted_is_what_there_is(made: list[tuple[str, Any, bool]]) -> 
         assert set(census.types_with(name)) == {kind for kind, known, _ in by_type if known == name}
 
 
-def test_what_nobody_has_is_counted_as_nothing() -> None:
+def test_missing_types_and_attributes_count_as_zero() -> None:
     census = TypeStatistics()
     assert census.types() == census.attributes() == census.types_with("u:a") == []
     assert census.entities_of("u:A") == 0

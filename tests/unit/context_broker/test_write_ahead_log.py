@@ -74,7 +74,7 @@ class Writing(RuleBasedStateMachine):
         self.log.close()
 
 
-def test_whatever_is_written_is_read_again(tmp_path: Path) -> None:
+def test_every_written_record_is_read_again(tmp_path: Path) -> None:
     Writing.folder = tmp_path / "log"
     Writing.folder.mkdir()
     machine: Any = Writing.TestCase
@@ -147,7 +147,7 @@ def test_a_bit_that_flips_in_the_last_frame_is_no_write_cut_short(
         read(folder)
 
 
-def test_what_is_filed_may_be_damaged_where_nothing_can_follow(tmp_path: Path) -> None:
+def test_damage_of_checkpointed_frames_is_ignored_where_no_frame_can_follow(tmp_path: Path) -> None:
     log = begun(tmp_path)
     for number in range(4):
         log.append(b"change %d" % number)
@@ -228,7 +228,7 @@ def test_a_write_that_the_disk_refuses_leaves_no_trace(
     log.close()
 
 
-def test_what_is_longer_than_a_file_never_fits(tmp_path: Path) -> None:
+def test_a_record_larger_than_a_file_never_fits(tmp_path: Path) -> None:
     log = begun(tmp_path)
     assert log.never_fits(bytes(SIZE))
     assert not log.has_room(bytes(SIZE))
