@@ -1,4 +1,4 @@
-"""What many tests of the broker do: subscribe, create, change. Each fails with what the broker said."""
+"""Requests of many tests: subscribe, create, change. A failure has the response of the broker."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 
 Eventually = Callable[..., Any]
-"""Waits until what it is given returns something, and returns that."""
+"""Waits until a function returns something, and returns it."""
 
 
 def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:

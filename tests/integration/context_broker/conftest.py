@@ -1,4 +1,4 @@
-"""A broker as a process, and a subscriber as a real HTTP server, for every test of this folder."""
+"""Fixtures: a broker as a process, and a subscriber as an HTTP server."""
 
 import itertools
 import json
@@ -26,7 +26,7 @@ JSON = {"Content-Type": "application/json"}
 
 @dataclass
 class BrokerProcess:
-    """The broker on a port and a data directory of its own; `kill` is a power cut."""
+    """The broker on a port and a data directory of its own; `kill` ends it without notice."""
 
     data_dir: Path
     port: int = field(default_factory=next_free_port)
@@ -94,7 +94,7 @@ class BrokerProcess:
 
 DATABASES = ("sqlite", "postgresql")
 DATABASE = os.environ.get("HANDOVER_TEST_DATABASE", "sqlite")
-"""What tests run on that do not ask for a database; `make thorough` says postgresql."""
+"""The default database of tests; `make thorough` sets postgresql."""
 ON_BOTH = {
     "test_batches",
     "test_entities",
@@ -103,17 +103,17 @@ ON_BOTH = {
     "test_temporal_changes",
     "test_temporal_queries",
 }
-"""Modules whose tests run on both databases; others run on one, unless a test asks for both itself."""
+"""Modules whose tests run on both databases; the others run on one, unless a test is parametrized."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run what depends on the database on both."""
+    """Run the tests of `ON_BOTH` on both databases."""
     if metafunc.module.__name__.rpartition(".")[2] in ON_BOTH and "shared_broker" in metafunc.fixturenames:
         metafunc.parametrize("shared_broker", DATABASES, indirect=True, scope="module")
 
 
 def on(request: pytest.FixtureRequest) -> dict[str, str]:
-    """Return the settings for the database that a test wants: its parameter, the usual one if it has none."""
+    """Return the settings for the database of a test: its parameter, or the default."""
     if getattr(request, "param", DATABASE) == "sqlite":
         return {}
     return {"HANDOVER_BROKER_DATABASE_URL": request.getfixturevalue("new_database")()}

@@ -1,4 +1,4 @@
-"""Whatever a context source answers, the broker answers its own asker in order."""
+"""Any response of a context source: the broker sends a valid response to its client."""
 
 from typing import Any
 

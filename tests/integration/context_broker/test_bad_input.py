@@ -1,4 +1,4 @@
-"""Bad input breaks nothing but itself: huge coordinates, deep JSON, HEAD of a query that makes a map."""
+"""Invalid input has no effect on others: huge coordinates, deep JSON, HEAD of a query that creates a map."""
 
 import asyncio
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Connections as bytes on the wire: requests in pieces, in a row and in a hurry, and slow askers."""
+"""Connections as bytes: requests in pieces, pipelined requests, slow and disconnecting clients."""
 
 import json
 import socket
@@ -36,7 +36,7 @@ class EndpointQueue:
         return int(first.split()[1]), headers, body
 
     def is_closed(self) -> bool:
-        """Say whether the broker hangs up, with nothing left to say."""
+        """Return whether the broker closes the connection without more data."""
         return self._kept == b"" and self.socket.recv(1) == b""
 
     def _more(self) -> None:

@@ -1,4 +1,4 @@
-"""@contexts: hosted, fetched, made for subscriptions; kept over restarts, and never in anybody's way."""
+"""@contexts: hosted, fetched, created for subscriptions, and restarts."""
 
 import json
 import socket

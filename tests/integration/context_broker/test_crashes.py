@@ -1,4 +1,4 @@
-"""Power cuts, many of them, while all kinds of things are written: what was acknowledged is there.
+"""Kills during all kinds of writes: every acknowledged change is there afterwards.
 
 Four by default; HANDOVER_TEST_CRASHES says how many otherwise (`make crashes` cuts a hundred times).
 """

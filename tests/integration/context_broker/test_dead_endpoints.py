@@ -1,4 +1,4 @@
-"""Endpoints that do not answer: what they cost, what is bounded, and what is dropped."""
+"""Endpoints that do not respond: cost, limits, and dropped notifications."""
 
 import re
 import socket
@@ -17,7 +17,7 @@ Eventually = Callable[..., Any]
 
 
 class Closing:
-    """Somebody who accepts connections, counts them and closes them at once."""
+    """A server that accepts connections, counts them and closes them at once."""
 
     def __init__(self) -> None:
         self.connections = 0
@@ -154,7 +154,7 @@ def test_counts_are_true_after_a_power_cut(
 def test_pending_notifications_of_a_dead_endpoint_do_not_grow_memory(
     own_broker: Any, closing: Closing, eventually: Eventually
 ) -> None:
-    """Some thousand notifications are enough to see whether a million would fill it."""
+    """Some thousand notifications show whether memory grows with their number."""
     own_broker.start()
     with own_broker.client() as http:
         subscribe(http, "million", closing.url, "Million")

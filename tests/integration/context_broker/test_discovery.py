@@ -1,4 +1,4 @@
-"""Discovery: the types and attributes that there are (clauses 5.7.5 to 5.7.10)."""
+"""Discovery of types and attributes (clauses 5.7.5 to 5.7.10)."""
 
 from collections.abc import Iterator
 from typing import Any

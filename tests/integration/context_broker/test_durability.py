@@ -40,7 +40,7 @@ def numbers(subscriber: Any) -> list[int]:
 
 
 def refused(broker: Any) -> str:
-    """The last line that a broker says which does not start."""
+    """Return the last line of a broker that does not start."""
     process = broker.spawn()
     try:
         assert process.wait(120) == 2
@@ -134,7 +134,7 @@ def test_a_million_would_not_fill_the_memory_because_a_window_of_them_is_held(
 
 @pytest.fixture
 def full_disk(own_broker: Any) -> Callable[[bool], None]:
-    """Make the disk full for the broker, and make room again: by a limit on the size of its files."""
+    """Make the disk full for the broker, and free space again, by a limit on the size of its files."""
     own_broker.start()
     unlimited = resource.RLIM_INFINITY
 

@@ -1,4 +1,4 @@
-"""Entities over HTTP: created, read, changed in all the ways, deleted."""
+"""Entities over HTTP: creation, reading, all kinds of changes, deletion."""
 
 from typing import Any
 

@@ -14,7 +14,7 @@ from tests.kit.context_sources import put, register
 
 @pytest.fixture
 def forgetful() -> Iterator[tuple[str, list[str]]]:
-    """A source that answers the first request of each connection, and takes the next without an answer."""
+    """A source that answers the first request of each connection, and does not answer the next one."""
     asked: list[str] = []
     server = socket.create_server(("127.0.0.1", 0))
 

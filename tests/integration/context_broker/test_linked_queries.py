@@ -1,4 +1,4 @@
-"""Queries with links, places, scopes and orders over HTTP: by parameters and by documents."""
+"""Queries with links, geometries, scopes and orders: by parameters and by documents."""
 
 import re
 from collections.abc import Callable

@@ -28,7 +28,7 @@ PASSWORD = "let-me-in"
 
 
 class Mosquitto:
-    """An MQTT server on a port of its own, and somebody who listens to everything there."""
+    """An MQTT server on a port of its own, and a client that is subscribed to all topics."""
 
     def __init__(self, folder: Path, port: int, safe_port: int, certificate: tuple[Path, Path]) -> None:
         program = shutil.which("mosquitto") or "/usr/sbin/mosquitto"

@@ -1,4 +1,4 @@
-"""Media types, @contexts and input that no broker should take: each gets a clear answer, nothing stops."""
+"""Media types, @contexts and invalid input: each has a clear response."""
 
 import json
 import socket

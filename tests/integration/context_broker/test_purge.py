@@ -1,4 +1,4 @@
-"""Purging over HTTP: what a selection finds goes, or loses attributes; what chooses nothing is refused."""
+"""Purge: selected entities are deleted or lose attributes; a selection of everything is refused."""
 
 from typing import Any
 

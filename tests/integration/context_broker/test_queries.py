@@ -13,7 +13,7 @@ Ask = Callable[..., list[str]]
 
 @pytest.fixture(scope="module")
 def stocked(shared_broker: Any) -> None:
-    """Twenty-five lots: n from 0 to 24, colours in turn, some with more to say."""
+    """Twenty-five lots: n from 0 to 24, colours in turn, some with more attributes."""
     colours = ("red", "green", "blue")
     entities: list[dict[str, Any]] = []
     for number in range(25):

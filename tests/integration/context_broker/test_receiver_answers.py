@@ -1,4 +1,4 @@
-"""How receivers of notifications may end their answers: a 2xx status that has come is a delivery."""
+"""Ends of responses to notifications: a received 2xx status is a delivery."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""A start needs nothing from elsewhere: no network, and nothing that is slow to load and seldom used."""
+"""The start needs no network, and imports nothing that is slow and rarely used."""
 
 import json
 import subprocess
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 NO_TIME_S = 0.0001
-"""For what must be fetched, so that whatever is answered with success was there already."""
+"""For contexts that must be fetched: a successful response did not need the network."""
 CORE = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context{}.jsonld"
 CONTEXTS = [
     *(CORE.format(version) for version in ("", "-v1.3", "-v1.5", "-v1.6", "-v1.7", "-v1.8")),

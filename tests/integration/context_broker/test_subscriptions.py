@@ -1,4 +1,4 @@
-"""Subscriptions over HTTP: made, read, changed, deleted, and refused with the reason."""
+"""Subscriptions over HTTP: creation, reading, changes, deletion and errors."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Any

@@ -1,4 +1,4 @@
-"""Tenants: thousands of them, made by being used, none of whom sees another (clauses 4.14, 5.5.10)."""
+"""Tenants: isolated from each other, created by their first use (clauses 4.14, 5.5.10)."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any

@@ -1,4 +1,4 @@
-"""Notifications over TLS: certificates are checked, by the system's authorities and by one's own."""
+"""Notifications over TLS: certificates are checked with the authorities of the system and of the setting."""
 
 import json
 import ssl

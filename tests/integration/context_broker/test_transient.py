@@ -1,4 +1,4 @@
-"""Transient entities and attributes, now and in the past: they end on time, and while the broker is down."""
+"""Transient entities and attributes, current and temporal: they expire on time, also at a restart."""
 
 import time
 from collections.abc import Callable

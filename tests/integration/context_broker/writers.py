@@ -1,4 +1,4 @@
-"""Writers: each writes to things of its own in every way there is, and knows what it was promised."""
+"""Writers: each writes entities of its own with every operation, and records what was acknowledged."""
 
 import random
 import threading
@@ -11,11 +11,11 @@ THINGS_EACH = 8
 JSON_LD_FREE = {"endpoint": {"uri": "http://127.0.0.1:9/notify", "accept": "application/json"}}
 
 State = dict[str, Any] | None
-"""What a thing is like, None where there is none."""
+"""The state of an entity or subscription, None if it does not exist."""
 
 
 class Writer(threading.Thread):
-    """Writes to one broker until that is gone or `over` is set, and notes what was acknowledged.
+    """Writes to one broker until it ends or `over` is set, and records acknowledgements.
 
     `acknowledged` is what the broker has promised; `attempted` what was asked for last, and may or may not
     be there when the answer never came.
@@ -159,7 +159,7 @@ def _found(http: httpx.Client, thing: str) -> State:
 
 
 def compare(http: httpx.Client, writer: Writer) -> None:
-    """Everything is as acknowledged, or as the one request left open would have made it."""
+    """Check that the state is as acknowledged, or as the one unanswered request would have made it."""
     for thing, attempted in list(writer.attempted.items()):
         found, acknowledged = _found(http, thing), writer.acknowledged.get(thing)
         if found == acknowledged:

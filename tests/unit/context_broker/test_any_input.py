@@ -1,4 +1,4 @@
-"""Whatever JSON comes in: it is taken, or refused with a problem; nothing breaks."""
+"""Any JSON input is accepted, or refused with a problem."""
 
 from collections.abc import Callable
 from typing import Any
@@ -26,7 +26,7 @@ AT = "2026-01-01T00:00:00.000000Z"
 
 
 def documents(*members: str, values: tuple[Any, ...] = ()) -> st.SearchStrategy[Any]:
-    """JSON that often has the members and values that mean something."""
+    """JSON with many members and values of NGSI-LD."""
     plain = st.none() | st.booleans() | st.integers() | st.text(max_size=5) | st.sampled_from(values)
     names = st.sampled_from(members) | st.text(max_size=3)
     return st.recursive(
@@ -52,7 +52,7 @@ WISHES = documents(
 
 
 def refusal(act: Callable[[], object]) -> int | None:
-    """The status with which something was refused; None if it was taken."""
+    """Return the status of a refusal; None if the input was accepted."""
     try:
         act()
     except Problem as problem:

@@ -1,4 +1,4 @@
-"""Changes: what each operation makes of an entity, and what of it is news."""
+"""Changes: the effect of each operation on an entity, and what of it is notified."""
 
 import sys
 from typing import Any

@@ -1,4 +1,4 @@
-"""Filing: in the end the tables say what they would say if each commit had been written alone."""
+"""Checkpoints: the tables are as if each commit had been written alone."""
 
 import sqlite3
 from contextlib import closing

@@ -23,7 +23,7 @@ QUICK, SLOW = 0.00001, 1.0
 
 
 class OnDisks(Journal):
-    """A journal on a disk that is quick or slow as the test says, and that notes who commits."""
+    """A journal on a disk of configured speed, which records the committing threads."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(SqliteDatabase(folder / "broker.db"))
@@ -152,7 +152,7 @@ def test_a_refused_write_does_not_block_later_ones(tmp_path: Path, is_quick: boo
 
 @pytest.mark.parametrize("is_quick", [True, False])
 def test_a_completion_that_raises_fails_alone(tmp_path: Path, is_quick: bool) -> None:
-    """The whole group is on disk by then: the others are completed, and the queue goes on."""
+    """The whole group is on disk by then: the others are completed, and the queue continues."""
     completed: list[int] = []
     failures: list[Exception] = []
 

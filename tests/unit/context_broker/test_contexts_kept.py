@@ -26,7 +26,7 @@ URL = "https://a.example/context.jsonld"
 
 
 class Published(Fetcher):
-    """What is published, without a network; `kept_s` below zero is over as soon as it is fetched."""
+    """Published contexts, without a network; one with `kept_s` below zero expires at once."""
 
     def __init__(self, document: Mapping[str, Any] | None, kept_s: float) -> None:
         super().__init__(1.0, OutboundPolicy())
@@ -40,7 +40,7 @@ class Published(Fetcher):
 
 
 class Shelf:
-    """A book of contexts over a journal that is a dictionary."""
+    """A context resolver with a journal that is a dictionary."""
 
     def __init__(self, published: Published) -> None:
         self.published = published
@@ -73,7 +73,7 @@ def context(**terms: str) -> dict[str, Any]:
 
 
 async def settled() -> None:
-    """Let what was begun beside come to its end."""
+    """Wait until background fetches are done."""
     for _ in range(20):
         await asyncio.sleep(0)
 

@@ -1,4 +1,4 @@
-"""Damage: whatever happens to the files, they serve what was acknowledged, or are refused by name."""
+"""Damage: any damaged files serve what was acknowledged, or are refused by name."""
 
 import os
 import random
@@ -19,13 +19,13 @@ from services.context_broker.storage.history_archive import DepartedRow, History
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT, Journal
 
 TRIALS = int(os.environ.get("HANDOVER_TEST_DAMAGES", "12"))
-"""By kind of damage and state of the files."""
+"""Parametrized by the kind of damage and the state of the files."""
 SUBSCRIPTION = "urn:ngsi-ld:Subscription:1"
 
 
 @dataclass
 class Model:
-    """What was acknowledged."""
+    """The acknowledged state."""
 
     entities: dict[int, bytes] = field(default_factory=dict)
     documents: dict[str, bytes] = field(default_factory=dict)
@@ -69,7 +69,7 @@ def commit(journal: Journal, model: Model, chance: random.Random) -> None:
 
 
 def served(folder: Path) -> Any:
-    """Open what is in a folder, and read everything there is."""
+    """Open the files in a folder, and read everything."""
     journal = Journal(SqliteDatabase(folder / "broker.db"))
     try:
         journal.open()
@@ -222,7 +222,7 @@ def served_copy(scene: Scene, folder: Path) -> Any:
 
 
 def served_or_refused(folder: Path) -> Any:
-    """What files serve, or the line that refuses them."""
+    """Return what the files serve, or the error line."""
     try:
         return served(folder)
     except (UsageError, NotStored) as error:

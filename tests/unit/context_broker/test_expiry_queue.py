@@ -1,4 +1,4 @@
-"""The queue of ends: one place for each entity, swept when many are gone."""
+"""The expiry queue: one entry for each entity, cleaned when many were deleted."""
 
 import asyncio
 import time
@@ -20,7 +20,7 @@ def transient(name: str, end: str | None) -> Entity:
 
 
 class Shelf:
-    """What the queue sees of a store: entities by id, and changes on their way."""
+    """A store as the queue uses it: entities by id, and staged changes."""
 
     def __init__(self) -> None:
         self.entities: dict[str, Entity] = {}

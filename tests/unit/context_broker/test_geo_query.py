@@ -1,4 +1,4 @@
-"""Places: metres on the globe, relations of areas, and what is no geoquery (clauses 4.7 and 4.10)."""
+"""Geo-queries: metres on the globe, relations of areas, and invalid queries (clauses 4.7 and 4.10)."""
 
 import math
 from typing import Any

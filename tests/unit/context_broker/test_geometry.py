@@ -1,4 +1,4 @@
-"""Geometries: whatever numbers stand in them, they are refused or safe to compute with."""
+"""Geometries: any numbers are refused or safe to compute with."""
 
 import math
 from typing import Any

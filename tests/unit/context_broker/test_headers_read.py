@@ -1,4 +1,4 @@
-"""Headers read: which media type is answered, what is preferred (clauses 6.3.4 to 6.3.6, 6.3.21)."""
+"""Headers: media types and preferences (clauses 6.3.4 to 6.3.6, 6.3.21)."""
 
 from contextlib import suppress
 

@@ -1,4 +1,4 @@
-"""Indexes: they name all that fits, and follow every change."""
+"""Indexes contain all matches, and follow every change."""
 
 import itertools
 from typing import Any

@@ -1,4 +1,4 @@
-"""Intake: what each kind of attribute may say, by the clauses of the standard, and what is refused."""
+"""Parsing of each kind of attribute, by the clauses of the standard, and errors."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ POINT = {"type": "Point", "coordinates": [1, 2]}
 
 
 def taken(given: Any, name: str = "a", nulls: Nulls = Nulls.NOWHERE) -> Any:
-    """What the broker keeps of an attribute: its instance, or the list of them."""
+    """Return the stored form of an attribute: its instance, or a list of instances."""
     change = read_change({name: given}, TERMS, nulls)
     (instances,) = change.attributes.values()
     return instances[0] if len(instances) == 1 else instances

@@ -1,4 +1,4 @@
-"""The journal between releases: what this one wrote is read again, what a newer one wrote is left alone."""
+"""The journal between releases: files of other formats are refused and left unchanged."""
 
 import sqlite3
 from contextlib import closing

@@ -1,4 +1,4 @@
-"""Pages and orders: a walk through the pages sees everything once, whatever comes and goes (5.5.9, 4.23)."""
+"""Pages and orders: following the links returns everything once, also during changes (5.5.9, 4.23)."""
 
 import asyncio
 import itertools
@@ -41,7 +41,7 @@ def look(store: Store, window: Window, order: Ordering | None) -> Page:
 
 
 def following(page: Page, limit: int, *, forwards: bool) -> Window | None:
-    """The window that a link of a page leads to, its place written and read as in a URL."""
+    """Return the window of a link to a page, with its position encoded and decoded as in a URL."""
     place = page.last if forwards else page.first
     if not (page.more if forwards else page.before) or place is None:
         return None

@@ -1,4 +1,4 @@
-"""What readers choose: members with pick and omit, languages, geometries."""
+"""Projections: pick and omit, languages, geometries."""
 
 from collections.abc import Callable
 from typing import Any
@@ -26,7 +26,7 @@ def entity(**members: Any) -> Any:
 
 
 def status_of(act: Callable[[], object]) -> int | None:
-    """The status with which something was refused; None if it was done."""
+    """Return the status of a refusal; None if there was none."""
     try:
         act()
     except Problem as problem:

@@ -1,4 +1,4 @@
-"""The query language: read as the specification writes it, refused with the place and the reason."""
+"""The query language: parsed as specified, refused with the position and the reason."""
 
 from math import inf
 from typing import Any

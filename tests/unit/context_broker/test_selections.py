@@ -1,4 +1,4 @@
-"""Types and scopes: which are asked for, and what cannot be read (clauses 4.17 and 4.19)."""
+"""Type selections and scope queries, and errors in them (clauses 4.17 and 4.19)."""
 
 from collections.abc import Callable
 

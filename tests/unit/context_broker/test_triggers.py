@@ -232,7 +232,7 @@ def attributes(draw: st.DrawFn) -> dict[str, Any]:
 
 @st.composite
 def events(draw: st.DrawFn) -> Event:
-    """A change of an entity, its beginning or its end."""
+    """A change, creation or deletion of an entity."""
     before, after = draw(attributes()), draw(attributes())
     which = draw(st.sampled_from(["begins", "changes", "ends"]))
     return changed(
@@ -281,7 +281,7 @@ def test_any_change_can_be_notified_in_any_form(
 
 
 class Somebody:
-    """Somebody who waits for a turn."""
+    """A worker that waits to send."""
 
     pending_bytes = held = on_disk = throttled = 0
 

@@ -1,4 +1,4 @@
-"""The census: what is counted change by change is what there is."""
+"""Type statistics: counts that are updated with each change equal the stored entities."""
 
 from collections import Counter
 from typing import Any

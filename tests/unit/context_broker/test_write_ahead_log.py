@@ -1,4 +1,4 @@
-"""The log in front of an SQLite file: what was appended and not filed is read again, whatever happened."""
+"""The write-ahead log: appended records that are not checkpointed are read again, whatever happened."""
 
 import os
 import shutil
@@ -26,7 +26,7 @@ def read(folder: Path, checkpointed: int = 0, opening: bytes = OPENING) -> list[
 
 
 class Writing(RuleBasedStateMachine):
-    """A log that is appended to and filed from; after every step it is read as if it had been killed."""
+    """A log with appends and checkpoints; after every step it is read as after a kill."""
 
     folder: Path
 
@@ -132,7 +132,7 @@ def flip(file: Path, at: int, bit: int = 0) -> None:
 def test_a_bit_that_flips_in_the_last_frame_is_no_write_cut_short(
     tmp_path_factory: pytest.TempPathFactory, lengths: list[int], share: float, bit: int
 ) -> None:
-    """Nothing comes after it that would betray it: the checksums of its sectors do."""
+    """No later frame reveals the damage; the checksums of its sectors do."""
     folder = tmp_path_factory.mktemp("flip")
     log = begun(folder)
     records = [os.urandom(length) for length in lengths]
