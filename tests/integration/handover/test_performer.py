@@ -292,9 +292,7 @@ def test_the_tutorial_shows_the_lamp() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_lamp_ends_on_a_signal(
-    lamp: LampProcess, cell: Cell, number: signal.Signals
-) -> None:
+def test_the_lamp_ends_on_a_signal(lamp: LampProcess, cell: Cell, number: signal.Signals) -> None:
     process, said_before = cell.processes["lamp"], len(cell.log("lamp"))
     os.kill(process.pid, number)
     assert process.wait(timeout=120) in (0, -signal.SIGTERM)
