@@ -75,7 +75,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
 
     @app.post("/study/sessions/{session}/steps/{step}", tags=["study"])
     async def answer(session: str, step: str, given: Annotated[dict[str, Any], Body()]) -> dict[str, Any]:
-        """Answer a step; it is kept when this returns. Whoever declines consent is forgotten."""
+        """Answer a step; it is stored when this returns. Declining consent deletes the session."""
         moved = await sessions.answer(session, step, given)
         if moved is None:
             return {"id": session, "step": DECLINED}
