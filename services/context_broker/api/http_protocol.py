@@ -45,7 +45,7 @@ Handler = Callable[[Request, bytes | Receive], Coroutine[Any, Any, Response | No
 class BrokerProtocol(HttpProtocol):
     """One connection. `handler` answers NGSI-LD requests that `policy` accepts."""
 
-    __slots__ = ("_is_reading", "_next", "_said_always", "handler", "held", "policy")
+    __slots__ = ("_constant_headers", "_is_reading", "_next", "handler", "held", "policy")
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class BrokerProtocol(HttpProtocol):
         """Sends a response that has to wait until the client has read the last one."""
         self._next: RequestCycle | None = None
         self._is_reading = False
-        self._said_always: tuple[object, bytes] = (None, b"")
+        self._constant_headers: tuple[object, bytes] = (None, b"")
 
     # Receiving
 
@@ -75,7 +75,7 @@ class BrokerProtocol(HttpProtocol):
         super().data_received(data)
         self._is_reading = False
         if self._next is not None:
-            self._take_turns()
+            self._run_cycles()
 
     def on_message_begin(self) -> None:
         """Start a request."""
@@ -137,12 +137,12 @@ class BrokerProtocol(HttpProtocol):
 
     # Sending
 
-    def said_always(self) -> bytes:
+    def constant_headers(self) -> bytes:
         """Return the headers of every response; they change once a second."""
         headers = self.server_state.default_headers
-        if self._said_always[0] is not headers:
-            self._said_always = headers, b"".join(b"%b: %b\r\n" % header for header in headers)
-        return self._said_always[1]
+        if self._constant_headers[0] is not headers:
+            self._constant_headers = headers, b"".join(b"%b: %b\r\n" % header for header in headers)
+        return self._constant_headers[1]
 
     def resume_writing(self) -> None:
         """Continue with responses that had to wait."""
@@ -157,14 +157,14 @@ class BrokerProtocol(HttpProtocol):
             return
         self._next = cycle
         if not self._is_reading:
-            self._take_turns()
+            self._run_cycles()
 
-    def _take_turns(self) -> None:
+    def _run_cycles(self) -> None:
         """Answer the requests one after the other: most are answered synchronously."""
         self._is_reading = True
         while self._next is not None:
             cycle, self._next = self._next, None
-            cycle.begin()
+            cycle.start()
         self._is_reading = False
 
 
@@ -176,7 +176,7 @@ class RequestCycle:
     """
 
     __slots__ = (
-        "_context", "_expects", "_news", "_protocol", "_request", "_work", "body", "disconnected",
+        "_context", "_data_arrived", "_expects", "_protocol", "_request", "_work", "body", "disconnected",
         "keep_alive", "more_body", "response_complete",
     )  # fmt: skip
 
@@ -192,7 +192,7 @@ class RequestCycle:
         self._protocol = protocol
         self._request = request
         self._expects = b"expect" in headers and headers[b"expect"].lower() == b"100-continue"
-        self._news: asyncio.Future[None] | None = None
+        self._data_arrived: asyncio.Future[None] | None = None
 
     @property
     def message_event(self) -> "RequestCycle":
@@ -208,10 +208,10 @@ class RequestCycle:
 
     def set(self) -> None:
         """Wake the handler: more of the body is there, or the client has disconnected."""
-        if self._news is not None and not self._news.done():
-            self._news.set_result(None)
+        if self._data_arrived is not None and not self._data_arrived.done():
+            self._data_arrived.set_result(None)
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Start to answer."""
         is_whole = not (self.more_body or self._expects)
         request, policy = self._request, self._protocol.policy
@@ -222,9 +222,9 @@ class RequestCycle:
             return
         self._work = self._protocol.handler(request, self.body if is_whole else self._receive)
         self._context = copy_context()
-        self._context.run(self._go_on)
+        self._context.run(self._resume)
 
-    def _go_on(self, _: object = None) -> None:
+    def _resume(self, _: object = None) -> None:
         try:
             awaited = self._work.send(None)
         except StopIteration as end:
@@ -236,10 +236,10 @@ class RequestCycle:
             self._protocol.transport.close()
         else:
             if awaited is None:
-                self._protocol.loop.call_soon(self._go_on, context=self._context)
+                self._protocol.loop.call_soon(self._resume, context=self._context)
             else:
                 awaited._asyncio_future_blocking = False  # as asyncio.Task does
-                awaited.add_done_callback(self._go_on, context=self._context)
+                awaited.add_done_callback(self._resume, context=self._context)
 
     async def _receive(self) -> Message:
         protocol = self._protocol
@@ -248,8 +248,8 @@ class RequestCycle:
             protocol.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
         while self.more_body and not self.body and not self.disconnected:
             protocol.flow.resume_reading()
-            self._news = protocol.loop.create_future()
-            await self._news
+            self._data_arrived = protocol.loop.create_future()
+            await self._data_arrived
         if self.disconnected:
             return {"type": "http.disconnect"}
         piece, self.body = self.body, b""
@@ -267,7 +267,7 @@ class RequestCycle:
         protocol = self._protocol
         if protocol.transport.is_closing():
             return
-        head = [STATUS_LINE[answer.status], protocol.said_always()]
+        head = [STATUS_LINE[answer.status], protocol.constant_headers()]
         for name, value in answer.headers:
             # A value that is echoed in a header must not inject another header.
             head += (name, b": ", value.translate(None, _CONTROLS), b"\r\n")

@@ -49,12 +49,12 @@ class DeliveryWorker:
         self._endpoint_queue.join(self)
         self._queue: deque[PendingNotification] = deque()
         self._throttled: dict[str, PendingNotification] = {}
-        self._round: deque[bytes] = deque()
+        self._periodic: deque[bytes] = deque()
         self._last_sent_s = float("-inf")
         self._failures = 0
-        self._rests_until_s = 0.0
-        self._more_on_disk = False
-        self._loading = False
+        self._backoff_until_s = 0.0
+        self._has_more_on_disk = False
+        self._is_loading = False
         self._last_seq = 0
         self._sending: PendingNotification | None = None
         self._was_tried = False
@@ -79,32 +79,32 @@ class DeliveryWorker:
 
     def start(self) -> None:
         """Load the notifications that are in the outbox already."""
-        self._more_on_disk = self._is_uncounted = True
+        self._has_more_on_disk = self._is_uncounted = True
         if not self.pending:
             self._count_pending(
                 1, 1
             )  # at least one, as a placeholder; the number is known after the first page
-        self._go_on()
+        self._ensure_running()
 
     def add(self, notice: PendingNotification) -> None:
         """Accept a notification that is in the outbox already."""
         self._count_pending(1, notice.size)
         if notice.seq <= self._last_seq:
             return  # it was loaded from the outbox meanwhile
-        if self._loading or self._more_on_disk or self._endpoint_queue.room <= 0:
-            self._more_on_disk = True
+        if self._is_loading or self._has_more_on_disk or self._endpoint_queue.room <= 0:
+            self._has_more_on_disk = True
             if not self._endpoint_queue.is_shedding and self._endpoint_queue.has_too_much:
-                self._shed_later()
+                self._start_shedding()
         else:
-            self._take(notice)
-        self._go_on()
+            self._enqueue(notice)
+        self._ensure_running()
 
     def offer(self, bodies: Iterable[bytes]) -> None:
         """Accept the notifications of a period; those left of the period before are dropped."""
-        if self._round:
-            self._give_up("outdated", "the next period has begun", len(self._round))
-        self._round = deque(bodies)
-        self._go_on()
+        if self._periodic:
+            self._count_dropped("outdated", "the next period has begun", len(self._periodic))
+        self._periodic = deque(bodies)
+        self._ensure_running()
 
     def stop(self) -> None:
         """Stop at once; pending notifications stay in the outbox until the next start."""
@@ -115,8 +115,8 @@ class DeliveryWorker:
             self._endpoint_queue.release(notice.size)
         self._queue.clear()
         self._throttled.clear()
-        self._round.clear()
-        self._more_on_disk = False
+        self._periodic.clear()
+        self._has_more_on_disk = False
         self._last_seq = 0
         self._count_pending(-self.pending, -self.pending_bytes)
         self._endpoint_queue.leave(self)
@@ -138,16 +138,16 @@ class DeliveryWorker:
             self._endpoint_queue = endpoint_queue
             endpoint_queue.join(self)
         self._endpoint_queue.leave(self)
-        self._failures, self._rests_until_s = 0, 0.0
+        self._failures, self._backoff_until_s = 0, 0.0
         self.wake()
         if self.pending:
-            self._go_on()
+            self._ensure_running()
 
     def wake(self) -> None:
         """Check again whether there is something to do."""
         self._something_new.set()
 
-    def _take(self, notice: PendingNotification) -> None:
+    def _enqueue(self, notice: PendingNotification) -> None:
         self._last_seq = notice.seq
         if notice.waits_for_throttling:
             earlier = self._throttled.pop(
@@ -155,7 +155,7 @@ class DeliveryWorker:
             )  # throttled entities are sent in the order of their last change
             self._throttled[notice.entity] = notice
             if earlier is not None:  # the newer one contains this change
-                self._strike([earlier])
+                self._settle([earlier])
         else:
             self._queue.append(notice)
             self._endpoint_queue.take(notice.size)
@@ -165,7 +165,7 @@ class DeliveryWorker:
         self.pending_bytes += size
         self._endpoint_queue.pending_bytes += size
 
-    def _strike(self, notices: Iterable[PendingNotification]) -> None:
+    def _settle(self, notices: Iterable[PendingNotification]) -> None:
         """Record that notifications are not pending any more."""
         seqs = []
         for notice in notices:
@@ -173,7 +173,7 @@ class DeliveryWorker:
             self._count_pending(-1, -notice.size)
         self._context.settle(self.subscription, seqs)
 
-    def _go_on(self) -> None:
+    def _ensure_running(self) -> None:
         if self._task is None or self._task.done():
             self._task = asyncio.get_running_loop().create_task(self._work())
             self._task.add_done_callback(self._on_end)
@@ -187,12 +187,12 @@ class DeliveryWorker:
         """Deliver until nothing is pending or nothing may be sent; a notification or a change starts it
         again."""
         try:
-            while self._queue or self._throttled or self._more_on_disk or self._round:
+            while self._queue or self._throttled or self._has_more_on_disk or self._periodic:
                 status = self.subscription.status(time.time())
                 if status == "paused":
                     return
                 if status == "expired":
-                    await self._forget()
+                    await self._drop_all()
                 else:
                     await self._work_on()
             self._count_pending(-self.pending, -self.pending_bytes)
@@ -203,10 +203,10 @@ class DeliveryWorker:
         """Do the next step."""
         if self._queue:
             await self._deliver(self._queue[0])
-        elif self._more_on_disk:
+        elif self._has_more_on_disk:
             await self._load()
-        elif self._round:
-            await self._go_round(self._round[0])
+        elif self._periodic:
+            await self._send_periodic(self._periodic[0])
         elif (left_s := self._last_sent_s + self.subscription.throttling_s - time.monotonic()) > 0:
             await self._pause(left_s)
         else:
@@ -224,13 +224,13 @@ class DeliveryWorker:
         if is_done and self._queue and self._queue[0] is notice:
             self._queue.popleft()
             self._endpoint_queue.release(notice.size)
-            self._strike([notice])
+            self._settle([notice])
 
-    async def _go_round(self, body: bytes) -> None:
+    async def _send_periodic(self, body: bytes) -> None:
         """Try to send a notification of a period."""
         if await self._send(body, None, time.time()):
-            if self._round and self._round[0] is body:
-                self._round.popleft()
+            if self._periodic and self._periodic[0] is body:
+                self._periodic.popleft()
             self._context.settle(self.subscription, ())
 
     async def _send_throttled(self) -> None:
@@ -242,7 +242,7 @@ class DeliveryWorker:
             sent = [notice for one, notice in some.items() if self._throttled.get(one) is notice]
             for notice in sent:
                 del self._throttled[notice.entity]
-            self._strike(sent)
+            self._settle(sent)
 
     async def _send(self, body: bytes, taken: bytes | None, at: float) -> bool:
         """Send when it is due, once; return whether it is finished: delivered, refused or too old."""
@@ -252,9 +252,9 @@ class DeliveryWorker:
             if is_too_old:
                 self.subscription.counts.failed += not self._was_tried
                 self._was_tried = False
-                self._give_up("too old", "it could not be delivered in time")
+                self._count_dropped("too old", "it could not be delivered in time")
                 return True
-            rest_left_s = self._rests_until_s - time.monotonic()
+            rest_left_s = self._backoff_until_s - time.monotonic()
             wait_s = rest_left_s if rest_left_s > 0 else endpoint_queue.wait_s(self)
             if wait_s != 0:
                 await self._pause(wait_s)
@@ -271,18 +271,18 @@ class DeliveryWorker:
             return True
         if not result.again:
             endpoint_queue.succeeded()  # the endpoint answered, so others may be sent
-            self._give_up("refused", result.why)
+            self._count_dropped("refused", result.why)
             return True
         cooldown_s = before.endpoint.cooldown_s
         if self.subscription is before:
             self._failures += 1
             # The endpoint answers, so it may refuse this notification only: others are sent first.
             own_s = backoff_s(self._failures) if result.is_there and self._failures > 1 else 0.0
-            self._rests_until_s = time.monotonic() + max(own_s, cooldown_s)
+            self._backoff_until_s = time.monotonic() + max(own_s, cooldown_s)
         endpoint_queue.failed(self, started_s, cooldown_s)
         return False
 
-    def _give_up(self, reason: str, why: str, many: int = 1) -> None:
+    def _count_dropped(self, reason: str, why: str, many: int = 1) -> None:
         DROPPED.labels(reason).inc(many)
         log.warning("notifications dropped", subscription=self.subscription.id, why=why, many=many)
 
@@ -298,31 +298,31 @@ class DeliveryWorker:
     # Notifications on disk
 
     async def _load(self) -> None:
-        self._loading, self._more_on_disk = True, False
+        self._is_loading, self._has_more_on_disk = True, False
         sharing = sum(1 for one in self._endpoint_queue.workers if one.pending_bytes)
         limit = max(1, min(WINDOW // max(1, sharing), self._endpoint_queue.room))
         try:
             page = await self._backlog.page(self._last_seq, limit, count=self._is_uncounted)
         except NotStored as error:
-            self._more_on_disk = True
-            await self._cannot_read(error)
+            self._has_more_on_disk = True
+            await self._wait_after_read_error(error)
             return
         finally:
-            self._loading = False
+            self._is_loading = False
         if page.pending is not None:
             self._count_pending(page.pending[0] - self.pending, page.pending[1] - self.pending_bytes)
             self._is_uncounted = False
         for notice in page.notices:
-            self._take(notice)
-        self._more_on_disk = self._more_on_disk or page.has_more
+            self._enqueue(notice)
+        self._has_more_on_disk = self._has_more_on_disk or page.has_more
 
-    async def _cannot_read(self, error: NotStored) -> None:
+    async def _wait_after_read_error(self, error: NotStored) -> None:
         log.warning(
             "pending notifications cannot be read", subscription=self.subscription.id, error=str(error)
         )
         await self._pause(INITIAL_BACKOFF_S)
 
-    def _shed_later(self) -> None:
+    def _start_shedding(self) -> None:
         """Start to drop notifications of the endpoint in the background."""
         self._endpoint_queue.is_shedding = True
         task = asyncio.get_running_loop().create_task(self._shed(self._endpoint_queue))
@@ -338,7 +338,7 @@ class DeliveryWorker:
                 wanted_bytes = endpoint_queue.pending_bytes - int(
                     endpoint_queue.max_pending_bytes * (1 - SHED)
                 )
-                if not await most._give_up_oldest(
+                if not await most._drop_oldest(
                     wanted_bytes,
                     "too many",
                     "more notifications are pending for the endpoint than is allowed",
@@ -347,17 +347,17 @@ class DeliveryWorker:
         finally:
             endpoint_queue.is_shedding = False
 
-    async def _forget(self) -> None:
+    async def _drop_all(self) -> None:
         """Drop everything: the subscription has expired."""
         self._endpoint_queue.leave(self)
-        self._round.clear()
-        self._more_on_disk = False
-        if await self._give_up_oldest(None, "expired", "the subscription has expired") is None:
-            self._more_on_disk = True
+        self._periodic.clear()
+        self._has_more_on_disk = False
+        if await self._drop_oldest(None, "expired", "the subscription has expired") is None:
+            self._has_more_on_disk = True
 
-    async def _give_up_oldest(self, wanted_bytes: int | None, reason: str, why: str) -> int | None:
+    async def _drop_oldest(self, wanted_bytes: int | None, reason: str, why: str) -> int | None:
         """Drop the oldest, so many bytes of them or all; return how many, None if none could be read."""
-        given_up, left_bytes = 0, float("inf") if wanted_bytes is None else wanted_bytes
+        dropped_count, left_bytes = 0, float("inf") if wanted_bytes is None else wanted_bytes
         try:
             async for page in self._backlog.sizes():
                 gone: dict[int, int] = {}
@@ -365,22 +365,22 @@ class DeliveryWorker:
                     if left_bytes > 0 and (self._sending is None or seq != self._sending.seq):
                         gone[seq] = size
                         left_bytes -= size
-                self._drop(gone)
-                given_up += len(gone)
+                self._remove(gone)
+                dropped_count += len(gone)
                 if left_bytes <= 0:
                     break
         except NotStored as error:
-            await self._cannot_read(error)
+            await self._wait_after_read_error(error)
             return None
         finally:
-            if given_up:
-                self.subscription.counts.failed += given_up
+            if dropped_count:
+                self.subscription.counts.failed += dropped_count
                 self.subscription.counts.last_failure = timestamp_now()
-                self._give_up(reason, why, given_up)
+                self._count_dropped(reason, why, dropped_count)
             self._context.settle(self.subscription, ())
-        return given_up
+        return dropped_count
 
-    def _drop(self, gone: Mapping[int, int]) -> None:
+    def _remove(self, gone: Mapping[int, int]) -> None:
         """Remove notifications (number and size in bytes) from memory and from the outbox."""
         dropped = [notice for notice in self._queue if notice.seq in gone]
         if dropped and dropped[0] is self._queue[0]:

@@ -72,7 +72,7 @@ class EndpointQueue:
     held: int = 0
     pending_bytes: int = 0
     is_shedding: bool = False
-    _rests_until_s: float = 0.0
+    _backoff_until_s: float = 0.0
     _last_failure_s: float = float("-inf")
     _prober: EndpointUser | None = None
     _queue: deque[EndpointUser] = field(default_factory=deque)
@@ -120,7 +120,7 @@ class EndpointQueue:
             if worker not in self._queue:
                 self._queue.append(worker)
             return None
-        return max(0.0, self._rests_until_s - time.monotonic())
+        return max(0.0, self._backoff_until_s - time.monotonic())
 
     def succeeded(self) -> None:
         """Record a delivery: all workers may send."""
@@ -140,7 +140,7 @@ class EndpointQueue:
         if started_s >= self._last_failure_s:
             self.failures += 1
             self._last_failure_s = now_s
-            self._rests_until_s = now_s + max(backoff_s(self.failures), at_least_s)
+            self._backoff_until_s = now_s + max(backoff_s(self.failures), at_least_s)
         self.leave(worker)
 
     def leave(self, worker: EndpointUser) -> None:

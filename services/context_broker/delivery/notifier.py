@@ -55,7 +55,7 @@ class Notifier(SubscriptionDispatcher):
         self._periodic.stop()
         super().stop()
 
-    def rearrange(self, changed: str | None = None) -> None:
+    def update_index(self, changed: str | None = None) -> None:
         """Update the indexes after a subscription was added, changed or deleted; without an id, after all
         changed."""
         self._is_sorted = False

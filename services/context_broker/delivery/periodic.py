@@ -30,7 +30,7 @@ class PeriodicNotifications:
         loop = asyncio.get_running_loop() if wanted else None
         for one, subscription in wanted.items():
             if one not in self._tasks and loop is not None:
-                self._tasks[one] = (subscription, loop.create_task(self._go(subscription)))
+                self._tasks[one] = (subscription, loop.create_task(self._run(subscription)))
 
     def is_affected(self, changed: str | None, now: Subscription | None) -> bool:
         """Return whether the timers have to change with a subscription, which is `now` so; always without
@@ -41,9 +41,9 @@ class PeriodicNotifications:
         """Cancel all timers."""
         self.schedule([])
 
-    async def _go(self, subscription: Subscription) -> None:
+    async def _run(self, subscription: Subscription) -> None:
         assert subscription.interval_s is not None  # noqa: S101 - only those come here
-        due_s = first_s(subscription, time.time())
+        due_s = first_due_s(subscription, time.time())
         while True:
             await asyncio.sleep(max(0.0, due_s - time.time()))
             now_s = time.time()
@@ -56,7 +56,7 @@ class PeriodicNotifications:
                 log.exception("periodic notification failed", subscription=subscription.id)
 
 
-def first_s(subscription: Subscription, now_s: float) -> float:
+def first_due_s(subscription: Subscription, now_s: float) -> float:
     """Return when (seconds since 1970) a subscription is due first: one interval after its last notification.
 
     Intervals that were missed while the broker was down are made up for by one notification, at once.

@@ -40,7 +40,7 @@ class SubscriptionDispatcher:
             for one in self.journal.pending_subscriptions(self.tenant):
                 if one in self._workers:
                     self._workers[one].start()
-        self.rearrange()
+        self.update_index()
 
     def stop(self) -> None:
         """Stop; pending notifications stay in the outbox."""
@@ -55,12 +55,12 @@ class SubscriptionDispatcher:
         else:
             subscription.counts = worker.subscription.counts
             worker.change(subscription)
-        self.rearrange(subscription.id)
+        self.update_index(subscription.id)
 
     def remove(self, subscription_id: str) -> None:
         """Remove a subscription and its pending notifications."""
         self._workers.pop(subscription_id).end()
-        self.rearrange(subscription_id)
+        self.update_index(subscription_id)
 
     def get(self, subscription_id: str) -> Subscription | None:
         """Return a subscription."""
@@ -71,7 +71,7 @@ class SubscriptionDispatcher:
         """Return all subscriptions in a stable order."""
         return [worker.subscription for worker in self._workers.values()]
 
-    def rearrange(self, changed: str | None = None) -> None:
+    def update_index(self, changed: str | None = None) -> None:
         """Update after a subscription was added, changed or deleted; without an id, after all changed."""
 
     # Notifications

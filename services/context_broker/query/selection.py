@@ -210,7 +210,7 @@ async def _ordered(
     placed: list[_Placed] = []
     began_s = time.perf_counter()
     for start in range(0, len(hits), CHUNK):
-        began_s = await _gave_way(began_s)
+        began_s = await _yield_to_others(began_s)
         for entity in hits[start : start + CHUNK]:
             at = order.place_of(entity)
             if border is None or (at < border if place and place.is_end else at > border):
@@ -250,7 +250,7 @@ async def _hits(
     began_s = time.perf_counter()
     for start in range(0, len(candidates), CHUNK):
         if start:
-            began_s = await _gave_way(began_s)
+            began_s = await _yield_to_others(began_s)
         for entity in candidates[start : start + CHUNK]:
             for question in questions:  # no helper functions: this is the innermost loop of a query
                 if not question(entity, lookup):
@@ -262,7 +262,7 @@ async def _hits(
     return hits
 
 
-async def _gave_way(began_s: float) -> float:
+async def _yield_to_others(began_s: float) -> float:
     """Let other tasks run if it is time; return when this one resumed."""
     if time.perf_counter() - began_s < TURN_S:
         return began_s

@@ -26,13 +26,13 @@ from services.context_broker.storage.write_ahead_log import Damaged, WriteAheadL
 
 log = get_logger(__name__)
 
-QUIET_S: Final = 1.0
+CHECKPOINT_DELAY_S: Final = 1.0
 """Delay of a checkpoint when there are few commits, so that the tables are never far behind."""
 RETRY_S: Final = 1.0
-HICCUP_S: Final = 0.002
-REMEMBERED: Final = 16
-SUPPOSED: Final = 0.995
-QUICK_BYTES: Final = 64 * 1024
+MAX_SAMPLE_S: Final = 0.002
+SAMPLES: Final = 16
+DECAY: Final = 0.995
+MAX_QUICK_BYTES: Final = 64 * 1024
 """Maximum size of a record that the event loop writes itself."""
 
 UNCHECKPOINTED = Gauge(
@@ -59,11 +59,11 @@ class Checkpointer:
         self._log = WriteAheadLog(database.path)
         self.left: list[Entries] = []
         """Commits that an earlier process has left in the log, until the first checkpoint."""
-        self._no_room: str | None = None
+        self._log_error: str | None = None
         """Why nothing can be written: the log could not be created."""
-        self._not_checkpointed: str | None = None
+        self._tables_error: str | None = None
         """Why the tables cannot be written."""
-        self._not_written: str | None = None
+        self._write_error: str | None = None
         """Why the log could not be written the last time."""
         self._identity = self._opening = b""
         self._is_open = False
@@ -75,8 +75,8 @@ class Checkpointer:
         """Guards the log and what waits for a checkpoint."""
         self._checkpointer = threading.Lock()
         """Held while the tables are written."""
-        self._wanted = threading.Event()
-        self._ends = threading.Event()
+        self._is_wanted = threading.Event()
+        self._is_ending = threading.Event()
         self._flush_s = 0.0
         self._thread = threading.Thread(target=self._work, name="filing", daemon=True)
 
@@ -88,7 +88,7 @@ class Checkpointer:
     @property
     def flush_s(self) -> float:
         """Return the recent average time that a flush has blocked the event loop."""
-        return math.inf if self._no_room is not None else self._flush_s
+        return math.inf if self._log_error is not None else self._flush_s
 
     def require_database(self) -> None:
         """Raise `UsageError` if there is a log without the database that it belongs to."""
@@ -116,14 +116,14 @@ class Checkpointer:
             self._begin()
         except NotStored as error:
             log.warning("no space on the disk: reads only", database=str(self.path), error=str(error))
-            self._wanted.set()
+            self._is_wanted.set()
         self._database.before_reading = self.settle
         UNCHECKPOINTED.set_function(lambda: len(self._waiting))
         self._thread.start()
 
     def require_room(self) -> None:
         """Raise `NotStored` with the reason while the log or the tables cannot be written."""
-        if (reason := self._no_room or self._not_written or self._not_checkpointed) is not None:
+        if (reason := self._log_error or self._write_error or self._tables_error) is not None:
             raise NotStored(reason)
 
     def scan_tables(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
@@ -184,11 +184,11 @@ class Checkpointer:
                     self._write_state(writer, 0, is_open=True)
                 self._database.checkpoint()
             except (NotStored, OSError) as error:
-                self._no_room = str(error)
+                self._log_error = str(error)
                 self._log.close()
                 raise NotStored(str(error)) from error
             self._is_open = self._has_begun = True
-            self._flush_s, self._no_room = flush_s, None
+            self._flush_s, self._log_error = flush_s, None
 
     def _write_state(self, writer: Writer, checkpointed: int, *, is_open: bool) -> None:
         """Write the state of the log to the tables: its identity, its opening and the last checkpoint."""
@@ -202,21 +202,21 @@ class Checkpointer:
 
     def commit_at_once(self, entries: Entries) -> bool:
         """Do as `commit` and return true if there is space and the record is small; else do nothing."""
-        if self._no_room is not None:
+        if self._log_error is not None:
             return False
         record = encoded(entries)
-        if len(record) > QUICK_BYTES or not self._log.has_room(record):
+        if len(record) > MAX_QUICK_BYTES or not self._log.has_room(record):
             return False
         began_s = time.perf_counter()
         self._append(record)
         # A single slow flush must not change the average much.
-        self._flush_s += (min(time.perf_counter() - began_s, HICCUP_S) - self._flush_s) / REMEMBERED
+        self._flush_s += (min(time.perf_counter() - began_s, MAX_SAMPLE_S) - self._flush_s) / SAMPLES
         return True
 
     def commit(self, entries: Entries) -> None:
         """Write entries to the log and return when they are durable; from one thread at a time. Raises
         `NotStored`."""
-        if self._no_room is not None:
+        if self._log_error is not None:
             self._begin()
         record = encoded(entries)
         if self._log.never_fits(record):
@@ -227,7 +227,7 @@ class Checkpointer:
         self._append(record)
         # A thread also waits for the interpreter, so it cannot measure the disk. Assume that the disk becomes
         # a little quicker with each commit, until the event loop measures it again.
-        self._flush_s *= SUPPOSED
+        self._flush_s *= DECAY
 
     def _append(self, record: bytes) -> None:
         was_tight = self._log.is_tight
@@ -236,24 +236,24 @@ class Checkpointer:
                 self._log.append(record)
                 self._waiting.append(record)
         except OSError as error:
-            self._not_written = str(error)
-            self._wanted.set()
+            self._write_error = str(error)
+            self._is_wanted.set()
             raise NotStored(f"{self._database.name}: {error}") from error
-        self._not_written = None
+        self._write_error = None
         if len(self._waiting) == 1 or self._log.is_tight is not was_tight:
-            self._wanted.set()
+            self._is_wanted.set()
 
     def settle(self) -> None:
         """Write all commits so far to the tables; from any thread. Raises `NotStored`."""
         if self.left:
-            raise NotStored(f"{self._database.name}: {self._no_room}")
+            raise NotStored(f"{self._database.name}: {self._log_error}")
         if self._waiting:
             self._checkpoint()
 
     def close(self) -> None:
         """Write a last checkpoint, and close the log."""
-        self._ends.set()
-        self._wanted.set()
+        self._is_ending.set()
+        self._is_wanted.set()
         if self._thread.is_alive():
             self._thread.join()
         is_filed = False
@@ -287,29 +287,29 @@ class Checkpointer:
 
     def _work(self) -> None:
         """Write checkpoints in a thread of its own, when there is enough or after a delay."""
-        while not self._ends.is_set():
-            self._wanted.wait()
-            self._wanted.clear()
-            if not self._ends.is_set() and not self._log.is_tight:
-                self._wanted.wait(QUIET_S)
-                self._wanted.clear()
+        while not self._is_ending.is_set():
+            self._is_wanted.wait()
+            self._is_wanted.clear()
+            if not self._is_ending.is_set() and not self._log.is_tight:
+                self._is_wanted.wait(CHECKPOINT_DELAY_S)
+                self._is_wanted.clear()
             try:
                 if not self._has_begun:
                     self._begin()
                     log.info("there is space on the disk again", database=str(self.path))
-                if self._not_written is not None:
+                if self._write_error is not None:
                     with self._guard:
                         self._log.try_out()
-                    self._not_written = None
+                    self._write_error = None
                 self.settle()
-                self._not_checkpointed = None
+                self._tables_error = None
             except Exception as error:  # noqa: BLE001 - without this thread the log would become full
                 CHECKPOINT_FAILURES.inc()
-                if self._no_room is None:
-                    self._not_checkpointed = str(error)
+                if self._log_error is None:
+                    self._tables_error = str(error)
                     log.warning("checkpoint failed: the tables cannot be written", error=str(error))
-                self._ends.wait(RETRY_S)
-                self._wanted.set()
+                self._is_ending.wait(RETRY_S)
+                self._is_wanted.set()
 
 
 def lots(commits: list[Entries]) -> list[Entries]:

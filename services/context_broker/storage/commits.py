@@ -31,9 +31,9 @@ failed."""
 MAX_GROUP = 2000
 MAX_FLUSH_S = 0.0005
 """Maximum flush time for which the event loop writes itself: as long as two or three requests take."""
-HANDING_OVER_S = 0.0001
+THREAD_COST_S = 0.0001
 """The cost of passing a write to a thread and back, most of it waiting for the interpreter."""
-REMEMBERED = 16
+SAMPLES = 16
 """Iterations of the event loop in the moving average."""
 IDLE_S = 0.005
 """If writes are further apart than this, nothing else waits for the event loop."""
@@ -85,11 +85,11 @@ class CommitQueue:
         self._journal = journal
         self._on_refusal = on_refusal
         self._queue: queue.SimpleQueue[list[Write] | None] = queue.SimpleQueue()
-        self._gathered: list[Write] = []
-        self._sent_s = 0.0
-        self._usual = 1.0
+        self._collected: list[Write] = []
+        self._last_send_s = 0.0
+        self._usual_group = 1.0
         """Recent average of writes in one iteration of the event loop."""
-        self._under_way = 0
+        self._unfinished = 0
         """Writes that were passed on and not called back yet."""
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
@@ -121,9 +121,9 @@ class CommitQueue:
             together.add(later)
             together.add(entries)
             entries = together
-        if not self._gathered:
+        if not self._collected:
             asyncio.get_running_loop().call_soon(self._send)
-        self._gathered.append(Write(entries, self._era, done, failed))
+        self._collected.append(Write(entries, self._era, done, failed))
 
     def _send(self) -> None:
         """Pass on the writes of one iteration of the event loop.
@@ -131,22 +131,22 @@ class CommitQueue:
         One by one, the first write would wake the thread and be committed alone, and the others would wait
         for it.
         """
-        if self._gathered:
-            writes, self._gathered = self._gathered, []
-            thread_is_idle = not self._under_way
-            self._under_way += len(writes)
+        if self._collected:
+            writes, self._collected = self._collected, []
+            thread_is_idle = not self._unfinished
+            self._unfinished += len(writes)
             is_quick = self._is_quick(len(writes))
             if not (thread_is_idle and is_quick and self._commit_at_once(writes)):
                 self._queue.put(writes)
 
     def _is_quick(self, count: int) -> bool:
         """Return whether a flush on the event loop costs less than passing so many writes to the thread."""
-        flush_s, before_s, self._sent_s = self._journal.flush_s, self._sent_s, time.monotonic()
-        self._usual += (count - self._usual) / REMEMBERED
+        flush_s, before_s, self._last_send_s = self._journal.flush_s, self._last_send_s, time.monotonic()
+        self._usual_group += (count - self._usual_group) / SAMPLES
         if flush_s > MAX_FLUSH_S:
             return False
         # Each write is passed on, and each then waits for all of them.
-        return flush_s < self._usual**2 * HANDING_OVER_S or self._sent_s - before_s > IDLE_S
+        return flush_s < self._usual_group**2 * THREAD_COST_S or self._last_send_s - before_s > IDLE_S
 
     def _commit_at_once(self, writes: list[Write]) -> bool:
         """Commit writes on the event loop and return true if that is fast; the thread is idle meanwhile."""
@@ -213,28 +213,28 @@ class CommitQueue:
                 self._commit(group)
 
     def _commit(self, group: list[Write]) -> None:
-        built_on_sand = [write for write in group if write.era <= self._refused_era]
-        if built_on_sand:
+        dependent = [write for write in group if write.era <= self._refused_era]
+        if dependent:
             self._report_failure(
-                built_on_sand, NotStored("an earlier change that it may depend on was not stored")
+                dependent, NotStored("an earlier change that it may depend on was not stored")
             )
-        firm = [write for write in group if write.era > self._refused_era]
-        if not firm:
+        writable = [write for write in group if write.era > self._refused_era]
+        if not writable:
             return
         try:
-            self._journal.commit(together(firm))
+            self._journal.commit(together(writable))
         except NotStored as error:
-            self._refuse(firm, error)
+            self._refuse(writable, error)
         except Exception as error:  # if this thread ended, every later write would wait for ever
-            log.exception("a group of writes cannot be committed", writes=len(firm))
-            if len(firm) > 1:
-                for write in firm:
+            log.exception("a group of writes cannot be committed", writes=len(writable))
+            if len(writable) > 1:
+                for write in writable:
                     self._commit([write])
             else:
-                self._refuse(firm, NotStored(f"{type(error).__name__}: {error}"))
+                self._refuse(writable, NotStored(f"{type(error).__name__}: {error}"))
         else:
-            GROUPS.tally.note(len(firm))
-            self._call(self._report_success, firm)
+            GROUPS.tally.note(len(writable))
+            self._call(self._report_success, writable)
 
     def _refuse(self, writes: list[Write], error: NotStored) -> None:
         self._refused_era = max(write.era for write in writes)
@@ -251,7 +251,7 @@ class CommitQueue:
     # On the event loop
 
     def _report_success(self, writes: list[Write]) -> None:
-        self._under_way -= len(writes)
+        self._unfinished -= len(writes)
         for write in writes:
             try:
                 write.done()
@@ -262,7 +262,7 @@ class CommitQueue:
 
     def _on_failure(self, writes: list[Write], error: NotStored) -> None:
         log.error("the disk refuses changes", error=str(error), writes=len(writes))
-        self._under_way -= len(writes)
+        self._unfinished -= len(writes)
         if writes[-1].era == self._era:
             self._era += 1
             self._on_refusal()

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.context_broker.storage import commits
-from services.context_broker.storage.checkpoint import QUICK_BYTES
+from services.context_broker.storage.checkpoint import MAX_QUICK_BYTES
 from services.context_broker.storage.commits import CommitQueue, NotCompleted
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries
@@ -84,7 +84,7 @@ def test_few_writes_are_worth_a_flush_on_the_loop_only_where_it_has_nothing_else
     monkeypatch.setattr(commits, "IDLE_S", idle_s)
 
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
-        journal.took_s = 2 * commits.HANDING_OVER_S
+        journal.took_s = 2 * commits.THREAD_COST_S
         await queue.store(entity(1))
         await asyncio.gather(*(queue.store(entity(place)) for place in range(2, 40)))
 
@@ -93,7 +93,7 @@ def test_few_writes_are_worth_a_flush_on_the_loop_only_where_it_has_nothing_else
 
 def test_large_writes_are_committed_by_the_thread(tmp_path: Path) -> None:
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
-        await queue.store(entity(1, QUICK_BYTES))
+        await queue.store(entity(1, MAX_QUICK_BYTES))
         await queue.store(entity(2))
 
     assert run(tmp_path, steps).committed_by[0] == "journal"

@@ -60,7 +60,7 @@ class SourceNotifier(SubscriptionDispatcher):
         self._periodic.stop()
         super().stop()
 
-    def rearrange(self, changed: str | None = None) -> None:
+    def update_index(self, changed: str | None = None) -> None:
         """Restart the periodic notifications after a change of subscriptions."""
         one = None if changed is None else self.get(changed)
         if self._periodic.is_affected(changed, one):
