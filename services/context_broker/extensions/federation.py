@@ -8,10 +8,11 @@ and a broker with HANDOVER_BROKER_FEDERATION=false never does.
 
 from typing import Final, Protocol
 
-from services.context_broker.extensions.unsupported import unsupported
+from services.context_broker.extensions.unsupported import unsupported, warn_of_stored
 from services.context_broker.model.problems import not_supported
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
+from services.context_broker.storage.entries import Kind
 from services.context_broker.storage.journal import Journal
 from services.context_broker.tenant_extensions import LocalTenant, TenantFederation
 from services.context_broker.tenants import Tenant
@@ -68,13 +69,13 @@ class Federation(Protocol):
     async def refresh_context(self, tenant: Tenant, context_id: str) -> None:
         """Recompute everything of a tenant that was derived from a changed @context."""
 
-    async def answer(self, operation: Operation, exchange: RequestContext) -> Response:
+    async def answer(self, operation: Operation, request: RequestContext) -> Response:
         """Carry out an operation with the context sources, and by an entity map if the request wants one."""
 
-    async def answer_locally(self, operation: Operation, exchange: RequestContext) -> Response:
+    async def answer_locally(self, operation: Operation, request: RequestContext) -> Response:
         """Carry out an operation on the tenant's own entities, by an entity map if the request wants one."""
 
-    async def distribute(self, operation: Operation, exchange: RequestContext) -> Response:
+    async def distribute(self, operation: Operation, request: RequestContext) -> Response:
         """Carry out an operation with the context sources, without entity maps."""
 
 
@@ -88,7 +89,7 @@ class LocalOnly:
         return LocalTenant()
 
     async def restore(self, journal: Journal) -> None:
-        return
+        warn_of_stored(journal, Kind.REGISTRATION, "HANDOVER_BROKER_FEDERATION")
 
     async def start(self, journal: Journal) -> None:
         return
@@ -99,29 +100,29 @@ class LocalOnly:
     async def refresh_context(self, tenant: Tenant, context_id: str) -> None:
         return
 
-    async def answer(self, operation: Operation, exchange: RequestContext) -> Response:
-        if wants_map(operation, exchange):
+    async def answer(self, operation: Operation, request: RequestContext) -> Response:
+        if wants_map(operation, request):
             raise not_supported(_OFF)
-        return await operation.answer(exchange)
+        return await operation.answer(request)
 
     answer_locally = answer
 
-    async def distribute(self, operation: Operation, exchange: RequestContext) -> Response:
-        return await operation.answer(exchange)
+    async def distribute(self, operation: Operation, request: RequestContext) -> Response:
+        return await operation.answer(request)
 
 
-def wants_map(operation: Operation, exchange: RequestContext) -> bool:
+def wants_map(operation: Operation, request: RequestContext) -> bool:
     """Return whether a request names an entity map, or asks for one to be created.
 
     It asks with entityMap=true or with entityMap among its options.
     """
-    parameters = exchange.parameters
-    if MAP_HEADER not in exchange.headers and MAP_OPTION not in parameters and "options" not in parameters:
+    parameters = request.parameters
+    if MAP_HEADER not in request.headers and MAP_OPTION not in parameters and "options" not in parameters:
         return False
     if operation.name not in _MAPPED_OPERATIONS:
         return False
     return (
-        MAP_HEADER in exchange.headers
-        or exchange.flag(MAP_OPTION)
+        MAP_HEADER in request.headers
+        or request.flag(MAP_OPTION)
         or MAP_OPTION in parameters.get("options", "").split(",")
     )

@@ -8,10 +8,11 @@ broker with HANDOVER_BROKER_SNAPSHOTS=false never does.
 from collections.abc import Awaitable, Callable
 from typing import Final, Protocol
 
-from services.context_broker.extensions.unsupported import unsupported
+from services.context_broker.extensions.unsupported import unsupported, warn_of_stored
 from services.context_broker.model.problems import not_supported
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
+from services.context_broker.storage.entries import Kind
 from services.context_broker.storage.journal import Journal
 
 SNAPSHOT_HEADER: Final = b"ngsild-snapshot"
@@ -45,7 +46,7 @@ class Snapshots(Protocol):
     def stop(self) -> None:
         """Stop the background work."""
 
-    async def answer(self, operation: Operation, exchange: RequestContext, carry_out: CarryOut) -> Response:
+    async def answer(self, operation: Operation, request: RequestContext, carry_out: CarryOut) -> Response:
         """Carry out an operation inside the snapshot that the request names."""
 
 
@@ -56,7 +57,7 @@ class NoSnapshots:
         return unsupported(_OPERATIONS, _OFF)
 
     def restore(self, journal: Journal) -> None:
-        return
+        warn_of_stored(journal, Kind.SNAPSHOT, "HANDOVER_BROKER_SNAPSHOTS")
 
     def start(self, journal: Journal) -> None:
         return
@@ -64,10 +65,10 @@ class NoSnapshots:
     def stop(self) -> None:
         return
 
-    async def answer(self, operation: Operation, exchange: RequestContext, carry_out: CarryOut) -> Response:
+    async def answer(self, operation: Operation, request: RequestContext, carry_out: CarryOut) -> Response:
         raise not_supported(_OFF)
 
 
-def is_inside_snapshot(operation: Operation, exchange: RequestContext) -> bool:
+def is_inside_snapshot(operation: Operation, request: RequestContext) -> bool:
     """Return whether an operation is about the content of a snapshot (clause 6.3.22)."""
-    return SNAPSHOT_HEADER in exchange.headers and operation.name not in SNAPSHOT_OPERATIONS
+    return SNAPSHOT_HEADER in request.headers and operation.name not in SNAPSHOT_OPERATIONS

@@ -2,9 +2,14 @@
 
 from collections.abc import Iterable
 
+from handover.telemetry import get_logger
 from services.context_broker.model.problems import not_supported
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
+from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.journal import Journal
+
+log = get_logger(__name__)
 
 Listed = tuple[str, str, str, str]
 """Method, path, name and clause of an operation."""
@@ -20,7 +25,13 @@ class _AnyParameter(frozenset[str]):
 def unsupported(listed: Iterable[Listed], detail: str) -> tuple[Operation, ...]:
     """Return the operations as ones that are refused with `detail`, whatever their parameters are."""
 
-    async def refuse(exchange: RequestContext) -> Response:  # noqa: ARG001 - as all operations
+    async def refuse(request: RequestContext) -> Response:  # noqa: ARG001 - as all operations
         raise not_supported(detail)
 
     return tuple(Operation(*one, refuse, _AnyParameter(), of_no_tenant=True) for one in listed)
+
+
+def warn_of_stored(journal: Journal, kind: Kind, setting: str) -> None:
+    """Log a warning if the database has documents of a part that is switched off; they stay stored."""
+    if count := sum(1 for _ in journal.documents(kind)):
+        log.warning("stored documents are ignored", kind=kind.value, count=count, setting=setting)

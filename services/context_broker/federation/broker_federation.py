@@ -24,8 +24,7 @@ from services.context_broker.federation.registrations.source_subscription_operat
 )
 from services.context_broker.federation.tenant_state import FederatedTenant, federated
 from services.context_broker.network.http_client import BodyReadingHttpClient
-from services.context_broker.request.request_context import RequestContext as Exchange
-from services.context_broker.request.request_context import Response as Answer
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.storage.document_counts import documents_with_counts
@@ -42,7 +41,7 @@ class BrokerFederation:
         tenants: Tenants,
         contexts: ContextResolver,
         settings: BrokerSettings,
-        perform: Callable[[str, Exchange], Awaitable[Answer]],
+        perform: Callable[[str, RequestContext], Awaitable[Response]],
     ) -> None:
         self._tenants = tenants
         self._registrations = RegistrationOperations(contexts)
@@ -88,20 +87,20 @@ class BrokerFederation:
         await self._source_subscriptions.renew(tenant, context_id)
         await self._registrations.renew(tenant, context_id)
 
-    async def answer(self, operation: Operation, exchange: Exchange) -> Answer:
-        if wants_map(operation, exchange):
-            return await self._entity_maps.answer(operation, exchange, partial(self.distribute, operation))
-        return await self.distribute(operation, exchange)
+    async def answer(self, operation: Operation, request: RequestContext) -> Response:
+        if wants_map(operation, request):
+            return await self._entity_maps.answer(operation, request, partial(self.distribute, operation))
+        return await self.distribute(operation, request)
 
-    async def answer_locally(self, operation: Operation, exchange: Exchange) -> Answer:
-        if wants_map(operation, exchange):
-            return await self._entity_maps.answer(operation, exchange, operation.answer)
-        return await operation.answer(exchange)
+    async def answer_locally(self, operation: Operation, request: RequestContext) -> Response:
+        if wants_map(operation, request):
+            return await self._entity_maps.answer(operation, request, operation.answer)
+        return await operation.answer(request)
 
-    async def distribute(self, operation: Operation, exchange: Exchange) -> Answer:
-        if exchange.tenant.federation.is_empty:
-            return await operation.answer(exchange)
-        return await self._distribution.answer(operation, exchange)
+    async def distribute(self, operation: Operation, request: RequestContext) -> Response:
+        if request.tenant.federation.is_empty:
+            return await operation.answer(request)
+        return await self._distribution.answer(operation, request)
 
     def _handlers(self) -> Mapping[str, Handler]:
         """Return how operations are distributed; imported late, because most brokers have no registration."""

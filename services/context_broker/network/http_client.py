@@ -268,7 +268,7 @@ class PooledHttpClient:
         request = ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1") + body
         try:
             async with asyncio.timeout(timeout_s):
-                return await self._exchange(where, request, may_repeat=may_repeat)
+                return await self._request(where, request, may_repeat=may_repeat)
         except TimeoutError:
             raise ResponseTimeout(f"no answer within {timeout_s:g} s") from None
         except AddressRefused as refused:
@@ -285,7 +285,7 @@ class PooledHttpClient:
                 connection.close()
         self._idle.clear()
 
-    async def _exchange(self, where: Address, request: bytes, *, may_repeat: bool) -> Any:
+    async def _request(self, where: Address, request: bytes, *, may_repeat: bool) -> Any:
         idle = self._idle.setdefault((where.host, where.port, where.tls), [])
         now_s = asyncio.get_running_loop().time()
         while idle:

@@ -5,15 +5,11 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.request_context import (
     JSON_LD,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 from services.context_broker.snapshots.snapshot import Status, details
 from services.context_broker.tenants import Tenant
@@ -27,19 +23,19 @@ EVERYTHING: Final = {
     "temporalQ": {"timerel": "after", "timeAt": "1970-01-01T00:00:00Z", "timeproperty": "createdAt"},
 }
 
-PerformByName = Callable[[str, Exchange], Awaitable[Answer]]
+PerformByName = Callable[[str, RequestContext], Awaitable[Response]]
 """Carries out an operation by its name, context sources included."""
 
 
-async def copy_history(perform: PerformByName, exchange: Exchange, inner: Tenant) -> dict[str, Any]:
-    """Copy the results of a temporal query (the body of `exchange`); return its details (clause 5.2.42)."""
-    headers = {name: value for name, value in exchange.headers.items() if name != b"link"}
+async def copy_history(perform: PerformByName, request: RequestContext, inner: Tenant) -> dict[str, Any]:
+    """Copy the results of a temporal query (the body of `request`); return its details (clause 5.2.42)."""
+    headers = {name: value for name, value in request.headers.items() if name != b"link"}
     writing_headers = {**headers, b"content-type": JSON_LD.encode()}
     found, is_partial = 0, False
     while found < MAX_EVOLUTIONS:
-        parameters = {**exchange.parameters, "limit": str(PAGE), "offset": str(found)}
-        asking = {**exchange.headers, b"accept": JSON_LD.encode()}
-        answer = await perform("queryTemporalBatch", derived(exchange, parameters=parameters, headers=asking))
+        parameters = {**request.parameters, "limit": str(PAGE), "offset": str(found)}
+        asking = {**request.headers, b"accept": JSON_LD.encode()}
+        answer = await perform("queryTemporalBatch", derived(request, parameters=parameters, headers=asking))
         if answer.status >= 300:
             return {"resultStatus": Status.FAILURE.value, "problemDetails": orjson.loads(answer.body)}
         # 206: an evolution has more instances than fit into a response; some are missing
@@ -47,7 +43,7 @@ async def copy_history(perform: PerformByName, exchange: Exchange, inner: Tenant
         page = orjson.loads(answer.body)
         for one in page:
             writing = derived(
-                exchange, tenant=inner, raw=orjson.dumps(one), parameters={}, headers=writing_headers
+                request, tenant=inner, raw=orjson.dumps(one), parameters={}, headers=writing_headers
             )
             await perform("upsertTemporal", writing)
         found += len(page)

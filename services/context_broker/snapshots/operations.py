@@ -27,15 +27,11 @@ from uuid import uuid4
 from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryOut
 from services.context_broker.model.problems import already_exists, not_found
 from services.context_broker.model.validation import inside, moment, outside, require_uri
-from services.context_broker.request.document_answers import document_answer, in_media_type
+from services.context_broker.request.document_responses import document_response, in_media_type
 from services.context_broker.request.request_context import (
     PREFIX,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.snapshots.history_copy import PerformByName
@@ -57,7 +53,7 @@ from services.context_broker.tenants import Tenant, Tenants
 
 USE_WRITE_INTERVAL_S: Final = 10.0
 """Minimum interval between two writes of the time of last use."""
-_DONE: Final = Answer(204)
+_DONE: Final = Response(204)
 _PURGE: Final = frozenset({"q"})
 
 
@@ -113,54 +109,54 @@ class BrokerSnapshots:
         for tenant, _, body in journal.documents(Kind.SNAPSHOT):
             self._snapshots.load(tenant, body)
 
-    async def answer(self, operation: Operation, exchange: Exchange, carry_out: CarryOut) -> Answer:
+    async def answer(self, operation: Operation, request: RequestContext, carry_out: CarryOut) -> Response:
         """Carry out an operation inside the snapshot that NGSILD-Snapshot names (clause 6.3.22)."""
-        named = exchange.headers[SNAPSHOT_HEADER]
-        exchange.tenant = self._inside(exchange)
-        answer = await carry_out(operation, exchange)
-        return Answer(answer.status, answer.body, [*answer.headers, (SNAPSHOT_HEADER, named)])
+        named = request.headers[SNAPSHOT_HEADER]
+        request.tenant = self._inside(request)
+        answer = await carry_out(operation, request)
+        return Response(answer.status, answer.body, [*answer.headers, (SNAPSHOT_HEADER, named)])
 
-    def _inside(self, exchange: Exchange) -> Tenant:
+    def _inside(self, request: RequestContext) -> Tenant:
         """Return the tenant with the content of the requested snapshot; raise a problem (404)."""
-        tenant = exchange.tenant
-        found = self._existing(tenant, exchange.headers[SNAPSHOT_HEADER].decode("latin-1").strip())
+        tenant = request.tenant
+        found = self._existing(tenant, request.headers[SNAPSHOT_HEADER].decode("latin-1").strip())
         found.used()
         if time.monotonic() - found.written_s > USE_WRITE_INTERVAL_S:
             found.written_s = time.monotonic()
             tenant.commits.store_later(entries(tenant, found))
         return self._tenants.inside(tenant, found.id)
 
-    async def create(self, exchange: Exchange) -> Answer:
+    async def create(self, request: RequestContext) -> Response:
         """POST snapshots."""
-        given, _ = await exchange.body()
+        given, _ = await request.body()
         made = new_snapshot(_named(given), require_valid(given, has_queries=True))
-        await self._start(exchange, made)
-        self._creator.start(exchange, made, given.get("@context"))
+        await self._start(request, made)
+        self._creator.start(request, made, given.get("@context"))
         return _created(made)
 
-    async def clone(self, exchange: Exchange) -> Answer:
+    async def clone(self, request: RequestContext) -> Response:
         """POST snapshots/{id}/clone: an independent copy with its own expiry (clause 5.16.2)."""
-        original = self._existing(exchange.tenant, exchange.names[0])
-        given = require_valid((await exchange.body())[0], has_queries=False)
+        original = self._existing(request.tenant, request.names[0])
+        given = require_valid((await request.body())[0], has_queries=False)
         queries: dict[str, Any] = {
             name: original.document[name] for name in QUERIES if name in original.document
         }
         made = new_snapshot(_named(given), {**given, **queries})
-        await self._start(exchange, made)
-        self._creator.start_copy(exchange, original, made)
+        await self._start(request, made)
+        self._creator.start_copy(request, original, made)
         return _created(made)
 
-    async def retrieve(self, exchange: Exchange) -> Answer:
+    async def retrieve(self, request: RequestContext) -> Response:
         """GET snapshots/{id}."""
-        return await _snapshot_answer(exchange, self._existing(exchange.tenant, exchange.names[0]))
+        return await _snapshot_response(request, self._existing(request.tenant, request.names[0]))
 
-    async def update(self, exchange: Exchange) -> Answer:
+    async def update(self, request: RequestContext) -> Response:
         """PATCH snapshots/{id}: priority, lifetime and notification endpoint."""
-        change = require_valid_change((await exchange.body())[0])
+        change = require_valid_change((await request.body())[0])
         members = {name: value for name, value in change.items() if name not in {"type", "@context"}}
-        await self._require_open(exchange.tenant, members)
+        await self._require_open(request.tenant, members)
         async with self._snapshots.lock:
-            before = self._existing(exchange.tenant, exchange.names[0])
+            before = self._existing(request.tenant, request.names[0])
             if "snapshotLifetime" in members:
                 created_s = moment(before.document["createdAt"]) or time.time()
                 start = datetime.fromtimestamp(created_s, UTC)
@@ -168,26 +164,26 @@ class BrokerSnapshots:
             after = before.changed(**members)
             if after.document.get("snapshotPriority") is None:
                 after.document["snapshotPriority"] = before.document["snapshotPriority"]
-            await self._snapshots.store(exchange.tenant, after, notify=True)
-        return await _snapshot_answer(exchange, after)
+            await self._snapshots.store(request.tenant, after, notify=True)
+        return await _snapshot_response(request, after)
 
-    async def delete(self, exchange: Exchange) -> Answer:
+    async def delete(self, request: RequestContext) -> Response:
         """DELETE snapshots/{id}."""
         async with self._snapshots.lock:
-            await self._snapshots.remove(exchange.tenant, self._existing(exchange.tenant, exchange.names[0]))
+            await self._snapshots.remove(request.tenant, self._existing(request.tenant, request.names[0]))
         return _DONE
 
-    async def purge(self, exchange: Exchange) -> Answer:
+    async def purge(self, request: RequestContext) -> Response:
         """DELETE snapshots: those that match q (clause 5.16.7)."""
-        context = await exchange.reader_context()
-        wants = purge_filter(exchange.parameter("q"), context)
+        context = await request.reader_context()
+        wants = purge_filter(request.parameter("q"), context)
         async with self._snapshots.lock:
-            for one in [found for found in self._snapshots.of(exchange.tenant).values() if wants(found)]:
-                await self._snapshots.remove(exchange.tenant, one)
+            for one in [found for found in self._snapshots.of(request.tenant).values() if wants(found)]:
+                await self._snapshots.remove(request.tenant, one)
         return _DONE
 
-    async def _start(self, exchange: Exchange, made: Snapshot) -> None:
-        tenant = exchange.tenant
+    async def _start(self, request: RequestContext, made: Snapshot) -> None:
+        tenant = request.tenant
         await self._require_open(tenant, made.document)
         async with self._snapshots.lock:
             if made.id in self._snapshots.of(tenant):
@@ -215,10 +211,10 @@ def _named(given: Any) -> str:
     return named if isinstance(named, str) else f"urn:ngsi-ld:Snapshot:{uuid4()}"
 
 
-def _created(one: Snapshot) -> Answer:
-    return Answer(201, b"", [(b"location", f"{PREFIX}snapshots/{quote(one.id, safe=':')}".encode())])
+def _created(one: Snapshot) -> Response:
+    return Response(201, b"", [(b"location", f"{PREFIX}snapshots/{quote(one.id, safe=':')}".encode())])
 
 
-async def _snapshot_answer(exchange: Exchange, one: Snapshot) -> Answer:
-    media_type, context = exchange.accept(), await exchange.reader_context()
-    return document_answer(in_media_type(one.document, media_type, context), media_type, context)
+async def _snapshot_response(request: RequestContext, one: Snapshot) -> Response:
+    media_type, context = request.accept(), await request.reader_context()
+    return document_response(in_media_type(one.document, media_type, context), media_type, context)

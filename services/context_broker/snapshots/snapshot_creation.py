@@ -15,16 +15,12 @@ from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryO
 from services.context_broker.model.problems import ERRORS, not_stored, too_many_results, went_wrong
 from services.context_broker.query.query_document import query_parameters, selectors_of
 from services.context_broker.query.selection import hits_of
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.query_parameters import selection_of
 from services.context_broker.request.request_context import (
     JSON,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.snapshots.content import SnapshotContent, write_content
@@ -65,13 +61,13 @@ class SnapshotCreator:
         self._by_name = by_name
         self._running: set[tuple[str, str]] = set()
 
-    def start(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
+    def start(self, request: RequestContext, made: Snapshot, context: Any) -> None:
         """Start to carry out the queries of a snapshot; `context` is the @context they were sent with."""
-        self._start(exchange.tenant, made, self._fill(exchange, made, context))
+        self._start(request.tenant, made, self._fill(request, made, context))
 
-    def start_copy(self, exchange: Exchange, original: Snapshot, made: Snapshot) -> None:
+    def start_copy(self, request: RequestContext, original: Snapshot, made: Snapshot) -> None:
         """Start to copy another snapshot."""
-        self._start(exchange.tenant, made, self._copy(exchange, original, made))
+        self._start(request.tenant, made, self._copy(request, original, made))
 
     def fail_interrupted(self) -> None:
         """Set the status of interrupted creations to `failure`: the process that ran them has ended."""
@@ -112,33 +108,33 @@ class SnapshotCreator:
                 await self._snapshots.store(tenant, failed, notify=True)
                 await self._snapshots.delete_content(self._tenants.inside(tenant, failed.id))
 
-    async def _fill(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
+    async def _fill(self, request: RequestContext, made: Snapshot, context: Any) -> None:
         """Carry out the queries and store their results (clause 5.16.1.4)."""
-        tenant, content = exchange.tenant, SnapshotContent()
+        tenant, content = request.tenant, SnapshotContent()
         results: dict[str, list[dict[str, Any]]] = {}
         for query in made.document.get(PRESENT, ()):
             result = await result_of(
-                collect_hits(self._carry_out, query_exchange(exchange, query, context), content)
+                collect_hits(self._carry_out, query_request(request, query, context), content)
             )
             results.setdefault(f"{PRESENT}Details", []).append(result)
         await self._write(tenant, made, content)
         inner = self._tenants.inside(tenant, made.id)
         for query in made.document.get(PAST, ()):
             result = await result_of(
-                copy_history(self._by_name, query_exchange(exchange, query, context), inner)
+                copy_history(self._by_name, query_request(request, query, context), inner)
             )
             results.setdefault(f"{PAST}Details", []).append(result)
         await self._finish(tenant, made, results)
 
-    async def _copy(self, exchange: Exchange, original: Snapshot, made: Snapshot) -> None:
-        tenant, content = exchange.tenant, SnapshotContent()
+    async def _copy(self, request: RequestContext, original: Snapshot, made: Snapshot) -> None:
+        tenant, content = request.tenant, SnapshotContent()
         content.add(self._tenants.inside(tenant, original.id).store.candidates(), None)
         await self._write(tenant, made, content)
         names = [f"{name}Details" for name in QUERIES]
         results = {name: original.document[name] for name in names if name in original.document}
         if PAST in original.document:
             everything = derived(
-                query_exchange(exchange, EVERYTHING, None),
+                query_request(request, EVERYTHING, None),
                 tenant=self._tenants.inside(tenant, original.id),
                 parameters={"local": "true"},
             )
@@ -169,16 +165,16 @@ class SnapshotCreator:
             )
 
 
-def query_exchange(exchange: Exchange, query: Mapping[str, Any], context: Any) -> Exchange:
-    """Return the exchange that carries out a query of a snapshot in the names of its creator."""
+def query_request(request: RequestContext, query: Mapping[str, Any], context: Any) -> RequestContext:
+    """Return the request that carries out a query of a snapshot in the names of its creator."""
     headers = {
-        name: value for name, value in exchange.headers.items() if name not in {SNAPSHOT_HEADER, b"accept"}
+        name: value for name, value in request.headers.items() if name not in {SNAPSHOT_HEADER, b"accept"}
     }
     if context is None:
         headers[b"content-type"] = JSON.encode()
-        return derived(exchange, raw=orjson.dumps(query), parameters={}, headers=headers)
+        return derived(request, raw=orjson.dumps(query), parameters={}, headers=headers)
     document = {**query, "@context": context}
-    return derived(exchange, raw=orjson.dumps(document), parameters={}, headers=headers)
+    return derived(request, raw=orjson.dumps(document), parameters={}, headers=headers)
 
 
 async def result_of(query: Awaitable[dict[str, Any]]) -> dict[str, Any]:
@@ -192,7 +188,9 @@ async def result_of(query: Awaitable[dict[str, Any]]) -> dict[str, Any]:
         return details(Status.FAILURE, went_wrong(error, "carrying out the query"))
 
 
-async def collect_hits(carry_out: CarryOut, exchange: Exchange, content: SnapshotContent) -> dict[str, Any]:
+async def collect_hits(
+    carry_out: CarryOut, request: RequestContext, content: SnapshotContent
+) -> dict[str, Any]:
     """Add the results of a query to the content; return the details of the query.
 
     Nothing is added if it fails.
@@ -200,7 +198,7 @@ async def collect_hits(carry_out: CarryOut, exchange: Exchange, content: Snapsho
     before = len(content.entities)
     count = 0
 
-    async def collect(over: Exchange) -> Answer:
+    async def collect(over: RequestContext) -> Response:
         nonlocal count
         document, context = await over.body()
         any_of = selectors_of(document, context)
@@ -208,10 +206,10 @@ async def collect_hits(carry_out: CarryOut, exchange: Exchange, content: Snapsho
         hits = await hits_of(over.tenant.store, selection, MAX_ENTITIES + 1)
         count = len(hits)
         content.add(hits, selection.attributes)
-        return Answer(200)
+        return Response(200)
 
     try:
-        answer = await carry_out(Operation("POST", "", "queryBatch", "", collect), exchange)
+        answer = await carry_out(Operation("POST", "", "queryBatch", "", collect), request)
     except Exception:
         content.keep_only(before)
         raise

@@ -143,18 +143,18 @@ class EvolutionPage:
     edge: int | None = None
 
 
-def read_evolution(archive: Archive, subject: Subject, request: HistoryRequest) -> EvolutionPage:
+def read_evolution(archive: Archive, subject: Subject, history_request: HistoryRequest) -> EvolutionPage:
     """Return the evolution of one subject. Raises `NotStored` when the disk cannot be read."""
-    (evolution,) = _read(archive, [subject], request)
+    (evolution,) = _read(archive, [subject], history_request)
     found = EvolutionPage([evolution], total=1)
-    _finish(found, request)
+    _finish(found, history_request)
     return found
 
 
 def read_evolutions(
     archive: Archive,
     subjects: Sequence[Subject],
-    request: HistoryRequest,
+    history_request: HistoryRequest,
     offset: int,
     limit: int,
     *,
@@ -166,16 +166,18 @@ def read_evolutions(
     """
     found = EvolutionPage()
     for subjects_of_run in _runs(subjects):
-        run = _in_scope(archive, subjects_of_run, request)
+        run = _in_scope(archive, subjects_of_run, history_request)
         if not run:
             continue
-        for evolution in _read(archive, run, request):
-            if not evolution.is_hit or not (request.wants is None or request.wants(evolution.as_entity())):
+        for evolution in _read(archive, run, history_request):
+            if not evolution.is_hit or not (
+                history_request.wants is None or history_request.wants(evolution.as_entity())
+            ):
                 continue
             found.total += 1
             if offset < found.total <= offset + limit:
                 found.evolutions.append(evolution)
-                _finish(found, request)
+                _finish(found, history_request)
             elif found.total > offset + limit:
                 found.more = True
                 if not count:
@@ -183,9 +185,9 @@ def read_evolutions(
     return found
 
 
-def _in_scope(archive: Archive, run: list[Subject], request: HistoryRequest) -> list[Subject]:
+def _in_scope(archive: Archive, run: list[Subject], history_request: HistoryRequest) -> list[Subject]:
     """Return the subjects of a run that had the requested scopes at some time of the range (4.19)."""
-    wanted = request.scopes
+    wanted = history_request.scopes
     if wanted is None:
         return run
     # Provided scopes without a time hold for all the time.
@@ -207,7 +209,7 @@ def _in_scope(archive: Archive, run: list[Subject], request: HistoryRequest) -> 
             for scopes in _scopes_of_window(
                 [change for place in subject.places for change in changes.get(place, ())],
                 subject.scopes,
-                request.query,
+                history_request.query,
             )
         )
     ]
@@ -249,21 +251,21 @@ def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
         yield run
 
 
-def _read(archive: Archive, run: Sequence[Subject], request: HistoryRequest) -> Iterator[Evolution]:
+def _read(archive: Archive, run: Sequence[Subject], history_request: HistoryRequest) -> Iterator[Evolution]:
     """Yield the evolution of each subject as soon as its rows are read: only one is in memory at a time."""
     rest = iter(run)
-    query = request.query
+    query = history_request.query
     evolution = Evolution(next(rest))
     places = [place for subject in run for place in subject.places]
     condition, values = query.condition()
-    bare = query.aggregation is not None and request.wants is None
+    bare = query.aggregation is not None and history_request.wants is None
     now_s = time.time()
     # The latest rows first for lastN: older ones can then be skipped by their time. With several places the
     # database would have to sort them.
     rows = archive.history(
         places, condition, values, latest_first=query.last is not None and len(places) == 1
     )
-    ends_early = query.last is None and request.wants is None and query.aggregation is None
+    ends_early = query.last is None and history_request.wants is None and query.aggregation is None
     edge: int | None = None
     for place, seq, observed_from, body in rows:
         while place not in evolution.subject.places:
@@ -276,7 +278,7 @@ def _read(archive: Archive, run: Sequence[Subject], request: HistoryRequest) -> 
             # An expired attribute of a current entity ends, but its history stays (clause 4.22).
             if evolution.subject.is_temporal_only and has_expired(instance.get("expiresAt"), now_s):
                 continue
-            if at is None or (series := _series_for(evolution, name, instance, request)) is None:
+            if at is None or (series := _series_for(evolution, name, instance, history_request)) is None:
                 continue
             if series.takes(at):
                 instance["instanceId"] = instance_id(place, seq, position)
@@ -289,26 +291,26 @@ def _read(archive: Archive, run: Sequence[Subject], request: HistoryRequest) -> 
 
 
 def _series_for(
-    evolution: Evolution, name: str, instance: Instance, request: HistoryRequest
+    evolution: Evolution, name: str, instance: Instance, history_request: HistoryRequest
 ) -> Series | None:
     """Return the series of an instance, None if it is not requested."""
     dataset: str | None = instance.get("datasetId")
-    if request.datasets is not None and name != SCOPE and dataset not in request.datasets:
+    if history_request.datasets is not None and name != SCOPE and dataset not in history_request.datasets:
         return None
-    if request.query.aggregation is not None and "deletedAt" in instance:
+    if history_request.query.aggregation is not None and "deletedAt" in instance:
         return None
-    if request.requires is None or name in request.requires:
+    if history_request.requires is None or name in history_request.requires:
         evolution.is_hit = True
-    if request.wants is None and not request.shows(name):
+    if history_request.wants is None and not history_request.shows(name):
         return None
     named = evolution.series.get(name)
     if named is None:
         named = evolution.series[name] = {}
     series = named.get(dataset)
     if series is None:
-        most, latest = _bound(request)
+        most, latest = _bound(history_request)
         series = named[dataset] = Series(instance["type"], dataset, most, latest=latest)
-    elif request.query.last is None:
+    elif history_request.query.last is None:
         series.kind = instance["type"]  # the type of the latest instance
     return series
 
@@ -319,25 +321,27 @@ def _sorted(evolution: Evolution) -> Evolution:
     return evolution
 
 
-def _bound(request: HistoryRequest) -> tuple[int, bool]:
+def _bound(history_request: HistoryRequest) -> tuple[int, bool]:
     """Return how many points of a series are read, and whether they are the latest ones."""
-    query = request.query
+    query = history_request.query
     latest = query.last is not None
     if query.aggregation is not None:
-        most = MAX_AGGREGATED_VALUES if request.wants is None else MAX_COMPARED_INSTANCES
+        most = MAX_AGGREGATED_VALUES if history_request.wants is None else MAX_COMPARED_INSTANCES
     else:
-        most = MAX_INSTANCES_PER_ATTRIBUTE if request.wants is None else MAX_COMPARED_INSTANCES
+        most = MAX_INSTANCES_PER_ATTRIBUTE if history_request.wants is None else MAX_COMPARED_INSTANCES
     return (min(most, query.last), True) if query.last is not None else (most, latest)
 
 
-def _finish(found: EvolutionPage, request: HistoryRequest) -> None:
+def _finish(found: EvolutionPage, history_request: HistoryRequest) -> None:
     """Limit the last evolution to the requested attributes, and all of them to the size of a response."""
     evolution = found.evolutions[-1]
-    evolution.series = {name: named for name, named in evolution.series.items() if request.shows(name)}
-    last = request.query.last
+    evolution.series = {
+        name: named for name, named in evolution.series.items() if history_request.shows(name)
+    }
+    last = history_request.query.last
     latest = last is not None
-    if request.query.aggregation is not None:
-        _aggregate(found, evolution, request, request.query.aggregation)
+    if history_request.query.aggregation is not None:
+        _aggregate(found, evolution, history_request, history_request.query.aggregation)
         return
     for series in evolution.all():
         series.most = min(MAX_INSTANCES_PER_ATTRIBUTE, last or MAX_INSTANCES_PER_ATTRIBUTE)
@@ -359,7 +363,7 @@ def _finish(found: EvolutionPage, request: HistoryRequest) -> None:
 
 
 def _aggregate(
-    found: EvolutionPage, evolution: Evolution, request: HistoryRequest, wanted: Aggregation
+    found: EvolutionPage, evolution: Evolution, history_request: HistoryRequest, wanted: Aggregation
 ) -> None:
     """Replace each series by its aggregation, in periods from the requested time, or the first point, on.
 
@@ -367,8 +371,8 @@ def _aggregate(
     one that is left out.
     """
     evolution.series.pop(SCOPE, None)
-    query, last = request.query, request.query.last
-    _require_all(evolution, request)
+    query, last = history_request.query, history_request.query.last
+    _require_all(evolution, history_request)
     times = [series.points[end][0] for series in evolution.all() if series.points for end in (0, -1)]
     if not times:
         return
@@ -376,7 +380,10 @@ def _aggregate(
     until = max(times) if query.end is None else query.end
     for series in evolution.all():
         points = series.points if last is None else series.points[-last:]
-        said = [(at, one[SAYS[one["type"]]] if request.wants is not None else one) for at, _, one in points]
+        said = [
+            (at, one[SAYS[one["type"]]] if history_request.wants is not None else one)
+            for at, _, one in points
+        ]
         series.points = []
         found_periods = periods(said, wanted.period, origin, until)
         if len(found_periods) > MAX_INSTANCES_PER_ATTRIBUTE:
@@ -401,8 +408,8 @@ def _keep(all_series: Iterable[Series], edge: int | None) -> None:
             series.keep_to(edge)
 
 
-def _require_all(evolution: Evolution, request: HistoryRequest) -> None:
-    last = request.query.last
+def _require_all(evolution: Evolution, history_request: HistoryRequest) -> None:
+    last = history_request.query.last
     for series in evolution.all():
         if series.edge is not None and (last is None or series.most < last):
             raise too_many_results(

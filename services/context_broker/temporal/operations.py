@@ -29,12 +29,8 @@ from services.context_broker.request.query_parameters import (
 )
 from services.context_broker.request.request_context import (
     JSON_LD,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
@@ -104,19 +100,19 @@ class TemporalOperations:
             Operation("POST", query, "queryTemporalBatch", "6.24.3.1", self.query_by_document, QUERYING),
         )
 
-    async def retrieve(self, exchange: Exchange) -> Answer:
+    async def retrieve(self, request: RequestContext) -> Response:
         """GET temporal/entities/{id}."""
-        options = await self._read_options(exchange, await exchange.reader_context())
-        entity_id = require_uri(exchange.names[0], "the entity id in the path")
-        live = exchange.tenant.store.get(entity_id)
-        request = HistoryRequest(options.query, options.view.wants, None, options.view.view.datasets)
+        options = await self._read_options(request, await request.reader_context())
+        entity_id = require_uri(request.names[0], "the entity id in the path")
+        live = request.tenant.store.get(entity_id)
+        history_request = HistoryRequest(options.query, options.view.wants, None, options.view.view.datasets)
 
         def look() -> tuple[EvolutionPage, list[bytes]] | None:
-            departed = self._archive.departed(exchange.tenant.name, entity_id)
+            departed = self._archive.departed(request.tenant.name, entity_id)
             subjects = subjects_of(() if live is None else (live,), departed)
             if not subjects:
                 return None
-            found = read_evolution(self._archive, subjects[0], request)
+            found = read_evolution(self._archive, subjects[0], history_request)
             return found, _texts(found, options)
 
         answered = await self._looked(look)
@@ -127,42 +123,42 @@ class TemporalOperations:
             raise nothing_left(entity_id)
         return _answer(text, found, options)
 
-    async def query(self, exchange: Exchange) -> Answer:
+    async def query(self, request: RequestContext) -> Response:
         """GET temporal/entities."""
-        return await self._queried(exchange, await exchange.reader_context())
+        return await self._queried(request, await request.reader_context())
 
-    async def query_by_document(self, exchange: Exchange) -> Answer:
+    async def query_by_document(self, request: RequestContext) -> Response:
         """POST temporal/entityOperations/query with a Query document (clause 5.2.23)."""
-        document, context = await exchange.body()
-        exchange.parameters = {**exchange.parameters, **temporal_parameters(document)}
-        return await self._queried(exchange, context, selectors_of(document, context))
+        document, context = await request.body()
+        request.parameters = {**request.parameters, **temporal_parameters(document)}
+        return await self._queried(request, context, selectors_of(document, context))
 
-    async def _read_options(self, exchange: Exchange, context: Context) -> _ReadOptions:
-        accept = exchange.accept()
-        view = temporal_view(exchange, context)
+    async def _read_options(self, request: RequestContext, context: Context) -> _ReadOptions:
+        accept = request.accept()
+        view = temporal_view(request, context)
         query = temporal_query(
-            exchange.parameters, aggregates=view.representation is Representation.AGGREGATED
+            request.parameters, aggregates=view.representation is Representation.AGGREGATED
         )
         return _ReadOptions(context, query, view, accept)
 
     async def _queried(
-        self, exchange: Exchange, context: Context, any_of: tuple[Selection, ...] = ()
-    ) -> Answer:
-        options = await self._read_options(exchange, context)
+        self, request: RequestContext, context: Context, any_of: tuple[Selection, ...] = ()
+    ) -> Response:
+        options = await self._read_options(request, context)
         if options.query.relation is None:
             raise bad_request_data(
                 "a temporal query needs a time range: timerel and timeAt; add them, such as "
                 "timerel=after&timeAt=1970-01-01T00:00:00Z for all the time"
             )
-        window, order = temporal_window(exchange), _order_of(exchange, context)
-        selection = selection_of(exchange.parameters, context, any_of)
+        window, order = temporal_window(request), _order_of(request, context)
+        selection = selection_of(request.parameters, context, any_of)
         if selection.query is not None and selection.query.hops:
             raise bad_request_data(
                 "q follows a link to another entity, which temporal queries cannot follow; leave it out"
             )
         narrowing = replace(selection, attributes=None, query=None, places=None, scopes=None)
         by_values = selection.query is not None or selection.places is not None
-        request = HistoryRequest(
+        history_request = HistoryRequest(
             options.query,
             options.view.wants,
             selection.attributes,
@@ -170,8 +166,8 @@ class TemporalOperations:
             replace(selection, scopes=None).wants if by_values else None,
             selection.scopes,
         )
-        live = exchange.tenant.store.candidates(selection.ids, selection.types)
-        name = exchange.tenant.name
+        live = request.tenant.store.candidates(selection.ids, selection.types)
+        name = request.tenant.name
 
         def look() -> tuple[EvolutionPage, list[bytes]]:
             ids: tuple[str | None, ...] = (
@@ -182,7 +178,7 @@ class TemporalOperations:
             if order is not None:
                 wanted.sort(key=lambda one: order.place_of(one.as_entity()))
             found = read_evolutions(
-                self._archive, wanted, request, window.offset, window.limit, count=window.count
+                self._archive, wanted, history_request, window.offset, window.limit, count=window.count
             )
             return found, _texts(found, options)
 
@@ -190,8 +186,8 @@ class TemporalOperations:
         answer = _answer(b"[" + b",".join(texts) + b"]", found, options)
         if window.count:
             answer.headers.append((b"ngsild-results-count", str(found.total).encode()))
-        if exchange.method == "GET":
-            answer.headers += page_links(exchange, window, options.accept, more=found.more)
+        if request.method == "GET":
+            answer.headers += page_links(request, window, options.accept, more=found.more)
         return answer
 
     async def _looked(self, look: Callable[[], Result]) -> Result:
@@ -210,20 +206,20 @@ def _texts(found: EvolutionPage, options: _ReadOptions) -> list[bytes]:
     return [with_context(text, options.context) for text in texts] if options.accept == JSON_LD else texts
 
 
-def _answer(body: bytes, found: EvolutionPage, options: _ReadOptions) -> Answer:
+def _answer(body: bytes, found: EvolutionPage, options: _ReadOptions) -> Response:
     headers = (
         [(b"content-type", JSON_LD.encode())] if options.accept == JSON_LD else json_headers(options.context)
     )
     content = content_range(found, options.query)
     if content is None:
-        return Answer(200, body, headers)
-    return Answer(206, body, [*headers, (b"content-range", content)])
+        return Response(200, body, headers)
+    return Response(206, body, [*headers, (b"content-range", content)])
 
 
-def _order_of(exchange: Exchange, context: Context) -> Ordering | None:
+def _order_of(request: RequestContext, context: Context) -> Ordering | None:
     """Return the requested order; evolutions are ordered by id only (5.7.4.4)."""
-    order = ordering(exchange.parameters, context.terms.expand)
-    if order is not None and exchange.parameters["orderBy"].partition(";")[0] != "id":
+    order = ordering(request.parameters, context.terms.expand)
+    if order is not None and request.parameters["orderBy"].partition(";")[0] != "id":
         raise bad_request_data(
             "temporal queries are ordered by id only, because attributes change in the time range"
         )

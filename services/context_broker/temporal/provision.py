@@ -21,12 +21,8 @@ from services.context_broker.model.validation import moment, require_name, requi
 from services.context_broker.operations.entity_operations import DONE, absent
 from services.context_broker.request.request_context import (
     PREFIX,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
@@ -85,45 +81,45 @@ class TemporalProvision:
             ),
         )
 
-    async def upsert(self, exchange: Exchange) -> Answer:
+    async def upsert(self, request: RequestContext) -> Response:
         """POST temporal/entities: add the provided instances to the history of the entity.
 
         An instance with the observedAt and the datasetId of a stored one replaces it, so that a repeated
         request adds nothing. (POST …/attrs only ever adds.)
         """
-        document, context = await exchange.body()
-        provided = await _parsed_evolution(exchange, document, context.terms)
+        document, context = await request.body()
+        provided = await _parsed_evolution(request, document, context.terms)
         if provided.id is None:
             raise bad_request_data('the entity has no "id"; give it a URI such as urn:ngsi-ld:Task:demo:1')
         if not provided.types:
             raise bad_request_data(
                 f'the entity {provided.id} has no "type"; name its type, for example "Task"'
             )
-        async with self._exclusive(exchange.tenant, provided.id):
-            subject = await self._subject(exchange.tenant, provided.id)
-            await self._add(exchange.tenant, provided.id, provided, subject, overwrites=True)
+        async with self._exclusive(request.tenant, provided.id):
+            subject = await self._subject(request.tenant, provided.id)
+            await self._add(request.tenant, provided.id, provided, subject, overwrites=True)
         if subject is not None:
             return DONE
         location = f"{PREFIX}temporal/entities/{quote(provided.id, safe=':')}".encode()
-        return Answer(201, b"", [(b"location", location)])
+        return Response(201, b"", [(b"location", location)])
 
-    async def append(self, exchange: Exchange) -> Answer:
+    async def append(self, request: RequestContext) -> Response:
         """POST temporal/entities/{id}/attrs."""
-        document, context = await exchange.body()
-        entity_id = _entity_id(exchange)
-        provided = await _parsed_evolution(exchange, document, context.terms)
+        document, context = await request.body()
+        entity_id = _entity_id(request)
+        provided = await _parsed_evolution(request, document, context.terms)
         if provided.id is not None and provided.id != entity_id:
             raise bad_request_data(
                 f"the body is about {provided.id}, the path about {entity_id}; agree on one"
             )
-        async with self._exclusive(exchange.tenant, entity_id):
-            subject = await self._existing(exchange.tenant, entity_id)
-            await self._add(exchange.tenant, entity_id, provided, subject)
+        async with self._exclusive(request.tenant, entity_id):
+            subject = await self._existing(request.tenant, entity_id)
+            await self._add(request.tenant, entity_id, provided, subject)
         return DONE
 
-    async def delete(self, exchange: Exchange) -> Answer:
+    async def delete(self, request: RequestContext) -> Response:
         """DELETE temporal/entities/{id}: delete the history."""
-        entity_id, tenant = _entity_id(exchange), exchange.tenant
+        entity_id, tenant = _entity_id(request), request.tenant
         async with self._exclusive(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
             for place in subject.places:
@@ -136,13 +132,13 @@ class TemporalProvision:
             await _commit(tenant, Entries(departed=gone))
         return DONE
 
-    async def delete_attribute(self, exchange: Exchange) -> Answer:
+    async def delete_attribute(self, request: RequestContext) -> Response:
         """DELETE temporal/entities/{id}/attrs/{name}; instances of one datasetId, or all with deleteAll."""
-        entity_id, tenant = _entity_id(exchange), exchange.tenant
-        name = _attribute(exchange, (await exchange.reader_context()).terms)
-        given = exchange.parameter("datasetId")
+        entity_id, tenant = _entity_id(request), request.tenant
+        name = _attribute(request, (await request.reader_context()).terms)
+        given = request.parameter("datasetId")
         dataset = None if given in {None, DEFAULT_INSTANCE} else require_uri(given, "datasetId")
-        every = exchange.flag("deleteAll")
+        every = request.flag("deleteAll")
 
         def cut(change: Change) -> bool:
             return change.cut(name, lambda one: every or one == dataset)
@@ -160,30 +156,30 @@ class TemporalProvision:
         if not found:
             which = "no instance" if every else f"no instance with {_dataset_shown(dataset)}"
             raise not_found(
-                f"the history of {entity_id} has {which} of the attribute {shown(exchange.names[1])}"
+                f"the history of {entity_id} has {which} of the attribute {shown(request.names[1])}"
             )
         return DONE
 
-    async def update_instance(self, exchange: Exchange) -> Answer:
+    async def update_instance(self, request: RequestContext) -> Response:
         """PATCH temporal/entities/{id}/attrs/{name}/{instance}: overwrites members of the instance."""
-        document, context = await exchange.body()
-        entity_id, tenant = _entity_id(exchange), exchange.tenant
-        name = _attribute(exchange, context.terms)
+        document, context = await request.body()
+        entity_id, tenant = _entity_id(request), request.tenant
+        name = _attribute(request, context.terms)
         if not isinstance(document, dict):
             raise bad_request_data(f"an instance of an attribute is a JSON object, not {shown(document)}")
-        if len(document) == 1 and exchange.names[1] in document:
-            document = document[exchange.names[1]]  # as an attribute in an entity
+        if len(document) == 1 and request.names[1] in document:
+            document = document[request.names[1]]  # as an attribute in an entity
             if isinstance(document, list) and len(document) == 1:
                 document = document[0]
             if not isinstance(document, dict):
                 raise bad_request_data(f"a PATCH takes one instance, not {shown(document)}; send an object")
         async with self._exclusive(tenant, entity_id):
-            place, seq, position, change = await self._row(exchange, entity_id)
+            place, seq, position, change = await self._row(request, entity_id)
             instance = change.find(name, position)
             if instance is None:
-                raise _absent_instance(exchange)
+                raise _absent_instance(request)
             given = {member: value for member, value in document.items() if member != "@context"}
-            part = read_attribute(exchange.names[1], completed_part(given, instance), context.terms)[0]
+            part = read_attribute(request.names[1], completed_part(given, instance), context.terms)[0]
             if is_deletion(part):
                 raise bad_request_data(
                     "an instance is deleted with DELETE, not by a PATCH; leave the NULL out"
@@ -196,14 +192,14 @@ class TemporalProvision:
             await _commit(tenant, Entries(history=[_row(place, seq, change)]))
         return DONE
 
-    async def delete_instance(self, exchange: Exchange) -> Answer:
+    async def delete_instance(self, request: RequestContext) -> Response:
         """DELETE temporal/entities/{id}/attrs/{name}/{instance}."""
-        entity_id, tenant = _entity_id(exchange), exchange.tenant
-        name = _attribute(exchange, (await exchange.reader_context()).terms)
+        entity_id, tenant = _entity_id(request), request.tenant
+        name = _attribute(request, (await request.reader_context()).terms)
         async with self._exclusive(tenant, entity_id):
-            place, seq, position, change = await self._row(exchange, entity_id)
+            place, seq, position, change = await self._row(request, entity_id)
             if not change.without(name, position):
-                raise _absent_instance(exchange)
+                raise _absent_instance(request)
             await _commit(tenant, Entries(history=[_row(place, seq, change)]))
         return DONE
 
@@ -295,17 +291,17 @@ class TemporalProvision:
             raise absent(entity_id)
         return subject
 
-    async def _row(self, exchange: Exchange, entity_id: str) -> tuple[int, int, int, Change]:
+    async def _row(self, request: RequestContext, entity_id: str) -> tuple[int, int, int, Change]:
         """Return the position of the instance in the path, and the change that it is part of."""
-        subject = await self._existing(exchange.tenant, entity_id)
-        given = require_uri(exchange.names[2], "the instanceId in the path")
+        subject = await self._existing(request.tenant, entity_id)
+        given = require_uri(request.names[2], "the instanceId in the path")
         where = place_of(given)
         if where is None or where[0] not in subject.places:
-            raise _absent_instance(exchange)
+            raise _absent_instance(request)
         place, seq, position = where
         rows = await asyncio.to_thread(self._archive.changes_after, place, seq - 1, 1)
         if not rows or rows[0][0] != seq:
-            raise _absent_instance(exchange)
+            raise _absent_instance(request)
         return place, seq, position, Change.restored(rows[0][1])
 
     def _rewritten(
@@ -334,9 +330,9 @@ class TemporalProvision:
                 self._locks[key] = (lock, waiting - 1)
 
 
-async def _parsed_evolution(exchange: Exchange, document: Any, terms: Terms) -> ProvidedEvolution:
+async def _parsed_evolution(request: RequestContext, document: Any, terms: Terms) -> ProvidedEvolution:
     """Return the evolution in the body; a long body is parsed in a thread."""
-    if len(exchange.raw) < LONG_BODY_BYTES:
+    if len(request.raw) < LONG_BODY_BYTES:
         return parse_evolution(document, terms)
     return await asyncio.to_thread(parse_evolution, document, terms)
 
@@ -379,12 +375,12 @@ def _patched(instance: Instance, part: Instance) -> Instance:
     return {**merged, "createdAt": instance["createdAt"], "modifiedAt": timestamp_now()}
 
 
-def _entity_id(exchange: Exchange) -> str:
-    return require_uri(exchange.names[0], "the entity id in the path")
+def _entity_id(request: RequestContext) -> str:
+    return require_uri(request.names[0], "the entity id in the path")
 
 
-def _attribute(exchange: Exchange, terms: Terms) -> str:
-    given = require_name(exchange.names[1], "the attribute name in the path")
+def _attribute(request: RequestContext, terms: Terms) -> str:
+    given = require_name(request.names[1], "the attribute name in the path")
     return SCOPE if given == SCOPE else expand(given, terms)
 
 
@@ -392,8 +388,8 @@ def _dataset_shown(dataset: str | None) -> str:
     return "no datasetId" if dataset is None else f"the datasetId {shown(dataset)}"
 
 
-def _absent_instance(exchange: Exchange) -> Problem:
-    entity_id, name, instance = exchange.names
+def _absent_instance(request: RequestContext) -> Problem:
+    entity_id, name, instance = request.names
     return not_found(
         f"the history of {entity_id} has no instance {shown(instance)} of the attribute {shown(name)}; "
         "its temporal representation has the instanceIds"

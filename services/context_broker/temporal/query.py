@@ -18,7 +18,7 @@ from services.context_broker.model.validation import moment, require_time, shown
 from services.context_broker.query.pages import Window
 from services.context_broker.query.parameters import Use, names_for
 from services.context_broker.request.query_parameters import datasets_of, names_of, options_of, window_of
-from services.context_broker.request.request_context import RequestContext as Exchange
+from services.context_broker.request.request_context import RequestContext
 from services.context_broker.temporal.aggregation import METHODS, Aggregation
 from services.context_broker.temporal.durations import MICROS, read_duration
 from services.context_broker.temporal.history import DRIFT_S, micros_of
@@ -164,10 +164,10 @@ def temporal_query(parameters: Mapping[str, str], *, aggregates: bool) -> Tempor
     )
 
 
-def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
+def temporal_view(request: RequestContext, context: Context) -> TemporalView:
     """Return the requested representation; raise a problem (400) for contradictions."""
-    parameters = exchange.parameters
-    options = options_of(exchange, _OPTIONS)
+    parameters = request.parameters
+    options = options_of(request, _OPTIONS)
     representations = {_REPRESENTATIONS[one] for one in options if one in _REPRESENTATIONS}
     wanted = parameters.get("format")
     if wanted is not None:
@@ -201,9 +201,9 @@ def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
     return TemporalView(representation, view)
 
 
-def temporal_window(exchange: Exchange) -> Window:
+def temporal_window(request: RequestContext) -> Window:
     """Return the requested page of entities."""
-    return window_of(exchange, _OPTIONS)
+    return window_of(request, _OPTIONS)
 
 
 def _window(parameters: Mapping[str, str]) -> tuple[str | None, int | None, int | None]:

@@ -96,3 +96,26 @@ def test_a_broker_without_optional_parts_serves_its_own_entities(limited: Broker
         limited.kill()
         limited.start()
         assert client.get(f"/entities/{ENTITY['id']}").json()["temperature"]["value"] == 22
+
+
+def test_stored_documents_of_a_switched_off_part_are_kept_with_a_warning(tmp_path: Path) -> None:
+    registration = {
+        "id": "urn:ngsi-ld:ContextSourceRegistration:1",
+        "type": "ContextSourceRegistration",
+        "information": [{"entities": [{"type": "Room"}]}],
+        "endpoint": "http://127.0.0.1:1",
+    }
+    path = f"/csourceRegistrations/{registration['id']}"
+    broker = BrokerProcess(tmp_path).start()
+    with broker.client() as client:
+        assert client.post("/csourceRegistrations", json=registration).status_code == 201
+    broker.stop()
+    broker.extra = OFF
+    broker.start()
+    assert "stored documents are ignored" in broker.log()
+    broker.stop()
+    broker.extra = {}
+    broker.start()
+    with broker.client() as client:
+        assert client.get(path).status_code == 200
+    broker.stop()

@@ -45,15 +45,11 @@ from services.context_broker.federation.registrations.coverage import placement_
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.validation import require_uri
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.request_context import (
     JSON,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 
 MAX_BATCH_SIZE: Final = 1000
@@ -98,8 +94,8 @@ class _Item:
 def batch(operation: str) -> Handler:
     """Return the handler of a batch operation, named as in table 4.20-1."""
 
-    async def handler(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
-        return await _Batch(sources, exchange, perform, operation).answer()
+    async def handler(sources: Sources, request: RequestContext, perform: Perform) -> Response:
+        return await _Batch(sources, request, perform, operation).answer()
 
     return handler
 
@@ -107,24 +103,24 @@ def batch(operation: str) -> Handler:
 class _Batch:
     """One batch request."""
 
-    def __init__(self, sources: Sources, exchange: Exchange, perform: Perform, operation: str) -> None:
+    def __init__(self, sources: Sources, request: RequestContext, perform: Perform, operation: str) -> None:
         self._sources = sources
-        self._exchange = exchange
+        self._request = request
         self._perform = perform
         self._operation = operation
-        given = exchange.parameters
+        given = request.parameters
         names = ("options", "format", "observedAt", "lang")
         self._parameters = tuple((name, given[name]) for name in names if name in given)
 
-    async def answer(self) -> Answer:
+    async def answer(self) -> Response:
         """Carry out the batch."""
-        documents = self._exchange.document()
+        documents = self._request.document()
         if not isinstance(documents, list):
-            return await self._perform(self._exchange)
-        media_type = self._exchange.content_type()
+            return await self._perform(self._request)
+        media_type = self._request.content_type()
         items = [await self._item(given, media_type) for given in documents]
         if not any(item.routing.others for item in items):
-            return await self._perform(self._exchange)
+            return await self._perform(self._request)
         await self._do_own([item for item in items if item.routing.own is not None])
         await self._forward([item for item in items if not _is_refused(item)])
         return self._result(items)
@@ -135,16 +131,16 @@ class _Batch:
         try:
             if self._operation == "deleteBatch":
                 entity_id = require_uri(given, "an entity id")
-                context = await self._exchange.reader_context()
-                known = self._exchange.tenant.store.latest(entity_id)
+                context = await self._request.reader_context()
+                known = self._request.tenant.store.latest(entity_id)
                 types = None if known is None else frozenset(known.types)
                 target = EntityTarget((entity_id,), None, types)
                 routing = route_write(self._sources, (self._operation, singly), target, None)
                 return _Item(given, entity_id, context, {}, routing)
-            context = await self._exchange.context_of(given, media_type)
+            context = await self._request.context_of(given, media_type)
             entity_id = require_uri(given.get("id", given.get("@id")), "the entity id")
             names = attributes_in(given, context)
-            known = self._exchange.tenant.store.latest(entity_id)
+            known = self._request.tenant.store.latest(entity_id)
             types = types_in(given, context) or (None if known is None else frozenset(known.types))
             target = EntityTarget((entity_id,), None, types)
             operations = (self._operation, singly)
@@ -160,7 +156,7 @@ class _Batch:
         if not items:
             return
         raw = orjson.dumps([item.own_part for item in items])
-        answer = await self._perform(derived(self._exchange, raw=raw))
+        answer = await self._perform(derived(self._request, raw=raw))
         result = orjson.loads(answer.body) if answer.body else None
         errors = _errors_in(result)
         created = set(result) if answer.status == 201 and isinstance(result, list) else set()
@@ -183,7 +179,7 @@ class _Batch:
                     continue
                 try:
                     dialect = await self._sources.forwarder.dialect(
-                        one, item.context, body=self._exchange.content_type()
+                        one, item.context, body=self._request.content_type()
                     )
                 except Problem as problem:
                     error = SourceError(one, SILENT, 502, problem.detail)
@@ -218,9 +214,9 @@ class _Batch:
     ) -> None:
         documents = [_document(item, route, dialect) for item, route in routing]
         path = f"entityOperations/{self._operation.removesuffix('Batch')}"
-        request = SourceRequest("POST", path, dialect, self._parameters, documents)
+        source_request = SourceRequest("POST", path, dialect, self._parameters, documents)
         try:
-            response, _ = await self._sources.forwarder.send(one, request, self._sources.origin)
+            response, _ = await self._sources.forwarder.send(one, source_request, self._sources.origin)
         except SourceError as error:
             for item, route in routing:
                 item.outcomes.append(outcomes.of_source_error(error, route.names))
@@ -249,7 +245,7 @@ class _Batch:
         if outcome.status != 409:
             item.is_new = item.is_new or outcome.problem is None
             return outcome
-        keeps = "update" in self._exchange.parameters.get("options", "").split(",")
+        keeps = "update" in self._request.parameters.get("options", "").split(",")
         if one.takes("appendAttrs" if keeps else "replaceEntity"):
             method, path = ("POST", "entities/{id}/attrs") if keeps else ("PUT", "entities/{id}")
             return await self._send_single(one, dialect, item, route, method, path)
@@ -267,9 +263,9 @@ class _Batch:
         document = None if method == "DELETE" else _document(item, route, dialect)
         options = () if self._operation == "upsertBatch" else self._parameters
         where = path.replace("{id}", quoted(item.entity_id))
-        request = SourceRequest(method, where, dialect, options, document)
+        source_request = SourceRequest(method, where, dialect, options, document)
         try:
-            response, _ = await self._sources.forwarder.send(one, request, self._sources.origin)
+            response, _ = await self._sources.forwarder.send(one, source_request, self._sources.origin)
         except SourceError as error:
             return outcomes.of_source_error(error, route.names)
         if self._is_loop(one, response.status):
@@ -279,7 +275,7 @@ class _Batch:
     def _is_loop(self, one: Registration, status: int) -> bool:
         return not one.mode.is_proxied and self._sources.is_loop_answer(one, status)
 
-    def _result(self, items: Iterable[_Item]) -> Answer:
+    def _result(self, items: Iterable[_Item]) -> Response:
         success: list[Any] = []
         errors: list[dict[str, Any]] = []
         created: list[Any] = []
@@ -295,8 +291,8 @@ class _Batch:
         if errors:
             return outcomes.multi_status({"success": success, "errors": errors})
         if created:
-            return Answer(201, orjson.dumps(created), [(b"content-type", JSON.encode())])
-        return Answer(204)
+            return Response(201, orjson.dumps(created), [(b"content-type", JSON.encode())])
+        return Response(204)
 
 
 def _is_refused(item: _Item) -> bool:

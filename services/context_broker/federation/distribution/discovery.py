@@ -29,12 +29,8 @@ from services.context_broker.model.context import Context
 from services.context_broker.request.query_parameters import json_headers
 from services.context_broker.request.request_context import (
     JSON_LD,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 
 SourceDocument = tuple[Registration, SourceDialect, Any]
@@ -44,15 +40,15 @@ _LISTS: Final = ("typeList", "attributeList", "attributeDetails", "attributeType
 """A response with a single document has at least one of these members."""
 
 
-async def types(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def types(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET types."""
-    has_details = exchange.parameter("details") == "true"
+    has_details = request.parameter("details") == "true"
     operation = "retrieveEntityTypeDetails" if has_details else "retrieveEntityTypes"
-    context = await exchange.reader_context()
+    context = await request.reader_context()
     documents = await _query_sources(
         sources, operation, _EVERYTHING, context, lambda _: "types", details=has_details
     )
-    answer = await perform(exchange)
+    answer = await perform(request)
     if not documents:
         return answer
     if not has_details:
@@ -62,15 +58,15 @@ async def types(sources: Sources, exchange: Exchange, perform: Perform) -> Answe
     return _with_entries(answer, "EntityType", ("typeName", "attributeNames"), entries, context)
 
 
-async def attributes(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def attributes(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET attributes."""
-    has_details = exchange.parameter("details") == "true"
+    has_details = request.parameter("details") == "true"
     operation = "retrieveAttrTypeDetails" if has_details else "retrieveAttrTypes"
-    context = await exchange.reader_context()
+    context = await request.reader_context()
     documents = await _query_sources(
         sources, operation, _EVERYTHING, context, lambda _: "attributes", details=has_details
     )
-    answer = await perform(exchange)
+    answer = await perform(request)
     if not documents:
         return answer
     if not has_details:
@@ -82,10 +78,10 @@ async def attributes(sources: Sources, exchange: Exchange, perform: Perform) -> 
     return _with_entries(answer, "Attribute", ("attributeName", "typeNames"), entries, context)
 
 
-async def type_details(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def type_details(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET types/{type}."""
-    context = await exchange.reader_context()
-    kind = context.terms.expand(exchange.names[0])
+    context = await request.reader_context()
+    kind = context.terms.expand(request.names[0])
     target = EntityTarget(types=frozenset({kind}))
     documents = await _query_sources(
         sources,
@@ -101,7 +97,7 @@ async def type_details(sources: Sources, exchange: Exchange, perform: Perform) -
         "entityCount": 0,
         "attributeDetails": [],
     }
-    answer = await _own(exchange, perform, empty if documents else None, context)
+    answer = await _own(request, perform, empty if documents else None, context)
     body = orjson.loads(answer.body)
     if not documents or not isinstance(body, dict):
         return answer
@@ -116,13 +112,13 @@ async def type_details(sources: Sources, exchange: Exchange, perform: Perform) -
                 own["attributeName"] = context.terms.compact(name)
                 own["attributeTypes"] = _union(own["attributeTypes"], one.get("attributeTypes"))
     body["attributeDetails"] = list(details.values())
-    return Answer(answer.status, orjson.dumps(body), answer.headers)
+    return Response(answer.status, orjson.dumps(body), answer.headers)
 
 
-async def attribute_details(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def attribute_details(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET attributes/{attrId}."""
-    context = await exchange.reader_context()
-    name = context.terms.expand(exchange.names[0])
+    context = await request.reader_context()
+    name = context.terms.expand(request.names[0])
     target = EntityTarget(attributes=frozenset({name}))
     documents = await _query_sources(
         sources,
@@ -139,7 +135,7 @@ async def attribute_details(sources: Sources, exchange: Exchange, perform: Perfo
         "attributeTypes": [],
         "typeNames": [],
     }
-    answer = await _own(exchange, perform, empty if documents else None, context)
+    answer = await _own(request, perform, empty if documents else None, context)
     body = orjson.loads(answer.body)
     if not documents or not isinstance(body, dict):
         return answer
@@ -149,7 +145,7 @@ async def attribute_details(sources: Sources, exchange: Exchange, perform: Perfo
         kinds = [dialect.context.terms.expand(one) for one in _texts(document.get("typeNames"))]
         there = [context.terms.compact(one) for one in kinds if _has_type(registration, one)]
         body["typeNames"] = _union(body["typeNames"], there)
-    return Answer(answer.status, orjson.dumps(body), answer.headers)
+    return Response(answer.status, orjson.dumps(body), answer.headers)
 
 
 async def _query_sources(
@@ -202,21 +198,21 @@ def _is_answer(document: Any, *, details: bool) -> bool:
 
 
 async def _own(
-    exchange: Exchange, perform: Perform, empty: dict[str, Any] | None, context: Context
-) -> Answer:
+    request: RequestContext, perform: Perform, empty: dict[str, Any] | None, context: Context
+) -> Response:
     """Return the broker's own response, or an empty one if only context sources have results."""
     try:
-        return await perform(exchange)
+        return await perform(request)
     except Problem as problem:
         if problem.status != 404 or empty is None:
             raise
-    if exchange.accept() == JSON_LD:
+    if request.accept() == JSON_LD:
         body = orjson.dumps({"@context": context.document, **empty})
-        return Answer(200, body, [(b"content-type", JSON_LD.encode())])
-    return Answer(200, orjson.dumps(empty), json_headers(context))
+        return Response(200, body, [(b"content-type", JSON_LD.encode())])
+    return Response(200, orjson.dumps(empty), json_headers(context))
 
 
-def _with_list(answer: Answer, member: str, found: Iterable[str], context: Context) -> Answer:
+def _with_list(answer: Response, member: str, found: Iterable[str], context: Context) -> Response:
     body = orjson.loads(answer.body)
     known = {context.terms.expand(one) for one in body[member]}
     names = sorted(known.union(found))
@@ -225,12 +221,12 @@ def _with_list(answer: Answer, member: str, found: Iterable[str], context: Conte
 
 
 def _with_entries(
-    answer: Answer,
+    answer: Response,
     kind: str,
     members: tuple[str, str],
     entries: Iterable[tuple[str, list[str]]],
     context: Context,
-) -> Answer:
+) -> Response:
     body = orjson.loads(answer.body)
     known = {one["id"]: one for one in body}
     name, below = members
@@ -242,12 +238,12 @@ def _with_entries(
     return _counted(answer, [known[iri] for iri in sorted(known)], len(known))
 
 
-def _counted(answer: Answer, body: Any, count: int) -> Answer:
+def _counted(answer: Response, body: Any, count: int) -> Response:
     headers = [
         (name, str(count).encode() if name == b"ngsild-results-count" else value)
         for name, value in answer.headers
     ]
-    return Answer(answer.status, orjson.dumps(body), headers)
+    return Response(answer.status, orjson.dumps(body), headers)
 
 
 def _has_type(registration: Registration, kind: str) -> bool:

@@ -14,25 +14,19 @@ from urllib.parse import quote
 from handover.errors import Problem
 from services.context_broker.federation.distribution.forwarding import Forwarder, RequestOrigin, SourceError
 from services.context_broker.federation.distribution.via import MAX_CHAIN_LENGTH, chain
-from services.context_broker.federation.entity_maps.mapped_exchange import entity_map_of
+from services.context_broker.federation.entity_maps.mapped_request import entity_map_of
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.problems import ERRORS
 from services.context_broker.request.request_context import (
     PREFIX,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
-)
-from services.context_broker.request.request_context import (
-    problem_response as problem_answer,
+    RequestContext,
+    Response,
+    problem_response,
 )
 from services.context_broker.request.routing import Operation
 
-Perform = Callable[[Exchange], Awaitable[Answer]]
+Perform = Callable[[RequestContext], Awaitable[Response]]
 """Carries out an operation on the broker's own entities."""
 
 MAP_HEADER: Final = "NGSILD-EntityMap"
@@ -46,14 +40,14 @@ class Sources:
     `warnings` collects failures for readers, who get a result without the failed sources (table 6.3.17-1).
     """
 
-    def __init__(self, exchange: Exchange, forwarder: Forwarder) -> None:
-        self.exchange = exchange
+    def __init__(self, request: RequestContext, forwarder: Forwarder) -> None:
+        self.request = request
         self.forwarder = forwarder
-        self.registry = federated(exchange.tenant).registry
-        self.origin = RequestOrigin(exchange.headers, exchange.tenant.alias, self.registry)
+        self.registry = federated(request.tenant).registry
+        self.origin = RequestOrigin(request.headers, request.tenant.alias, self.registry)
         self.warnings: dict[tuple[int, str], None] = {}
         self.source_errors: list[SourceError] = []
-        self._passed = frozenset(chain(exchange.headers.get(b"via", b"")))
+        self._passed = frozenset(chain(request.headers.get(b"via", b"")))
 
     def unvisited(self, matches: Iterable[Match], *, uses_map: bool = True) -> list[Match]:
         """Return the matches whose sources are not in the Via header of the request (clause 4.3.6.4).
@@ -62,14 +56,14 @@ class Sources:
         its source (clause 5.7.2.4).
         """
         found = [one for one in matches if not self.has_visited(one.registration)]
-        entity_map = entity_map_of(self.exchange) if uses_map else None
+        entity_map = entity_map_of(self.request) if uses_map else None
         if entity_map is None:
             return found
         return [some for one in found if (some := one.among(entity_map.entities)).parts]
 
     def map_headers(self, registration: Registration) -> tuple[tuple[str, str], ...]:
         """Return the header that names the source's own entity map, if an entity map answers the request."""
-        entity_map = entity_map_of(self.exchange)
+        entity_map = entity_map_of(self.request)
         linked = None if entity_map is None else entity_map.linked.get(registration.id)
         return () if linked is None else ((MAP_HEADER, f"{PREFIX}entityMaps/{quote(linked, safe=':')}"),)
 
@@ -96,7 +90,7 @@ class Sources:
         self.source_errors.append(error)
         self.add_warning(error.warning, error.why)
 
-    def with_warnings(self, answer: Answer) -> Answer:
+    def with_warnings(self, answer: Response) -> Response:
         """Return the response with all warnings as headers."""
         name = self.origin.name
         for code, why in self.warnings:
@@ -106,7 +100,7 @@ class Sources:
         return answer
 
 
-Handler = Callable[[Sources, Exchange, Perform], Awaitable[Answer]]
+Handler = Callable[[Sources, RequestContext, Perform], Awaitable[Response]]
 
 
 class DistributedOperations:
@@ -116,31 +110,31 @@ class DistributedOperations:
         self.forwarder = forwarder
         self._handlers = functools.cache(handlers)
 
-    async def answer(self, operation: Operation, exchange: Exchange) -> Answer:
+    async def answer(self, operation: Operation, request: RequestContext) -> Response:
         """Answer a request of a tenant that has registrations."""
         handler = self._handlers().get(operation.name)
-        if handler is None or is_local(exchange):
-            return await operation.answer(exchange)
-        sources = Sources(exchange, self.forwarder)
-        passed = chain(exchange.headers.get(b"via", b""))
+        if handler is None or is_local(request):
+            return await operation.answer(request)
+        sources = Sources(request, self.forwarder)
+        passed = chain(request.headers.get(b"via", b""))
         name = sources.origin.name
         try:
             if name in passed or len(passed) > MAX_CHAIN_LENGTH:
                 raise loop_detected(name)
-            answer = await handler(sources, exchange, operation.answer)
+            answer = await handler(sources, request, operation.answer)
         except Problem as problem:
-            answer = problem_answer(problem)
+            answer = problem_response(problem)
         if passed:  # the next broker learns this alias and can skip this broker for requests that passed it
-            answer = Answer(answer.status, answer.body, [*answer.headers, (b"via", f"1.1 {name}".encode())])
+            answer = Response(answer.status, answer.body, [*answer.headers, (b"via", f"1.1 {name}".encode())])
         return sources.with_warnings(answer) if sources.warnings else answer
 
 
-def is_local(exchange: Exchange) -> bool:
+def is_local(request: RequestContext) -> bool:
     """Return whether a request is limited to this broker's own entities (clause 6.3.18)."""
     return (
-        exchange.parameter("local") == "true"
-        or exchange.parameter("type") == "*"
-        or b"ngsild-snapshot" in exchange.headers
+        request.parameter("local") == "true"
+        or request.parameter("type") == "*"
+        or b"ngsild-snapshot" in request.headers
     )
 
 

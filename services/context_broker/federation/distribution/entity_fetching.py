@@ -93,8 +93,8 @@ async def fetch_entity(
         names = match.attributes_for(entity_id)
         parameters = [("attrs", joined_names(names, dialect))] if names is not None else []
         parameters.append(("options", "sysAttrs"))
-        request = SourceRequest("GET", f"entities/{quoted(entity_id)}", dialect, tuple(parameters))
-        response = await _query_source_by_map(sources, registration, request)
+        source_request = SourceRequest("GET", f"entities/{quoted(entity_id)}", dialect, tuple(parameters))
+        response = await _query_source_by_map(sources, registration, source_request)
         if response is not None:
             into.add(registration, await read_entities(sources, registration, response, dialect, single=True))
     except SourceError as error:
@@ -150,8 +150,8 @@ async def _pages(
         limit = SMALL_PAGE if registration.endpoint in small else PAGE
         paged = [*given, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
         try:
-            request = _question(operation, dialect, paged)
-            response = await _query_source_by_map(sources, registration, request)
+            source_request = _question(operation, dialect, paged)
+            response = await _query_source_by_map(sources, registration, source_request)
         except SourceError as error:
             if error.answered not in {400, 403} or offset or limit == SMALL_PAGE:
                 raise
@@ -205,15 +205,15 @@ def _types_at(registration: Registration) -> set[str]:
 
 
 async def _query_source_by_map(
-    sources: Sources, registration: Registration, request: SourceRequest
+    sources: Sources, registration: Registration, source_request: SourceRequest
 ) -> HttpResponse | None:
     """Query a source by its own entity map if it has one, and without it if the source has lost the map."""
     headers = sources.map_headers(registration)
     if headers:
-        response = await query_source(sources, registration, replace(request, headers=headers))
+        response = await query_source(sources, registration, replace(source_request, headers=headers))
         if response is not None:
             return response
-    return await query_source(sources, registration, request)
+    return await query_source(sources, registration, source_request)
 
 
 def _question(operation: str, dialect: SourceDialect, parameters: list[tuple[str, str]]) -> SourceRequest:

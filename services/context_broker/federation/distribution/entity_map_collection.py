@@ -39,13 +39,12 @@ from services.context_broker.federation.distribution.temporal_fetching import (
     temporal_parameters_of,
 )
 from services.context_broker.federation.entity_maps.entity_map import Listed
-from services.context_broker.federation.entity_maps.mapped_exchange import with_map
+from services.context_broker.federation.entity_maps.mapped_request import with_map
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.validation import require_uri
 from services.context_broker.query.parameters import FILTERS
-from services.context_broker.request.request_context import RequestContext as Exchange
-from services.context_broker.request.request_context import Response as Answer
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.temporal.operations import temporal_parameters
 
 CREATE_ENTITY_MAP: Final = "createEntityMapQueryEntity"
@@ -77,8 +76,10 @@ class EntityMapCollector:
                 questions = list(narrowed(match, parameters, self._context, dialect, is_split=is_split))
                 if len(questions) == 1:
                     without_context = [one for one in questions[0] if one[0] != "options"]
-                    request = SourceRequest("GET", "entityMaps", dialect, (*without_context, *self._lifetime))
-                    is_listed = await self._take(registration, request)
+                    source_request = SourceRequest(
+                        "GET", "entityMaps", dialect, (*without_context, *self._lifetime)
+                    )
+                    is_listed = await self._take(registration, source_request)
             except SourceError as error:
                 self._sources.add_error(error)
                 return
@@ -93,11 +94,11 @@ class EntityMapCollector:
             }  # the ids in the map are candidates; the entities that are read decide
             await fetch_entities(self._sources, match, parameters, self._context, into, is_split=is_split)
 
-    async def _take(self, registration: Registration, request: SourceRequest) -> bool:
+    async def _take(self, registration: Registration, source_request: SourceRequest) -> bool:
         """Take the map that a source creates; return whether it did. Raises `SourceError` if there is no
         response."""
         try:
-            response = await query_source(self._sources, registration, request)
+            response = await query_source(self._sources, registration, source_request)
         except SourceError as error:
             if error.answered is None:
                 raise
@@ -131,8 +132,10 @@ class EntityMapCollector:
                 match, parameters, dialect, same=dialect.context is self._context
             )
             if registration.takes(CREATE_TEMPORAL_MAP):
-                request = SourceRequest("GET", "temporal/entityMaps", dialect, (*target, *self._lifetime))
-                if await self._take(registration, request):
+                source_request = SourceRequest(
+                    "GET", "temporal/entityMaps", dialect, (*target, *self._lifetime)
+                )
+                if await self._take(registration, source_request):
                     return
             if registration.takes("queryTemporal"):
                 await self._read_ids(
@@ -143,11 +146,15 @@ class EntityMapCollector:
         except Problem as problem:
             self._sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
 
-    async def _read_ids(self, registration: Registration, request: SourceRequest) -> None:
-        without_context = [one for one in request.parameters if one[0] not in {"lastN", "options", "format"}]
+    async def _read_ids(self, registration: Registration, source_request: SourceRequest) -> None:
+        without_context = [
+            one for one in source_request.parameters if one[0] not in {"lastN", "options", "format"}
+        ]
         for page in range(_MAX_PAGES):
             window = (("lastN", "1"), ("limit", str(_PAGE)), ("offset", str(page * _PAGE)))
-            target = SourceRequest("GET", request.path, request.dialect, (*without_context, *window))
+            target = SourceRequest(
+                "GET", source_request.path, source_request.dialect, (*without_context, *window)
+            )
             response = await query_source(self._sources, registration, target)
             try:
                 documents = orjson.loads(response.body) if response is not None and response.body else []
@@ -167,21 +174,21 @@ class EntityMapCollector:
         return registration.id not in self.listed.entities.get(entity_id, ())
 
 
-async def map_temporal(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def map_temporal(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET or POST temporal/entityMaps."""
-    if exchange.method == "GET":
-        context, parameters = await exchange.reader_context(), dict(exchange.parameters)
+    if request.method == "GET":
+        context, parameters = await request.reader_context(), dict(request.parameters)
         questions = [parameters]
     else:
-        document, context = await exchange.body()
+        document, context = await request.body()
         if not isinstance(document, dict):
-            return await perform(exchange)
-        parameters = {**exchange.parameters, **temporal_parameters(document)}
+            return await perform(request)
+        parameters = {**request.parameters, **temporal_parameters(document)}
         without_context = {
             name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}
         }
         questions = list(selector_parameters(without_context, parameters))
-    map_collector = EntityMapCollector(sources, context, exchange.parameter(_LIFETIME))
+    map_collector = EntityMapCollector(sources, context, request.parameter(_LIFETIME))
     asking = []
     for each in questions:
         target, where = target_of(each, context, None)
@@ -189,9 +196,9 @@ async def map_temporal(sources: Sources, exchange: Exchange, perform: Perform) -
         refuse_order(each, sources.unvisited(found, uses_map=False))
         asking += [map_collector.collect_temporal(match, each) for match in sources.unvisited(found)]
     if not asking:
-        return await perform(exchange)
-    local = {**exchange.parameters, "local": "true"}
-    own = with_map(exchange, parameters=local, listed=map_collector.listed)
+        return await perform(request)
+    local = {**request.parameters, "local": "true"}
+    own = with_map(request, parameters=local, listed=map_collector.listed)
     await gather_all(*asking)
     return await perform(own)
 

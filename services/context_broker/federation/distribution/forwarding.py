@@ -166,21 +166,21 @@ class Forwarder:
         )  # the context has no URL for a Link header: full names
 
     async def send(
-        self, registration: Registration, request: SourceRequest, origin: RequestOrigin
+        self, registration: Registration, source_request: SourceRequest, origin: RequestOrigin
     ) -> tuple[HttpResponse, bool]:
         """Return the response, whatever its status, and whether it is a cached one.
 
         Raises `SourceError` if there is none: timeout, connection failure or cooldown. Only a registration
         sets a cooldown (clause 5.2.34); without one, the next request queries the source again.
         """
-        headers = _headers(registration, request, origin)
-        url = _url(registration, request)
-        is_kept = request.method == "GET" and registration.management.cache_s > 0
+        headers = _headers(registration, source_request, origin)
+        url = _url(registration, source_request)
+        is_kept = source_request.method == "GET" and registration.management.cache_s > 0
         key = (registration.id, url, *headers)
         if is_kept and (kept := self._cached.get(key)) and kept.until_s > time.monotonic():
             return kept.response, True
         _refuse_at_rest(registration, origin)
-        response = await self._sent(registration, request, origin, url, headers)
+        response = await self._sent(registration, source_request, origin, url, headers)
         if is_kept and response.status == 200 and len(response.body) <= MAX_CACHED_BYTES:
             self._cache(key, response, registration.management.cache_s)
         return response, False
@@ -188,7 +188,7 @@ class Forwarder:
     async def _sent(
         self,
         registration: Registration,
-        request: SourceRequest,
+        source_request: SourceRequest,
         origin: RequestOrigin,
         url: str,
         headers: list[tuple[str, str]],
@@ -196,7 +196,7 @@ class Forwarder:
         timeout_s, registry = self.patience_s(registration), origin.registry
         try:
             response = await self.http_client.request(
-                request.method, url, headers, _body(registration, request), timeout_s
+                source_request.method, url, headers, _body(registration, source_request), timeout_s
             )
         except SendError as error:
             if isinstance(error, ResponseTimeout):
@@ -236,12 +236,12 @@ def _info(registration: Registration, key: str) -> str | None:
     return next((value for name, value in registration.source_info if name.lower() == wanted), None)
 
 
-def _url(registration: Registration, request: SourceRequest) -> str:
-    parameters: Iterable[tuple[str, str]] = request.parameters
+def _url(registration: Registration, source_request: SourceRequest) -> str:
+    parameters: Iterable[tuple[str, str]] = source_request.parameters
     if registration.management.local_only:
         parameters = (*parameters, ("local", "true"))
     query = "&".join(f"{name}={quote(value, safe=_PLAIN_IN_QUERIES)}" for name, value in parameters)
-    url = registration.url(request.path)
+    url = registration.url(source_request.path)
     return f"{url}?{query}" if query else url
 
 
@@ -249,13 +249,13 @@ _PLAIN_IN_QUERIES: Final = ":,/()*"
 """Characters that are valid unescaped in a query and easier to read in logs."""
 
 
-def _body(registration: Registration, request: SourceRequest) -> bytes:
-    if request.document is None:
+def _body(registration: Registration, source_request: SourceRequest) -> bytes:
+    if source_request.document is None:
         return b""
     version = _info(registration, "ngsildConformance")
-    document = request.document if version is None else older(request.document, version)
-    if request.dialect.media_type == JSON_LD:
-        document = _with_context(document, request.dialect.context.document)
+    document = source_request.document if version is None else older(source_request.document, version)
+    if source_request.dialect.media_type == JSON_LD:
+        document = _with_context(document, source_request.dialect.context.document)
     return orjson.dumps(document)
 
 
@@ -266,17 +266,17 @@ def _with_context(document: Any, context: Any) -> Any:
 
 
 def _headers(
-    registration: Registration, request: SourceRequest, origin: RequestOrigin
+    registration: Registration, source_request: SourceRequest, origin: RequestOrigin
 ) -> list[tuple[str, str]]:
-    dialect = request.dialect
+    dialect = source_request.dialect
     headers = [
         ("Accept", _info(registration, "accept") or JSON),
         ("Via", append_to_via(origin.headers.get(b"via", b""), origin.name)),
-        *request.headers,
+        *source_request.headers,
     ]
-    if request.document is not None:
+    if source_request.document is not None:
         headers.append(("Content-Type", dialect.media_type))
-    if dialect.link is not None and (request.document is None or dialect.media_type != JSON_LD):
+    if dialect.link is not None and (source_request.document is None or dialect.media_type != JSON_LD):
         link = f'<{dialect.link}>; rel="http://www.w3.org/ns/json-ld#context"; type="{JSON_LD}"'
         headers.append(("Link", link))
     if registration.tenant:

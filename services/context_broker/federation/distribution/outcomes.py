@@ -11,8 +11,7 @@ from services.context_broker.federation.distribution.forwarding import SourceErr
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.model.problems import ERRORS
 from services.context_broker.network.http_client import HttpResponse
-from services.context_broker.request.request_context import JSON
-from services.context_broker.request.request_context import Response as Answer
+from services.context_broker.request.request_context import JSON, Response
 
 _PASSED_ON: Final = frozenset({404, 409})
 """Failures of a single source that are returned to the client unchanged."""
@@ -97,7 +96,7 @@ def settled(outcomes: Iterable[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
     return good, failed
 
 
-def failure(failed: list[Outcome]) -> Answer | None:
+def failure(failed: list[Outcome]) -> Response | None:
     """Return the response when every part failed; None if the parts failed in different ways.
 
     A failure of the broker itself, on an entity that it has, comes first: AlreadyExists or ResourceNotFound
@@ -119,7 +118,7 @@ def failure(failed: list[Outcome]) -> Answer | None:
     return _problem_answer(502, problem, first.registration)
 
 
-def entity_result(entity_id: str, good: list[Outcome], failed: list[Outcome]) -> Answer:
+def entity_result(entity_id: str, good: list[Outcome], failed: list[Outcome]) -> Response:
     """Return 207 with the outcomes of one entity (clause 5.2.16, BatchOperationResult)."""
     return multi_status({"success": [entity_id] if good else [], "errors": entity_errors(entity_id, failed)})
 
@@ -136,13 +135,13 @@ def entity_errors(entity_id: Any, failed: Iterable[Outcome]) -> list[dict[str, A
     ]
 
 
-def multi_status(body: dict[str, Any]) -> Answer:
+def multi_status(body: dict[str, Any]) -> Response:
     """Return 207 with a body."""
-    return Answer(207, orjson.dumps(body), [(b"content-type", JSON.encode())])
+    return Response(207, orjson.dumps(body), [(b"content-type", JSON.encode())])
 
 
-def _problem_answer(status: int, problem: dict[str, Any], registration: Registration | None) -> Answer:
+def _problem_answer(status: int, problem: dict[str, Any], registration: Registration | None) -> Response:
     body = {**problem, "status": status}
     if registration is not None:
         body["registrationId"] = registration.id
-    return Answer(status, orjson.dumps(body), [(b"content-type", JSON.encode())])
+    return Response(status, orjson.dumps(body), [(b"content-type", JSON.encode())])

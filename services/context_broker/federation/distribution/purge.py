@@ -32,34 +32,33 @@ from services.context_broker.model.context import Context
 from services.context_broker.operations.purge import selection_to_purge
 from services.context_broker.query.parameters import FILTERS, FORWARDED
 from services.context_broker.query.selection import hits_of
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.query_parameters import selection_of
-from services.context_broker.request.request_context import RequestContext as Exchange
-from services.context_broker.request.request_context import Response as Answer
+from services.context_broker.request.request_context import RequestContext, Response
 
 _NAMING: Final = frozenset({"q", "geoproperty"})
 
 
-async def purge(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def purge(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """DELETE entities: the broker's own first, then those of all sources at the same time."""
-    context = await exchange.reader_context()
-    target, where = target_of(exchange.parameters, context, None)
+    context = await request.reader_context()
+    target, where = target_of(request.parameters, context, None)
     matches = sources.unvisited(sources.registry.matching("purgeEntity", target, where))
-    conditions = any(name in exchange.parameters for name in (*FILTERS, "attrs"))
-    if conditions and may_be_split(exchange.parameters, matches):
-        hits = await _whole_hits(sources, exchange, context)
+    conditions = any(name in request.parameters for name in (*FILTERS, "attrs"))
+    if conditions and may_be_split(request.parameters, matches):
+        hits = await _whole_hits(sources, request, context)
         if not hits:
-            return Answer(204)
-        gone = {name: exchange.parameters[name] for name in ("drop", "keep") if name in exchange.parameters}
-        exchange = derived(exchange, parameters={**gone, "id": ",".join(hits), "local": "true"})
+            return Response(204)
+        gone = {name: request.parameters[name] for name in ("drop", "keep") if name in request.parameters}
+        request = derived(request, parameters={**gone, "id": ",".join(hits), "local": "true"})
         named = EntityTarget(tuple(hits), None, target.types)
         matches = sources.unvisited(sources.registry.matching("purgeEntity", named, where))
-    own = await perform(exchange)
+    own = await perform(request)
     pieces = [piece for one in matches for piece in one.split_by_ids(MAX_IDS)]
     found: list[Outcome] = []
     for start in range(0, len(pieces), MAX_CONCURRENT_REQUESTS):
         some = pieces[start : start + MAX_CONCURRENT_REQUESTS]
-        found += await gather_all(*(_purge_at(sources, one, exchange.parameters, context) for one in some))
+        found += await gather_all(*(_purge_at(sources, one, request.parameters, context) for one in some))
     failed = [one for one in found if one.problem is not None and one.status != 404]
     if not failed:
         return own
@@ -70,18 +69,18 @@ async def purge(sources: Sources, exchange: Exchange, perform: Perform) -> Answe
     return outcomes.multi_status(body)
 
 
-async def _whole_hits(sources: Sources, exchange: Exchange, context: Context) -> list[str]:
+async def _whole_hits(sources: Sources, request: RequestContext, context: Context) -> list[str]:
     """Return the ids of the merged entities that match the filters."""
-    selection_to_purge(exchange, context)
-    asking = {name: said for name, said in exchange.parameters.items() if name not in {"drop", "keep"}}
+    selection_to_purge(request, context)
+    asking = {name: said for name, said in request.parameters.items() if name not in {"drop", "keep"}}
     found: list[str] = []
 
-    async def collect(over: Exchange) -> Answer:
+    async def collect(over: RequestContext) -> Response:
         selection = selection_of({**over.parameters, "local": "true"}, context)
         found.extend(one.id for one in await hits_of(over.tenant.store, selection))
-        return Answer(200)
+        return Response(200)
 
-    await reading.query(sources, derived(exchange, parameters=asking), collect)
+    await reading.query(sources, derived(request, parameters=asking), collect)
     return found
 
 
@@ -96,8 +95,8 @@ async def _purge_at(
         wanted = _narrowed(match, parameters, context, dialect)
         if wanted is None:
             return Outcome(one, nothing, 204)
-        request = SourceRequest("DELETE", "entities", dialect, tuple(wanted))
-        response, _ = await sources.forwarder.send(one, request, sources.origin)
+        source_request = SourceRequest("DELETE", "entities", dialect, tuple(wanted))
+        response, _ = await sources.forwarder.send(one, source_request, sources.origin)
         if sources.is_loop_answer(one, response.status):
             return Outcome(one, nothing, 204)
     except SourceError as error:

@@ -37,23 +37,19 @@ from services.context_broker.federation.distribution.query_targets import (
     target_of,
     types_of,
 )
-from services.context_broker.federation.entity_maps.mapped_exchange import listed_of, with_map
+from services.context_broker.federation.entity_maps.mapped_request import listed_of, with_map
 from services.context_broker.federation.registrations.coverage import CoverageQuery
 from services.context_broker.federation.registrations.registration import EntityTarget, Match
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.validation import require_uri
 from services.context_broker.query.type_selection import of_types
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.query_parameters import datasets_of
 from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
-)
-from services.context_broker.request.request_context import (
-    problem_response as problem_answer,
+    RequestContext,
+    Response,
+    problem_response,
 )
 
 MAX_LINKING_ENTITIES: Final = 1000
@@ -62,76 +58,76 @@ MAX_LEVELS: Final = 10
 """Levels of linked entities that sources are queried for."""
 
 
-async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def retrieve(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET entities/{id}, from all matching sources."""
-    context = await exchange.reader_context()
-    entity_id = require_uri(exchange.names[0], "the entity id in the path")
-    own = exchange.tenant.store.get(entity_id)
-    types = types_of(exchange.parameter("type"), context)
+    context = await request.reader_context()
+    entity_id = require_uri(request.names[0], "the entity id in the path")
+    own = request.tenant.store.get(entity_id)
+    types = types_of(request.parameter("type"), context)
     if types is None and own is not None:
         types = frozenset(own.types)
-    target = EntityTarget((entity_id,), None, types, names_of(exchange.parameters, context))
-    datasets = CoverageQuery(datasets=datasets_of(exchange.parameter("datasetId")))
+    target = EntityTarget((entity_id,), None, types, names_of(request.parameters, context))
+    datasets = CoverageQuery(datasets=datasets_of(request.parameter("datasetId")))
     matches = sources.unvisited(
         sources.registry.matching(ONE, target, source_filter(None, context, datasets))
     )
-    if not matches and (own is None or not _wants_links(exchange)):
-        return await perform(exchange)
+    if not matches and (own is None or not _wants_links(request)):
+        return await perform(request)
     collector = FragmentCollector()
     await gather_all(*(fetch_entity(sources, one, entity_id, context, collector) for one in matches))
-    if (listed := listed_of(exchange)) is not None:
-        listed.entities = collector.origins(exchange.tenant.store)
+    if (listed := listed_of(request)) is not None:
+        listed.entities = collector.origins(request.tenant.store)
     proxied = [one.registration for one in matches if one.registration.mode.is_proxied]
     others = {entity_id: collector.entity(own, entity_id, proxied)}
-    await _add_linked(sources, exchange, context, others)
-    overlay_store = exchange.tenant.store.overlay((entity_id,), None, others)
+    await _add_linked(sources, request, context, others)
+    overlay_store = request.tenant.store.overlay((entity_id,), None, others)
     try:
-        return await perform(_over(exchange, overlay_store))
+        return await perform(_over(request, overlay_store))
     except Problem as problem:
         silent = [one for one in sources.source_errors if one.registration.mode.is_proxied]
         if problem.status == 404 and silent:  # the source that failed may have the entity
-            return problem_answer(gateway_problem(silent[0]))
+            return problem_response(gateway_problem(silent[0]))
         raise
 
 
-async def query(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def query(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET entities, from all matching sources."""
-    context = await exchange.reader_context()
-    return await _query(sources, exchange, perform, context, [dict(exchange.parameters)])
+    context = await request.reader_context()
+    return await _query(sources, request, perform, context, [dict(request.parameters)])
 
 
-async def query_batch(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def query_batch(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """POST entityOperations/query."""
-    document, context = await exchange.body()
+    document, context = await request.body()
     if not isinstance(document, dict):
-        return await perform(exchange)
+        return await perform(request)
     return await _query(
-        sources, exchange, perform, context, list(selector_parameters(document, exchange.parameters))
+        sources, request, perform, context, list(selector_parameters(document, request.parameters))
     )
 
 
-async def map_entities(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def map_entities(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET or POST entityMaps, which take the parameters of the two queries (clause 5.14.4)."""
-    if exchange.method == "GET":
-        context, questions = await exchange.reader_context(), [dict(exchange.parameters)]
+    if request.method == "GET":
+        context, questions = await request.reader_context(), [dict(request.parameters)]
     else:
-        document, context = await exchange.body()
+        document, context = await request.body()
         if not isinstance(document, dict):
-            return await perform(exchange)
-        questions = list(selector_parameters(document, exchange.parameters))
-    map_collector = EntityMapCollector(sources, context, exchange.parameter("entityMapLifetime"))
-    return await _query(sources, exchange, perform, context, questions, map_collector=map_collector)
+            return await perform(request)
+        questions = list(selector_parameters(document, request.parameters))
+    map_collector = EntityMapCollector(sources, context, request.parameter("entityMapLifetime"))
+    return await _query(sources, request, perform, context, questions, map_collector=map_collector)
 
 
 async def _query(
     sources: Sources,
-    exchange: Exchange,
+    request: RequestContext,
     perform: Perform,
     context: Context,
     questions: list[dict[str, str]],
     *,
     map_collector: EntityMapCollector | None = None,
-) -> Answer:
+) -> Response:
     collector = FragmentCollector()
     matched: list[tuple[Match, dict[str, str], bool]] = []
     wanted: list[EntityTarget] = []
@@ -155,44 +151,44 @@ async def _query(
         else fetch_entities(sources, match, parameters, context, collector, is_split=is_split)
         for match, parameters, is_split in matched
     ]
-    wants_links = _wants_links(exchange)
+    wants_links = _wants_links(request)
     if not requests and not wants_links:
-        return await perform(exchange)
+        return await perform(request)
     await gather_all(*requests)
     ids = None if any(one.ids is None for one in wanted) else [i for one in wanted for i in one.ids or ()]
     types = (
         None if any(one.types is None for one in wanted) else [t for one in wanted for t in one.types or ()]
     )
-    store = exchange.tenant.store
+    store = request.tenant.store
     claims = [one for one in registrations.values() if one.mode.is_proxied]
     touched = set(collector.fragments)
     if claims or wants_links:
         own = store.candidates(ids, None if types is None else of_types(types))
         touched |= {one.id for one in (own if claims else own[:MAX_LINKING_ENTITIES])}
     others = {one: collector.entity(store.get(one), one, claims) for one in touched}
-    await _add_linked(sources, exchange, context, others)
+    await _add_linked(sources, request, context, others)
     overlay_store = store.overlay(ids, None if ids is not None else types, others)
     overlay_store.origins = collector.origins(store)
-    overlay = _over(exchange, overlay_store)
+    overlay = _over(request, overlay_store)
     if map_collector is not None:
         overlay = with_map(overlay, listed=map_collector.listed)
     return await perform(overlay)
 
 
-def _wants_links(exchange: Exchange) -> bool:
-    return exchange.parameter("join") in {"inline", "flat"}
+def _wants_links(request: RequestContext) -> bool:
+    return request.parameter("join") in {"inline", "flat"}
 
 
 async def _add_linked(
-    sources: Sources, exchange: Exchange, context: Context, others: dict[str, Entity | None]
+    sources: Sources, request: RequestContext, context: Context, others: dict[str, Entity | None]
 ) -> None:
     """Add the linked entities that the client wants joined and that other sources may have (clause
     4.5.23)."""
-    if not _wants_links(exchange):
+    if not _wants_links(request):
         return
-    given = exchange.parameter("joinLevel") or "1"
+    given = request.parameter("joinLevel") or "1"
     levels = min(int(given), MAX_LEVELS) if given.isascii() and given.isdecimal() else 1
-    store = exchange.tenant.store
+    store = request.tenant.store
     edge = [one for one in others.values() if one is not None]
     for _ in range(levels):
         ids = [one for one in dict.fromkeys(_objects(edge)) if one not in others]
@@ -221,8 +217,8 @@ def _objects(entities: Iterable[Entity]) -> Iterable[str]:
                         yield one["object"]
 
 
-def _over(exchange: Exchange, overlay_store: Any) -> Exchange:
-    """Return the exchange with the merged entities in place of the tenant's own."""
-    tenant = copy.copy(exchange.tenant)
+def _over(request: RequestContext, overlay_store: Any) -> RequestContext:
+    """Return the request with the merged entities in place of the tenant's own."""
+    tenant = copy.copy(request.tenant)
     tenant.store = overlay_store
-    return derived(exchange, tenant=tenant)
+    return derived(request, tenant=tenant)

@@ -35,10 +35,10 @@ _ENTITIES_PER_STEP: Final = 200
 
 
 async def query_source(
-    sources: Sources, registration: Registration, request: SourceRequest
+    sources: Sources, registration: Registration, source_request: SourceRequest
 ) -> HttpResponse | None:
     """Return the response of a source, None if it has nothing; raises `SourceError`."""
-    response, was_kept = await sources.forwarder.send(registration, request, sources.origin)
+    response, was_kept = await sources.forwarder.send(registration, source_request, sources.origin)
     if was_kept:
         sources.add_warning(STALE, f"the response of {registration.endpoint} comes from the cache")
     if response.status == 404 or sources.is_loop_answer(registration, response.status):

@@ -30,9 +30,9 @@ from services.context_broker.model.entity_parser import expand, read_attribute
 from services.context_broker.query.parameters import FILTER_MEMBERS, FILTERS
 from services.context_broker.query.query_document import selectors_of
 from services.context_broker.query.selection import Selection
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.query_parameters import MAX_LIMIT, selection_of
-from services.context_broker.request.request_context import RequestContext as Exchange
+from services.context_broker.request.request_context import RequestContext
 from services.context_broker.temporal.query import TIME_PARAMETERS
 
 MAX_PAGES: Final = 20
@@ -48,73 +48,82 @@ _TIMES: Final = ("createdAt", "modifiedAt")
 
 async def split_hits(
     sources: Sources,
-    exchange: Exchange,
+    request: RequestContext,
     perform: Perform,
     matched: Iterable[tuple[Match, Mapping[str, str]]],
-    request: TemporalRequest,
+    temporal_request: TemporalRequest,
 ) -> list[str]:
     """Return the ids of the entities whose merged evolution matches the filters, in order."""
-    asked = {name: said for name, said in request.parameters.items() if name not in _NOT_ASKED}
-    everything = replace(request.view.view, attributes=None, projection=None, datasets=None)
+    asked = {name: said for name, said in temporal_request.parameters.items() if name not in _NOT_ASKED}
+    everything = replace(temporal_request.view.view, attributes=None, projection=None, datasets=None)
     whole = TemporalRequest(
-        request.context, asked, replace(request.query, last=None), replace(request.view, view=everything)
+        temporal_request.context,
+        asked,
+        replace(temporal_request.query, last=None),
+        replace(temporal_request.view, view=everything),
     )
-    readers: list[tuple[Registration | None, FetchPart]] = [(None, _pages_of_own(exchange, perform, request))]
-    readers += [(match.registration, _pages_of(sources, match, request)) for match, _ in matched]
+    readers: list[tuple[Registration | None, FetchPart]] = [
+        (None, _pages_of_own(request, perform, temporal_request))
+    ]
+    readers += [(match.registration, _pages_of(sources, match, temporal_request)) for match, _ in matched]
     known: dict[str, list[temporal_merge.SourceEvolution]] = {}
     for registration, document in await fetch_values(readers, whole):
         known.setdefault(document["id"], []).append((registration, document))
-    selection = _selection(exchange, request)
+    selection = _selection(request, temporal_request)
     return [
         one
         for one, parts in known.items()
-        if selection.wants(_as_entity(temporal_merge.merge_evolutions(parts, request.context, None), request))
+        if selection.wants(
+            _as_entity(
+                temporal_merge.merge_evolutions(parts, temporal_request.context, None), temporal_request
+            )
+        )
     ]
 
 
-def narrowed_to(exchange: Exchange, ids: list[str]) -> Exchange:
+def narrowed_to(request: RequestContext, ids: list[str]) -> RequestContext:
     """Return the request for these entities only, without filters."""
     gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
-    kept = {name: said for name, said in exchange.parameters.items() if name not in gone}
+    kept = {name: said for name, said in request.parameters.items() if name not in gone}
     shape = {"limit": str(len(ids))}
-    if exchange.method == "GET":
-        return derived(exchange, parameters={**kept, **shape, "id": ",".join(ids)})
-    document = {name: said for name, said in exchange.document().items() if name not in _CONDITIONS}
+    if request.method == "GET":
+        return derived(request, parameters={**kept, **shape, "id": ",".join(ids)})
+    document = {name: said for name, said in request.document().items() if name not in _CONDITIONS}
     document.pop("entityMap", None)
     document["entities"] = [
         {"id": ids, **({"type": one["type"]} if "type" in one else {})}
         for one in document.get("entities") or [{}]
     ]
-    return derived(exchange, parameters={**kept, **shape}, raw=orjson.dumps(document))
+    return derived(request, parameters={**kept, **shape}, raw=orjson.dumps(document))
 
 
-def _selection(exchange: Exchange, request: TemporalRequest) -> Selection:
-    any_of = () if exchange.method == "GET" else selectors_of(exchange.document(), request.context)
-    return selection_of(request.parameters, request.context, any_of)
+def _selection(request: RequestContext, temporal_request: TemporalRequest) -> Selection:
+    any_of = () if request.method == "GET" else selectors_of(request.document(), temporal_request.context)
+    return selection_of(temporal_request.parameters, temporal_request.context, any_of)
 
 
-def _pages_of(sources: Sources, match: Match, request: TemporalRequest) -> FetchPart:
+def _pages_of(sources: Sources, match: Match, temporal_request: TemporalRequest) -> FetchPart:
     def of_source(parameters: Mapping[str, str]) -> Awaitable[TemporalPart]:
-        return fetch_from_source(sources, match, "temporal/entities", parameters, request.context)
+        return fetch_from_source(sources, match, "temporal/entities", parameters, temporal_request.context)
 
-    return _all_pages(of_source, request)
+    return _all_pages(of_source, temporal_request)
 
 
-def _pages_of_own(exchange: Exchange, perform: Perform, request: TemporalRequest) -> FetchPart:
+def _pages_of_own(request: RequestContext, perform: Perform, temporal_request: TemporalRequest) -> FetchPart:
     async def of_own(parameters: Mapping[str, str]) -> TemporalPart:
-        asked = derived(exchange, parameters=parameters)
-        if exchange.method == "POST":
-            document = {name: said for name, said in exchange.document().items() if name not in _IN_DOCUMENTS}
+        asked = derived(request, parameters=parameters)
+        if request.method == "POST":
+            document = {name: said for name, said in request.document().items() if name not in _IN_DOCUMENTS}
             times = {name: parameters[name] for name in TIME_PARAMETERS if name in parameters}
             asked.raw = orjson.dumps({**document, "temporalQ": times})
             asked.parameters = {name: parameters[name] for name in ("options", "offset", "limit")}
         parts = await perform(asked)
         return TemporalPart([without_context(one) for one in orjson.loads(parts.body)], edge_of(parts))
 
-    return _all_pages(of_own, request)
+    return _all_pages(of_own, temporal_request)
 
 
-def _all_pages(ask: FetchPart, request: TemporalRequest) -> FetchPart:
+def _all_pages(ask: FetchPart, temporal_request: TemporalRequest) -> FetchPart:
     """Return a function that reads all entities page by page."""
 
     async def all_of_them(parameters: Mapping[str, str]) -> TemporalPart:
@@ -128,14 +137,16 @@ def _all_pages(ask: FetchPart, request: TemporalRequest) -> FetchPart:
             edges.append(part.edge)
             if len(part.documents) < MAX_LIMIT or len(documents) == before:
                 break
-        return TemporalPart(list(documents.values()), temporal_merge.common_edge(edges, request.query))
+        return TemporalPart(
+            list(documents.values()), temporal_merge.common_edge(edges, temporal_request.query)
+        )
 
     return all_of_them
 
 
-def _as_entity(document: Evolution, request: TemporalRequest) -> Entity:
+def _as_entity(document: Evolution, temporal_request: TemporalRequest) -> Entity:
     """Return an entity with all instances of an evolution, to which filters can be applied."""
-    terms = request.context.terms
+    terms = temporal_request.context.terms
     attributes: dict[str, list[Instance]] = {}
     for name in document.keys() - temporal_merge.MEMBERS:
         said = document[name]

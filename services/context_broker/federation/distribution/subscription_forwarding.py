@@ -52,12 +52,8 @@ from services.context_broker.model.validation import shown
 from services.context_broker.network.http_client import HttpResponse
 from services.context_broker.request.request_context import (
     JSON,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
@@ -131,9 +127,9 @@ class SubscriptionForwarder:
 
     def schedule_alignment(self, tenant: Tenant) -> None:
         """Schedule an alignment of a tenant; changes in a row share one."""
-        self._schedule_alignment(tenant, SETTLE_S, self._aligning)
+        self._align_after(tenant, SETTLE_S, self._aligning)
 
-    def _schedule_alignment(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
+    def _align_after(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
         if tenant.name in waiting:
             return
         waiting.add(tenant.name)
@@ -152,10 +148,10 @@ class SubscriptionForwarder:
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("subscription forwarding failed", exc_info=error)
 
-    async def _after_change(self, sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
-        answer = await perform(exchange)
-        self._base = self._contexts.base(exchange.headers)
-        for why in await self.align(exchange.tenant):
+    async def _after_change(self, sources: Sources, request: RequestContext, perform: Perform) -> Response:
+        answer = await perform(request)
+        self._base = self._contexts.base(request.headers)
+        for why in await self.align(request.tenant):
             sources.add_warning(SILENT, why)
         return answer
 
@@ -186,7 +182,7 @@ class SubscriptionForwarder:
         return failed
 
     def _retry_later(self, tenant: Tenant) -> None:
-        self._schedule_alignment(tenant, RETRY_S, self._retrying)
+        self._align_after(tenant, RETRY_S, self._retrying)
 
     def _is_outdated(self, forwarded: ForwardedSubscription, document_digest: str) -> bool:
         return forwarded.document_digest != document_digest or (
@@ -258,8 +254,8 @@ class SubscriptionForwarder:
                 await self._store(tenant, made)
             dialect = await self._forwarder.dialect(source, one.names, body=JSON)
             body = with_endpoint(document, made.base, made.token)
-            request = SourceRequest("POST", "subscriptions", dialect, (), body)
-            response, _ = await self._forwarder.send(source, request, self._origin_of(tenant, one))
+            source_request = SourceRequest("POST", "subscriptions", dialect, (), body)
+            response, _ = await self._forwarder.send(source, source_request, self._origin_of(tenant, one))
         except SourceError as error:
             return error.why
         except (NotStored, Problem) as error:
@@ -279,16 +275,16 @@ class SubscriptionForwarder:
             source, path = forwarded.registration, f"subscriptions/{quoted(forwarded.id)}"
             dialect = await self._forwarder.dialect(source, await self._contexts.of(None), body=JSON)
             if source.takes("deleteSubscription"):
-                request = SourceRequest("DELETE", path, dialect)
+                source_request = SourceRequest("DELETE", path, dialect)
             elif source.takes("updateSubscription"):
-                request = SourceRequest(
+                source_request = SourceRequest(
                     "PATCH", path, dialect, (), {"type": "Subscription", "isActive": False}
                 )
             else:  # the source learns from the 404 to its next notification that the subscription has ended
                 await self._remove(tenant, forwarded)
                 return None
             origin = RequestOrigin({}, tenant.alias, federated(tenant).registry)
-            response, _ = await self._forwarder.send(forwarded.registration, request, origin)
+            response, _ = await self._forwarder.send(forwarded.registration, source_request, origin)
             if response.status >= 500:
                 return f"{forwarded.registration.endpoint} returns {response.status}"
             await self._remove(tenant, forwarded)
@@ -318,19 +314,19 @@ class SubscriptionForwarder:
 
     # Notifications of sources
 
-    async def receive(self, exchange: Exchange) -> Answer:
+    async def receive(self, request: RequestContext) -> Response:
         """POST sourceNotifications/{token}: a source notifies of changes."""
-        forwarded = self._forwarded.get(exchange.names[0])
+        forwarded = self._forwarded.get(request.names[0])
         if forwarded is None:
             raise not_found("this subscription has ended; delete it")
-        document, context = await exchange.body()
+        document, context = await request.body()
         data = document.get("data") if isinstance(document, dict) else None
         if not isinstance(data, list):
             raise bad_request_data(f'a notification has "data", a list of entities, not {shown(data)}')
         tenant = self._tenants.kept(forwarded.tenant)
         one = tenant.notifier.get(forwarded.subscription)
         if one is None or not one.is_active(time.time()):
-            return Answer(200)
+            return Response(200)
         entities = [
             (entity_id, said)
             for each in data
@@ -344,7 +340,7 @@ class SubscriptionForwarder:
             except NotStored as error:
                 raise not_stored(str(error)) from error
             tenant.notifier.deliver(notices)
-        return Answer(200)
+        return Response(200)
 
     @staticmethod
     def _notification_entity(

@@ -33,9 +33,8 @@ from services.context_broker.federation.registrations.registration import Match,
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import too_many_results
 from services.context_broker.network.http_client import HttpResponse
-from services.context_broker.request.derived_exchange import derived
-from services.context_broker.request.request_context import RequestContext as Exchange
-from services.context_broker.request.request_context import Response as Answer
+from services.context_broker.request.derived_request import derived
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.query import (
     AGGREGATION_PARAMETERS,
@@ -94,7 +93,7 @@ FetchPart = Callable[[Mapping[str, str]], Awaitable[TemporalPart]]
 
 async def fetch_values(
     readers: Iterable[tuple[Registration | None, FetchPart]],
-    request: TemporalRequest,
+    temporal_request: TemporalRequest,
     timeout_s: float = READ_TIMEOUT_S,
 ) -> list[temporal_merge.SourceEvolution]:
     """Return all values with their times, read part by part.
@@ -104,20 +103,22 @@ async def fetch_values(
 
     async def read(registration: Registration | None, ask: FetchPart) -> list[temporal_merge.SourceEvolution]:
         known: dict[str, Evolution] = {}
-        parameters: dict[str, str] | None = request.for_values()
+        parameters: dict[str, str] | None = temporal_request.for_values()
         parts, until_s = 0, time.monotonic() + timeout_s
         while parameters is not None:
             part = await ask(parameters)
             for document in part.documents:
-                said = temporal_merge.shown(document, request.view, request.context)
+                said = temporal_merge.shown(document, temporal_request.view, temporal_request.context)
                 one = document["id"]
                 known[one] = (
-                    temporal_merge.merge_evolutions([(None, known[one]), (None, said)], request.context, None)
+                    temporal_merge.merge_evolutions(
+                        [(None, known[one]), (None, said)], temporal_request.context, None
+                    )
                     if one in known
                     else said
                 )
             parts += 1
-            parameters = None if part.edge is None else _after(parameters, part.edge, request.query)
+            parameters = None if part.edge is None else _after(parameters, part.edge, temporal_request.query)
             if parameters is not None and (parts >= MAX_PARTS or time.monotonic() > until_s):
                 raise _too_many()
         return [(registration, document) for document in known.values()]
@@ -171,24 +172,24 @@ def source_fetchers(
     return found
 
 
-def own_fetcher(exchange: Exchange, perform: Perform, ids: tuple[str, ...]) -> FetchPart:
+def own_fetcher(request: RequestContext, perform: Perform, ids: tuple[str, ...]) -> FetchPart:
     """Return a function that reads some of the broker's own entities."""
     narrowed = {"offset": "0", "limit": str(len(ids))}
     hidden = {"aggrParams", *SHOWING}
 
     async def ask(parameters: Mapping[str, str]) -> TemporalPart:
         given = {name: said for name, said in parameters.items() if name != "count"}
-        if exchange.method == "GET":
-            wanted = derived(exchange, parameters={**given, **narrowed, "id": ",".join(ids)})
+        if request.method == "GET":
+            wanted = derived(request, parameters={**given, **narrowed, "id": ",".join(ids)})
         else:
-            document = {name: said for name, said in exchange.document().items() if name not in hidden}
+            document = {name: said for name, said in request.document().items() if name not in hidden}
             selectors = document.get("entities") or [{}]
             document["entities"] = [{**one, "id": list(ids)} for one in selectors]
             times = {name: given[name] for name in TIME_PARAMETERS if name in given}
             document["temporalQ"] = {**times, **({"lastN": int(times["lastN"])} if "lastN" in times else {})}
             forms = {name: given[name] for name in ("options", "lang") if name in given}
             raw = orjson.dumps(document)
-            wanted = derived(exchange, parameters={**forms, **narrowed}, raw=raw)
+            wanted = derived(request, parameters={**forms, **narrowed}, raw=raw)
         answer = await perform(wanted)
         return TemporalPart([without_context(one) for one in orjson.loads(answer.body)], edge_of(answer))
 
@@ -313,7 +314,7 @@ def _limited(document: Evolution, names: frozenset[str] | None, context: Context
     }
 
 
-def edge_of(answer: Answer) -> int | None:
+def edge_of(answer: Response) -> int | None:
     """Return where the broker's own response ends; None for a complete one."""
     content_range = next((value for name, value in answer.headers if name == b"content-range"), b"")
     return temporal_merge.edge_in(content_range.decode())

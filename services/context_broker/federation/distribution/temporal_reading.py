@@ -43,14 +43,14 @@ from services.context_broker.federation.distribution.temporal_fetching import (
 )
 from services.context_broker.federation.distribution.temporal_merge import Evolution
 from services.context_broker.federation.entity_maps.entity_map import OWN
-from services.context_broker.federation.entity_maps.mapped_exchange import listed_of
+from services.context_broker.federation.entity_maps.mapped_request import listed_of
 from services.context_broker.federation.registrations.registration import EntityTarget, Match, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.validation import require_uri
 from services.context_broker.query.pages import Window
 from services.context_broker.query.parameters import FILTERS
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.query_parameters import (
     DEFAULT_LIMIT,
     MAX_LIMIT,
@@ -59,48 +59,42 @@ from services.context_broker.request.query_parameters import (
 )
 from services.context_broker.request.request_context import (
     JSON_LD,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
-)
-from services.context_broker.request.request_context import (
-    problem_response as problem_answer,
+    RequestContext,
+    Response,
+    problem_response,
 )
 from services.context_broker.temporal.operations import temporal_parameters
 from services.context_broker.temporal.query import Representation, temporal_query, temporal_view
 
 
-async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def retrieve(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET temporal/entities/{id}."""
-    context = await exchange.reader_context()
-    entity_id = require_uri(exchange.names[0], "the entity id in the path")
-    target = EntityTarget((entity_id,), None, None, _names_of(exchange.parameters, context))
-    where = source_filter(None, context, coverage_of(exchange.parameters, context.terms.expand))
+    context = await request.reader_context()
+    entity_id = require_uri(request.names[0], "the entity id in the path")
+    target = EntityTarget((entity_id,), None, None, _names_of(request.parameters, context))
+    where = source_filter(None, context, coverage_of(request.parameters, context.terms.expand))
     matches = sources.unvisited(sources.registry.matching("retrieveTemporal", target, where))
     if not matches:
-        return await perform(exchange)
-    request = _temporal_request(exchange, context, exchange.parameters)
+        return await perform(request)
+    temporal_request = _temporal_request(request, context, request.parameters)
     path = f"temporal/entities/{quoted(entity_id)}"
 
     def of_source(match: Match) -> FetchPart:
         return lambda parameters: fetch_from_source(sources, match, path, parameters, context, single=True)
 
     async def of_own(parameters: Mapping[str, str]) -> TemporalPart:
-        collected = await perform(derived(exchange, parameters=parameters))
+        collected = await perform(derived(request, parameters=parameters))
         return TemporalPart([without_context(orjson.loads(collected.body))], edge_of(collected))
 
     asking = [of_source(one) for one in matches]
-    parts = await gather_all(*(ask(request.parameters) for ask in asking))
+    parts = await gather_all(*(ask(temporal_request.parameters) for ask in asking))
     try:
-        own: Answer | None = await perform(exchange)
+        own: Response | None = await perform(request)
     except Problem as problem:
         silent = [one for one in sources.source_errors if one.registration.mode.is_proxied]
         has_documents = any(one.documents for one in parts)
         if problem.status == 404 and not has_documents and silent:
-            return problem_answer(gateway_problem(silent[0]))
+            return problem_response(gateway_problem(silent[0]))
         if problem.status != 404 or not has_documents:
             raise
         own = None
@@ -114,17 +108,18 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> An
         return own
     if own is not None:
         readers.insert(0, (None, of_own))
-    if (listed := listed_of(exchange)) is not None:
+    if (listed := listed_of(request)) is not None:
         entity_parameters = [OWN if registration is None else registration.id for registration, _ in readers]
         listed.entities = {entity_id: entity_parameters}
-    if request.is_for_totals and len(readers) > 1:
-        values = await fetch_values(readers, request)
+    if temporal_request.is_for_totals and len(readers) > 1:
+        values = await fetch_values(readers, temporal_request)
         document = temporal_merge.aggregated(
-            temporal_merge.merge_evolutions(values, context, request.query.last), request.query
+            temporal_merge.merge_evolutions(values, context, temporal_request.query.last),
+            temporal_request.query,
         )
-        return _answer(exchange, request, [document], None, single=True)
+        return _answer(request, temporal_request, [document], None, single=True)
     collected: list[temporal_merge.SourceEvolution] = [
-        (match.registration, temporal_merge.shown(document, request.view, context))
+        (match.registration, temporal_merge.shown(document, temporal_request.view, context))
         for match, part in zip(matches, parts, strict=True)
         for document in part.documents
     ]
@@ -132,31 +127,35 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> An
     if own is not None:
         collected.insert(0, (None, without_context(orjson.loads(own.body))))
         edges.append(edge_of(own))
-    last = None if request.is_for_totals else request.query.last
-    edge = temporal_merge.common_edge(edges, request.query)
+    last = None if temporal_request.is_for_totals else temporal_request.query.last
+    edge = temporal_merge.common_edge(edges, temporal_request.query)
     return _answer(
-        exchange, request, [temporal_merge.merge_evolutions(collected, context, last)], edge, single=True
+        request,
+        temporal_request,
+        [temporal_merge.merge_evolutions(collected, context, last)],
+        edge,
+        single=True,
     )
 
 
-async def query(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def query(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET temporal/entities."""
-    context = await exchange.reader_context()
-    parameters = dict(exchange.parameters)
-    return await _query(sources, exchange, perform, _Asked(context, parameters, [parameters]))
+    context = await request.reader_context()
+    parameters = dict(request.parameters)
+    return await _query(sources, request, perform, _Asked(context, parameters, [parameters]))
 
 
-async def query_batch(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def query_batch(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """POST temporal/entityOperations/query."""
-    document, context = await exchange.body()
+    document, context = await request.body()
     if not isinstance(document, dict):
-        return await perform(exchange)
+        return await perform(request)
     without_context = {
         name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}
     }
-    flat = {**exchange.parameters, **temporal_parameters(document)}
+    flat = {**request.parameters, **temporal_parameters(document)}
     return await _query(
-        sources, exchange, perform, _Asked(context, flat, list(selector_parameters(without_context, flat)))
+        sources, request, perform, _Asked(context, flat, list(selector_parameters(without_context, flat)))
     )
 
 
@@ -169,7 +168,7 @@ class _Asked:
     questions: list[dict[str, str]]
 
 
-async def _query(sources: Sources, exchange: Exchange, perform: Perform, given: _Asked) -> Answer:
+async def _query(sources: Sources, request: RequestContext, perform: Perform, given: _Asked) -> Response:
     context = given.context
     matched: list[tuple[Match, dict[str, str]]] = []
     for parameters in given.questions:
@@ -179,18 +178,18 @@ async def _query(sources: Sources, exchange: Exchange, perform: Perform, given: 
         matches = sources.unvisited(found)
         matched += [(match, parameters) for match in matches]
     if not matched:
-        return await perform(exchange)
+        return await perform(request)
     conditions = {name for name in FILTERS if name in given.parameters}
     if conditions and may_be_split(given.parameters, [match for match, _ in matched]):
         hits = await split_hits(
-            sources, exchange, perform, matched, _temporal_request(exchange, context, given.parameters)
+            sources, request, perform, matched, _temporal_request(request, context, given.parameters)
         )
-        return await _page_of(hits, sources, exchange, perform, given)
-    window = _window(exchange)
+        return await _page_of(hits, sources, request, perform, given)
+    window = _window(request)
     most = min(window.offset + window.limit, MAX_LIMIT) if not window.count else MAX_LIMIT
     paged = {"offset": "0", "limit": str(most)}
-    own = await perform(_for_all_members(exchange, paged))
-    request = _temporal_request(exchange, context, given.parameters)
+    own = await perform(_for_all_members(request, paged))
+    temporal_request = _temporal_request(request, context, given.parameters)
     collected: list[TemporalPart] = await gather_all(
         *(
             fetch_from_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
@@ -198,47 +197,53 @@ async def _query(sources: Sources, exchange: Exchange, perform: Perform, given: 
         )
     )
     known: dict[str, list[temporal_merge.SourceEvolution]] = {
-        one["id"]: [(None, temporal_merge.shown(without_context(one), request.view, context))]
+        one["id"]: [(None, temporal_merge.shown(without_context(one), temporal_request.view, context))]
         for one in orjson.loads(own.body)
     }
     mine = len(known)
-    _take(known, matched, collected, request)
+    _take(known, matched, collected, temporal_request)
     order = list(known)
     page = order[window.offset : window.offset + window.limit]
     if page and (
         full := [one for one, part in zip(matched, collected, strict=True) if len(part.documents) >= most]
     ):
-        await _add_rest(known, sources, full, page, request)
-    edge = temporal_merge.common_edge([edge_of(own), *(part.edge for part in collected)], request.query)
-    if request.is_for_totals:
+        await _add_rest(known, sources, full, page, temporal_request)
+    edge = temporal_merge.common_edge(
+        [edge_of(own), *(part.edge for part in collected)], temporal_request.query
+    )
+    if temporal_request.is_for_totals:
         edge = None
         shared = tuple(one for one in page if len(known[one]) > 1)
         documents = [known[one][0][1] for one in page]
         if shared:
             asking = source_fetchers(sources, matched, context, shared)
-            asking.insert(0, (None, own_fetcher(exchange, perform, shared)))
-            values = await fetch_values(asking, request)
+            asking.insert(0, (None, own_fetcher(request, perform, shared)))
+            values = await fetch_values(asking, temporal_request)
             made = {
                 one: temporal_merge.aggregated(
                     temporal_merge.merge_evolutions(
-                        [each for each in values if each[1]["id"] == one], context, request.query.last
+                        [each for each in values if each[1]["id"] == one],
+                        context,
+                        temporal_request.query.last,
                     ),
-                    request.query,
+                    temporal_request.query,
                 )
                 for one in shared
             }
             documents = [made.get(document["id"], document) for document in documents]
     else:
-        documents = [temporal_merge.merge_evolutions(known[one], context, request.query.last) for one in page]
-    result = _answer(exchange, request, documents, edge)
+        documents = [
+            temporal_merge.merge_evolutions(known[one], context, temporal_request.query.last) for one in page
+        ]
+    result = _answer(request, temporal_request, documents, edge)
     result.headers += [
         (name, str(int(value) + len(order) - mine).encode())
         for name, value in own.headers
         if name == b"ngsild-results-count"
     ]
-    if exchange.method == "GET":
+    if request.method == "GET":
         more = len(order) > window.offset + window.limit
-        result.headers += page_links(exchange, window, exchange.accept(), more=more)
+        result.headers += page_links(request, window, request.accept(), more=more)
     return result
 
 
@@ -246,7 +251,7 @@ def _take(
     known: dict[str, list[temporal_merge.SourceEvolution]],
     matched: list[tuple[Match, dict[str, str]]],
     found: list[TemporalPart],
-    request: TemporalRequest,
+    temporal_request: TemporalRequest,
 ) -> None:
     """Add the results of the sources in order: the next source is added once the previous one is exhausted.
 
@@ -257,7 +262,10 @@ def _take(
             collected = known.setdefault(document["id"], [])
             if not any(one is match.registration for one, _ in collected):
                 collected.append(
-                    (match.registration, temporal_merge.shown(document, request.view, request.context))
+                    (
+                        match.registration,
+                        temporal_merge.shown(document, temporal_request.view, temporal_request.context),
+                    )
                 )
 
 
@@ -266,29 +274,32 @@ async def _add_rest(
     sources: Sources,
     full: list[tuple[Match, dict[str, str]]],
     page: list[str],
-    request: TemporalRequest,
+    temporal_request: TemporalRequest,
 ) -> None:
     """Add what the sources with more results than requested have of the entities on a page."""
-    asking = source_fetchers(sources, full, request.context, tuple(page))
-    parts = await gather_all(*(ask(request.parameters) for _, ask in asking))
+    asking = source_fetchers(sources, full, temporal_request.context, tuple(page))
+    parts = await gather_all(*(ask(temporal_request.parameters) for _, ask in asking))
     for (registration, _), part in zip(asking, parts, strict=True):
         for document in part.documents:
             collected = known.get(document["id"])
             if collected is not None and not any(one is registration for one, _ in collected):
                 collected.append(
-                    (registration, temporal_merge.shown(document, request.view, request.context))
+                    (
+                        registration,
+                        temporal_merge.shown(document, temporal_request.view, temporal_request.context),
+                    )
                 )
 
 
 async def _page_of(
-    hits: list[str], sources: Sources, exchange: Exchange, perform: Perform, given: _Asked
-) -> Answer:
+    hits: list[str], sources: Sources, request: RequestContext, perform: Perform, given: _Asked
+) -> Response:
     """Return a page of the entities that match all filters, in the requested representation."""
-    window = _window(exchange)
+    window = _window(request)
     some = hits[window.offset : window.offset + window.limit]
-    narrowed = narrowed_to(exchange, some or [_NOBODY])
+    narrowed = narrowed_to(request, some or [_NO_ENTITY])
     gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
-    shape = {"id": ",".join(some or [_NOBODY]), "limit": str(max(1, len(some)))}
+    shape = {"id": ",".join(some or [_NO_ENTITY]), "limit": str(max(1, len(some)))}
 
     def without(parameters: Mapping[str, str]) -> dict[str, str]:
         return {**{name: said for name, said in parameters.items() if name not in gone}, **shape}
@@ -298,27 +309,29 @@ async def _page_of(
     headers = [one for one in result.headers if one[0] != b"link" or b"json-ld#context" in one[1]]
     if window.count:
         headers.append((b"ngsild-results-count", str(len(hits)).encode()))
-    if exchange.method == "GET":
+    if request.method == "GET":
         more = window.offset + window.limit < len(hits)
-        headers += page_links(exchange, window, exchange.accept(), more=more)
-    return Answer(result.status, result.body, headers)
+        headers += page_links(request, window, request.accept(), more=more)
+    return Response(result.status, result.body, headers)
 
 
-_NOBODY: Final = "urn:ngsi-ld:Entity:nobody"
+_NO_ENTITY: Final = "urn:ngsi-ld:Entity:none"
 """Requested for an empty page, so that its response has the requested representation."""
 
 
-def _for_all_members(exchange: Exchange, window: Mapping[str, str]) -> Exchange:
+def _for_all_members(request: RequestContext, window: Mapping[str, str]) -> RequestContext:
     """Return the query without projections, which would hide members that the merge needs."""
-    kept = {name: said for name, said in exchange.parameters.items() if name not in SHOWING}
-    result = derived(exchange, parameters={**kept, **window})
-    if exchange.method == "POST" and not set(SHOWING).isdisjoint(document := exchange.document()):
+    kept = {name: said for name, said in request.parameters.items() if name not in SHOWING}
+    result = derived(request, parameters={**kept, **window})
+    if request.method == "POST" and not set(SHOWING).isdisjoint(document := request.document()):
         result.raw = orjson.dumps({name: said for name, said in document.items() if name not in SHOWING})
     return result
 
 
-def _temporal_request(exchange: Exchange, context: Context, parameters: Mapping[str, str]) -> TemporalRequest:
-    view = temporal_view(derived(exchange, parameters=parameters), context)
+def _temporal_request(
+    request: RequestContext, context: Context, parameters: Mapping[str, str]
+) -> TemporalRequest:
+    view = temporal_view(derived(request, parameters=parameters), context)
     target = temporal_query(parameters, aggregates=view.representation is Representation.AGGREGATED)
     return TemporalRequest(context, parameters, target, view)
 
@@ -330,34 +343,38 @@ def _names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str]
     return frozenset(expand(one, context.terms) for one in given.split(",") if one) or None
 
 
-def _window(exchange: Exchange) -> Window:
+def _window(request: RequestContext) -> Window:
     def number(name: str, default: int) -> int:
-        given = exchange.parameter(name) or ""
+        given = request.parameter(name) or ""
         return int(given) if given.isascii() and given.isdecimal() and len(given) < 10 else default
 
-    options = (exchange.parameter("options") or "").split(",")
-    counts = exchange.parameter("count") == "true" or "count" in options
+    options = (request.parameter("options") or "").split(",")
+    counts = request.parameter("count") == "true" or "count" in options
     return Window(number("offset", 0), number("limit", DEFAULT_LIMIT), counts)
 
 
 def _answer(
-    exchange: Exchange,
-    request: TemporalRequest,
+    request: RequestContext,
+    temporal_request: TemporalRequest,
     documents: list[Evolution],
     edge: int | None,
     *,
     single: bool = False,
-) -> Answer:
-    context = request.context
+) -> Response:
+    context = temporal_request.context
     if edge is not None:
-        documents = [temporal_merge.kept_to(one, edge, request.query) for one in documents]
-    collected = b"" if edge is None else temporal_merge.content_range_of(documents, edge, request.query)
-    documents = [temporal_merge.with_members(one, request.query, request.view) for one in documents]
+        documents = [temporal_merge.kept_to(one, edge, temporal_request.query) for one in documents]
+    collected = (
+        b"" if edge is None else temporal_merge.content_range_of(documents, edge, temporal_request.query)
+    )
+    documents = [
+        temporal_merge.with_members(one, temporal_request.query, temporal_request.view) for one in documents
+    ]
     headers = json_headers(context)
-    if exchange.accept() == JSON_LD:
+    if request.accept() == JSON_LD:
         documents = [{"@context": context.document, **one} for one in documents]
         headers = [(b"content-type", JSON_LD.encode())]
     body = orjson.dumps(documents[0] if single else documents)
     if edge is None:
-        return Answer(200, body, headers)
-    return Answer(206, body, [*headers, (b"content-range", collected)])
+        return Response(200, body, headers)
+    return Response(206, body, [*headers, (b"content-range", collected)])

@@ -46,28 +46,24 @@ from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_name, require_uri, shown
 from services.context_broker.query.type_selection import type_selection
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.query_parameters import datasets_of
 from services.context_broker.request.request_context import (
     PREFIX,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 
 _PASSED_ON: Final = ("options", "format", "observedAt", "lang", "datasetId", "deleteAll")
-_DONE: Final = Answer(204)
+_DONE: Final = Response(204)
 
 
-async def create(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def create(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """POST entities, or temporal/entities."""
-    document, context = await exchange.body()
+    document, context = await request.body()
     if not isinstance(document, Mapping):
-        return await perform(exchange)
-    operation, root = ("upsertTemporal", "temporal/") if _is_temporal(exchange) else ("createEntity", "")
+        return await perform(request)
+    operation, root = ("upsertTemporal", "temporal/") if _is_temporal(request) else ("createEntity", "")
     entity_id = require_uri(document.get("id", document.get("@id")), "the entity id")
     names = attributes_in(document, context)
     types = types_in(document, context)
@@ -76,76 +72,76 @@ async def create(sources: Sources, exchange: Exchange, perform: Perform) -> Answ
         sources, (operation,), target, instances_in(document, names), placement_filter(document)
     )
     if not routing.others:
-        return await perform(exchange)
+        return await perform(request)
     location = f"{PREFIX}{root}entities/{quote(entity_id, safe=':')}".encode()
-    made = Answer(201, b"", [(b"location", location)])
+    made = Response(201, b"", [(b"location", location)])
     path = f"{root}entities"
-    change = DistributedWrite(sources, exchange, perform, context, document, names, operation, path)
+    change = DistributedWrite(sources, request, perform, context, document, names, operation, path)
     return await change.entity_answer(entity_id, routing, made)
 
 
-async def change_entity(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def change_entity(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """PUT or PATCH entities/{id}."""
-    operation = "replaceEntity" if exchange.method == "PUT" else "mergeEntity"
-    change, entity_id, routing = await _of_document(sources, exchange, perform, operation, "")
+    operation = "replaceEntity" if request.method == "PUT" else "mergeEntity"
+    change, entity_id, routing = await _of_document(sources, request, perform, operation, "")
     if not routing.others:
-        return await perform(exchange)
+        return await perform(request)
     return await change.entity_answer(entity_id, routing, _DONE)
 
 
-async def change_attributes(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def change_attributes(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """POST or PATCH entities/{id}/attrs, or POST temporal/entities/{id}/attrs."""
-    operation = "appendAttrs" if exchange.method == "POST" else "updateEntity"
-    if _is_temporal(exchange):
+    operation = "appendAttrs" if request.method == "POST" else "updateEntity"
+    if _is_temporal(request):
         operation = "appendAttrsTemporal"
-    change, _, routing = await _of_document(sources, exchange, perform, operation, "/attrs")
+    change, _, routing = await _of_document(sources, request, perform, operation, "/attrs")
     if not routing.others:
-        return await perform(exchange)
+        return await perform(request)
     return await change.attributes_answer(routing)
 
 
-async def change_attribute(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def change_attribute(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """PATCH, PUT or DELETE entities/{id}/attrs/{name}; the same (and one instance) of temporal/entities."""
-    operation = {"PATCH": "updateAttrs", "PUT": "replaceAttrs"}.get(exchange.method, "deleteAttrs")
-    if _is_temporal(exchange):
+    operation = {"PATCH": "updateAttrs", "PUT": "replaceAttrs"}.get(request.method, "deleteAttrs")
+    if _is_temporal(request):
         operation = "deleteAttrsTemporal"
-        if len(exchange.names) > 2:
-            is_end = exchange.method == "DELETE"
+        if len(request.names) > 2:
+            is_end = request.method == "DELETE"
             operation = "deleteAttrInstanceTemporal" if is_end else "updateAttrInstanceTemporal"
-    if exchange.method == "DELETE":
-        document, context = None, await exchange.reader_context()
+    if request.method == "DELETE":
+        document, context = None, await request.reader_context()
     else:
-        document, context = await exchange.body()
-    entity_id = require_uri(exchange.names[0], "the entity id in the path")
-    name = exchange.names[1]
+        document, context = await request.body()
+    entity_id = require_uri(request.names[0], "the entity id in the path")
+    name = request.names[1]
     iri = expand(require_name(name, "the attribute name in the path"), context.terms)
     target = EntityTarget(
-        (entity_id,), None, _types_of(sources, exchange, entity_id, context), frozenset({iri})
+        (entity_id,), None, _types_of(sources, request, entity_id, context), frozenset({iri})
     )
-    instances = frozenset((iri, dataset) for dataset in _datasets_of(exchange, document))
+    instances = frozenset((iri, dataset) for dataset in _datasets_of(request, document))
     routing = route_write(sources, (operation,), target, instances)
     if not routing.others:
-        return await perform(exchange)
-    change = DistributedWrite(sources, exchange, perform, context, document, {name: iri}, operation, None)
+        return await perform(request)
+    change = DistributedWrite(sources, request, perform, context, document, {name: iri}, operation, None)
     return await change.attributes_answer(routing)
 
 
-async def delete(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+async def delete(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """DELETE entities/{id}, or temporal/entities/{id}."""
-    operation, root = ("deleteTemporal", "temporal/") if _is_temporal(exchange) else ("deleteEntity", "")
-    context = await exchange.reader_context()
-    entity_id = require_uri(exchange.names[0], "the entity id in the path")
-    target = EntityTarget((entity_id,), None, _types_of(sources, exchange, entity_id, context))
+    operation, root = ("deleteTemporal", "temporal/") if _is_temporal(request) else ("deleteEntity", "")
+    context = await request.reader_context()
+    entity_id = require_uri(request.names[0], "the entity id in the path")
+    target = EntityTarget((entity_id,), None, _types_of(sources, request, entity_id, context))
     routing = route_write(sources, (operation,), target, None)
     if not routing.others:
-        return await perform(exchange)
+        return await perform(request)
     path = f"{root}entities/{quoted(entity_id)}"
-    change = DistributedWrite(sources, exchange, perform, context, None, {}, operation, path)
+    change = DistributedWrite(sources, request, perform, context, None, {}, operation, path)
     return await change.entity_answer(entity_id, routing, _DONE)
 
 
-def _is_temporal(exchange: Exchange) -> bool:
-    return exchange.path.startswith(f"{PREFIX}temporal/")
+def _is_temporal(request: RequestContext) -> bool:
+    return request.path.startswith(f"{PREFIX}temporal/")
 
 
 class DistributedWrite:
@@ -155,7 +151,7 @@ class DistributedWrite:
     def __init__(  # noqa: PLR0917 - the parts of one request
         self,
         sources: Sources,
-        exchange: Exchange,
+        request: RequestContext,
         perform: Perform,
         context: Context,
         document: Mapping[str, Any] | None,
@@ -164,17 +160,17 @@ class DistributedWrite:
         path: str | None,
     ) -> None:
         self._sources = sources
-        self._exchange = exchange
+        self._request = request
         self._perform = perform
         self._context = context
         self._document = document
         self._names = names
         self._operation = operation
         self._path = path
-        given = exchange.parameters
+        given = request.parameters
         self._parameters = tuple((name, given[name]) for name in _PASSED_ON if name in given)
 
-    async def entity_answer(self, entity_id: str, routing: WriteRouting, well: Answer) -> Answer:
+    async def entity_answer(self, entity_id: str, routing: WriteRouting, well: Response) -> Response:
         """Carry out the write and return the response of an operation on an entity."""
         own, found = await self._carried_out(routing)
         good, failed = outcomes.settled(found)
@@ -184,7 +180,7 @@ class DistributedWrite:
             return answer
         return outcomes.entity_result(entity_id, good, failed)
 
-    async def attributes_answer(self, routing: WriteRouting) -> Answer:
+    async def attributes_answer(self, routing: WriteRouting) -> Response:
         """Carry out the write and return the response of an operation on attributes (clause 5.2.18).
 
         Names in it are IRIs, because it has no @context (clause 6.3.6).
@@ -207,7 +203,7 @@ class DistributedWrite:
             done |= set(result.get("updated", []))
         return outcomes.multi_status({"updated": sorted(done - results), "notUpdated": left})
 
-    async def _carried_out(self, routing: WriteRouting) -> tuple[Answer | None, list[Outcome]]:
+    async def _carried_out(self, routing: WriteRouting) -> tuple[Response | None, list[Outcome]]:
         """Return the broker's own response if it had a part, and all outcomes; raises what it rejects."""
         own, found = None, list[Outcome]()
         if routing.own is not None:
@@ -227,27 +223,25 @@ class DistributedWrite:
     def _is_held(self) -> bool:
         """Return whether the broker has the current entity in the path, of the requested type."""
         known = (
-            None
-            if _is_temporal(self._exchange)
-            else self._exchange.tenant.store.latest(self._exchange.names[0])
+            None if _is_temporal(self._request) else self._request.tenant.store.latest(self._request.names[0])
         )
-        wanted = self._exchange.parameter("type")
+        wanted = self._request.parameter("type")
         if known is None or wanted is None:
             return known is not None
         return type_selection(wanted, self._context.terms.expand).wants(known.types)
 
-    def _own_part(self, routing: WriteRouting) -> Exchange:
+    def _own_part(self, routing: WriteRouting) -> RequestContext:
         if self._document is None or not any(one.registration.mode.is_proxied for one in routing.others):
-            return self._exchange
+            return self._request
         own = routing.own or frozenset()
         if self._path is None and own:  # one attribute, in the path
-            return self._exchange
-        return derived(self._exchange, raw=orjson.dumps(part_of(self._document, self._names, own)))
+            return self._request
+        return derived(self._request, raw=orjson.dumps(part_of(self._document, self._names, own)))
 
     def _attribute_path(self, name: str) -> str:
         """Return the path of the attribute, or of an instance of it, with the given name."""
-        entity_id, _, *instance = self._exchange.names
-        root = "temporal/" if _is_temporal(self._exchange) else ""
+        entity_id, _, *instance = self._request.names
+        root = "temporal/" if _is_temporal(self._request) else ""
         return "/".join((f"{root}entities", quoted(entity_id), "attrs", quoted(name), *map(quoted, instance)))
 
     async def forwarded(self, route: WriteRoute) -> Outcome | None:
@@ -256,7 +250,7 @@ class DistributedWrite:
         if route.operation is None:
             return outcomes.of_refusal(registration, names, self._operation)
         try:
-            body = None if self._document is None else self._exchange.content_type()
+            body = None if self._document is None else self._request.content_type()
             dialect = await self._sources.forwarder.dialect(registration, self._context, body=body)
             path = self._path
             document = None
@@ -270,8 +264,10 @@ class DistributedWrite:
                 part = part_of(self._document, self._names, route.instances)
                 part.pop("@context", None)
                 document = in_dialect(part, self._context, dialect)
-            request = SourceRequest(self._exchange.method, path, dialect, self._parameters, document)
-            response, _ = await self._sources.forwarder.send(registration, request, self._sources.origin)
+            source_request = SourceRequest(self._request.method, path, dialect, self._parameters, document)
+            response, _ = await self._sources.forwarder.send(
+                registration, source_request, self._sources.origin
+            )
         except SourceError as error:
             return outcomes.of_source_error(error, names)
         except Problem as problem:  # the @context of the source
@@ -282,38 +278,38 @@ class DistributedWrite:
 
 
 async def _of_document(
-    sources: Sources, exchange: Exchange, perform: Perform, operation: str, below: str
+    sources: Sources, request: RequestContext, perform: Perform, operation: str, below: str
 ) -> tuple[DistributedWrite, str, WriteRouting]:
-    document, context = await exchange.body()
-    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    document, context = await request.body()
+    entity_id = require_uri(request.names[0], "the entity id in the path")
     if not isinstance(document, Mapping):
         raise bad_request_data(f"the body is a JSON object, not {shown(document)}")
     names = attributes_in(document, context)
-    types = types_in(document, context) or _types_of(sources, exchange, entity_id, context)
+    types = types_in(document, context) or _types_of(sources, request, entity_id, context)
     target = EntityTarget((entity_id,), None, types)
     where = placement_filter(document) if operation == "replaceEntity" else None
     routing = route_write(sources, (operation,), target, instances_in(document, names), where)
-    root = "temporal/" if _is_temporal(exchange) else ""
+    root = "temporal/" if _is_temporal(request) else ""
     path = f"{root}entities/{quoted(entity_id)}{below}"
-    change = DistributedWrite(sources, exchange, perform, context, document, names, operation, path)
+    change = DistributedWrite(sources, request, perform, context, document, names, operation, path)
     return change, entity_id, routing
 
 
-def _datasets_of(exchange: Exchange, document: Any) -> set[str | None]:
+def _datasets_of(request: RequestContext, document: Any) -> set[str | None]:
     """Return the datasetIds of the instances in a write of one attribute."""
-    if len(exchange.names) > 2 or exchange.parameter("deleteAll") == "true":
+    if len(request.names) > 2 or request.parameter("deleteAll") == "true":
         return {ANY}
     if document is not None:
         return datasets_in(document)
-    given = exchange.parameter("datasetId")
+    given = request.parameter("datasetId")
     return {None} if given is None else set(datasets_of(given) or {None})
 
 
 def _types_of(
-    sources: Sources, exchange: Exchange, entity_id: str, context: Context
+    sources: Sources, request: RequestContext, entity_id: str, context: Context
 ) -> frozenset[str] | None:
     """Return the known types of an entity: from the request, or from the broker's own entity."""
-    if given := exchange.parameter("type"):
+    if given := request.parameter("type"):
         return frozenset(context.terms.expand(one) for one in given.split(",") if one) or None
-    known = sources.exchange.tenant.store.latest(entity_id)
+    known = sources.request.tenant.store.latest(entity_id)
     return None if known is None else frozenset(known.types)

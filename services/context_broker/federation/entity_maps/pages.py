@@ -30,18 +30,17 @@ import orjson
 
 from services.context_broker.extensions.federation import MAP_OPTION
 from services.context_broker.federation.entity_maps.entity_map import EntityMap
-from services.context_broker.federation.entity_maps.mapped_exchange import with_map
+from services.context_broker.federation.entity_maps.mapped_request import with_map
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.query import linked, ordering
 from services.context_broker.query.pages import PLACE, Window
-from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.derived_request import derived
 from services.context_broker.request.query_parameters import MAP_PARAMETERS, MAX_LIMIT, window_of
-from services.context_broker.request.request_context import RequestContext as Exchange
-from services.context_broker.request.request_context import Response as Answer
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.storage.database import NotStored
 from services.context_broker.temporal.query import temporal_window
 
-Perform = Callable[[Exchange], Awaitable[Answer]]
+Perform = Callable[[RequestContext], Awaitable[Response]]
 """Carries out a query, context sources included."""
 
 CHECK_BATCH_SIZE: Final = MAX_LIMIT
@@ -59,20 +58,20 @@ _UNMARKED: Final = (
 )
 """Parameters in which requests for pages of one map may differ."""
 _COUNT: Final = b"ngsild-results-count"
-_NOBODY: Final = "urn:ngsi-ld:EntityMap:nobody"
+_NO_ENTITY: Final = "urn:ngsi-ld:EntityMap:none"
 """Requested for an empty page, so that its response has the requested representation."""
 
 
-async def map_page(exchange: Exchange, one: EntityMap, perform: Perform) -> Answer:
+async def map_page(request: RequestContext, one: EntityMap, perform: Perform) -> Response:
     """Return the requested page of a map; remove from the map what no longer matches."""
-    page = _Page(derived(exchange, parameters=for_the_query(exchange.parameters)), one, perform)
+    page = _Page(derived(request, parameters=for_the_query(request.parameters)), one, perform)
     return await page.answer()
 
 
 class _Page:
     """One page: `_ids` are the candidates, `_gone` those that no longer match."""
 
-    def __init__(self, wanted: Exchange, one: EntityMap, perform: Perform) -> None:
+    def __init__(self, wanted: RequestContext, one: EntityMap, perform: Perform) -> None:
         self._wanted = wanted
         self._map = one
         self._perform = perform
@@ -82,7 +81,7 @@ class _Page:
         self._ids = [entity for entity in one.entities if given is None or entity in given]
         self._gone: set[str] = set()
 
-    async def answer(self) -> Answer:
+    async def answer(self) -> Response:
         """Return the response, with links to the previous and next pages."""
         window = self._window
         if window.count:
@@ -107,7 +106,7 @@ class _Page:
         if window.count:
             headers.append((_COUNT, str(len(self._ids) - len(self._gone)).encode()))
         headers += self._links(len(some), headers, is_dropped=is_dropped)
-        return Answer(result.status, result.body, headers)
+        return Response(result.status, result.body, headers)
 
     def _left(self, limit: int) -> list[str]:
         """Return the first candidates from the offset on that are not known to be gone."""
@@ -119,9 +118,9 @@ class _Page:
                 left.append(entity)
         return left
 
-    async def _shown(self, some: list[str]) -> tuple[Answer, int]:
+    async def _shown(self, some: list[str]) -> tuple[Response, int]:
         """Return the entities in the requested representation, and the number found."""
-        ids = some or [_NOBODY]
+        ids = some or [_NO_ENTITY]
         plain = _without(self._wanted.parameters, {"offset", "idPattern", PLACE})
         parameters = {**plain, "limit": str(len(ids)), "count": "true"}
         result = await self._perform(self._asking(parameters, ids, self._wanted.document))
@@ -139,7 +138,9 @@ class _Page:
         if result.status < 300 and not _is_warned(result):
             self._gone |= set(ids) - {one["id"] for one in orjson.loads(result.body)}
 
-    def _asking(self, parameters: Mapping[str, str], ids: list[str], document: Callable[[], Any]) -> Exchange:
+    def _asking(
+        self, parameters: Mapping[str, str], ids: list[str], document: Callable[[], Any]
+    ) -> RequestContext:
         """Return the request for some ids, in the parameters or in the selectors of a Query."""
         if self._wanted.method == "GET":
             parameters = {**parameters, "id": ",".join(ids)}
@@ -179,11 +180,11 @@ def for_the_query(parameters: Mapping[str, str]) -> dict[str, str]:
     return plain
 
 
-def query_mark(exchange: Exchange) -> str:
+def query_mark(request: RequestContext) -> str:
     """Return a digest of the query in a request: its filters and its names."""
-    parameters = sorted(_without(exchange.parameters, _UNMARKED).items())
-    document = None if exchange.method == "GET" else _unshaped(exchange.document())
-    said = [parameters, document, exchange.headers.get(b"link", b"").decode("latin-1")]
+    parameters = sorted(_without(request.parameters, _UNMARKED).items())
+    document = None if request.method == "GET" else _unshaped(request.document())
+    said = [parameters, document, request.headers.get(b"link", b"").decode("latin-1")]
     text = orjson.dumps(said, option=orjson.OPT_SORT_KEYS)
     return hashlib.blake2b(text, digest_size=8).hexdigest()
 
@@ -203,12 +204,12 @@ def _narrowed(document: Any, ids: list[str]) -> bytes | None:
     return orjson.dumps({**document, "entities": narrowed})
 
 
-def _ids_in(exchange: Exchange) -> set[str] | None:
+def _ids_in(request: RequestContext) -> set[str] | None:
     """Return the requested ids; None for any."""
-    if exchange.method == "GET":
-        given = exchange.parameter("id")
+    if request.method == "GET":
+        given = request.parameter("id")
         return None if given is None else set(given.split(","))
-    document = exchange.document()
+    document = request.document()
     selectors = document.get("entities") if isinstance(document, dict) else None
     found: set[str] = set()
     for one in selectors if isinstance(selectors, list) else [None]:
@@ -219,12 +220,12 @@ def _ids_in(exchange: Exchange) -> set[str] | None:
     return found
 
 
-def _is_warned(answer: Answer) -> bool:
+def _is_warned(answer: Response) -> bool:
     """Return whether a source failed; code 110 only warns of a cached response."""
     return any(name == b"ngsild-warning" and not said.startswith(b"110") for name, said in answer.headers)
 
 
-def _count_in(answer: Answer) -> int:
+def _count_in(answer: Response) -> int:
     return next((int(value) for name, value in answer.headers if name == _COUNT), 0)
 
 
@@ -233,12 +234,12 @@ def _is_page_header(header: tuple[bytes, bytes]) -> bool:
     return name == _COUNT or (name == b"link" and (b'rel="next"' in value or b'rel="prev"' in value))
 
 
-def _page_link(exchange: Exchange, offset: int, relation: str, media_type: str) -> tuple[bytes, bytes]:
-    parameters = {**exchange.parameters, "offset": str(offset)}
+def _page_link(request: RequestContext, offset: int, relation: str, media_type: str) -> tuple[bytes, bytes]:
+    parameters = {**request.parameters, "offset": str(offset)}
     query = "&".join(
         f"{quote(name, safe='')}={quote(value, safe=':,')}" for name, value in parameters.items()
     )
-    return b"link", f'<{exchange.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
+    return b"link", f'<{request.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
 
 
 def _without(given: Mapping[Any, Any], names: Any) -> dict[Any, Any]:

@@ -29,7 +29,7 @@ from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.problems import already_exists, conflict, not_found, not_stored
 from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.query.type_selection import of_types
-from services.context_broker.request.document_answers import document_answer, in_media_type
+from services.context_broker.request.document_responses import document_response, in_media_type
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
     options_of,
@@ -38,19 +38,15 @@ from services.context_broker.request.query_parameters import (
 )
 from services.context_broker.request.request_context import (
     PREFIX,
-)
-from services.context_broker.request.request_context import (
-    RequestContext as Exchange,
-)
-from services.context_broker.request.request_context import (
-    Response as Answer,
+    RequestContext,
+    Response,
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.tenants import Tenant
 
-DONE: Final = Answer(204)
+DONE: Final = Response(204)
 MAX_TIMER_S: Final = 86400.0
 """Longest timer: asyncio's timers are floats, and some registrations expire in a century."""
 _VIEW: Final = frozenset({"options"})
@@ -96,9 +92,9 @@ class RegistrationOperations:
                     federated(tenant).registry.put(made)
                     self._schedule_expiry(tenant, made)
 
-    async def create(self, exchange: Exchange) -> Answer:
+    async def create(self, request: RequestContext) -> Response:
         """POST csourceRegistrations."""
-        given, context = await exchange.body()
+        given, context = await request.body()
         document = kept_document(given, context)
         named = document.get("id") or f"urn:ngsi-ld:ContextSourceRegistration:{uuid4()}"
         at = timestamp_now()
@@ -113,70 +109,70 @@ class RegistrationOperations:
             context,
         )
         refuse_past(made.document)
-        await _require_open(exchange.tenant, made)
+        await _require_open(request.tenant, made)
         async with self._lock:
-            if federated(exchange.tenant).registry.get(made.id) is not None:
+            if federated(request.tenant).registry.get(made.id) is not None:
                 raise already_exists(
                     f"there is a registration {made.id} already; update it, or choose another id"
                 )
-            _refuse_conflicts(exchange.tenant, made)
-            await self._keep(exchange.tenant, None, made)
+            _refuse_conflicts(request.tenant, made)
+            await self._keep(request.tenant, None, made)
         location = f"{PREFIX}csourceRegistrations/{quote(made.id, safe=':')}".encode()
-        return Answer(201, b"", [(b"location", location)])
+        return Response(201, b"", [(b"location", location)])
 
-    async def update(self, exchange: Exchange) -> Answer:
+    async def update(self, request: RequestContext) -> Response:
         """PATCH csourceRegistrations/{id}."""
-        given, context = await exchange.body()
+        given, context = await request.body()
         change = kept_document(given, context)
         async with self._lock:
-            before = _existing(exchange)
+            before = _existing(request)
             document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
             made = registration(document, before.context).with_attempts_of(before)
             if "expiresAt" in change:
                 refuse_past(document)
             if "endpoint" in change:
-                await _require_open(exchange.tenant, made)
+                await _require_open(request.tenant, made)
             if {"mode", "information"} & change.keys():
-                _refuse_conflicts(exchange.tenant, made)
-            await self._keep(exchange.tenant, before, made)
+                _refuse_conflicts(request.tenant, made)
+            await self._keep(request.tenant, before, made)
         return DONE
 
-    async def delete(self, exchange: Exchange) -> Answer:
+    async def delete(self, request: RequestContext) -> Response:
         """DELETE csourceRegistrations/{id}."""
         async with self._lock:
-            before, tenant = _existing(exchange), exchange.tenant
+            before, tenant = _existing(request), request.tenant
             gone = _deletion_of(tenant, before)
             await _write(tenant, gone)
             federated(tenant).registry.remove(before.id)
             federated(tenant).source_notifier.deliver(gone.pending)
         return DONE
 
-    async def retrieve(self, exchange: Exchange) -> Answer:
+    async def retrieve(self, request: RequestContext) -> Response:
         """GET csourceRegistrations/{id}."""
-        media_type, context = exchange.accept(), await exchange.reader_context()
-        sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
-        document = shown_document(_existing(exchange), context, sys_attrs=sys_attrs)
-        return document_answer(in_media_type(document, media_type, context), media_type, context)
+        media_type, context = request.accept(), await request.reader_context()
+        sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
+        document = shown_document(_existing(request), context, sys_attrs=sys_attrs)
+        return document_response(in_media_type(document, media_type, context), media_type, context)
 
-    async def search(self, exchange: Exchange) -> Answer:
+    async def search(self, request: RequestContext) -> Response:
         """GET csourceRegistrations (clause 5.10.2): the matching ones, each with its matching information."""
-        media_type, context = exchange.accept(), await exchange.reader_context()
-        window = window_of(exchange)
-        sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
-        search = search_of(exchange.parameters, context)
-        found = federated(exchange.tenant).registry.matching_any(search.targets, search.wants)
+        media_type, context = request.accept(), await request.reader_context()
+        window = window_of(request)
+        sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
+        search = search_of(request.parameters, context)
+        found = federated(request.tenant).registry.matching_any(search.targets, search.wants)
         page = found[window.offset : window.offset + window.limit]
         documents = [
             shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
             for one in page
         ]
-        result = document_answer(
+        result = document_response(
             [in_media_type(one, media_type, context) for one in documents], media_type, context
         )
         if window.count:
             result.headers.append((b"ngsild-results-count", str(len(found)).encode()))
         more = window.offset + window.limit < len(found)
-        result.headers += page_links(exchange, window, media_type, more=more)
+        result.headers += page_links(request, window, media_type, more=more)
         return result
 
     async def _keep(self, tenant: Tenant, before: Registration | None, made: Registration) -> None:
@@ -211,9 +207,9 @@ async def _require_open(tenant: Tenant, made: Registration) -> None:
     await tenant.notifier.outbound.policy.require_allowed(host, '"endpoint"')
 
 
-def _existing(exchange: Exchange) -> Registration:
-    registration_id = require_uri(exchange.names[0], "the registration id in the path")
-    found = federated(exchange.tenant).registry.get(registration_id)
+def _existing(request: RequestContext) -> Registration:
+    registration_id = require_uri(request.names[0], "the registration id in the path")
+    found = federated(request.tenant).registry.get(registration_id)
     if found is None:
         raise _absent(registration_id)
     return found

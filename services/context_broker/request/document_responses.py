@@ -9,7 +9,7 @@ from services.context_broker.request.query_parameters import json_headers
 from services.context_broker.request.request_context import JSON_LD, Response
 
 
-def document_answer(body: Any, media_type: str, context: Context) -> Response:
+def document_response(body: Any, media_type: str, context: Context) -> Response:
     """Return 200 with the body; `in_media_type` has been applied to each of its documents."""
     headers = json_headers(context)
     if media_type == JSON_LD:
