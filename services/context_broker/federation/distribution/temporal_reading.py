@@ -109,8 +109,8 @@ async def retrieve(sources: Sources, request: RequestContext, perform: Perform) 
     if own is not None:
         readers.insert(0, (None, of_own))
     if (listed := listed_of(request)) is not None:
-        entity_parameters = [OWN if registration is None else registration.id for registration, _ in readers]
-        listed.entities = {entity_id: entity_parameters}
+        listed_sources = [OWN if registration is None else registration.id for registration, _ in readers]
+        listed.entities = {entity_id: listed_sources}
     if temporal_request.is_for_totals and len(readers) > 1:
         values = await fetch_values(readers, temporal_request)
         document = temporal_merge.aggregated(
@@ -142,7 +142,7 @@ async def query(sources: Sources, request: RequestContext, perform: Perform) -> 
     """GET temporal/entities."""
     context = await request.reader_context()
     parameters = dict(request.parameters)
-    return await _query(sources, request, perform, _Asked(context, parameters, [parameters]))
+    return await _query(sources, request, perform, _Query(context, parameters, [parameters]))
 
 
 async def query_batch(sources: Sources, request: RequestContext, perform: Perform) -> Response:
@@ -155,23 +155,23 @@ async def query_batch(sources: Sources, request: RequestContext, perform: Perfor
     }
     flat = {**request.parameters, **temporal_parameters(document)}
     return await _query(
-        sources, request, perform, _Asked(context, flat, list(selector_parameters(without_context, flat)))
+        sources, request, perform, _Query(context, flat, list(selector_parameters(without_context, flat)))
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _Query:
     """A query: all parameters, and the parameters of each of its selectors."""
 
     context: Context
     parameters: Mapping[str, str]
-    questions: list[dict[str, str]]
+    selectors: list[dict[str, str]]
 
 
-async def _query(sources: Sources, request: RequestContext, perform: Perform, given: _Asked) -> Response:
+async def _query(sources: Sources, request: RequestContext, perform: Perform, given: _Query) -> Response:
     context = given.context
     matched: list[tuple[Match, dict[str, str]]] = []
-    for parameters in given.questions:
+    for parameters in given.selectors:
         target, where = target_of(parameters, context, _names_of(parameters, context))
         found = sources.registry.matching("queryTemporal", target, where)
         refuse_order(parameters, sources.unvisited(found, uses_map=False))
@@ -200,8 +200,8 @@ async def _query(sources: Sources, request: RequestContext, perform: Perform, gi
         one["id"]: [(None, temporal_merge.shown(without_context(one), temporal_request.view, context))]
         for one in orjson.loads(own.body)
     }
-    mine = len(known)
-    _take(known, matched, collected, temporal_request)
+    own_count = len(known)
+    _add_in_order(known, matched, collected, temporal_request)
     order = list(known)
     page = order[window.offset : window.offset + window.limit]
     if page and (
@@ -213,31 +213,13 @@ async def _query(sources: Sources, request: RequestContext, perform: Perform, gi
     )
     if temporal_request.is_for_totals:
         edge = None
-        shared = tuple(one for one in page if len(known[one]) > 1)
-        documents = [known[one][0][1] for one in page]
-        if shared:
-            asking = source_fetchers(sources, matched, context, shared)
-            asking.insert(0, (None, own_fetcher(request, perform, shared)))
-            values = await fetch_values(asking, temporal_request)
-            made = {
-                one: temporal_merge.aggregated(
-                    temporal_merge.merge_evolutions(
-                        [each for each in values if each[1]["id"] == one],
-                        context,
-                        temporal_request.query.last,
-                    ),
-                    temporal_request.query,
-                )
-                for one in shared
-            }
-            documents = [made.get(document["id"], document) for document in documents]
+        documents = await _aggregated_page(sources, request, perform, matched, known, page, temporal_request)
     else:
-        documents = [
-            temporal_merge.merge_evolutions(known[one], context, temporal_request.query.last) for one in page
-        ]
+        last = temporal_request.query.last
+        documents = [temporal_merge.merge_evolutions(known[one], context, last) for one in page]
     result = _answer(request, temporal_request, documents, edge)
     result.headers += [
-        (name, str(int(value) + len(order) - mine).encode())
+        (name, str(int(value) + len(order) - own_count).encode())
         for name, value in own.headers
         if name == b"ngsild-results-count"
     ]
@@ -247,7 +229,35 @@ async def _query(sources: Sources, request: RequestContext, perform: Perform, gi
     return result
 
 
-def _take(
+async def _aggregated_page(  # noqa: PLR0917 - the parts of one query
+    sources: Sources,
+    request: RequestContext,
+    perform: Perform,
+    matched: list[tuple[Match, dict[str, str]]],
+    known: dict[str, list[temporal_merge.SourceEvolution]],
+    page: list[str],
+    temporal_request: TemporalRequest,
+) -> list[Evolution]:
+    """Return the aggregated entities of a page; those split over several sources are read again by value."""
+    documents = [known[one][0][1] for one in page]
+    split = tuple(one for one in page if len(known[one]) > 1)
+    if not split:
+        return documents
+    context, query = temporal_request.context, temporal_request.query
+    fetchers = source_fetchers(sources, matched, context, split)
+    fetchers.insert(0, (None, own_fetcher(request, perform, split)))
+    by_entity: dict[str, list[temporal_merge.SourceEvolution]] = {one: [] for one in split}
+    for part in await fetch_values(fetchers, temporal_request):
+        if part[1]["id"] in by_entity:
+            by_entity[part[1]["id"]].append(part)
+    aggregated = {
+        one: temporal_merge.aggregated(temporal_merge.merge_evolutions(parts, context, query.last), query)
+        for one, parts in by_entity.items()
+    }
+    return [aggregated.get(document["id"], document) for document in documents]
+
+
+def _add_in_order(
     known: dict[str, list[temporal_merge.SourceEvolution]],
     matched: list[tuple[Match, dict[str, str]]],
     found: list[TemporalPart],
@@ -292,7 +302,7 @@ async def _add_rest(
 
 
 async def _page_of(
-    hits: list[str], sources: Sources, request: RequestContext, perform: Perform, given: _Asked
+    hits: list[str], sources: Sources, request: RequestContext, perform: Perform, given: _Query
 ) -> Response:
     """Return a page of the entities that match all filters, in the requested representation."""
     window = _window(request)
@@ -304,7 +314,7 @@ async def _page_of(
     def without(parameters: Mapping[str, str]) -> dict[str, str]:
         return {**{name: said for name, said in parameters.items() if name not in gone}, **shape}
 
-    target = _Asked(given.context, without(given.parameters), [without(one) for one in given.questions])
+    target = _Query(given.context, without(given.parameters), [without(one) for one in given.selectors])
     result = await _query(sources, narrowed, perform, target)
     headers = [one for one in result.headers if one[0] != b"link" or b"json-ld#context" in one[1]]
     if window.count:
