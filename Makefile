@@ -31,7 +31,7 @@ define tests_beside_page
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
+.PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen pictures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -160,6 +160,9 @@ bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker,
 
 bench-screen: setup  ## the screen in Chromium: response times and memory
 	@$(BIN)/python -m benchmarks.screen $(ARGS)
+
+pictures: setup  ## make the pictures of the documentation from the running product (needs Chromium)
+	@$(BIN)/python -m benchmarks.pictures $(ARGS)
 
 clean:  ## remove what setup made (not your data in .handover)
 	rm -rf $(VENV) $(ROS_VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

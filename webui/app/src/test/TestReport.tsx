@@ -59,7 +59,7 @@ function Found({ report }: { report: Report }) {
                 <td>{row.corrected}</td>
                 <td>{row.missed}</td>
                 <td>{rate(row.accuracy, i18n.language, 0)}</td>
-                <td>{interval(row, i18n.language)}</td>
+                <td className="test__interval">{interval(row, i18n.language)}</td>
                 <td>{seconds(row.medianMs, i18n.language)}</td>
                 <td>{seconds(row.p95Ms, i18n.language)}</td>
               </tr>

@@ -5,7 +5,7 @@ import { useTranslation } from "react-i18next";
 import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { useGestureName } from "~/hand/Hand";
 import type { GesturePart, GloveView } from "~/live/messages";
-import { AskedHand, DoneCheck } from "./Figure";
+import { PromptHand, DoneCheck } from "./Figure";
 import { HoldRing } from "./HoldRing";
 import "./ComposedFigure.css";
 
@@ -37,7 +37,7 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
             <li className="figures__part" data-state={state}>
               <div className="figure">
                 <HoldRing hold={glove.hold} right={open && isHeld(glove, parts, part)} closed={state === "done"} />
-                <AskedHand code={part.code} side={part.hand ?? glove.hand} gesture={part.gesture} />
+                <PromptHand code={part.code} side={part.hand ?? glove.hand} gesture={part.gesture} done={done} />
                 {done && <DoneCheck />}
               </div>
               <p className="figures__place">{t(`part.${part.hand ?? (nth === 0 ? "first" : "second")}`)}</p>

@@ -1,4 +1,4 @@
-/** The hand to make in its ring, large; and the check when it has counted. */
+/** The gesture to show, large in its ring, and the check mark after it was confirmed. */
 import { Check } from "lucide-react";
 import { memo } from "react";
 import { Hand, useGestureName } from "~/hand/Hand";
@@ -10,7 +10,7 @@ export interface FigureProps {
   glove: GloveView;
   gesture: string;
   code: string;
-  /** Whether holding it counts now. */
+  /** Whether a hold counts now. */
   open: boolean;
   done?: boolean;
 }
@@ -20,7 +20,7 @@ export function Figure({ glove, gesture, code, open, done = false }: FigureProps
   return (
     <div className="figure">
       <HoldRing hold={glove.hold} right={right} closed={done} />
-      <AskedHand code={code} side={glove.hand} gesture={gesture} />
+      <PromptHand code={code} side={glove.hand} gesture={gesture} done={done} />
       {done && <DoneCheck />}
     </div>
   );
@@ -34,8 +34,15 @@ export function DoneCheck() {
   );
 }
 
-/** It is drawn once a step, not with every frame of the glove. */
-export const AskedHand = memo(function AskedHand({ code, side, gesture }: { code: string; side: "left" | "right"; gesture: string }) {
+interface PromptHandProps {
+  code: string;
+  side: "left" | "right";
+  gesture: string;
+  done?: boolean;
+}
+
+/** Rendered once per step, not for every frame of the glove; it moves from the open hand unless it is done. */
+export const PromptHand = memo(function PromptHand({ code, side, gesture, done = false }: PromptHandProps) {
   const nameOf = useGestureName();
-  return <Hand states={code} side={side} animateFrom="00000" closeUp label={nameOf(gesture)} />;
+  return <Hand states={code} side={side} {...(done ? {} : { animateFrom: "00000" })} closeUp label={nameOf(gesture)} />;
 });

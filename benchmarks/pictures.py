@@ -1,0 +1,403 @@
+"""Make the pictures of the documentation from the running product.
+
+    python -m benchmarks.pictures [--only work,system] [--out webui/pictures] [--all-looks DIR]
+
+It starts `handover up` with a glove and a simulated robot in a temporary folder, takes screenshots in
+headless Chromium, and records the Work page while a gesture confirms a Task (`confirm.webp`). With
+`--all-looks` it also takes every page in both themes, three languages and four sizes, for review.
+
+The person at the glove, the accuracy test and the answers of the study are invented.
+"""
+
+import argparse
+import io
+import math
+import random
+import shutil
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import httpx
+import orjson
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from benchmarks.handover import environment, stop, up
+
+OUT = Path(__file__).parent.parent / "webui" / "pictures"
+FLAGS = ["--disable-gpu", "--disable-quic", "--disable-sync", "--enable-unsafe-swiftshader"]
+SIZE = {"width": 1280, "height": 800}
+FRAMES_HZ = 50
+STRAIGHT, BENT, NOISE = (1250, 2050, 2050, 2150, 2200), (500, 320, 280, 400, 420), 14
+TIMEOUT_MS = 60_000
+MAX_ANIMATION_BYTES = 2_000_000
+ANIMATION_SIZE = (960, 600)
+
+LOOKS = {
+    "laptop": {"width": 1280, "height": 800},
+    "phone": {"width": 390, "height": 844},
+    "tablet": {"width": 820, "height": 1180},
+    "4k": {"width": 3840, "height": 2160},
+}
+PAGES = {
+    "start": "/", "work": "/work?glove=glove-1", "processes": "/processes", "system": "/system",
+    "alerts": "/system?tab=alerts", "events": "/system?tab=events", "robots": "/system?tab=robots",
+    "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
+}  # fmt: skip
+LOCALES = {"en": "en-GB", "de": "de-DE", "fi": "fi-FI"}
+
+
+class Hand:
+    """A glove that sends frames in real time from a thread; the fingers move smoothly to the shown code."""
+
+    def __init__(self, port: int) -> None:
+        self._code = "00000"
+        self._bend = [float(value) for value in STRAIGHT]
+        self._ended = threading.Event()
+        self._port = port
+        self._link = self._connect()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def show(self, code: str) -> None:
+        """Move to five finger states, thumb first."""
+        self._code = code
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._ended.set()
+        self._thread.join()
+        self._link.close()
+
+    def _run(self) -> None:
+        noise = random.Random(7)
+        while not self._ended.wait(1 / FRAMES_HZ):
+            now_s = time.monotonic()
+            for finger, state in enumerate(self._code):
+                target = (STRAIGHT if state == "0" else BENT)[finger]
+                self._bend[finger] += 0.2 * (target - self._bend[finger])
+            sway = 20 * math.sin(now_s)
+            bend = [round(value + sway + noise.gauss(0, NOISE)) for value in self._bend]
+            self._send({"type": "frame", "t": round(now_s, 3), "bend": bend})
+
+    def _connect(self) -> socket.socket:
+        link = socket.create_connection(("127.0.0.1", self._port), timeout=10)
+        hello = {"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"}
+        link.sendall(orjson.dumps(hello) + b"\n")
+        link.recv(4096)
+        link.settimeout(None)  # else MSG_DONTWAIT would wait for the timeout
+        return link
+
+    def _send(self, frame: dict[str, Any]) -> None:
+        """Send a frame and discard the acknowledgements; connect again if the controller has disconnected."""
+        try:
+            self._link.sendall(orjson.dumps(frame) + b"\n")
+            with suppress(BlockingIOError):
+                self._link.recv(65536, socket.MSG_DONTWAIT)
+        except OSError:
+            self._link.close()
+            self._link = self._connect()
+
+
+class Product:
+    """The running services, a glove, and a browser."""
+
+    def __init__(self, env: dict[str, str], browser: Browser, out: Path) -> None:
+        self.base = f"http://127.0.0.1:{env['HANDOVER_WEBUI_PORT']}"
+        self.http = httpx.Client(base_url=f"{self.base}/api", timeout=60, trust_env=False)
+        self.hand = Hand(int(env["HANDOVER_GLOVE_PORT"]))
+        self.out = out
+        self._browser = browser
+        self._orders = 0
+
+    @contextmanager
+    def page(
+        self, path: str, *, language: str = "en", theme: str = "light", **options: Any
+    ) -> Iterator[Page]:
+        """Open a page of the product."""
+        context = self._browser.new_context(
+            base_url=self.base,
+            viewport=options.pop("viewport", SIZE),
+            locale=LOCALES[language],
+            color_scheme=theme,
+            **options,
+        )
+        context.set_default_timeout(TIMEOUT_MS)
+        context.add_init_script("localStorage.setItem('handover.who', 'Anna')")
+        page = context.new_page()
+        page.goto(path)
+        yield page
+        context.close()
+
+    def keep(self, page: Page, name: str) -> None:
+        """Save a screenshot."""
+        page.evaluate("Promise.allSettled(document.getAnimations().map((one) => one.finished))")
+        page.screenshot(path=self.out / f"{name}.png")
+
+    def post(self, path: str, **json: Any) -> Any:
+        """POST to a service and return the JSON of the response."""
+        return self.http.post(path, json=json).raise_for_status().json()
+
+    def glove(self) -> dict[str, Any]:
+        """Return the view of the glove."""
+        return dict(self.http.get("/gesture-controller/gloves/glove-1").raise_for_status().json())
+
+    def start_process(self) -> str:
+        """Start bin picking and return the id."""
+        return str(
+            self.post("/task-orchestrator/processes", definition="bin-picking", key="order 4711")["id"]
+        )
+
+    def prompted_code(self) -> str:
+        """Return the code of the gesture that the glove is prompted for, as soon as there is a Task."""
+        wait_until(lambda: (self.glove()["task"] or {}).get("status") == "inProgress")
+        return str(self.glove()["task"]["code"])
+
+    def complete(self, process: str) -> None:
+        """Answer every prompt of a process with its gesture until the process ends."""
+        while self.http.get(f"/task-orchestrator/processes/{process}").json()["endedAt"] is None:
+            self.answer()
+            time.sleep(0.2)
+        self.hand.show("00000")
+
+    def answer(self) -> None:
+        """Show the gesture of the current prompt, or the open hand without one."""
+        task = self.glove()["task"]
+        self.hand.show(task["code"] if task and task["status"] == "inProgress" else "00000")
+
+
+def wait_until(condition: Callable[[], Any], timeout_s: float = 300.0) -> None:
+    """Wait until `condition` holds; raises `TimeoutError`."""
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            raise TimeoutError("the product did not reach the state for a picture")
+        time.sleep(0.1)
+
+
+def work(product: Product) -> None:
+    """The Work page while the gesture is held, and the animation of the confirmation."""
+    with product.page("/work?glove=glove-1") as page:
+        process = product.start_process()
+        code = product.prompted_code()
+        page.locator("[data-situation='asked']").wait_for()
+        time.sleep(2)
+        frames = [(time.monotonic(), page.screenshot(type="jpeg", quality=92))]
+        product.hand.show(code)
+        pictured = False
+        ends_s = time.monotonic() + 30
+        while time.monotonic() < ends_s:
+            frames.append((time.monotonic(), page.screenshot(type="jpeg", quality=92)))
+            if not pictured and product.glove()["hold"]["heldMs"] > 700:
+                page.screenshot(path=product.out / "work.png")
+                pictured = True
+            if page.locator("[data-situation='answered']").count():
+                ends_s = min(ends_s, time.monotonic() + 2.5)
+                product.hand.show("00000")
+        animate(frames, product.out / "confirm.webp")
+        product.complete(process)
+
+
+def animate(frames: list[tuple[float, bytes]], path: Path) -> None:
+    """Write frames with their times (s) as an animated WebP below `MAX_ANIMATION_BYTES`."""
+    pictures = [Image.open(io.BytesIO(data)).convert("RGB").resize(ANIMATION_SIZE, Image.Resampling.LANCZOS)
+                for _, data in frames]  # fmt: skip
+    durations_ms = [round(1000 * (after - at)) for (at, _), (after, _) in pairwise(frames)]
+    durations_ms = [900, *durations_ms[1:], 1500]
+    for quality in (80, 60, 40, 25):
+        pictures[0].save(
+            path,
+            save_all=True,
+            append_images=pictures[1:],
+            duration=durations_ms,
+            loop=0,
+            quality=quality,
+            method=6,
+        )
+        if path.stat().st_size <= MAX_ANIMATION_BYTES:
+            return
+    raise SystemExit(f"{path} is larger than {MAX_ANIMATION_BYTES} bytes")
+
+
+def processes(product: Product) -> None:
+    """A running process with its diagram and timeline."""
+    product.complete(product.start_process())
+    running = product.start_process()
+    product.hand.show(product.prompted_code())
+    time.sleep(4)
+    product.hand.show("00000")
+    with product.page(f"/processes/{running}") as page:
+        page.locator(".djs-container").wait_for()
+        time.sleep(3)
+        product.keep(page, "processes")
+    product.complete(running)
+
+
+def system(product: Product) -> None:
+    """The robot in 3D while it picks a part."""
+    process = product.start_process()
+    with product.page("/system?tab=robots") as page:
+        page.locator("canvas").first.wait_for()
+
+        def is_picking() -> bool:
+            product.answer()
+            robot = product.http.get("/trajectory-tool/robots/ur10-1").json()
+            return robot["operation"] == "pick" and robot["progress"] > 0.3
+
+        wait_until(is_picking)
+        page.screenshot(path=product.out / "system.png")
+    product.complete(process)
+
+
+def calibrate(product: Product) -> None:
+    """The live signal with its thresholds."""
+    with product.page("/calibrate?glove=glove-1&finger=index") as page:
+        page.get_by_role("img", name="Signal of the index finger").wait_for()
+        for code in ("02222", "00000", "20222", "22222", "00000", "20022") * 5:
+            product.hand.show(code)
+            time.sleep(1.1)
+        product.keep(page, "calibrate")
+    product.hand.show("00000")
+
+
+def people(product: Product) -> None:
+    """A person with gestures of one hand, of both hands, and in sequence."""
+    controller = product.http
+    person = "/gesture-controller/people/anna"
+    controller.put(person, json={"title": "Anna K."}).raise_for_status()
+    controller.put("/gesture-controller/people/ville", json={"title": "Ville M."}).raise_for_status()
+    for name, how in (
+        ("Both thumbs", {"left": "Thumbs up", "right": "Thumbs up"}),
+        ("Point, then horns", {"sequence": ["Point with index", "Horns"]}),
+    ):
+        controller.put(f"{person}/gestures/{name}", json=how).raise_for_status()
+    controller.patch(
+        f"{person}/commands", json={"3": "Both thumbs", "5": "Point, then horns"}
+    ).raise_for_status()
+    controller.put("/gesture-controller/gloves/glove-1/person", json={"person": "anna"}).raise_for_status()
+    with product.page("/people?person=anna") as page:
+        page.get_by_role("heading", name="Anna K.").wait_for()
+        time.sleep(1)
+        product.keep(page, "people")
+    controller.put("/gesture-controller/gloves/glove-1/person", json={"person": None}).raise_for_status()
+
+
+def test(product: Product) -> None:
+    """The report of an accuracy test with some wrong gestures."""
+    gestures = ["Thumbs up", "Horns", "Point with index", "Thumb and index straight", "Ring straight"]
+    began = product.post(
+        "/gesture-controller/tests", glove="glove-1", gestures=gestures, rounds=2, breaks=False
+    )
+    trials = 0
+    previous = None
+    while (run := product.glove().get("examination")) is not None:
+        asked = run["asked"]
+        if asked is not None and (asked["gesture"], run["done"]) != previous:
+            previous = (asked["gesture"], run["done"])
+            trials += 1
+        wrong = asked is not None and trials in {3, 8} and run["askedForMs"] < 2500
+        product.hand.show("00000" if asked is None else "20022" if wrong else asked["code"])
+        time.sleep(0.1)
+    product.hand.show("00000")
+    with product.page(f"/test?part=accuracy&test={began['id']}") as page:
+        page.get_by_role("heading", name="Confusion matrix").wait_for()
+        product.keep(page, "test")
+
+
+def study(product: Product) -> None:
+    """The results of a study with twelve invented participants."""
+    invented = random.Random(3)
+    for _ in range(12):
+        session = product.post("/gesture-controller/study/sessions", language="en")
+        path = f"/gesture-controller/study/sessions/{session['id']}"
+        while session["step"] != "finished":
+            session = product.http.get(path).json()
+            if session["step"] != "finished":
+                content = study_answer(session, invented)
+                product.http.post(f"{path}/steps/{session['step']}", json=content).raise_for_status()
+    with product.page("/study") as page:
+        page.get_by_text("Mean").first.wait_for()
+        product.keep(page, "study")
+
+
+def study_answer(session: dict[str, Any], invented: random.Random) -> dict[str, Any]:
+    """Return an invented answer to the current step."""
+    step = session["step"]
+    if step == "consent":
+        return {"agreed": True, "text": session["consentVersion"]}
+    if step == "sus":
+        return {
+            "answers": [
+                invented.randint(3, 5) if nth % 2 == 0 else invented.randint(1, 3) for nth in range(10)
+            ]
+        }
+    if step.startswith("tlx"):
+        middle = 30 if session["condition"] == "personal" else 45
+        scales = sorted({scale for pair in session["pairs"] for scale in pair})
+        ratings = {scale: 5 * round(min(max(invented.gauss(middle, 15), 0), 100) / 5) for scale in scales}
+        choices = [{"of": pair, "chosen": invented.choice(pair)} for pair in session["pairs"]]
+        return {"ratings": ratings, "choices": choices}
+    if step == "preference":
+        return {"preferred": invented.choice(["personal", "personal", "predefined"])}
+    return {}
+
+
+def all_looks(product: Product, folder: Path) -> None:
+    """Every page in every size; both themes and all languages on the laptop, the others in turn."""
+    folder.mkdir(parents=True, exist_ok=True)
+    process = product.start_process()
+    product.prompted_code()
+    variants = [("laptop", "en", "light"), ("laptop", "de", "dark"), ("laptop", "fi", "light")]
+    variants += [("phone", "de", "light"), ("tablet", "fi", "dark"), ("4k", "en", "dark")]
+    for size, language, theme in variants:
+        with product.page("/", language=language, theme=theme, viewport=LOOKS[size]) as page:
+            for name, path in PAGES.items():
+                page.goto(path)
+                time.sleep(1.5)
+                page.screenshot(path=folder / f"{name}-{size}-{language}-{theme}.png")
+    product.complete(process)
+
+
+SCENES = {"people": people, "work": work, "processes": processes, "system": system, "calibrate": calibrate,
+          "test": test, "study": study}  # fmt: skip
+
+
+def main() -> None:
+    """Make the pictures that the arguments name."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", default=",".join(SCENES), help="names of pictures, separated by commas")
+    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--all-looks", type=Path)
+    arguments = parser.parse_args()
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        raise SystemExit("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        env = {**environment(folder), "HANDOVER_ANNOUNCE_MS": "500", "HANDOVER_CONFIRM_MS": "1500"}
+        services, _ = up(env)
+        try:
+            browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+            product = Product(env, browser, arguments.out)
+            for name in filter(None, arguments.only.split(",")):
+                SCENES[name](product)
+                print(f"{name} done", flush=True)
+            if arguments.all_looks is not None:
+                all_looks(product, arguments.all_looks)
+            product.hand.close()
+            browser.close()
+        finally:
+            stop(services)
+
+
+if __name__ == "__main__":
+    main()
