@@ -173,8 +173,8 @@ def test_each_redirect_of_a_context_is_checked(http: httpx.Client, pages: Pages)
         (
             ("http://169.254.169.254/latest/meta-data", SETTING),
             (f"http://me:secret@127.0.0.1:{pages.port}/end.jsonld", "credentials"),
-            ("file:///etc/passwd", "no http or https URL"),
-            ("http://[", "no http or https URL"),
+            ("file:///etc/passwd", "not an http or https URL"),
+            ("http://[", "not an http or https URL"),
         )
     ):
         pages.redirects(f"/bad{number}.jsonld", to)
