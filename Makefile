@@ -107,6 +107,7 @@ lint: python-check  ## lint, types and structure only
 python-check: setup
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/typos
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 	@$(BIN)/python -m datamodels.schemas --check

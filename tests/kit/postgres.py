@@ -1,7 +1,7 @@
-"""A real PostgreSQL for tests, from a wheel: one server for a run, a database for whoever asks.
+"""A real PostgreSQL for tests, from a wheel: one server for a run, a new database for each caller.
 
-A run that is killed in the middle cannot stop its server. So somebody else stays with it, who sees the run
-end by the pipe between them, and stops the server at once: nobody needs what is in it.
+A run that is killed cannot stop its server. A small process watches the pipe to the run instead: when the pipe
+breaks, it stops the server at once, since nobody needs its data.
 """
 
 import itertools
@@ -33,22 +33,22 @@ except (OSError, ValueError):
     pass
 shutil.rmtree(sys.argv[1], ignore_errors=True)
 """
-"""Waits until its input ends, stops the server in a folder if it still runs, and clears the folder away."""
+"""Waits until its input ends, stops the server in a folder if it still runs, and deletes the folder."""
 
 
 class PostgresServer:
-    """A server that runs; give it no work that must outlast the run."""
+    """A running server. Its data do not survive the run."""
 
     def __init__(self, url: str) -> None:
         self._url = url
         self._numbers = itertools.count()
         with psycopg.connect(url, autocommit=True) as connection:
-            # Processes are killed here, never the machine: what the system has taken is there.
+            # Tests kill processes, never the machine: what the system has accepted is kept.
             connection.execute("ALTER SYSTEM SET fsync = off")
             connection.execute("SELECT pg_reload_conf()")
 
     def new_database(self) -> str:
-        """Return the URL of a database that is new and empty."""
+        """Return the URL of a new, empty database."""
         name = f"test_{next(self._numbers)}"
         with psycopg.connect(self._url, autocommit=True) as connection:
             connection.execute(f"CREATE DATABASE {name}")
@@ -57,13 +57,13 @@ class PostgresServer:
 
 @contextmanager
 def postgres_server() -> Iterator[PostgresServer]:
-    """Run a server in a folder of its own, which is not pytest's: a server looks at its own from outside."""
+    """Run a server in a folder of its own."""
     with tempfile.TemporaryDirectory(prefix="handover-postgres-", ignore_cleanup_errors=True) as folder:
         watch = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", WATCH, folder],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            start_new_session=True,  # what ends the run's whole group spares it
+            start_new_session=True,  # a signal to the run's process group must not end it
         )
         try:
             yield PostgresServer(get_server(Path(folder), cleanup_mode=None).get_uri())

@@ -1,4 +1,4 @@
-"""A context source that answers rubbish: whatever bytes, as slowly as it is told, over plain TCP."""
+"""A context source that answers rubbish: arbitrary bytes, as slowly as a test wants, over plain TCP."""
 
 import socket
 import threading

@@ -28,7 +28,7 @@ def many_files() -> Iterator[None]:
 
 
 class WorkingGlove:
-    """A glove that sends 50 frames a second until it is told to stop."""
+    """A glove that sends 50 frames a second until it is stopped."""
 
     def __init__(self, port: int) -> None:
         self.sent, self.broken = 0, ""

@@ -97,7 +97,7 @@ def sus_analysis(values: Sequence[float]) -> dict[str, Any]:
 
 
 def summary(values: Sequence[float]) -> dict[str, Any]:
-    """Return n, mean, sample SD and the five numbers of a box plot; None for what so few values cannot tell.
+    """Return n, mean, sample SD and the five numbers of a box plot; None where there are too few values.
 
     Quartiles lie between neighbours in proportion (type 7 of Hyndman and Fan, Am. Stat. 50, 1996, 361); the
     whiskers end at the last value within 1.5 times the box, what lies beyond are `outliers` (Tukey).

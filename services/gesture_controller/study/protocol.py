@@ -55,7 +55,7 @@ class Consent(_Answer):
 
 
 class Introduction(_Answer):
-    """What may be told of the participant; all of it may be left out."""
+    """What the participant may state; all of it may be left out."""
 
     age_years: Annotated[int, Field(ge=16, le=120)] | None = None
     experience: Literal["low", "medium", "high"] | None = None

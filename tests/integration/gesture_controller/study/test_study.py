@@ -73,7 +73,7 @@ async def test_a_session_goes_on_after_the_death_of_the_service(bench: Any) -> N
     assert len(participant.seen()["answers"]) == 9
 
 
-async def test_whoever_declines_is_forgotten(bench: Any) -> None:
+async def test_a_participant_who_declines_is_deleted(bench: Any) -> None:
     participant = Participant(bench)
     assert participant.answer("consent", agreed=False, text=participant.version).json()["step"] == "declined"
     assert bench.screen.get(participant.path).status_code == 404

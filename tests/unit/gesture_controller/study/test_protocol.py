@@ -102,6 +102,6 @@ def test_an_incomplete_answer_is_refused_with_what_is_missing(
     assert says in refused.value.detail
 
 
-def test_an_unknown_step_is_told_which_there_are() -> None:
+def test_an_unknown_step_is_answered_with_the_known_ones() -> None:
     with pytest.raises(Problem, match="the steps are consent, introduction"):
         checked("lunch", {})
