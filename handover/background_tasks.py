@@ -12,7 +12,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import ParamSpec, Self
 
-from handover.retry import Backoff
+from handover.retry import MAX_DELAY_S, Backoff
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
@@ -65,12 +65,19 @@ class BackgroundTasks:
     def start_restarting(
         self, function: Callable[P, Awaitable[object]], *args: P.args, **kwargs: P.kwargs
     ) -> asyncio.Task[None]:
-        """Run `function` in the background; run it again, with backoff, when it returns or fails."""
+        """Run `function` in the background; run it again, with backoff, when it returns or fails.
+
+        A run that lasts longer than the maximum delay resets the backoff.
+        """
 
         async def run_forever() -> None:
+            clock = asyncio.get_running_loop().time
             backoff = Backoff()
             while True:
+                started_s = clock()
                 await self._supervise(function, *args, **kwargs)
+                if clock() - started_s > MAX_DELAY_S:
+                    backoff.reset()
                 await backoff.wait()
 
         return self.start(run_forever)

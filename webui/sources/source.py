@@ -1,15 +1,10 @@
 """A source: a supervised background task that follows a part of the cell while the server runs."""
 
-import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 
-from handover.telemetry import get_logger
-
-log = get_logger(__name__)
-
-RESTART_DELAY_S = 2.0
+from handover.background_tasks import BackgroundTasks
 
 
 class Source(ABC):
@@ -22,20 +17,8 @@ class Source(ABC):
 
 @asynccontextmanager
 async def run_sources(sources: Sequence[Source]) -> AsyncIterator[None]:
-    """Run `sources` while the context is open."""
-    tasks = [asyncio.create_task(_supervise(source)) for source in sources]
-    try:
+    """Run `sources` while the context is open; one that fails is restarted."""
+    async with BackgroundTasks("sources") as tasks:
+        for source in sources:
+            tasks.start_restarting(source.run)
         yield
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def _supervise(source: Source) -> None:
-    while True:
-        try:
-            await source.run()
-        except Exception:
-            log.exception("source failed; restarting it", source=type(source).__name__)
-        await asyncio.sleep(RESTART_DELAY_S)
