@@ -1,7 +1,7 @@
 """A real PostgreSQL for tests, from a wheel: one server for a run, a new database for each caller.
 
-A run that is killed cannot stop its server. A small process watches the pipe to the run instead: when the pipe
-breaks, it stops the server at once, since nobody needs its data.
+A run that is killed cannot stop its server. A small process watches the pipe to the run instead: when the
+pipe breaks, it stops the server at once, since nobody needs its data.
 """
 
 import itertools

@@ -131,7 +131,7 @@ def test_a_killed_broker_is_shown_as_down_and_followed_again_after_its_restart(
     viewer.read_until(lambda: task_moves(viewer) == ["task.pending"])
     cell.kill("context_broker")
     viewer.read_until(lambda: viewer.service("context-broker")["state"] == "down")
-    assert "does not answer" in viewer.service("context-broker")["detail"]
+    assert "does not respond" in viewer.service("context-broker")["detail"]
     assert httpx.get(f"{cell.url('webui')}/readyz").is_success  # the page must be there to say so
     cell.start("context_broker")
     broker.move(TASK, "assigned", "2999-01-01T00:00:01.000Z")
