@@ -39,7 +39,7 @@ from services.context_broker.request.routing import Operation, Router
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.storage.database import Database, SqliteDatabase
 from services.context_broker.storage.document_counts import documents_with_counts
-from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, Entries
 from services.context_broker.storage.journal import Journal, NotStored
 from services.context_broker.storage.postgres import PostgresDatabase
 from services.context_broker.temporal.operations import TemporalOperations
@@ -100,9 +100,9 @@ class Broker:
 
     async def start(self) -> None:
         """Load the journal, and start to notify."""
-        for tenant, key, stored in self.journal.documents(Kind.CONTEXT):
+        for tenant, key, stored in self.journal.documents(DocumentKind.CONTEXT):
             self.contexts.remember(tenant, key, stored)
-        for _, key, stored in self.journal.documents(Kind.CONTEXT_USAGE):
+        for _, key, stored in self.journal.documents(DocumentKind.CONTEXT_USAGE):
             self.contexts.usage.remember(key, stored)
         self.tenants.load()
         self.tenants.commits.start()
@@ -202,7 +202,7 @@ class Broker:
             await self.federation.refresh_context(tenant, context_id)
 
     async def _restore_subscriptions(self) -> None:
-        stored = documents_with_counts(self.journal, Kind.SUBSCRIPTION, Kind.COUNTS)
+        stored = documents_with_counts(self.journal, DocumentKind.SUBSCRIPTION, DocumentKind.COUNTS)
         for tenant in self.tenants:
             await self.subscriptions.restore(tenant, stored.get(tenant.name, ()))
 

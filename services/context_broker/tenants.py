@@ -17,7 +17,7 @@ from services.context_broker.model.validation import MAX_TENANT_LENGTH, TENANT, 
 from services.context_broker.network.http_client import PooledHttpClient
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.storage.commits import CommitQueue, Commits, Failed, stored
-from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, Entries
 from services.context_broker.storage.expiry_queue import ExpiryQueue
 from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.store import Store
@@ -72,7 +72,7 @@ class _TenantCommits:
         if self.is_kept:
             self._commits.submit(entries, done, failed)
             return
-        entries.documents[Kind.TENANT, DEFAULT, self._name] = b"{}"
+        entries.documents[DocumentKind.TENANT, DEFAULT, self._name] = b"{}"
 
         def kept() -> None:
             self.is_kept = True
@@ -115,7 +115,7 @@ class Tenants:
     def load(self) -> None:
         """Load the content of the journal."""
         journal, settings = self._journal, self._settings
-        kept = [body for _, _, body in journal.documents(Kind.IDENTITY)]
+        kept = [body for _, _, body in journal.documents(DocumentKind.IDENTITY)]
         self.identify(kept[0] if kept else uuid4().hex[:12].encode())
         policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
         self.places = itertools.count(journal.last_sequence() + 1)
@@ -129,16 +129,16 @@ class Tenants:
             keep_bytes=settings.broker_notification_keep_mb * 1024 * 1024,
         )
         self._tenants[DEFAULT] = Tenant(DEFAULT, self, is_kept=True)
-        for _, name, _ in journal.documents(Kind.TENANT):
+        for _, name, _ in journal.documents(DocumentKind.TENANT):
             self._tenants[name] = Tenant(name, self, is_kept=True)
         for tenant, body in journal.entities():
             self._tenants[tenant].store.take(Entity.restored(body))
 
     async def keep_identity(self) -> None:
         """Store the identity of this broker, if there is none yet."""
-        if not any(self._journal.documents(Kind.IDENTITY)):
+        if not any(self._journal.documents(DocumentKind.IDENTITY)):
             made = self._identity.rpartition("-")[2].encode()
-            await self.commits.store(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made}))
+            await self.commits.store(Entries(documents={(DocumentKind.IDENTITY, DEFAULT, "broker"): made}))
 
     def identify(self, kept: bytes) -> None:
         """Set the identity of this broker, which stays with its database."""

@@ -34,7 +34,7 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Terms
 from services.context_broker.model.problems import bad_request_data, too_large
 from services.context_broker.model.validation import moment
-from services.context_broker.storage.entries import DocumentKey, Kind
+from services.context_broker.storage.entries import DocumentKey, DocumentKind
 
 log = get_logger(__name__)
 
@@ -256,7 +256,7 @@ class ContextResolver:
                 return
             if fresh.document == one.document:
                 one.expires_s = fresh.expires_s
-                await self._keep({(Kind.CONTEXT, one.tenant, one.key): one.stored()})
+                await self._keep({(DocumentKind.CONTEXT, one.tenant, one.key): one.stored()})
             else:
                 await self._replace(one, fresh)
         except Problem as problem:
@@ -282,7 +282,7 @@ class ContextResolver:
         await self.on_renewal(one.id)
 
     async def _keep_one(self, one: StoredContext) -> None:
-        await self._keep({(Kind.CONTEXT, one.tenant, one.key): one.stored()})
+        await self._keep({(DocumentKind.CONTEXT, one.tenant, one.key): one.stored()})
         self._shelf.put(one)
 
     def _unready(self, one: StoredContext) -> None:
@@ -336,8 +336,8 @@ class ContextResolver:
         try:
             await self._keep(
                 {
-                    (Kind.CONTEXT, one.tenant, one.key): one.stored(),
-                    (Kind.CONTEXT_USAGE, one.tenant, one.key): None,
+                    (DocumentKind.CONTEXT, one.tenant, one.key): one.stored(),
+                    (DocumentKind.CONTEXT_USAGE, one.tenant, one.key): None,
                 }
             )
         except Problem:
@@ -365,7 +365,7 @@ async def _nobody(_: str) -> None:
 
 
 def _erasing(gone: list[StoredContext]) -> dict[DocumentKey, bytes | None]:
-    kinds = (Kind.CONTEXT, Kind.CONTEXT_USAGE)
+    kinds = (DocumentKind.CONTEXT, DocumentKind.CONTEXT_USAGE)
     return {(kind, one.tenant, one.key): None for one in gone for kind in kinds}
 
 

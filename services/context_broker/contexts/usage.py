@@ -11,7 +11,7 @@ from typing import Final
 import orjson
 
 from services.context_broker.contexts.context_store import ContextStore, Documents, StoredContext
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 
 KEPT_S: Final = 5.0
 """The interval of writes; a crash loses the counts since the last one."""
@@ -65,7 +65,9 @@ class Usage:
         for one in used:
             one.hits_kept = one.hits
         if used:
-            self._keep_later({(Kind.CONTEXT_USAGE, one.tenant, one.key): one.stored_usage() for one in used})
+            self._keep_later(
+                {(DocumentKind.CONTEXT_USAGE, one.tenant, one.key): one.stored_usage() for one in used}
+            )
 
     def _write_soon(self) -> None:
         self._due = asyncio.get_running_loop().call_later(KEPT_S, self.write)

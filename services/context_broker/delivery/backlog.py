@@ -16,7 +16,7 @@ SIZES_PAGE: Final = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
+class BacklogPage:
     """The next notifications, and whether there may be more after them.
 
     `pending` is the number and the size in bytes of all pending ones, if that was asked for.
@@ -36,7 +36,7 @@ class Backlog:
     tenant: str
     subscription: str
 
-    async def page(self, after: int, limit: int, *, count: bool) -> Page:
+    async def page(self, after: int, limit: int, *, count: bool) -> BacklogPage:
         """Return at most `limit` pending notifications after number `after`."""
         return await asyncio.to_thread(self._page, after, limit, count)
 
@@ -49,7 +49,7 @@ class Backlog:
             yield page
             after = page[-1][0]
 
-    def _page(self, after: int, limit: int, count: bool) -> Page:
+    def _page(self, after: int, limit: int, count: bool) -> BacklogPage:
         journal, tenant, one = self.journal, self.tenant, self.subscription
         pending = journal.pending_total(tenant, one) if count else None
         sizes = journal.pending_sizes(tenant, one, after, limit)
@@ -60,4 +60,4 @@ class Backlog:
             if room_bytes <= 0:
                 break
         found = journal.pending(tenant, one, after, fitting) if fitting else []
-        return Page(found, len(sizes) == limit or fitting < len(sizes), pending)
+        return BacklogPage(found, len(sizes) == limit or fitting < len(sizes), pending)

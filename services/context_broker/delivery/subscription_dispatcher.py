@@ -11,7 +11,7 @@ from services.context_broker.delivery.endpoint_queue import EndpointQueue
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.entries import DocumentKey, Entries, Kind, PendingNotification
+from services.context_broker.storage.entries import DocumentKey, DocumentKind, Entries, PendingNotification
 from services.context_broker.storage.journal import Journal
 
 MAX_ITEMS_PER_NOTIFICATION: Final = 1000
@@ -21,7 +21,7 @@ MAX_ITEMS_PER_NOTIFICATION: Final = 1000
 class SubscriptionDispatcher:
     """Manages the subscriptions of a tenant and passes their notifications to delivery workers."""
 
-    counts_kind = Kind.COUNTS
+    counts_kind = DocumentKind.COUNTS
     """The kind of document that stores the counts of the subscriptions."""
 
     def __init__(self, tenant: str, commits: Commits, outbound: Outbound) -> None:

@@ -12,7 +12,7 @@ from services.context_broker.extensions.unsupported import unsupported, warn_of_
 from services.context_broker.model.problems import not_supported
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 from services.context_broker.storage.journal import Journal
 from services.context_broker.tenant_extensions import LocalTenant, TenantFederation
 from services.context_broker.tenants import Tenant
@@ -89,7 +89,7 @@ class LocalOnly:
         return LocalTenant()
 
     async def restore(self, journal: Journal) -> None:
-        warn_of_stored(journal, Kind.REGISTRATION, "HANDOVER_BROKER_FEDERATION")
+        warn_of_stored(journal, DocumentKind.REGISTRATION, "HANDOVER_BROKER_FEDERATION")
 
     async def start(self, journal: Journal) -> None:
         return

@@ -12,7 +12,7 @@ from services.context_broker.extensions.unsupported import unsupported, warn_of_
 from services.context_broker.model.problems import not_supported
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 from services.context_broker.storage.journal import Journal
 
 SNAPSHOT_HEADER: Final = b"ngsild-snapshot"
@@ -57,7 +57,7 @@ class NoSnapshots:
         return unsupported(_OPERATIONS, _OFF)
 
     def restore(self, journal: Journal) -> None:
-        warn_of_stored(journal, Kind.SNAPSHOT, "HANDOVER_BROKER_SNAPSHOTS")
+        warn_of_stored(journal, DocumentKind.SNAPSHOT, "HANDOVER_BROKER_SNAPSHOTS")
 
     def start(self, journal: Journal) -> None:
         return

@@ -6,7 +6,7 @@ from handover.telemetry import get_logger
 from services.context_broker.model.problems import not_supported
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 from services.context_broker.storage.journal import Journal
 
 log = get_logger(__name__)
@@ -31,7 +31,7 @@ def unsupported(listed: Iterable[Listed], detail: str) -> tuple[Operation, ...]:
     return tuple(Operation(*one, refuse, _AnyParameter(), of_no_tenant=True) for one in listed)
 
 
-def warn_of_stored(journal: Journal, kind: Kind, setting: str) -> None:
+def warn_of_stored(journal: Journal, kind: DocumentKind, setting: str) -> None:
     """Log a warning if the database has documents of a part that is switched off; they stay stored."""
     if count := sum(1 for _ in journal.documents(kind)):
         log.warning("stored documents are ignored", kind=kind.value, count=count, setting=setting)

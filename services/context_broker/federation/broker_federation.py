@@ -28,7 +28,7 @@ from services.context_broker.request.request_context import RequestContext, Resp
 from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.storage.document_counts import documents_with_counts
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 from services.context_broker.storage.journal import Journal
 from services.context_broker.tenants import Tenant, Tenants
 
@@ -68,10 +68,10 @@ class BrokerFederation:
         return state
 
     async def restore(self, journal: Journal) -> None:
-        for name, _, body in journal.documents(Kind.ENTITY_MAP):
+        for name, _, body in journal.documents(DocumentKind.ENTITY_MAP):
             federated(self._tenants.kept(name)).entity_maps.load(body)
-        registrations = documents_with_counts(journal, Kind.REGISTRATION, Kind.ATTEMPTS)
-        subscriptions = documents_with_counts(journal, Kind.SOURCE_SUBSCRIPTION, Kind.COUNTS)
+        registrations = documents_with_counts(journal, DocumentKind.REGISTRATION, DocumentKind.ATTEMPTS)
+        subscriptions = documents_with_counts(journal, DocumentKind.SOURCE_SUBSCRIPTION, DocumentKind.COUNTS)
         for tenant in self._tenants:
             await self._registrations.restore(tenant, registrations.get(tenant.name, ()))
             await self._source_subscriptions.restore(tenant, subscriptions.get(tenant.name, ()))

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from services.context_broker.federation.entity_maps.entity_map import EntityMaps
 from services.context_broker.federation.registrations.registry import Registry
 from services.context_broker.federation.registrations.source_subscriptions import SourceNotifier
-from services.context_broker.storage.entries import DocumentKey, Kind
+from services.context_broker.storage.entries import DocumentKey, DocumentKind
 from services.context_broker.tenant_extensions import Announced
 from services.context_broker.tenants import Tenant
 
@@ -35,13 +35,13 @@ class FederatedTenant:
 
     def document_keys(self) -> Iterator[DocumentKey]:
         for subscription in self.source_notifier.all():
-            yield Kind.SOURCE_SUBSCRIPTION, self._name, subscription.id
-            yield Kind.COUNTS, self._name, subscription.id
+            yield DocumentKind.SOURCE_SUBSCRIPTION, self._name, subscription.id
+            yield DocumentKind.COUNTS, self._name, subscription.id
         for registered in self.registry:
-            yield Kind.REGISTRATION, self._name, registered.id
-            yield Kind.ATTEMPTS, self._name, registered.id
+            yield DocumentKind.REGISTRATION, self._name, registered.id
+            yield DocumentKind.ATTEMPTS, self._name, registered.id
         for map_id in self.entity_maps:
-            yield Kind.ENTITY_MAP, self._name, map_id
+            yield DocumentKind.ENTITY_MAP, self._name, map_id
 
     def stop(self) -> None:
         self.source_notifier.stop()

@@ -1,7 +1,7 @@
 """The outbound policy: the addresses that the broker connects to when a client names them.
 
 Clients name addresses in subscriptions, registrations, snapshots and @contexts, and could make the broker
-reach what they cannot reach themselves. Each address has a kind (`Kind`). A broker that listens on loopback
+reach what they cannot reach themselves. Each address has an `AddressKind`. A broker that listens on loopback
 refuses a few kinds; one that listens beyond loopback refuses all that are not public. Hosts and networks in
 HANDOVER_BROKER_OUTBOUND_ALLOW are always allowed.
 
@@ -27,7 +27,7 @@ Address = IPv4Address | IPv6Address
 Network = IPv4Network | IPv6Network
 
 
-class Kind(Enum):
+class AddressKind(Enum):
     """The kind of an address, as in error texts."""
 
     LOOPBACK = "an address of the broker's own machine"
@@ -39,26 +39,26 @@ class Kind(Enum):
     TRANSLATED = "an IPv6 address that stands for an IPv4 address"
 
 
-_KINDS: Final[tuple[tuple[Kind, tuple[str, ...]], ...]] = (
-    (Kind.LOOPBACK, ("127.0.0.0/8", "0.0.0.0/8", "::1/128", "::/128")),
+_KINDS: Final[tuple[tuple[AddressKind, tuple[str, ...]], ...]] = (
+    (AddressKind.LOOPBACK, ("127.0.0.0/8", "0.0.0.0/8", "::1/128", "::/128")),
     (
-        Kind.METADATA,
+        AddressKind.METADATA,
         ("100.100.100.200/32", "168.63.129.16/32", "169.254.169.254/32", "192.0.0.192/32",
          "fd00:ec2::254/128", "fd20:ce::254/128"),
     ),
-    (Kind.LINK_LOCAL, ("169.254.0.0/16", "fe80::/10")),
+    (AddressKind.LINK_LOCAL, ("169.254.0.0/16", "fe80::/10")),
     (
-        Kind.PRIVATE,
+        AddressKind.PRIVATE,
         ("10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "100.64.0.0/10", "198.18.0.0/15", "192.0.0.0/24",
          "fc00::/7", "fec0::/10"),
     ),
-    (Kind.MULTICAST, ("224.0.0.0/4", "ff00::/8")),
+    (AddressKind.MULTICAST, ("224.0.0.0/4", "ff00::/8")),
     (
-        Kind.TRANSLATED,
+        AddressKind.TRANSLATED,
         ("64:ff9b::/96", "64:ff9b:1::/48", "2002::/16", "2001::/32", "::/96", "::ffff:0:0:0/96"),
     ),
     (
-        Kind.RESERVED,
+        AddressKind.RESERVED,
         ("240.0.0.0/4", "192.0.2.0/24", "198.51.100.0/24", "203.0.113.0/24", "192.88.99.0/24",
          "2001::/23", "2001:db8::/32", "3fff::/20"),
     ),
@@ -66,7 +66,7 @@ _KINDS: Final[tuple[tuple[Kind, tuple[str, ...]], ...]] = (
 """The first kind that lists an address is its kind (IANA's special-purpose address registries)."""
 _NETWORKS: Final = tuple((kind, ip_network(one)) for kind, listed in _KINDS for one in listed)
 _PUBLIC_IPV6: Final = ip_network("2000::/3")
-_ALWAYS_REFUSED: Final = frozenset({Kind.LINK_LOCAL, Kind.METADATA, Kind.MULTICAST})
+_ALWAYS_REFUSED: Final = frozenset({AddressKind.LINK_LOCAL, AddressKind.METADATA, AddressKind.MULTICAST})
 """Kinds that a broker refuses even if it listens on loopback only."""
 
 
@@ -111,7 +111,7 @@ class OutboundPolicy:
             return None
         if self.listens_beyond_loopback:
             why = "a broker that listens beyond loopback"
-        elif kind in _ALWAYS_REFUSED or (kind is Kind.TRANSLATED and self._is_refused_within(address)):
+        elif kind in _ALWAYS_REFUSED or (kind is AddressKind.TRANSLATED and self._is_refused_within(address)):
             why = "this broker"
         else:
             return None
@@ -165,13 +165,13 @@ def address_of(host: str) -> Address | None:
 
 
 @lru_cache(maxsize=4096)
-def kind_of(address: Address) -> Kind | None:
+def kind_of(address: Address) -> AddressKind | None:
     """Return the kind of an address, None for a public one."""
     for kind, network in _NETWORKS:
         if address in network:
             return kind
     if isinstance(address, IPv6Address) and address not in _PUBLIC_IPV6:
-        return Kind.RESERVED
+        return AddressKind.RESERVED
     return None
 
 

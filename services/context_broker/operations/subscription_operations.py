@@ -35,7 +35,7 @@ from services.context_broker.request.query_parameters import (
 )
 from services.context_broker.request.request_context import JSON_LD, RequestContext, Response
 from services.context_broker.request.routing import Operation
-from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, Entries
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.tenants import Tenant
 
@@ -53,7 +53,7 @@ class SubscriptionOperations:
     Subscriptions to context source registrations are a subclass with another dispatcher.
     """
 
-    KIND = Kind.SUBSCRIPTION
+    KIND = DocumentKind.SUBSCRIPTION
     BESIDES: frozenset[str] = frozenset()
     """Additional members of a subclass's subscriptions."""
 
@@ -159,7 +159,7 @@ class SubscriptionOperations:
         async with self._one_at_a_time:
             before = self._existing(request)
             gone = (self.KIND, request.tenant.name, before.id)
-            counts = (Kind.COUNTS, request.tenant.name, before.id)
+            counts = (DocumentKind.COUNTS, request.tenant.name, before.id)
             await self.write(request.tenant, Entries(documents={gone: None, counts: None}))
             self.dispatcher(request.tenant).remove(before.id)
         return DONE

@@ -9,7 +9,7 @@ from enum import Enum, Flag, auto
 from typing import Final
 
 
-class Kind(Enum):
+class ValueKind(Enum):
     """How the value is read, from a URL and from the member of a document."""
 
     TEXT = auto()
@@ -70,7 +70,7 @@ class Parameter:
 
     name: str
     uses: Use
-    kind: Kind = Kind.TEXT
+    kind: ValueKind = ValueKind.TEXT
     member: str | None = None
     is_filter: bool = False
     is_forwarded: bool = False
@@ -83,13 +83,13 @@ _CRITERION: Final = _SELECTED | Use.SEARCH_CRITERION
 PARAMETERS: Final = (
     Parameter("type", _CRITERION),
     Parameter("id", _CRITERION),
-    Parameter("attrs", Use.VIEW | Use.PURGE | Use.SEARCH | Use.SEARCH_CRITERION, Kind.LIST, "attrs"),
+    Parameter("attrs", Use.VIEW | Use.PURGE | Use.SEARCH | Use.SEARCH_CRITERION, ValueKind.LIST, "attrs"),
     # Filters
     Parameter("q", _CRITERION | Use.SUBSCRIPTION, member="q", is_filter=True, is_forwarded=True),
     Parameter(
         "expandValues",
         Use.SELECTION | Use.PURGE | Use.SUBSCRIPTION,
-        Kind.NAMES,
+        ValueKind.NAMES,
         "expandValues",
         is_filter=True,
         since=(1, 8),
@@ -97,7 +97,7 @@ PARAMETERS: Final = (
     Parameter(
         "jsonKeys",
         Use.SELECTION | Use.PURGE | Use.SUBSCRIPTION,
-        Kind.NAMES,
+        ValueKind.NAMES,
         "jsonKeys",
         is_filter=True,
         since=(1, 8),
@@ -113,54 +113,54 @@ PARAMETERS: Final = (
     Parameter(
         "georel",
         Use.GEO | _CRITERION | Use.SUBSCRIPTION,
-        Kind.GEO,
+        ValueKind.GEO,
         "geoQ",
         is_filter=True,
         is_forwarded=True,
     ),
-    Parameter("geometry", Use.GEO | _SELECTED, Kind.GEO, "geoQ", is_filter=True, is_forwarded=True),
-    Parameter("coordinates", Use.GEO | _SELECTED, Kind.GEO, "geoQ", is_filter=True, is_forwarded=True),
-    Parameter("geoproperty", Use.GEO | _SELECTED, Kind.GEO, "geoQ", is_filter=True, is_forwarded=True),
+    Parameter("geometry", Use.GEO | _SELECTED, ValueKind.GEO, "geoQ", is_filter=True, is_forwarded=True),
+    Parameter("coordinates", Use.GEO | _SELECTED, ValueKind.GEO, "geoQ", is_filter=True, is_forwarded=True),
+    Parameter("geoproperty", Use.GEO | _SELECTED, ValueKind.GEO, "geoQ", is_filter=True, is_forwarded=True),
     Parameter("idPattern", _CRITERION, is_forwarded=True),
     Parameter("csf", _CRITERION | Use.SUBSCRIPTION, member="csf"),
-    Parameter("splitEntities", Use.SELECTION | Use.SUBSCRIPTION, Kind.FLAG, "splitEntities"),
+    Parameter("splitEntities", Use.SELECTION | Use.SUBSCRIPTION, ValueKind.FLAG, "splitEntities"),
     # Representation
-    Parameter("options", Use.VIEW | Use.PAGE, Kind.LIST),
+    Parameter("options", Use.VIEW | Use.PAGE, ValueKind.LIST),
     Parameter("format", Use.VIEW),
-    Parameter("pick", Use.VIEW, Kind.LIST, "pick"),
-    Parameter("omit", Use.VIEW, Kind.LIST, "omit"),
+    Parameter("pick", Use.VIEW, ValueKind.LIST, "pick"),
+    Parameter("omit", Use.VIEW, ValueKind.LIST, "omit"),
     Parameter("lang", Use.VIEW | Use.SUBSCRIPTION, member="lang"),
-    Parameter("datasetId", Use.VIEW | Use.SUBSCRIPTION, Kind.LIST, "datasetId"),
+    Parameter("datasetId", Use.VIEW | Use.SUBSCRIPTION, ValueKind.LIST, "datasetId"),
     Parameter("geometryProperty", Use.VIEW),
-    Parameter("local", Use.VIEW | Use.PAGE | Use.PURGE, Kind.FLAG),
+    Parameter("local", Use.VIEW | Use.PAGE | Use.PURGE, ValueKind.FLAG),
     Parameter("join", Use.LINKS, member="join"),
-    Parameter("joinLevel", Use.LINKS, Kind.NUMBER, "joinLevel"),
-    Parameter("containedBy", Use.LINKS, Kind.LIST, "containedBy"),
+    Parameter("joinLevel", Use.LINKS, ValueKind.NUMBER, "joinLevel"),
+    Parameter("containedBy", Use.LINKS, ValueKind.LIST, "containedBy"),
     # Order and pages
-    Parameter("orderBy", Use.ORDER, Kind.ORDER, "ordering"),
-    Parameter("orderFrom", Use.ORDER, Kind.ORDER, "ordering"),
-    Parameter("orderGeometry", Use.ORDER, Kind.ORDER, "ordering"),
-    Parameter("collation", Use.ORDER, Kind.ORDER, "ordering"),
-    Parameter("limit", Use.PAGE, Kind.NUMBER),
-    Parameter("offset", Use.PAGE, Kind.NUMBER),
-    Parameter("count", Use.PAGE, Kind.FLAG),
+    Parameter("orderBy", Use.ORDER, ValueKind.ORDER, "ordering"),
+    Parameter("orderFrom", Use.ORDER, ValueKind.ORDER, "ordering"),
+    Parameter("orderGeometry", Use.ORDER, ValueKind.ORDER, "ordering"),
+    Parameter("collation", Use.ORDER, ValueKind.ORDER, "ordering"),
+    Parameter("limit", Use.PAGE, ValueKind.NUMBER),
+    Parameter("offset", Use.PAGE, ValueKind.NUMBER),
+    Parameter("count", Use.PAGE, ValueKind.FLAG),
     Parameter("place", Use.POSITION),
-    Parameter("entityMap", Use.MAP, Kind.FLAG, "entityMap"),
+    Parameter("entityMap", Use.MAP, ValueKind.FLAG, "entityMap"),
     Parameter("entityMapLifetime", Use.MAP, member="entityMapLifetime"),
     # History
     Parameter("timerel", Use.TIME | Use.SEARCH),
     Parameter("timeAt", Use.TIME | Use.SEARCH),
     Parameter("endTimeAt", Use.TIME | Use.SEARCH),
     Parameter("timeproperty", Use.TIME | Use.SEARCH),
-    Parameter("lastN", Use.TIME, Kind.NUMBER),
-    Parameter("aggrMethods", Use.AGGREGATION, Kind.LIST),
+    Parameter("lastN", Use.TIME, ValueKind.NUMBER),
+    Parameter("aggrMethods", Use.AGGREGATION, ValueKind.LIST),
     Parameter("aggrPeriodDuration", Use.AGGREGATION),
     # Single operations
-    Parameter("keep", Use.PURGE, Kind.LIST),
-    Parameter("drop", Use.PURGE, Kind.LIST),
-    Parameter("deleteAll", Use.NONE, Kind.FLAG),
-    Parameter("details", Use.NONE, Kind.FLAG),
-    Parameter("reload", Use.NONE, Kind.FLAG),
+    Parameter("keep", Use.PURGE, ValueKind.LIST),
+    Parameter("drop", Use.PURGE, ValueKind.LIST),
+    Parameter("deleteAll", Use.NONE, ValueKind.FLAG),
+    Parameter("details", Use.NONE, ValueKind.FLAG),
+    Parameter("reload", Use.NONE, ValueKind.FLAG),
 )
 """All parameters that more than one module knows, and all booleans."""
 
@@ -175,7 +175,7 @@ def members_for(uses: Use) -> frozenset[str]:
     return frozenset(one.member for one in PARAMETERS if one.member is not None and one.uses & uses)
 
 
-BOOLEANS: Final = frozenset(one.name for one in PARAMETERS if one.kind is Kind.FLAG)
+BOOLEANS: Final = frozenset(one.name for one in PARAMETERS if one.kind is ValueKind.FLAG)
 FILTERS: Final = tuple(one.name for one in PARAMETERS if one.is_filter)
 """Parameters that filter whole entities."""
 FORWARDED: Final = tuple(one.name for one in PARAMETERS if one.is_forwarded)
@@ -187,7 +187,9 @@ FILTER_MEMBERS: Final = tuple(
 )
 """The members of a Query or a subscription that filter whole entities."""
 FORWARDED_TEXTS: Final = tuple(
-    one.member for one in PARAMETERS if one.is_forwarded and one.kind is Kind.TEXT and one.member is not None
+    one.member
+    for one in PARAMETERS
+    if one.is_forwarded and one.kind is ValueKind.TEXT and one.member is not None
 )
 """The members of a Query with text that is passed on unchanged."""
 SINCE: Final = {one.member: one.since for one in PARAMETERS if one.member is not None and one.since > (1, 3)}

@@ -24,7 +24,7 @@ DEEPEST: Final = 50
 """Maximum nesting of brackets, and of links."""
 
 
-class Kind(Enum):
+class LiteralKind(Enum):
     """The kind of a literal, which determines what it is compared with."""
 
     TEXT = "text"
@@ -40,7 +40,7 @@ class Kind(Enum):
 class Literal:
     """A literal; a time is in seconds since 1970 for dates, or its text for times of day."""
 
-    kind: Kind
+    kind: LiteralKind
     value: str | float | bool
 
 
@@ -61,7 +61,7 @@ class Path:
 
     names: tuple[str, ...]
     trail: tuple[str, ...] = ()
-    link: "Link | None" = None
+    link: "LinkPath | None" = None
 
     @property
     def hops(self) -> int:
@@ -70,7 +70,7 @@ class Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class LinkPath:
     """The rest of a path in a linked entity of any of `types` (short names); without types in any entity."""
 
     types: tuple[str, ...]
@@ -231,7 +231,7 @@ class _Parser:
             return Path(tuple(names), (), self.link(depth + 1))
         return Path(tuple(names))
 
-    def link(self, depth: int) -> Link:
+    def link(self, depth: int) -> LinkPath:
         """Parse the braces after a relationship: `humidity`, or `Device:humidity` with a type."""
         if depth > DEEPEST:
             self.fail(f"links follow each other deeper than {DEEPEST}")
@@ -252,7 +252,7 @@ class _Parser:
         path = self.rest_of_path(names, depth)
         if not self.take("}"):
             self.fail("expected }")
-        return Link(tuple(types), path)
+        return LinkPath(tuple(types), path)
 
     def trail(self) -> list[str]:
         if quoted := self.match(_QUOTED):
@@ -279,7 +279,7 @@ class _Parser:
         """Parse a term, with or without quotes; anything else is parsed as for other attributes."""
         quoted = self.match(_QUOTED)
         if quoted is not None:
-            return Literal(Kind.TERM, self.unquoted(quoted))
+            return Literal(LiteralKind.TERM, self.unquoted(quoted))
         start = self.at
         bare = self.match(_BARE) or ""
         if (
@@ -287,7 +287,7 @@ class _Parser:
             and _NAME.fullmatch(bare)
             and not self.text.startswith("..", self.at)
         ):
-            return Literal(Kind.TERM, bare)
+            return Literal(LiteralKind.TERM, bare)
         self.at = start
         return self.value_or_span()
 
@@ -297,14 +297,18 @@ class _Parser:
             return low
         self.at += 2
         high = self.value()
-        if low.kind is not high.kind or type(low.value) is not type(high.value) or low.kind is Kind.TRUTH:
+        if (
+            low.kind is not high.kind
+            or type(low.value) is not type(high.value)
+            or low.kind is LiteralKind.TRUTH
+        ):
             self.fail("a range has two numbers, two texts or two times")
         return Span(low, high)
 
     def value(self) -> Literal:
         quoted = self.match(_QUOTED)
         if quoted is not None:
-            return Literal(Kind.TEXT, self.unquoted(quoted))
+            return Literal(LiteralKind.TEXT, self.unquoted(quoted))
         start = self.at
         bare = self.match(_BARE) or self.fail('expected a value: a number, true, a date, a URI or "text"')
         literal = _literal(bare)
@@ -367,16 +371,16 @@ class _Parser:
 
 def _literal(bare: str) -> Literal | None:
     if bare in {"true", "false"}:
-        return Literal(Kind.TRUTH, bare == "true")
+        return Literal(LiteralKind.TRUTH, bare == "true")
     if _NUMBER.fullmatch(bare):
         return Literal(
-            Kind.NUMBER, float(bare) if len(bare) > 15 or not bare.lstrip("-").isdigit() else int(bare)
+            LiteralKind.NUMBER, float(bare) if len(bare) > 15 or not bare.lstrip("-").isdigit() else int(bare)
         )
     if _TIME_OF_DAY.fullmatch(bare):
-        return Literal(Kind.TIME, bare)
+        return Literal(LiteralKind.TIME, bare)
     if bare[:1].isdigit() and "-" in bare:
         seconds = moment(bare)
-        return None if seconds is None else Literal(Kind.TIME, seconds)
+        return None if seconds is None else Literal(LiteralKind.TIME, seconds)
     if _URI.fullmatch(bare):
-        return Literal(Kind.URI, bare)
+        return Literal(LiteralKind.URI, bare)
     return None

@@ -9,7 +9,7 @@ from math import inf
 from typing import Any
 
 from services.context_broker.model.entity import SAYS, Instance
-from services.context_broker.query.q_grammar import And, Compare, Kind, Span, Term
+from services.context_broker.query.q_grammar import And, Compare, LiteralKind, Span, Term
 from services.context_broker.query.q_match import METADATA, leaves
 
 Scalar = str | float | bool
@@ -53,20 +53,28 @@ def _condition(term: Compare, expand: Callable[[str], str]) -> Condition | None:
         return _bounded(attribute, term)
     if len(term.values) == 1 and isinstance(span := term.values[0], Span):
         low, high = span.low.value, span.high.value
-        if span.low.kind is Kind.NUMBER and isinstance(low, int | float) and isinstance(high, int | float):
+        if (
+            span.low.kind is LiteralKind.NUMBER
+            and isinstance(low, int | float)
+            and isinstance(high, int | float)
+        ):
             return Range(attribute, low, high)
         return None
     values: set[Scalar] = set()
     for value in term.values:
-        if isinstance(value, Span) or value.kind is Kind.TIME:
+        if isinstance(value, Span) or value.kind is LiteralKind.TIME:
             return None
-        values.add(expand(str(value.value)) if value.kind is Kind.TERM else value.value)
+        values.add(expand(str(value.value)) if value.kind is LiteralKind.TERM else value.value)
     return Equality(attribute, frozenset(values))
 
 
 def _bounded(attribute: str, term: Compare) -> Range | None:
     value = term.values[0]
-    if isinstance(value, Span) or value.kind is not Kind.NUMBER or not isinstance(value.value, int | float):
+    if (
+        isinstance(value, Span)
+        or value.kind is not LiteralKind.NUMBER
+        or not isinstance(value.value, int | float)
+    ):
         return None
     if term.operator in {">", ">="}:
         return Range(attribute, value.value, inf)

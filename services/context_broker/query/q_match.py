@@ -14,9 +14,9 @@ from services.context_broker.query.q_grammar import (
     And,
     Compare,
     Exists,
-    Kind,
-    Link,
+    LinkPath,
     Literal,
+    LiteralKind,
     Matches,
     Or,
     Path,
@@ -135,7 +135,7 @@ def _combined(term: And | Or, expand: Expand) -> Predicate:
     return holds
 
 
-def _linked_finder(attribute: str, steps: list[tuple[str, str]], link: Link, expand: Expand) -> _Find:
+def _linked_finder(attribute: str, steps: list[tuple[str, str]], link: LinkPath, expand: Expand) -> _Find:
     types = frozenset(map(expand, link.types))
     find = finder(link.path, expand)
 
@@ -243,26 +243,26 @@ def _test(operator: str, value: Literal | Span, expand: Expand) -> Test:
     if isinstance(value, Span):
         low, high = _test(">=", value.low, expand), _test("<=", value.high, expand)
         return lambda leaf: low(leaf) and high(leaf)
-    wanted = expand(str(value.value)) if value.kind is Kind.TERM else value.value
-    if value.kind is Kind.TIME:
+    wanted = expand(str(value.value)) if value.kind is LiteralKind.TERM else value.value
+    if value.kind is LiteralKind.TIME:
         return _time_test(_RELATIONS[operator], wanted)
     if operator in {"==", "!="}:
         return _equality_test(value.kind, wanted)
     relation = _RELATIONS[operator]
-    if value.kind is Kind.TRUTH:
+    if value.kind is LiteralKind.TRUTH:
         return lambda leaf: isinstance(leaf, bool) and relation(leaf, wanted)
-    if value.kind is Kind.NUMBER:
+    if value.kind is LiteralKind.NUMBER:
         return lambda leaf: (
             isinstance(leaf, int | float) and not isinstance(leaf, bool) and relation(leaf, wanted)
         )
     return lambda leaf: isinstance(leaf, str) and relation(leaf, wanted)
 
 
-def _equality_test(kind: Kind, wanted: str | float | bool) -> Test:
+def _equality_test(kind: LiteralKind, wanted: str | float | bool) -> Test:
     """Return the most frequent test, as simple as possible. True is not 1 here."""
-    if kind is Kind.TRUTH:
+    if kind is LiteralKind.TRUTH:
         return lambda leaf: leaf is wanted
-    if kind is Kind.NUMBER:
+    if kind is LiteralKind.NUMBER:
         return lambda leaf: leaf == wanted and not isinstance(leaf, bool)
     return lambda leaf: bool(leaf == wanted)
 

@@ -8,7 +8,7 @@ import orjson
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_uri, shown
-from services.context_broker.query.parameters import KIND_BY_MEMBER, Kind
+from services.context_broker.query.parameters import KIND_BY_MEMBER, ValueKind
 from services.context_broker.query.patterns import pattern
 from services.context_broker.query.selection import Selection
 from services.context_broker.query.type_selection import type_selection
@@ -150,13 +150,13 @@ def _members(what: str, given: Any, names: dict[str, str]) -> dict[str, str]:
     return parameters
 
 
-_READER_BY_KIND: Final[dict[Kind, Callable[[str, Any], dict[str, str]]]] = {
-    Kind.TEXT: _text,
-    Kind.LIST: _texts,
-    Kind.NAMES: _names,
-    Kind.FLAG: _flag,
-    Kind.NUMBER: _level,
-    Kind.GEO: _place,
-    Kind.ORDER: _order,
+_READER_BY_KIND: Final[dict[ValueKind, Callable[[str, Any], dict[str, str]]]] = {
+    ValueKind.TEXT: _text,
+    ValueKind.LIST: _texts,
+    ValueKind.NAMES: _names,
+    ValueKind.FLAG: _flag,
+    ValueKind.NUMBER: _level,
+    ValueKind.GEO: _place,
+    ValueKind.ORDER: _order,
 }
 _READERS: Final = {member: _READER_BY_KIND[kind] for member, kind in KIND_BY_MEMBER.items()}

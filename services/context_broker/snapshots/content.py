@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from services.context_broker.model.attribute_selection import select_attributes
 from services.context_broker.model.entity import Entity
-from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind
+from services.context_broker.storage.entries import DocumentKey, DocumentKind, EntityRow, Entries
 from services.context_broker.storage.history_archive import END_OF_TIME, DepartedRow
 from services.context_broker.tenants import Tenant
 
@@ -67,7 +67,7 @@ def deletion_entries(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iter
         )
     gone: dict[DocumentKey, bytes | None] = dict.fromkeys(inner.federation.document_keys())
     for one in inner.notifier.all():
-        gone[Kind.SUBSCRIPTION, inner.name, one.id] = None
-        gone[Kind.COUNTS, inner.name, one.id] = None
+        gone[DocumentKind.SUBSCRIPTION, inner.name, one.id] = None
+        gone[DocumentKind.COUNTS, inner.name, one.id] = None
     if gone:
         yield Entries(documents=gone)

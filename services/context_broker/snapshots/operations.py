@@ -47,7 +47,7 @@ from services.context_broker.snapshots.snapshot import (
 from services.context_broker.snapshots.snapshot_creation import SnapshotCreator
 from services.context_broker.snapshots.snapshot_notifications import SnapshotNotifier, restored
 from services.context_broker.snapshots.snapshot_store import SnapshotStore, entries
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 from services.context_broker.storage.journal import Journal
 from services.context_broker.tenants import Tenant, Tenants
 
@@ -87,7 +87,7 @@ class BrokerSnapshots:
 
         Pending notifications are sent, interrupted creations fail, and content without a snapshot is deleted.
         """
-        pending = [restored(*stored) for stored in journal.documents(Kind.SNAPSHOT_NOTIFICATION)]
+        pending = [restored(*stored) for stored in journal.documents(DocumentKind.SNAPSHOT_NOTIFICATION)]
         for notification in sorted(pending, key=lambda one: one.at):
             self.notifier.add(notification)
         kept: set[str] = set()
@@ -106,7 +106,7 @@ class BrokerSnapshots:
 
     def restore(self, journal: Journal) -> None:
         """Load the stored snapshots."""
-        for tenant, _, body in journal.documents(Kind.SNAPSHOT):
+        for tenant, _, body in journal.documents(DocumentKind.SNAPSHOT):
             self._snapshots.load(tenant, body)
 
     async def answer(self, operation: Operation, request: RequestContext, carry_out: CarryOut) -> Response:

@@ -20,7 +20,7 @@ from services.context_broker.delivery.delivery_worker import DROPPED
 from services.context_broker.model.validation import tenant_headers, timestamp_now
 from services.context_broker.network.http_client import SendError
 from services.context_broker.snapshots.snapshot import Snapshot
-from services.context_broker.storage.entries import DocumentKey, Entries, Kind
+from services.context_broker.storage.entries import DocumentKey, DocumentKind, Entries
 
 if TYPE_CHECKING:
     from services.context_broker.tenants import Tenants
@@ -52,7 +52,7 @@ class SnapshotNotification:
     @property
     def key(self) -> DocumentKey:
         """Return the key of the stored document."""
-        return Kind.SNAPSHOT_NOTIFICATION, self.tenant, self.id
+        return DocumentKind.SNAPSHOT_NOTIFICATION, self.tenant, self.id
 
     def stored(self) -> bytes:
         """Return the document for the journal."""

@@ -15,7 +15,7 @@ from services.context_broker.snapshots.content import deletion_entries
 from services.context_broker.snapshots.snapshot import MAX_SNAPSHOTS, MAX_TOTAL_ENTITIES, Snapshot, restored
 from services.context_broker.snapshots.snapshot_notifications import SnapshotNotifier, notification_of
 from services.context_broker.storage.database import NotStored
-from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, Entries
 from services.context_broker.tenants import DEFAULT, Tenant, Tenants
 
 log = get_logger(__name__)
@@ -82,7 +82,7 @@ class SnapshotStore:
 
     async def remove(self, tenant: Tenant, one: Snapshot) -> None:
         """Delete a snapshot with its content and notify its endpoint (clause 5.16.6)."""
-        gone = Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): None})
+        gone = Entries(documents={(DocumentKind.SNAPSHOT, tenant.name, one.id): None})
         notification = notification_of(tenant.name, one.changed(expiresAt=timestamp_now()))
         if notification is not None:
             gone.documents[notification.key] = notification.stored()
@@ -98,7 +98,7 @@ class SnapshotStore:
         for each in deletion_entries(inner, [(place, one) for place, one, _ in departed]):
             await _write(inner, each)
         if inner.is_kept:
-            await _write(inner, Entries(documents={(Kind.TENANT, DEFAULT, inner.name): None}))
+            await _write(inner, Entries(documents={(DocumentKind.TENANT, DEFAULT, inner.name): None}))
         self._tenants.drop(inner.name)
 
     async def evict_for_one(self, tenant: Tenant) -> None:
@@ -130,7 +130,7 @@ class SnapshotStore:
 
 def entries(tenant: Tenant, one: Snapshot) -> Entries:
     """Return the commit that stores a snapshot."""
-    return Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): one.stored()})
+    return Entries(documents={(DocumentKind.SNAPSHOT, tenant.name, one.id): one.stored()})
 
 
 def _by_worth(snapshots: Iterable[Snapshot]) -> list[Snapshot]:

@@ -20,7 +20,7 @@ from handover.sqlite_files import damage
 from handover.telemetry import get_logger
 from services.context_broker.storage import checksums
 from services.context_broker.storage.database import NotStored, Row, SqliteDatabase, Writer, unusable
-from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, Entries
 from services.context_broker.storage.records import decoded, encoded
 from services.context_broker.storage.write_ahead_log import Damaged, WriteAheadLog
 
@@ -340,6 +340,6 @@ def lots(commits: list[Entries]) -> list[Entries]:
 def _ends_a_subscription(entries: Entries) -> bool:
     """Return whether the commit deletes a subscription: a later one may have the same id."""
     return any(
-        body is None and kind in (Kind.SUBSCRIPTION, Kind.SOURCE_SUBSCRIPTION)
+        body is None and kind in (DocumentKind.SUBSCRIPTION, DocumentKind.SOURCE_SUBSCRIPTION)
         for (kind, _, _), body in entries.documents.items()
     )

@@ -1,11 +1,11 @@
 """Documents of the journal together with the counts that are kept for each."""
 
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 from services.context_broker.storage.journal import Journal
 
 
 def documents_with_counts(
-    journal: Journal, kind: Kind, counts: Kind
+    journal: Journal, kind: DocumentKind, counts: DocumentKind
 ) -> dict[str, list[tuple[bytes, bytes | None]]]:
     """Return the documents of a kind by tenant, each with its document of the kind `counts`, if any."""
     counted = {(tenant, one): body for tenant, one, body in journal.documents(counts)}

@@ -10,7 +10,7 @@ OVERHEAD_BYTES: Final = 200
 """Memory that a notification takes besides its body."""
 
 
-class Kind(StrEnum):
+class DocumentKind(StrEnum):
     """The kind of a document. Documents of a tenant are deleted with it; those of no tenant have the
     tenant ""."""
 
@@ -38,7 +38,7 @@ class Kind(StrEnum):
     """Statistics of the operations forwarded to the source of the registration of the same id."""
 
 
-DocumentKey = tuple[Kind, str, str]
+DocumentKey = tuple[DocumentKind, str, str]
 """Kind, tenant and id."""
 
 

@@ -29,7 +29,7 @@ AT_ONCE: Final = 500
 """Expiries that are handled before other tasks run."""
 
 
-class Store(Protocol):
+class ExpiringStore(Protocol):
     """The entities of one tenant, as the queue uses them."""
 
     def latest(self, entity_id: str) -> Entity | None:
@@ -43,8 +43,8 @@ class ExpiryQueue:
     """Deletes transient entities and attributes of all tenants when they expire."""
 
     def __init__(self) -> None:
-        self._queue: list[tuple[float, int, Store, str]] = []
-        self._due_s: dict[tuple[Store, str], float] = {}
+        self._queue: list[tuple[float, int, ExpiringStore, str]] = []
+        self._due_s: dict[tuple[ExpiringStore, str], float] = {}
         self._numbers = itertools.count()
         self._timer: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -54,13 +54,13 @@ class ExpiryQueue:
         """The length of the queue."""
         return len(self._queue)
 
-    def watch(self, store: Store, entity: Entity) -> None:
+    def watch(self, store: ExpiringStore, entity: Entity) -> None:
         """Add an entity with its next expiry."""
         end_s = moment(entity.ends_at or "")
         if end_s is not None:
             self._put(store, entity.id, end_s)
 
-    def forget(self, store: Store, entity_id: str) -> None:
+    def forget(self, store: ExpiringStore, entity_id: str) -> None:
         """Remove an entity that was deleted before; its entry leaves the queue when there are many."""
         self._due_s.pop((store, entity_id), None)
         if len(self._queue) > 2 * len(self._due_s) + LEFT_BEHIND:
@@ -78,7 +78,7 @@ class ExpiryQueue:
         if self._timer is not None:
             self._timer.cancel()
 
-    def _put(self, store: Store, entity_id: str, due_s: float) -> None:
+    def _put(self, store: ExpiringStore, entity_id: str, due_s: float) -> None:
         known_s = self._due_s.get((store, entity_id))
         if known_s is not None and known_s <= due_s:
             return
@@ -107,7 +107,7 @@ class ExpiryQueue:
             self._look_at(store, entity_id, now_s)
         self._set_timer()
 
-    def _look_at(self, store: Store, entity_id: str, now_s: float) -> None:
+    def _look_at(self, store: ExpiringStore, entity_id: str, now_s: float) -> None:
         entity = store.latest(entity_id)
         end_s = None if entity is None or entity.ends_at is None else moment(entity.ends_at)
         if entity is None or end_s is None:
@@ -117,7 +117,7 @@ class ExpiryQueue:
         else:
             self._end(store, entity, now_s)
 
-    def _end(self, store: Store, entity: Entity, now_s: float) -> None:
+    def _end(self, store: ExpiringStore, entity: Entity, now_s: float) -> None:
         if has_expired(entity.expires_at, now_s):
             event = Event.end_of(entity)
         else:

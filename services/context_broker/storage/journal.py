@@ -16,7 +16,7 @@ from services.context_broker.storage import checksums
 from services.context_broker.storage.checkpoint import Checkpointer
 from services.context_broker.storage.checksums import require_row
 from services.context_broker.storage.database import Database, NotStored, Row, SqliteDatabase, Writer
-from services.context_broker.storage.entries import OVERHEAD_BYTES, Entries, Kind, PendingNotification
+from services.context_broker.storage.entries import OVERHEAD_BYTES, DocumentKind, Entries, PendingNotification
 from services.context_broker.storage.history_archive import Archive, write_archive
 
 __all__ = ["Journal", "NotStored"]
@@ -64,7 +64,7 @@ _ORPHANS: Final = """
     NOT EXISTS (SELECT 1 FROM documents s WHERE s.kind IN ({kinds}) AND s.tenant = {table}.tenant
     AND s.id = {table}.{key})
 """
-_SUBSCRIPTION_KINDS: Final = f"'{Kind.SUBSCRIPTION}', '{Kind.SOURCE_SUBSCRIPTION}'"
+_SUBSCRIPTION_KINDS: Final = f"'{DocumentKind.SUBSCRIPTION}', '{DocumentKind.SOURCE_SUBSCRIPTION}'"
 
 
 class Journal:
@@ -208,7 +208,7 @@ class Journal:
             if row.body is not None:
                 yield row.tenant, row.body
 
-    def documents(self, kind: Kind) -> Iterator[tuple[str, str, bytes]]:
+    def documents(self, kind: DocumentKind) -> Iterator[tuple[str, str, bytes]]:
         """Yield tenant, id and body of all documents of a kind. Raises `UsageError` for a damaged one."""
         left = {key[1:]: body for key, body in self._left().documents.items() if key[0] is kind}
         for tenant, name, body, checksum in self._scan(
@@ -370,10 +370,12 @@ def _tidy(writer: Writer, write: Callable[[Writer, Entries], None]) -> None:
     writer.run(f"DELETE FROM outbox WHERE {orphans}")  # noqa: S608 - ours
     orphans = _ORPHANS.format(kinds=kinds, table="documents", key="id")
     counts = writer.run(
-        f"SELECT tenant, id FROM documents WHERE kind = '{Kind.COUNTS}' AND {orphans}"  # noqa: S608 - ours
+        f"SELECT tenant, id FROM documents WHERE kind = '{DocumentKind.COUNTS}' AND {orphans}"  # noqa: S608 - ours
     )
     if counts:
-        write(writer, Entries(documents={(Kind.COUNTS, tenant, name): None for tenant, name in counts}))
+        write(
+            writer, Entries(documents={(DocumentKind.COUNTS, tenant, name): None for tenant, name in counts})
+        )
 
 
 def _write_entities(writer: Writer, entries: Entries) -> None:
@@ -409,7 +411,7 @@ def _write_documents(writer: Writer, entries: Entries) -> None:
     if gone:
         writer.run_many("DELETE FROM documents WHERE kind = ? AND tenant = ? AND id = ?", gone)
     for kind, tenant, name in gone:
-        if kind in (Kind.SUBSCRIPTION, Kind.SOURCE_SUBSCRIPTION):
+        if kind in (DocumentKind.SUBSCRIPTION, DocumentKind.SOURCE_SUBSCRIPTION):
             writer.run("DELETE FROM outbox WHERE tenant = ? AND subscription = ?", (tenant, name))
 
 

@@ -9,7 +9,13 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind, PendingNotification
+from services.context_broker.storage.entries import (
+    DocumentKey,
+    DocumentKind,
+    EntityRow,
+    Entries,
+    PendingNotification,
+)
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 
 _NOTHING: Final[tuple[()]] = ()
@@ -72,7 +78,7 @@ def decoded(record: bytes) -> Entries:
         for place, seq, observed_from, observed_to, rewritten, size in rows("history")
     ]
     documents: dict[DocumentKey, bytes | None] = {
-        (Kind(kind), tenant, name): body(size) for kind, tenant, name, size in rows("documents")
+        (DocumentKind(kind), tenant, name): body(size) for kind, tenant, name, size in rows("documents")
     }
     pending = [
         PendingNotification(tenant, subscription, entity, at_s, body(size), seq, body(headers))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from handover.errors import UsageError
 from services.context_broker.storage.checkpoint import lots
 from services.context_broker.storage.database import NotStored, SqliteDatabase
-from services.context_broker.storage.entries import EntityRow, Entries, Kind, PendingNotification
+from services.context_broker.storage.entries import DocumentKind, EntityRow, Entries, PendingNotification
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 from services.context_broker.storage.journal import SCRIPT, Journal, total_of
 from services.context_broker.storage.records import decoded, encoded
@@ -42,7 +42,16 @@ notices = st.builds(
     PendingNotification, tenants, names, names, st.floats(0, 2e9), bodies_or_none, st.just(0), bodies_or_none
 )
 document_keys = st.tuples(
-    st.sampled_from([Kind.SUBSCRIPTION, Kind.SOURCE_SUBSCRIPTION, Kind.COUNTS, Kind.CONTEXT]), tenants, names
+    st.sampled_from(
+        [
+            DocumentKind.SUBSCRIPTION,
+            DocumentKind.SOURCE_SUBSCRIPTION,
+            DocumentKind.COUNTS,
+            DocumentKind.CONTEXT,
+        ]
+    ),
+    tenants,
+    names,
 )
 commits = st.builds(
     Entries,

@@ -20,7 +20,7 @@ from services.context_broker.contexts.fetching import (
 from services.context_broker.contexts.own_address import OwnAddress
 from services.context_broker.model.problems import context_not_available
 from services.context_broker.network.outbound_policy import OutboundPolicy
-from services.context_broker.storage.entries import DocumentKey, Kind
+from services.context_broker.storage.entries import DocumentKey, DocumentKind
 
 URL = "https://a.example/context.jsonld"
 
@@ -60,10 +60,10 @@ class Shelf:
 
         book = ContextResolver(keep, note, self.published, OwnAddress(None, "http://127.0.0.1:1026"))
         for (kind, tenant, key), body in list(self.kept.items()):
-            if kind is Kind.CONTEXT:
+            if kind is DocumentKind.CONTEXT:
                 book.remember(tenant, key, body)
         for (kind, _, key), body in list(self.kept.items()):
-            if kind is Kind.CONTEXT_USAGE:
+            if kind is DocumentKind.CONTEXT_USAGE:
                 book.usage.remember(key, body)
         return book
 
@@ -152,7 +152,7 @@ async def test_a_missing_context_is_missing_after_a_restart_too() -> None:
 
 async def test_contexts_of_the_first_release_are_taken_over() -> None:
     shelf = Shelf(Published(context(speed="new"), 3600))
-    shelf.kept[Kind.CONTEXT, "", URL] = b'{"@context": {"speed": "https://a.example/speed"}}'
+    shelf.kept[DocumentKind.CONTEXT, "", URL] = b'{"@context": {"speed": "https://a.example/speed"}}'
     shelf.book = shelf.opened()
     assert (await shelf.book.of(URL)).terms.expand("speed") == "https://a.example/speed"
 
@@ -163,7 +163,7 @@ async def test_a_deleted_context_serves_its_subscriptions_and_is_then_erased() -
     url = one.address("http://127.0.0.1:1026")
     await shelf.book.of(url)
     shelf.book.usage.write()
-    assert {kind for kind, _, _ in shelf.kept} == {Kind.CONTEXT, Kind.CONTEXT_USAGE}
+    assert {kind for kind, _, _ in shelf.kept} == {DocumentKind.CONTEXT, DocumentKind.CONTEXT_USAGE}
     await shelf.book.delete(one)
     with pytest.raises(Problem):
         await shelf.book.of(url)

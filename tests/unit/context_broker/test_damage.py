@@ -14,7 +14,7 @@ import pytest
 
 from handover.errors import UsageError
 from services.context_broker.storage.database import NotStored, SqliteDatabase
-from services.context_broker.storage.entries import EntityRow, Entries, Kind, PendingNotification
+from services.context_broker.storage.entries import DocumentKind, EntityRow, Entries, PendingNotification
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT, Journal
 
@@ -61,7 +61,7 @@ def commit(journal: Journal, model: Model, chance: random.Random) -> None:
     model.history[place, seq] = body
     if chance.random() < 0.3:
         name = f"urn:document:{chance.randint(1, 5)}"
-        entries.documents[Kind.CONTEXT, "", name] = model.documents[name] = body
+        entries.documents[DocumentKind.CONTEXT, "", name] = model.documents[name] = body
     if chance.random() < 0.3:
         entries.pending.append(PendingNotification("", SUBSCRIPTION, f"urn:{place}", 2.5, body))
         model.pending.append(body)
@@ -76,7 +76,7 @@ def served(folder: Path) -> Any:
         history = {(place, seq): body for place, seq, _, body in journal.archive.history(range(1, 41))}
         return (
             [body for _, body in journal.entities()],
-            {name: body for _, name, body in journal.documents(Kind.CONTEXT)},
+            {name: body for _, name, body in journal.documents(DocumentKind.CONTEXT)},
             dict(sorted(history.items())),
             {place: body for place, _, body in journal.archive.departed("")},
             [one.body for one in journal.pending("", SUBSCRIPTION, 0, 10_000)],
@@ -90,7 +90,7 @@ def written(folder: Path, chance: random.Random, count: int) -> Iterator[tuple[J
     folder.mkdir()
     journal, model = Journal(SqliteDatabase(folder / "broker.db")), Model()
     journal.open()
-    subscription = Entries(documents={(Kind.SUBSCRIPTION, "", SUBSCRIPTION): b"{}"})
+    subscription = Entries(documents={(DocumentKind.SUBSCRIPTION, "", SUBSCRIPTION): b"{}"})
     journal.commit(subscription)
     for number in range(count):
         commit(journal, model, chance)

@@ -8,7 +8,7 @@ import pytest
 
 from handover.errors import UsageError
 from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.entries import EntityRow, Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, EntityRow, Entries
 from services.context_broker.storage.journal import SCHEMA_VERSION, Journal
 
 
@@ -24,7 +24,7 @@ def written(file: Path) -> None:
     journal.commit(
         Entries(
             entities={1: EntityRow("", "urn:e", b"one")},
-            documents={(Kind.CONTEXT, "", "http://context"): b"{}"},
+            documents={(DocumentKind.CONTEXT, "", "http://context"): b"{}"},
         )
     )
     journal.close()
@@ -40,7 +40,7 @@ def test_a_journal_is_read_again(tmp_path: Path) -> None:
     journal = Journal(SqliteDatabase(tmp_path / "broker.db"))
     journal.open()
     assert list(journal.entities()) == [("", b"one")]
-    assert list(journal.documents(Kind.CONTEXT)) == [("", "http://context", b"{}")]
+    assert list(journal.documents(DocumentKind.CONTEXT)) == [("", "http://context", b"{}")]
     journal.close()
 
 

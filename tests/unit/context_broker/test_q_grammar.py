@@ -14,9 +14,9 @@ from services.context_broker.query.q_grammar import (
     And,
     Compare,
     Exists,
-    Kind,
-    Link,
+    LinkPath,
     Literal,
+    LiteralKind,
     Matches,
     Or,
     Path,
@@ -35,11 +35,11 @@ def expand(name: str) -> str:
 
 
 def number(value: float) -> Literal:
-    return Literal(Kind.NUMBER, value)
+    return Literal(LiteralKind.NUMBER, value)
 
 
 def text(value: str) -> Literal:
-    return Literal(Kind.TEXT, value)
+    return Literal(LiteralKind.TEXT, value)
 
 
 def test_and_binds_tighter_than_or() -> None:
@@ -53,16 +53,16 @@ def test_and_binds_tighter_than_or() -> None:
         ("5", number(5)),
         ("-0.5", number(-0.5)),
         ("1e3", number(1000.0)),
-        ("true", Literal(Kind.TRUTH, True)),
-        ("false", Literal(Kind.TRUTH, False)),
+        ("true", Literal(LiteralKind.TRUTH, True)),
+        ("false", Literal(LiteralKind.TRUTH, False)),
         ('"true"', text("true")),
         ('"a;b|c)"', text("a;b|c)")),
         (r'"say \"hello\""', text('say "hello"')),
         ('"erä"', text("erä")),
-        ("urn:ngsi-ld:Task:demo:1", Literal(Kind.URI, "urn:ngsi-ld:Task:demo:1")),
-        ("2026-01-01T00:00:00Z", Literal(Kind.TIME, 1767225600.0)),
-        ("2026-01-01", Literal(Kind.TIME, 1767225600.0)),
-        ("12:30:00Z", Literal(Kind.TIME, "12:30:00Z")),
+        ("urn:ngsi-ld:Task:demo:1", Literal(LiteralKind.URI, "urn:ngsi-ld:Task:demo:1")),
+        ("2026-01-01T00:00:00Z", Literal(LiteralKind.TIME, 1767225600.0)),
+        ("2026-01-01", Literal(LiteralKind.TIME, 1767225600.0)),
+        ("12:30:00Z", Literal(LiteralKind.TIME, "12:30:00Z")),
         ("1..5", Span(number(1), number(5))),
         ("1.5..2.5", Span(number(1.5), number(2.5))),
         ('"a".."b"', Span(text("a"), text("b"))),
@@ -270,10 +270,12 @@ def test_an_updated_index_equals_a_rebuilt_one(
 def test_a_path_goes_through_relationships_into_other_entities() -> None:
     tree = parse("sensor{Device,Thing:humidity.accuracy}==40")
     assert tree == Compare(
-        Path(("sensor",), (), Link(("Device", "Thing"), Path(("humidity", "accuracy")))), "==", (number(40),)
+        Path(("sensor",), (), LinkPath(("Device", "Thing"), Path(("humidity", "accuracy")))),
+        "==",
+        (number(40),),
     )
     assert next(paths(parse("a{b{c[d]}}"))).hops == 2
-    assert parse("a{b}") == Exists(Path(("a",), (), Link((), Path(("b",)))))
+    assert parse("a{b}") == Exists(Path(("a",), (), LinkPath((), Path(("b",)))))
 
 
 def things() -> dict[str, Entity]:

@@ -15,7 +15,7 @@ from services.context_broker.snapshots.snapshot import Snapshot, Status, new_sna
 from services.context_broker.snapshots.snapshot_creation import SnapshotCreator
 from services.context_broker.snapshots.snapshot_store import SnapshotStore
 from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 from services.context_broker.storage.journal import Journal
 
 QUERY = {"type": "Query", "entities": [{"type": "Task"}]}
@@ -48,7 +48,7 @@ async def settled(
 
 
 def kept_status(broker: Broker) -> list[bytes]:
-    return [body for _, _, body in broker.journal.documents(Kind.SNAPSHOT)]
+    return [body for _, _, body in broker.journal.documents(DocumentKind.SNAPSHOT)]
 
 
 async def test_a_failing_query_is_reported_and_the_others_are_carried_out(broker: Broker) -> None:

@@ -57,7 +57,7 @@ from services.context_broker.request.request_context import (
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
-from services.context_broker.storage.entries import Entries, Kind, PendingNotification
+from services.context_broker.storage.entries import DocumentKind, Entries, PendingNotification
 from services.context_broker.storage.journal import Journal
 from services.context_broker.tenants import Tenant, Tenants
 
@@ -105,7 +105,7 @@ class SubscriptionForwarder:
     async def start(self, journal: Journal) -> None:
         """Load the forwarded subscriptions and bring them in step."""
         self._base = self._contexts.base({})
-        for tenant, token, stored in journal.documents(Kind.FORWARDED_SUBSCRIPTION):
+        for tenant, token, stored in journal.documents(DocumentKind.FORWARDED_SUBSCRIPTION):
             await self._restore(tenant, token, stored)
         for forwarded in self._forwarded.values():
             self._base = self._public_url or forwarded.base
@@ -302,13 +302,13 @@ class SubscriptionForwarder:
         return [one for one in self._forwarded.values() if one.tenant == tenant.name]
 
     async def _store(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
-        key = (Kind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token)
+        key = (DocumentKind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token)
         await tenant.commits.store(Entries(documents={key: forwarded.stored()}))
         self._forwarded[forwarded.token] = forwarded
 
     async def _remove(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
         await tenant.commits.store(
-            Entries(documents={(Kind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token): None})
+            Entries(documents={(DocumentKind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token): None})
         )
         self._forwarded.pop(forwarded.token, None)
 

@@ -26,7 +26,7 @@ from services.context_broker.model.validation import (
     timestamp,
 )
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, Entries
 
 OWN: Final = "@none"
 """Stands for the broker itself among the sources of an entity."""
@@ -139,7 +139,7 @@ class EntityMaps:
         entries = self._entries(made)
         for gone in self._in_excess_of(len(entities)):
             self._all.pop(gone, None)
-            entries.documents[Kind.ENTITY_MAP, self._tenant, gone] = None
+            entries.documents[DocumentKind.ENTITY_MAP, self._tenant, gone] = None
         await self._commits.store(entries)
         self._all[made.id] = made
         return made
@@ -170,11 +170,11 @@ class EntityMaps:
     async def delete(self, map_id: str) -> None:
         """Delete a map."""
         self.get(map_id)
-        await self._commits.store(Entries(documents={(Kind.ENTITY_MAP, self._tenant, map_id): None}))
+        await self._commits.store(Entries(documents={(DocumentKind.ENTITY_MAP, self._tenant, map_id): None}))
         self._all.pop(map_id, None)
 
     def _entries(self, one: EntityMap) -> Entries:
-        return Entries(documents={(Kind.ENTITY_MAP, self._tenant, one.id): one.stored()})
+        return Entries(documents={(DocumentKind.ENTITY_MAP, self._tenant, one.id): one.stored()})
 
     def _in_excess_of(self, more: int) -> list[str]:
         """Return the maps to delete: expired ones, and those that expire next if there are too many."""

@@ -43,7 +43,7 @@ from services.context_broker.request.request_context import (
 )
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
-from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, Entries
 from services.context_broker.tenants import Tenant
 
 DONE: Final = Response(204)
@@ -176,7 +176,7 @@ class RegistrationOperations:
         return result
 
     async def _keep(self, tenant: Tenant, before: Registration | None, made: Registration) -> None:
-        key = (Kind.REGISTRATION, tenant.name, made.id)
+        key = (DocumentKind.REGISTRATION, tenant.name, made.id)
         pending = notices_of_change(federated(tenant).source_notifier, before, made)
         await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}, pending=pending))
         federated(tenant).registry.put(made)
@@ -241,8 +241,8 @@ def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
 
 
 def _deletion_of(tenant: Tenant, one: Registration) -> Entries:
-    registered = (Kind.REGISTRATION, tenant.name, one.id)
-    attempts = (Kind.ATTEMPTS, tenant.name, one.id)
+    registered = (DocumentKind.REGISTRATION, tenant.name, one.id)
+    attempts = (DocumentKind.ATTEMPTS, tenant.name, one.id)
     pending = notices_of_change(federated(tenant).source_notifier, one, None)
     return Entries(documents={registered: None, attempts: None}, pending=pending)
 

@@ -23,7 +23,7 @@ from services.context_broker.federation.registrations.registration import (
 from services.context_broker.model.entity import Entity, dataset_of
 from services.context_broker.model.validation import timestamp_now
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.entries import DocumentKind, Entries
 
 Watcher = Callable[[Registration | None, Registration | None], None]
 """Called with a registration before and after a committed change; None where there is none."""
@@ -165,7 +165,7 @@ class Registry:
             attempts.last_failure = at
             attempts.cooldown_until_s = time.monotonic() + registration.management.cooldown_s
         if registration.id in self._all:  # it may have been deleted during the request
-            key = (Kind.ATTEMPTS, self.tenant, registration.id)
+            key = (DocumentKind.ATTEMPTS, self.tenant, registration.id)
             self._commits.store_later(Entries(documents={key: stored_attempts(attempts)}))
 
     def restore_attempts(self, registration_id: str, kept: bytes) -> None:

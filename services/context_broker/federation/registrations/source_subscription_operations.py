@@ -9,7 +9,7 @@ from services.context_broker.federation.tenant_state import federated
 from services.context_broker.operations.subscription_operations import SubscriptionOperations
 from services.context_broker.request.query_parameters import PAGE_PARAMETERS
 from services.context_broker.request.routing import Operation
-from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.entries import DocumentKind
 from services.context_broker.tenants import Tenant
 
 _VIEW: Final = frozenset({"options"})
@@ -18,7 +18,7 @@ _VIEW: Final = frozenset({"options"})
 class SourceSubscriptionOperations(SubscriptionOperations):
     """Operations on subscriptions to registrations. A new one is notified of all matching registrations."""
 
-    KIND = Kind.SOURCE_SUBSCRIPTION
+    KIND = DocumentKind.SOURCE_SUBSCRIPTION
     BESIDES = frozenset({"temporalQ"})
 
     def operations(self) -> tuple[Operation, ...]:
