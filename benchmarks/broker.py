@@ -40,7 +40,7 @@ MIN_PER_S = {
 }
 CONTEXT = "https://w3id.org/handover/context.jsonld"
 LINK = f'<{CONTEXT}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
-FIRST_HITS = 20
+HITS_IN_PROGRESS = 20
 
 
 class Broker:
@@ -304,7 +304,7 @@ async def fill(broker: Broker, first: int, stored: int) -> None:
     line = await Line.open(broker.port)
     for start in range(first, stored, 500):
         statuses = (
-            "inProgress" if n < FIRST_HITS else "paused" if n < 1020 else "pending"
+            "inProgress" if n < HITS_IN_PROGRESS else "paused" if n < 1020 else "pending"
             for n in itertools.count(start)
         )
         batch = [

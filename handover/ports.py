@@ -21,7 +21,7 @@ from handover.errors import UsageError
 
 UNSEEN_TIMEOUT_S = 75.0
 """Waiting time if the system does not show the connection (TIME_WAIT: 60 s on Linux)."""
-FIRST_LOOK_S, LAST_LOOK_S = 0.25, 2.0
+INITIAL_DELAY_S, MAX_DELAY_S = 0.25, 2.0
 SAY_AGAIN_S = 60.0
 
 _TABLES = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
@@ -129,7 +129,7 @@ def reserved_ports() -> set[int]:
 def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.socket | float]:
     """Try to reserve the port: yield the delay before each further attempt, finally the socket."""
     began_s = time.monotonic()
-    say_at_s, wait_s = began_s, FIRST_LOOK_S
+    say_at_s, wait_s = began_s, INITIAL_DELAY_S
     while True:
         try:
             yield hold(host, port, setting)
@@ -145,7 +145,7 @@ def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.s
                 )
                 say_at_s = now_s + SAY_AGAIN_S
             yield wait_s
-            wait_s = min(1.5 * wait_s, LAST_LOOK_S)
+            wait_s = min(1.5 * wait_s, MAX_DELAY_S)
         else:
             return
 
