@@ -172,7 +172,7 @@ def test_brokers_that_are_killed_in_turn_lose_nothing_and_repeat_little(
         promised = {
             (thing, number)
             for writer in writers
-            for thing, sent in writer.returned.items()
+            for thing, sent in writer.notified.items()
             for number in sent
         }
         eventually(lambda promised=promised: promised <= received(subscriber), 60, "some were not notified")

@@ -28,7 +28,7 @@ class Writer(threading.Thread):
         self.dice = before.dice if before else random.Random(number)
         self.acknowledged: dict[str, State] = before.acknowledged if before else {}
         self.attempted: dict[str, State] = before.attempted if before else {}
-        self.result: dict[str, list[int]] = before.result if before else {}
+        self.notified: dict[str, list[int]] = before.notified if before else {}
         self.count = before.count if before else 0
         self.ways: dict[str, int] = before.ways if before else {}
         self.failures: list[str] = []
@@ -63,7 +63,7 @@ class Writer(threading.Thread):
         self.ways[way.__name__] = self.ways.get(way.__name__, 0) + 1
         for name, state in intended.items():
             if state is not None and "n" in state and "Load" in name:
-                self.result.setdefault(name, []).append(state["n"])
+                self.notified.setdefault(name, []).append(state["n"])
 
     def _write_document(self, http: httpx.Client) -> None:
         thing = f"urn:ngsi-ld:Subscription:demo:{self.number}-{self.dice.randrange(2)}"
