@@ -27,7 +27,13 @@ AT = "2026-01-01T00:00:00.000000Z"
 
 def documents(*members: str, values: tuple[Any, ...] = ()) -> st.SearchStrategy[Any]:
     """JSON with many members and values of NGSI-LD."""
-    plain = st.none() | st.booleans() | st.integers() | st.text(max_size=5) | st.sampled_from(values)
+    plain = (
+        st.none()
+        | st.booleans()
+        | st.integers(-(2**63), 2**64 - 1)
+        | st.text(max_size=5)
+        | st.sampled_from(values)
+    )
     names = st.sampled_from(members) | st.text(max_size=3)
     return st.recursive(
         plain,
