@@ -13,6 +13,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
+from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -184,9 +185,9 @@ def test_alert_sounds_are_optional_and_played_once_for_many(alert_screen: Cell, 
     page.get_by_role("grid", name="Alerts").wait_for()
     assert page.evaluate("window.tones.length") == 0, "the sound is off unless somebody wants it"
     page.get_by_role("checkbox", name=re.compile("^Play a sound")).check(force=True)
-    page.wait_for_function("window.tones.length === 2")
+    wait_for(lambda: page.evaluate("window.tones.length") == 2)
     write(cell, *(alert(number, "critical") for number in range(2, 60)))
-    page.wait_for_function("window.tones.length >= 4")
+    wait_for(lambda: page.evaluate("window.tones.length") >= 4)
     expect(page.locator(".alert-actions__count")).to_have_text("59 alerts")
     write(cell, *(alert(number, "low") for number in range(60, 70)))
     expect(page.locator(".alert-actions__count")).to_have_text("69 alerts")

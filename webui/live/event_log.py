@@ -60,7 +60,7 @@ class Event:
     text: str
     at: str
     level: Level = "info"
-    values: Mapping[str, str | int | float] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
 
     def view(self, seq: int) -> LiveEvent:
         """Return the event as sent to pages."""

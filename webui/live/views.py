@@ -430,7 +430,7 @@ class LiveEvent(TypedDict):
     level: Literal["info", "attention", "stop"]
     source: str
     key: str
-    values: dict[str, str | float]
+    values: dict[str, Any]
     text: str
 
 

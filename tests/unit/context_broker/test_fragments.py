@@ -165,7 +165,12 @@ PIECES = st.sampled_from(
      "urn:x:1", "T", "Property", "Relationship", "GeoProperty", "urn:ngsi-ld:null", EARLY, "@context", "a"]
 )  # fmt: skip
 ANYTHING = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=3) | PIECES,
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats(allow_nan=False)
+    | st.text(max_size=3)
+    | PIECES,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(PIECES, inner, max_size=5),
     max_leaves=12,
 )

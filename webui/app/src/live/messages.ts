@@ -386,7 +386,7 @@ export interface LiveEvent {
   level: "info" | "attention" | "stop";
   source: string;
   key: string;
-  values: Record<string, string | number>;
+  values: Record<string, unknown>;
   text: string;
 }
 

@@ -4,21 +4,26 @@ import { useTranslation } from "react-i18next";
 import { localizedText } from "~/i18n/server";
 import type { LiveEvent } from "~/live/messages";
 
+/** A text or number as text; undefined for everything else. */
+function plain(value: unknown): string | undefined {
+  return typeof value === "string" || typeof value === "number" ? String(value) : undefined;
+}
+
 export function useMessageText(): (event: LiveEvent) => string {
   const { t, i18n } = useTranslation(["system", "common"]);
   return useCallback(
     (event: LiveEvent) => {
       const key = `event.${event.key}`;
       if (!i18n.exists(key, { ns: "system" })) return event.text;
-      const { state, service } = event.values;
+      const [state, service, detail] = ["state", "service", "detail"].map((name) => plain(event.values[name]));
       const words = {
         ...event.values,
-        ...(state === undefined ? {} : { state: t(`common:deviceState.${state}`, { defaultValue: String(state) }) }),
-        ...(service === undefined ? {} : { service: t(`common:services.${service}`, { defaultValue: String(service) }) }),
+        ...(state === undefined ? {} : { state: t(`common:deviceState.${state}`, { defaultValue: state }) }),
+        ...(service === undefined ? {} : { service: t(`common:services.${service}`, { defaultValue: service }) }),
       };
       const said = t(key, words);
       // The reason is translated if the component gave it a code.
-      const why = localizedText(event.values, "reason") ?? event.values["detail"] ?? "";
+      const why = localizedText(event.values, "reason") ?? detail ?? "";
       return why === "" ? said : `${said}: ${why}`;
     },
     [t, i18n],
