@@ -12,6 +12,7 @@ BROKER = "context-broker"
 ORCHESTRATOR = "task-orchestrator"
 CONTROLLER = "gesture-controller"
 TRAJECTORY = "trajectory-tool"
+STUDY = "study"
 ROS_BRIDGE = "ros-bridge"
 
 
@@ -45,6 +46,10 @@ class WebuiSettings(Settings):
         None,
         description="where the broker reaches the trajectory tool; http://host:port of it if absent",
     )
+    study_port: int = Field(54270, ge=1, le=65535, description="REST port of the study service")
+    study_url: str | None = Field(
+        None, description="the URL of the study service for others; by default http://host:port"
+    )
     bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
     bridge_url: str | None = Field(
         None,
@@ -72,6 +77,7 @@ class WebuiSettings(Settings):
             ORCHESTRATOR: self.url_of(self.orchestrator_port, self.orchestrator_url),
             CONTROLLER: self.url_of(self.controller_port, self.controller_url),
             TRAJECTORY: self.url_of(self.trajectory_port, self.trajectory_url),
+            STUDY: self.url_of(self.study_port, self.study_url),
         }
         if self.ros_mapping is not None:
             urls[ROS_BRIDGE] = self.url_of(self.bridge_port, self.bridge_url)

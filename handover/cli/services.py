@@ -6,6 +6,7 @@ from handover.settings import Settings
 from ros_fiware_bridge.settings import BridgeSettings
 from services.context_broker.settings import BrokerSettings
 from services.gesture_controller.settings import ControllerSettings
+from services.study.settings import StudySettings
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.trajectory_tool.settings import TrajectorySettings
 from webui.settings import WebuiSettings
@@ -21,6 +22,7 @@ SERVICES = (
         (("glove_host", "glove_port"),),
     ),
     Service("trajectory-tool", "services.trajectory_tool", TrajectorySettings, "trajectory_port"),
+    Service("study", "services.study", StudySettings, "study_port"),
     Service("webui", "webui", WebuiSettings, "webui_port"),
 )
 ROS_BRIDGE = Service("ros-bridge", "ros_fiware_bridge", BridgeSettings, "bridge_port")

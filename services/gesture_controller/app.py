@@ -1,7 +1,7 @@
 """The gesture controller: REST and WebSocket for screens and programs, TCP for gloves."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Annotated, Any, Literal
 
@@ -31,15 +31,11 @@ from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.glove_view import view_of
 from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.people.routes import add_people
-from services.gesture_controller.people.study_conditions import StudyCondition
+from services.gesture_controller.people.study_condition_routes import add_study_conditions
 from services.gesture_controller.pictures.routes import add_pictures, picture_urls
 from services.gesture_controller.prompting.prompt import CannotComplete
 from services.gesture_controller.recognition.gestures import listed
 from services.gesture_controller.settings import ControllerSettings
-from services.gesture_controller.study.protocol import Condition, Session
-from services.gesture_controller.study.routes import add_study
-from services.gesture_controller.study.store import StudyStore
-from services.gesture_controller.study.study_session import StudySessions
 
 log = get_logger(__name__)
 
@@ -100,15 +96,12 @@ def make_app(settings: ControllerSettings) -> FastAPI:
             remedy="handover glove token NAME, or set HANDOVER_GLOVE_TOKEN for all",
         )
     registry, gestures = controller.registry, controller.configuration.gestures
-    sessions = StudySessions(
-        StudyStore(controller.database), _condition_setter(controller), registry.wearers.end_condition
-    )
     accuracy_tests = AccuracyTestRunner(AccuracyTestStore(controller.database), registry.known, gestures)
     calibrations = CalibrationSessions(registry.known, registry.fits, controller.calibrations)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with broker, controller, accuracy_tests, sessions, GloveServer(settings, registry):
+        async with broker, controller, accuracy_tests, GloveServer(settings, registry):
             yield
 
     app = create_app(
@@ -131,20 +124,8 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     _add_actions(app, registry.known)
     _add_streams(app, registry.known)
     add_accuracy_tests(app, accuracy_tests, registry.known)
-    add_study(app, sessions)
+    add_study_conditions(app, registry.wearers)
     return app
-
-
-def _condition_setter(controller: GestureController) -> Callable[[Session, bool], Awaitable[None]]:
-    """Return the function that asks a participant for the gestures of their condition."""
-
-    async def apply(session: Session, is_restart: bool) -> None:
-        own = None if session.condition is None else session.condition is Condition.PERSONAL
-        person = session.person if session.person in controller.people.names() else None
-        condition = StudyCondition(session.pseudonym, session.glove, person, own)
-        await controller.registry.wearers.apply_condition(session.id, condition, is_restart=is_restart)
-
-    return apply
 
 
 def _add_gestures(app: FastAPI, controller: GestureController) -> None:

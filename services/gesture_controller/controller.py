@@ -22,6 +22,7 @@ from services.gesture_controller.connection.glove_registry import GloveRegistry
 from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.store import PeopleStore
+from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.prompting.prompt import GesturePrompt, PromptAnswer, PromptSpec
 from services.gesture_controller.prompting.prompt_resolver import (
     find_definition,
@@ -66,6 +67,7 @@ class GestureController(Performer):
             store=store,
             tokens=tokens,
             people=self.people,
+            conditions=StudyConditionStore(self.database),
             listener=self._reports,
             adopted=self._adopt,
         )

@@ -65,7 +65,7 @@ def browser() -> Iterator[Browser]:
 def screen(cell: Cell) -> Cell:
     """A cell with every service and the screen; a module whose tests share a cell shares what runs in it."""
     cell.run("context_broker")
-    cell.run("task_orchestrator", "gesture_controller", "trajectory_tool", "webui")
+    cell.run("task_orchestrator", "gesture_controller", "trajectory_tool", "study", "webui")
     return cell
 
 
@@ -87,7 +87,7 @@ def quiet_screen(screen: Cell) -> Cell:
 def glove_screen(cell: Cell) -> Cell:
     """A cell with the screen and what gloves need, but no processes and no robot."""
     cell.run("context_broker")
-    cell.run("gesture_controller", "webui")
+    cell.run("gesture_controller", "study", "webui")
     return cell
 
 

@@ -106,7 +106,7 @@ def test_a_participant_completes_the_study_and_the_answers_are_shown(
     page.get_by_text("Mean 75.00").wait_for()
     accessible(page)
     keep(page, "study-results")
-    (session,) = httpx.get(f"{glove_screen.url('gesture_controller')}/study/sessions").json()
+    (session,) = httpx.get(f"{glove_screen.url('study')}/sessions").json()
     assert (session["step"], session["pseudonym"]) == ("finished", "P01")
     page.get_by_role("button", name="Delete P01").click()
     page.get_by_role("dialog").get_by_role("button", name="Delete P01").click()
@@ -119,11 +119,11 @@ def test_a_participant_reads_the_study_in_their_own_language(
     keep: Callable[[Page, str], Path],
     accessible: Callable[[Page], None],
 ) -> None:
-    url = glove_screen.url("gesture_controller")
-    begun = httpx.post(f"{url}/study/sessions", json={"language": "fi"}).raise_for_status().json()
+    url = glove_screen.url("study")
+    begun = httpx.post(f"{url}/sessions", json={"language": "fi"}).raise_for_status().json()
     consent = {"agreed": True, "text": begun["consentVersion"]}
     for step, content in (("consent", consent), ("introduction", {}), ("sample", {})):
-        httpx.post(f"{url}/study/sessions/{begun['id']}/steps/{step}", json=content).raise_for_status()
+        httpx.post(f"{url}/sessions/{begun['id']}/steps/{step}", json=content).raise_for_status()
     page = open_page(f"/study?session={begun['id']}", viewport={"width": 390, "height": 844}, theme="dark")
     page.get_by_role("heading", name="Millainen järjestelmä oli?").wait_for()
     expect(page.get_by_role("button", name="Seuraava")).to_be_disabled()

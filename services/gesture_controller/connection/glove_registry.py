@@ -22,6 +22,7 @@ from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.glove_listener import GloveLink, GloveListener
 from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.people.people import People
+from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.people.wearers import Wearers
 from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.frames import Hello, is_glove_name
@@ -49,13 +50,14 @@ class GloveRegistry:
         store: GloveStore,
         tokens: TokenStore,
         people: People,
+        conditions: StudyConditionStore,
         listener: GloveListener,
         adopted: Callable[[Glove], None],
     ) -> None:
         self.known = KnownGloves()
         self.records = GloveRecords(store)
         self.fits = GloveFits(self.records, listener, settings.recognizer)
-        self.wearers = Wearers(self.known, self.fits, people, adopted)
+        self.wearers = Wearers(self.known, self.fits, people, conditions, adopted)
         self.admission = Admission(settings, tokens)
         self._settings = settings
         self._tokens = tokens

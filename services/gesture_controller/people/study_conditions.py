@@ -1,5 +1,6 @@
 """Study conditions: whose gestures a participant of a study is asked for."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from handover.errors import Problem
@@ -25,8 +26,16 @@ class StudyCondition:
 class StudyConditions:
     """The conditions by study session; of the same glove or person, the newest one counts."""
 
-    def __init__(self) -> None:
-        self._conditions: dict[str, StudyCondition] = {}
+    def __init__(self, conditions: Mapping[str, StudyCondition]) -> None:
+        self._conditions = dict(conditions)
+
+    def items(self) -> Iterable[tuple[str, StudyCondition]]:
+        """Return sessions and conditions, the latest last."""
+        return self._conditions.items()
+
+    def get(self, session: str) -> StudyCondition | None:
+        """Return the condition of a session, if any."""
+        return self._conditions.get(session)
 
     def set(self, session: str, condition: StudyCondition) -> None:
         """Add a condition; older ones of the same glove or person are dropped."""

@@ -11,7 +11,9 @@ from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.person import Person
+from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.people.study_conditions import StudyCondition, StudyConditions
+from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.gestures import Commands
 
 log = get_logger(__name__)
@@ -25,10 +27,13 @@ class Wearers:
         known: KnownGloves,
         fits: GloveFits,
         people: People,
+        condition_store: StudyConditionStore,
         wearer_changed: Callable[[Glove], None],
     ) -> None:
         self.people = people
-        self.conditions = StudyConditions()
+        self.conditions = StudyConditions(condition_store.load())
+        self._condition_store = condition_store
+        self._changing_conditions = asyncio.Lock()
         self._known = known
         self._fits = fits
         self._wearer_changed = wearer_changed
@@ -65,22 +70,32 @@ class Wearers:
         for glove in self._known.worn_by(person.name):
             self._assign(glove, person.name)
 
-    async def apply_condition(self, session: str, condition: StudyCondition, *, is_restart: bool) -> None:
-        """Ask a participant for the gestures of `condition` from the next Task on, with any glove.
+    async def apply_condition(self, session: str, condition: StudyCondition) -> None:
+        """Store a condition, and ask its participant for the gestures from the next Task on, with any glove.
 
-        The participant wears the glove of the session from now on. With `is_restart` the glove keeps its
-        wearer, since the session may be an old one that was never finished.
+        The participant wears the glove of the session from now on, if the person is known. A repeated
+        condition changes nothing: an old session that was never finished does not change the wearer again.
         """
-        self.conditions.set(session, condition)
-        glove = self._known.get(condition.glove or "")
-        if glove is not None and condition.person is not None and not is_restart:
-            await self.wear(glove, condition.person)
-        self._equip_all()
-
-    def end_condition(self, session: str) -> None:
-        """Ask for everybody's usual gestures again."""
-        if self.conditions.remove(session):
+        async with self._changing_conditions:
+            if self.conditions.get(session) == condition:
+                return
+            self.conditions.set(session, condition)
+            await self._save_conditions()
+            glove, person = self._known.get(condition.glove or ""), condition.person
+            if glove is not None and person is not None and person in self.people.names():
+                await self.wear(glove, person)
             self._equip_all()
+
+    async def end_condition(self, session: str) -> None:
+        """Ask for everybody's usual gestures again."""
+        async with self._changing_conditions:
+            if self.conditions.remove(session):
+                await self._save_conditions()
+                self._equip_all()
+
+    async def _save_conditions(self) -> None:
+        conditions = dict(self.conditions.items())
+        await persist(lambda: self._condition_store.replace(conditions))
 
     def condition_of(self, glove: Glove) -> StudyCondition | None:
         """Return the study condition that applies to `glove`, if any."""

@@ -16,7 +16,6 @@ PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "
 
 EXTRAS = {
     "ros_fiware_bridge": ("ros", "ros-rclpy"),
-    "services/gesture_controller/study": ("research",),
     "services/study": ("research",),
 }
 """Which folders may import what an extra installs."""

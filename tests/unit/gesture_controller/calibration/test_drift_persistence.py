@@ -15,6 +15,7 @@ from services.gesture_controller.connection.admission import TokenStore
 from services.gesture_controller.connection.glove_registry import GloveRegistry
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.store import PeopleStore
+from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.recognition.drift import Drift
 from services.gesture_controller.settings import ControllerSettings
 
@@ -33,6 +34,7 @@ def start(database: Engine, listener_log: Any) -> Start:
             store=GloveStore(database),
             tokens=TokenStore(database),
             people=people,
+            conditions=StudyConditionStore(database),
             listener=listener_log,
             adopted=lambda _: None,
         )

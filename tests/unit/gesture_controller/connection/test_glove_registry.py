@@ -21,6 +21,7 @@ from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.person import OwnGesture, Person
 from services.gesture_controller.people.store import PeopleStore
+from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.prompting.prompt import GesturePrompt, PromptSpec
 from services.gesture_controller.recognition.frames import Frame, Hello
 from services.gesture_controller.recognition.gestures import Shape
@@ -45,6 +46,7 @@ def open_gloves(tmp_path: Path, database: Engine, listener_log: Any) -> Open:
             store=GloveStore(database),
             tokens=TokenStore(database),
             people=people,
+            conditions=StudyConditionStore(database),
             listener=listener_log,
             adopted=adopted,
         )

@@ -21,6 +21,7 @@ from services.gesture_controller.connection.glove_server import MAX_WAITING_FOR_
 from services.gesture_controller.gloves import connection_state
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.store import PeopleStore
+from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.recognition.frames import MAX_LINE_BYTES
 from services.gesture_controller.settings import ControllerSettings
 from tests.kit.waiting import until
@@ -96,6 +97,7 @@ async def open_site(
                 store=GloveStore(database),
                 tokens=TokenStore(database),
                 people=people,
+                conditions=StudyConditionStore(database),
                 listener=listener_log,
                 adopted=lambda _: None,
             )

@@ -16,6 +16,7 @@ from services.gesture_controller.people import profile_file
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.routes import add_people
 from services.gesture_controller.people.store import PeopleStore
+from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.settings import ControllerSettings
 
 FIST, OPEN = [300.0] * 5, [700.0] * 5
@@ -29,6 +30,7 @@ def gloves(database: Engine, listener_log: Any) -> GloveRegistry:
         store=GloveStore(database),
         tokens=TokenStore(database),
         people=people,
+        conditions=StudyConditionStore(database),
         listener=listener_log,
         adopted=lambda _: None,
     )

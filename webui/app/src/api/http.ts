@@ -1,7 +1,7 @@
 /** REST of the services, through the proxy at `/api/<service>/<path>`. Error responses throw `ApiError`. */
 import { localizedText } from "~/i18n/server";
 
-export type Service = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool" | "ros-bridge";
+export type Service = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool" | "study" | "ros-bridge";
 
 /** Problem details (RFC 7807) as our services answer them, with what they add. */
 export interface ProblemDetails {

@@ -20,8 +20,8 @@ import { beginSession, deleteSession, languages, type Analysis, type Language, t
 
 export function Overview({ open }: { open: (session: string) => void }) {
   const { t } = useTranslation("study");
-  const { value: sessions, failure, reload } = useServiceQuery<Session[]>("gesture-controller", "study/sessions");
-  const { value: analysis, failure: analysisFailure, reload: reloadAnalysis } = useServiceQuery<Analysis>("gesture-controller", "study/analysis");
+  const { value: sessions, failure, reload } = useServiceQuery<Session[]>("study", "sessions");
+  const { value: analysis, failure: analysisFailure, reload: reloadAnalysis } = useServiceQuery<Analysis>("study", "analysis");
   return (
     <div className="study">
       <h1>{t("title")}</h1>

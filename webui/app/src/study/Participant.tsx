@@ -22,12 +22,12 @@ export interface StepProps {
 
 export function Participant({ session: id }: { session: string }) {
   const { i18n } = useTranslation("study");
-  const { value: loaded, failure: lost } = useServiceQuery<Session>("gesture-controller", sessionPath(id));
+  const { value: loaded, failure: lost } = useServiceQuery<Session>("study", sessionPath(id));
   const [moved, setMoved] = useState<Session | null>(null);
   const [failure, setFailure] = useState<string | null>(null);
   const [busy, setBusy] = useState(false);
   const session = moved ?? loaded;
-  const { value: words } = useServiceQuery<Wording>("gesture-controller", session === null ? null : `study/wording?language=${session.language}`);
+  const { value: words } = useServiceQuery<Wording>("study", session === null ? null : `wording?language=${session.language}`);
   const { t } = useTranslation("study", { lng: session?.language ?? i18n.language });
   const answer = (content: unknown) => {
     if (session === null || busy) return;

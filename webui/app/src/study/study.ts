@@ -1,4 +1,4 @@
-/** The study as the gesture controller has it. */
+/** The types and requests of the study service. */
 import { requestService } from "~/api/http";
 
 export type Condition = "personal" | "predefined";
@@ -77,18 +77,18 @@ export interface Analysis {
 
 export const measures = ["mental", "physical", "temporal", "performance", "effort", "frustration", "raw", "weighted"] as const;
 
-export const csvUrl = "/api/gesture-controller/study/answers.csv";
-export const pdfUrl = (language: string): string => `/api/gesture-controller/study/report.pdf?language=${language}`;
-export const sessionPath = (session: string): string => `study/sessions/${encodeURIComponent(session)}`;
+export const csvUrl = "/api/study/answers.csv";
+export const pdfUrl = (language: string): string => `/api/study/report.pdf?language=${language}`;
+export const sessionPath = (session: string): string => `sessions/${encodeURIComponent(session)}`;
 
 export function beginSession(json: { pseudonym?: string; language: Language; glove?: string; person?: string }): Promise<Session> {
-  return requestService("gesture-controller", "study/sessions", { method: "POST", json });
+  return requestService("study", "sessions", { method: "POST", json });
 }
 
 export function answerStep(session: string, step: string, json: unknown): Promise<Session> {
-  return requestService("gesture-controller", `${sessionPath(session)}/steps/${step}`, { method: "POST", json });
+  return requestService("study", `${sessionPath(session)}/steps/${step}`, { method: "POST", json });
 }
 
 export function deleteSession(session: string): Promise<unknown> {
-  return requestService("gesture-controller", sessionPath(session), { method: "DELETE" });
+  return requestService("study", sessionPath(session), { method: "DELETE" });
 }

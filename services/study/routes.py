@@ -1,4 +1,4 @@
-"""The study over REST: sessions step by step, the wording, the analysis, and both to take home."""
+"""REST routes of studies: sessions, texts, analysis, and files with answers and report."""
 
 import asyncio
 import hashlib
@@ -13,10 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from handover.errors import Problem
 from handover.messages import message
 from handover.offload import Offload, OffloadFailed
-from services.gesture_controller.study.protocol import FINISHED, STEPS, Language, Session
-from services.gesture_controller.study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
-from services.gesture_controller.study.study_session import DECLINED, StudySessions
-from services.gesture_controller.study.wording import consent_version, wording
+from services.study.protocol import FINISHED, STEPS, Language, Session
+from services.study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
+from services.study.study_session import DECLINED, StudySessions
+from services.study.wording import consent_version, wording
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w .-]+$")]
 Study = Annotated[str, Query(min_length=1, max_length=64)]
@@ -26,7 +26,7 @@ MAX_ANALYSES_KEPT = 8
 
 
 class NewSession(BaseModel):
-    """A participant: a pseudonym (the next free one if none is given), never a name."""
+    """A participant with a pseudonym, the next free one if none is given; never a name."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -41,9 +41,9 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     """Add the routes of the study."""
     analyses = _Analyses(sessions)
 
-    @app.get("/study/wording", tags=["study"])
+    @app.get("/wording", tags=["study"])
     async def words(language: Language = "en") -> dict[str, Any]:
-        """Return all that participants read, with the steps, scales and pairs of the questionnaires."""
+        """Return the texts for participants, and the steps, scales and pairs of the questionnaires."""
         return {
             **wording(language),
             "consentVersion": consent_version(language),
@@ -53,56 +53,56 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
             "pairs": TLX_PAIRS,
         }
 
-    @app.post("/study/sessions", status_code=201, tags=["study"])
+    @app.post("/sessions", status_code=201, tags=["study"])
     async def begin(session: NewSession) -> dict[str, Any]:
-        """Begin a session; the first step is consent, and until then nothing else is asked."""
+        """Begin a session; its first step is consent."""
         begun = await sessions.begin(
             session.study, session.pseudonym, session.language, session.glove, session.person
         )
         return view_of(begun)
 
-    @app.get("/study/sessions", tags=["study"])
+    @app.get("/sessions", tags=["study"])
     async def list_sessions(study: Study | None = None) -> list[dict[str, Any]]:
-        """List the sessions (of a study) in the order in which they began."""
+        """List the sessions (of a study), oldest first."""
         return [view_of(session) for session in await sessions.sessions(study)]
 
-    @app.get("/study/sessions/{session}", tags=["study"])
+    @app.get("/sessions/{session}", tags=["study"])
     async def one(session: str) -> dict[str, Any]:
-        """Return a session: at which step it is, and what was answered."""
+        """Return a session with its step and its answers."""
         found = await sessions.one(session)
         answers = {step: dict(answer.content) for step, answer in found.answers.items()}
         return {**view_of(found), "answers": answers}
 
-    @app.post("/study/sessions/{session}/steps/{step}", tags=["study"])
+    @app.post("/sessions/{session}/steps/{step}", tags=["study"])
     async def answer(session: str, step: str, given: Annotated[dict[str, Any], Body()]) -> dict[str, Any]:
-        """Answer a step; it is stored when this returns. Declining consent deletes the session."""
+        """Answer a step; the answer is stored when this returns. Declined consent deletes the session."""
         moved = await sessions.answer(session, step, given)
         if moved is None:
             return {"id": session, "step": DECLINED}
         return view_of(moved)
 
-    @app.delete("/study/sessions/{session}", status_code=204, tags=["study"])
+    @app.delete("/sessions/{session}", status_code=204, tags=["study"])
     async def delete(session: str) -> None:
         """Delete a session and all its answers beyond recovery."""
         await sessions.delete(session)
 
-    @app.get("/study/analysis", tags=["study"])
+    @app.get("/analysis", tags=["study"])
     async def analysis(study: Study = DEFAULT_STUDY) -> dict[str, Any]:
-        """Return what the answers of a study say: SUS, NASA-TLX by condition, tests, numbers of box plots."""
+        """Return the analysis of a study: SUS, NASA-TLX by condition, tests and box plots."""
         return {"study": study, **await analyses.of(study)}
 
-    @app.get("/study/answers.csv", tags=["study"], response_class=Response)
+    @app.get("/answers.csv", tags=["study"], response_class=Response)
     async def as_csv(study: Study = DEFAULT_STUDY) -> Response:
-        """Return every answer and score of a study, one line a participant."""
-        from services.gesture_controller.study.table import csv_of  # noqa: PLC0415 - seldom asked for
+        """Return every answer and score of a study, one line for each participant."""
+        from services.study.table import csv_of  # noqa: PLC0415 - seldom asked for
 
         text = csv_of(await sessions.sessions(study))
         return _file(text.encode(), "text/csv; charset=utf-8", study, "csv")
 
-    @app.get("/study/report.pdf", tags=["study"], response_class=Response)
+    @app.get("/report.pdf", tags=["study"], response_class=Response)
     async def as_pdf(study: Study = DEFAULT_STUDY, language: Language = "en") -> Response:
         """Return the report of a study on A4."""
-        from services.gesture_controller.study.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
+        from services.study.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
 
         _require_installed("reportlab")
         found = await analyses.of(study)
@@ -112,7 +112,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
 
 
 def view_of(session: Session) -> dict[str, Any]:
-    """Return a session as screens see it, without what was answered."""
+    """Return a session without its answers."""
     is_over = session.step == FINISHED
     condition = session.condition
     return {
@@ -135,9 +135,9 @@ def view_of(session: Session) -> dict[str, Any]:
 
 
 class _Analyses:
-    """Analyses studies in a process of its own, since loading SciPy alone would hold this one for a second.
+    """Analyses studies in another process, since importing SciPy would block this one for a second.
 
-    What was found is kept for as long as the answers are the same.
+    The results are cached until the answers change.
     """
 
     def __init__(self, sessions: StudySessions) -> None:
@@ -146,8 +146,8 @@ class _Analyses:
         self._kept: dict[bytes, dict[str, Any]] = {}
 
     async def of(self, study: str) -> dict[str, Any]:
-        """Return what the answers of `study` say."""
-        from services.gesture_controller.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
+        """Return the analysis of `study`."""
+        from services.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
 
         _require_installed("scipy")
         sessions = await self._study_sessions.sessions(study)
@@ -178,6 +178,6 @@ def _require_installed(library: str) -> None:
 
 
 def _file(content: bytes, media_type: str, study: str, kind: str) -> Response:
-    plain = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in study)
+    plain = "".join(char if char.isascii() and char.isalnum() else "-" for char in study)
     disposition = f'attachment; filename="study-{plain}.{kind}"'
     return Response(content, media_type=media_type, headers={"Content-Disposition": disposition})

@@ -1,8 +1,8 @@
-"""The conduct of a study: sessions begin, are led from step to step, and may be deleted at any time."""
+"""Study sessions: they begin, move from step to step, and can be deleted at any time."""
 
 import asyncio
 import random
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Self
 from uuid import uuid4
@@ -11,43 +11,32 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from datamodels.times import iso
 from handover.errors import Problem
-from services.gesture_controller.study.protocol import (
+from services.study.gesture_conditions import GestureConditions
+from services.study.protocol import (
     FINISHED,
     STEPS,
-    Answer,
     Language,
     Session,
+    StepAnswer,
     checked,
 )
-from services.gesture_controller.study.store import StudyStore
-from services.gesture_controller.study.wording import consent_version
+from services.study.store import StudyStore
+from services.study.wording import consent_version
 
 DECLINED = "declined"
 
 
 class StudySessions:
-    """All sessions of all studies; an asynchronous context manager while it is on duty.
+    """All sessions of all studies; an asynchronous context manager."""
 
-    `apply(session, is_restart)` has the participant asked for the gestures that the present step is about;
-    `is_restart` is True for a session that an earlier run of the service has begun. `release(id)` ends that
-    for a session that is over or deleted.
-    """
-
-    def __init__(
-        self,
-        store: StudyStore,
-        apply: Callable[[Session, bool], Awaitable[None]],
-        release: Callable[[str], None],
-    ) -> None:
+    def __init__(self, store: StudyStore, conditions: GestureConditions) -> None:
         self._store = store
-        self._apply = apply
-        self._release = release
+        self._conditions = conditions
         self._answering = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
         await asyncio.to_thread(self._store.prepare)
-        for session in await self.sessions(None):
-            await self._set_gestures(session, is_restart=True)
+        self._conditions.load(await self.sessions(None))
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -56,18 +45,18 @@ class StudySessions:
     async def begin(
         self, study: str, pseudonym: str | None, language: Language, glove: str | None, person: str | None
     ) -> Session:
-        """Begin a session with a pseudonym ("P07", the next free one, if none is given)."""
+        """Begin a session; without a pseudonym it gets the next free one, such as "P07"."""
         async with self._answering:
             name = pseudonym or await self._next_pseudonym(study)
             session = Session(str(uuid4()), study, name, language, iso(datetime.now(UTC)), glove, person)
-            await self._do(self._store.add, session)
-            await self._set_gestures(session)
+            await self._run(self._store.add, session)
+            await self._conditions.update(session)
         return session
 
     async def answer(self, session_id: str, step: str, given: Mapping[str, Any]) -> Session | None:
-        """Keep the answer to `step`; returns the session at its next step, or None if consent was declined.
+        """Store the answer to `step`; return the session at its next step, or None after declined consent.
 
-        The same answer again changes nothing, so it may be sent twice; another is refused: `Problem` 409.
+        Repeating the same answer changes nothing; another answer raises `Problem` 409.
         """
         async with self._answering:
             session = await self.one(session_id)
@@ -76,7 +65,7 @@ class StudySessions:
             if known is not None:
                 if known.content == content:
                     return session
-                raise Problem(409, "Answered already", f'"{step}" is answered; what was said first counts')
+                raise Problem(409, "Answered already", f'"{step}" is answered; the first answer counts')
             if session.step != step:
                 raise Problem(409, "Another step", _not_yet(session, step))
             if step == "consent":
@@ -87,47 +76,40 @@ class StudySessions:
                         "the text of consent has changed; show the present one and ask again",
                     )
                 if not content["agreed"]:
-                    await self._do(self._store.delete, session_id)
-                    self._release(session_id)
+                    await self._run(self._store.delete, session_id)
+                    await self._conditions.remove(session_id)
                     return None
-            answer = Answer(content, session.language, session.last_at, iso(datetime.now(UTC)))
-            lot = random.random()  # noqa: S311 - who comes next is no secret
-            await self._do(self._store.answer, session, step, answer, lot)
+            answer = StepAnswer(content, session.language, session.last_at, iso(datetime.now(UTC)))
+            lot = random.random()  # noqa: S311 - a random order, no secret
+            await self._run(self._store.answer, session, step, answer, lot)
             moved = await self.one(session_id)
-            await self._set_gestures(moved)
+            await self._conditions.update(moved)
             return moved
 
     async def delete(self, session_id: str) -> None:
-        """Delete a session beyond recovery; `Problem` 404 if there is none."""
+        """Delete a session beyond recovery; raises `Problem` 404."""
         async with self._answering:
             await self.one(session_id)
-            await self._do(self._store.delete, session_id)
-            self._release(session_id)
+            await self._run(self._store.delete, session_id)
+            await self._conditions.remove(session_id)
 
     async def one(self, session_id: str) -> Session:
-        """Return a session; `Problem` 404 if there is none."""
-        session: Session | None = await self._do(self._store.session, session_id)
+        """Return a session; raises `Problem` 404."""
+        session: Session | None = await self._run(self._store.session, session_id)
         if session is None:
             raise _unknown(session_id)
         return session
 
     async def sessions(self, study: str | None) -> list[Session]:
-        """Return the sessions (of `study`) in the order in which they began."""
-        found: list[Session] = await self._do(self._store.sessions, study)
+        """Return the sessions (of `study`), oldest first."""
+        found: list[Session] = await self._run(self._store.sessions, study)
         return found
-
-    async def _set_gestures(self, session: Session, *, is_restart: bool = False) -> None:
-        """Have the participant asked for the gestures that the present step is about."""
-        if session.step == FINISHED:
-            self._release(session.id)
-        elif session.glove is not None or session.person is not None:
-            await self._apply(session, is_restart)
 
     async def _next_pseudonym(self, study: str) -> str:
         taken = {session.pseudonym for session in await self.sessions(study)}
         return next(name for nth in range(1, len(taken) + 2) if (name := f"P{nth:02}") not in taken)
 
-    async def _do(self, act: Any, *what: Any) -> Any:
+    async def _run(self, act: Any, *what: Any) -> Any:
         try:
             return await asyncio.to_thread(act, *what)
         except SQLAlchemyError as error:

@@ -11,13 +11,13 @@ from typing import Any
 
 import orjson
 
-from services.gesture_controller.study.protocol import Language
+from services.study.protocol import Language
 
 
 @cache
 def wording(language: Language) -> dict[str, Any]:
     """Return all that is read in `language`."""
-    file = files("services.gesture_controller.study").joinpath(f"wording/{language}.json")
+    file = files("services.study").joinpath(f"wording/{language}.json")
     read: dict[str, Any] = orjson.loads(file.read_bytes())
     return read
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from services.gesture_controller.study.analysis import analysis_of
-from services.gesture_controller.study.pdf import pdf_of
-from services.gesture_controller.study.protocol import LANGUAGES, Answer
-from services.gesture_controller.study.table import csv_of
+from services.study.analysis import analysis_of
+from services.study.pdf import pdf_of
+from services.study.protocol import LANGUAGES, StepAnswer
+from services.study.table import csv_of
 
 
 def rows_of(sessions: list[Any]) -> list[dict[str, str]]:
@@ -50,7 +50,7 @@ def test_what_was_not_answered_is_empty(twenty: list[Any]) -> None:
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)"])
 def test_no_spreadsheet_takes_a_comment_for_a_formula(twenty: list[Any], text: str) -> None:
-    said = Answer({"preferred": "none", "recalibrated": False, "comment": text}, "en", "", "")
+    said = StepAnswer({"preferred": "none", "recalibrated": False, "comment": text}, "en", "", "")
     (row,) = rows_of([replace(twenty[0], answers={"preference": said})])
     assert row["comment"] == f"'{text}"
 

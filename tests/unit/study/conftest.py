@@ -11,9 +11,9 @@ own, four the given ones. Ages: 21 to 40.
 
 import pytest
 
-from services.gesture_controller.study.analysis import analysis_of
-from services.gesture_controller.study.protocol import FINISHED, Answer, Condition, Session
-from services.gesture_controller.study.questionnaires import TLX_PAIRS
+from services.study.analysis import analysis_of
+from services.study.protocol import FINISHED, Condition, Session, StepAnswer
+from services.study.questionnaires import TLX_PAIRS
 
 SUS_SCORES = [65, 70, 72.5, 75, 77.5, 80, 82.5, 85, 87.5, 90] * 2
 SUS_ANSWERS = {
@@ -62,7 +62,7 @@ def participant(nth: int) -> Session:
         },
     }
     at = "2026-03-02T09:00:00.000000Z"
-    answers = {step: Answer(content, "en", at, at) for step, content in contents.items()}
+    answers = {step: StepAnswer(content, "en", at, at) for step, content in contents.items()}
     return Session(
         f"s{nth}",
         "gestures",

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from handover.errors import Problem
-from services.gesture_controller.study.questionnaires import (
+from services.study.questionnaires import (
     SUS_ITEMS,
     TLX_PAIRS,
     TLX_SCALES,
@@ -55,7 +55,7 @@ class Consent(_Answer):
 
 
 class Introduction(_Answer):
-    """What the participant may state; all of it may be left out."""
+    """Data about the participant; all of it is optional."""
 
     age_years: Annotated[int, Field(ge=16, le=120)] | None = None
     experience: Literal["low", "medium", "high"] | None = None
@@ -133,7 +133,7 @@ ANSWERS: Mapping[str, type[_Answer]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class StepAnswer:
     """What was answered in a step; `opened_at` is when the step before was over, both ISO 8601 in UTC."""
 
     content: Mapping[str, Any]
@@ -156,7 +156,7 @@ class Session:
     first: Condition | None = None
     step: str = STEPS[0]
     ended_at: str | None = None
-    answers: Mapping[str, Answer] = field(default_factory=dict)
+    answers: Mapping[str, StepAnswer] = field(default_factory=dict)
 
     @property
     def condition(self) -> Condition | None:

@@ -5,9 +5,9 @@ import io
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from services.gesture_controller.study.analysis import MEASURES, scores_of
-from services.gesture_controller.study.protocol import Condition, Session
-from services.gesture_controller.study.questionnaires import SUS_ITEMS, TLX_SCALES, tlx_weights
+from services.study.analysis import MEASURES, scores_of
+from services.study.protocol import Condition, Session
+from services.study.questionnaires import SUS_ITEMS, TLX_SCALES, tlx_weights
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 

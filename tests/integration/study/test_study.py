@@ -2,28 +2,28 @@
 
 from typing import Any
 
-from services.gesture_controller.study.questionnaires import TLX_PAIRS, TLX_SCALES
+from services.study.questionnaires import TLX_PAIRS, TLX_SCALES
 
 
 class Participant:
     """Answers whatever step is asked."""
 
     def __init__(self, bench: Any, **session: Any) -> None:
-        self.screen = bench.screen
-        answer = self.screen.post("/study/sessions", json=session)
+        self.study = bench.study
+        answer = self.study.post("/sessions", json=session)
         assert answer.status_code == 201, answer.text
         self.id = answer.json()["id"]
         self.version = answer.json()["consentVersion"]
 
     @property
     def path(self) -> str:
-        return f"/study/sessions/{self.id}"
+        return f"/sessions/{self.id}"
 
     def seen(self) -> dict[str, Any]:
-        return dict(self.screen.get(self.path).raise_for_status().json())
+        return dict(self.study.get(self.path).raise_for_status().json())
 
     def answer(self, step: str, **content: Any) -> Any:
-        return self.screen.post(f"{self.path}/steps/{step}", json=content)
+        return self.study.post(f"{self.path}/steps/{step}", json=content)
 
     def go_to(self, step: str) -> None:
         while (here := self.seen())["step"] != step:
@@ -47,37 +47,37 @@ async def test_participants_go_through_the_study_and_what_they_said_is_analysed(
         participant = Participant(bench, language="de")
         assert participant.seen()["pseudonym"] == f"P{nth + 1:02}"
         participant.go_to("finished")
-    firsts = {one["first"] for one in bench.screen.get("/study/sessions").json()}
+    firsts = {one["first"] for one in bench.study.get("/sessions").json()}
     assert firsts == {"personal", "predefined"}
-    analysis = bench.screen.get("/study/analysis").raise_for_status().json()
+    analysis = bench.study.get("/analysis").raise_for_status().json()
     assert (analysis["participants"], analysis["finished"]) == (2, 2)
     assert (analysis["sus"]["mean"], analysis["sus"]["grade"]) == (100, "A+")
     assert analysis["tlx"]["weighted"]["personal"]["mean"] == 20
     assert analysis["tlx"]["weighted"]["test"]["effect"] == -1
-    table = bench.screen.get("/study/answers.csv")
+    table = bench.study.get("/answers.csv")
     assert table.headers["content-type"].startswith("text/csv")
     assert len(table.text.splitlines()) == 3
-    report = bench.screen.get("/study/report.pdf", params={"language": "fi"})
+    report = bench.study.get("/report.pdf", params={"language": "fi"})
     assert report.headers["content-type"] == "application/pdf"
     assert report.content.startswith(b"%PDF")
 
 
-async def test_a_session_goes_on_after_the_death_of_the_service(bench: Any) -> None:
+async def test_a_session_continues_after_the_service_was_killed(bench: Any) -> None:
     participant = Participant(bench, pseudonym="Lumi")
     participant.go_to("tlx1")
     before = participant.seen()
-    bench.cell.kill("gesture_controller")
-    bench.cell.start("gesture_controller")
+    bench.cell.kill("study")
+    bench.cell.start("study")
     assert participant.seen() == before
     participant.go_to("finished")
     assert len(participant.seen()["answers"]) == 9
 
 
-async def test_a_participant_who_declines_is_deleted(bench: Any) -> None:
+async def test_a_declined_consent_deletes_the_session(bench: Any) -> None:
     participant = Participant(bench)
     assert participant.answer("consent", agreed=False, text=participant.version).json()["step"] == "declined"
-    assert bench.screen.get(participant.path).status_code == 404
-    assert bench.screen.get("/study/sessions").json() == []
+    assert bench.study.get(participant.path).status_code == 404
+    assert bench.study.get("/sessions").json() == []
 
 
 async def test_nothing_is_asked_out_of_turn_and_nothing_is_taken_back(bench: Any) -> None:
@@ -89,7 +89,7 @@ async def test_nothing_is_asked_out_of_turn_and_nothing_is_taken_back(bench: Any
     assert outdated.status_code == 409
     participant.go_to("interaction1")
     same = participant.answer("sus", answers=[5, 1] * 5)
-    assert same.status_code == 200, "sent twice is said once"
+    assert same.status_code == 200, "a repeated answer changes nothing"
     assert participant.answer("sus", answers=[1] * 10).status_code == 409
     assert participant.seen()["answers"]["sus"] == {"answers": [5, 1] * 5}
 
@@ -98,9 +98,9 @@ async def test_a_deleted_session_is_gone_from_list_analysis_and_files(bench: Any
     participant = Participant(bench)
     participant.go_to("preference")
     participant.answer("preference", preferred="none", comment="unmistakable words").raise_for_status()
-    assert bench.screen.delete(participant.path).status_code == 204
-    assert bench.screen.get(participant.path).status_code == 404
-    assert bench.screen.get("/study/analysis").json()["participants"] == 0
+    assert bench.study.delete(participant.path).status_code == 204
+    assert bench.study.get(participant.path).status_code == 404
+    assert bench.study.get("/analysis").json()["participants"] == 0
     holding = [
         file.name
         for file in bench.cell.data_dir.rglob("*")
@@ -111,10 +111,10 @@ async def test_a_deleted_session_is_gone_from_list_analysis_and_files(bench: Any
 
 async def test_the_wording_is_there_in_three_languages(bench: Any) -> None:
     for language in ("en", "de", "fi"):
-        words = bench.screen.get("/study/wording", params={"language": language}).raise_for_status().json()
+        words = bench.study.get("/wording", params={"language": language}).raise_for_status().json()
         assert len(words["sus"]["items"]) == 10
         assert [tuple(pair) for pair in words["pairs"]] == list(TLX_PAIRS)
-    assert bench.screen.get("/study/wording", params={"language": "sv"}).status_code == 422
+    assert bench.study.get("/wording", params={"language": "sv"}).status_code == 422
 
 
 async def test_the_glove_is_asked_for_the_gestures_that_the_step_is_about(
@@ -202,7 +202,7 @@ async def test_conditions_cannot_be_changed_while_they_are_tried(bench: Any) -> 
     assert [one.status_code for one in changes] == [409] * len(changes)
     assert "P01 tries gestures in a study" in changes[0].json()["detail"]
     assert screen.put("/people/P02/commands", json={"3": "Horns", "8": None}).status_code == 200
-    assert screen.delete(participant.path).status_code == 204
+    assert bench.study.delete(participant.path).status_code == 204
     assert screen.put("/people/P01/commands", json={}).status_code == 200
 
 

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from services.gesture_controller.study.protocol import FINISHED, Condition, Session
-from services.gesture_controller.study.questionnaires import (
+from services.study.protocol import FINISHED, Condition, Session
+from services.study.questionnaires import (
     SUS_AVERAGE,
     TLX_SCALES,
     sus_grade,

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.gesture_controller.study.protocol import (
+from services.study.protocol import (
     FINISHED,
     STEPS,
     Condition,
@@ -16,7 +16,7 @@ from services.gesture_controller.study.protocol import (
     checked,
     next_step,
 )
-from services.gesture_controller.study.questionnaires import TLX_PAIRS, TLX_SCALES
+from services.study.questionnaires import TLX_PAIRS, TLX_SCALES
 
 RATINGS = dict.fromkeys(TLX_SCALES, 50)
 CHOICES = [{"of": list(pair), "chosen": pair[1]} for pair in TLX_PAIRS]
@@ -102,6 +102,6 @@ def test_an_incomplete_answer_is_refused_with_what_is_missing(
     assert says in refused.value.detail
 
 
-def test_an_unknown_step_is_answered_with_the_known_ones() -> None:
+def test_the_error_for_an_unknown_step_lists_the_steps() -> None:
     with pytest.raises(Problem, match="the steps are consent, introduction"):
         checked("lunch", {})

@@ -9,8 +9,8 @@ from sqlalchemy import Engine
 
 from handover.database import connect
 from handover.errors import Problem
-from services.gesture_controller.study.protocol import FINISHED, STEPS, Answer, Session
-from services.gesture_controller.study.store import StudyStore
+from services.study.protocol import FINISHED, STEPS, Session, StepAnswer
+from services.study.store import StudyStore
 
 AT = "2026-03-02T09:00:00.000000Z"
 
@@ -37,7 +37,7 @@ def session(nth: int = 1) -> Session:
 def answer(store: StudyStore, session_id: str, step: str, lot: float = 0.0, **content: object) -> None:
     known = store.session(session_id)
     assert known is not None
-    store.answer(known, step, Answer(content, "fi", AT, AT), lot)
+    store.answer(known, step, StepAnswer(content, "fi", AT, AT), lot)
 
 
 def test_a_session_goes_through_all_steps_and_keeps_every_answer(store: StudyStore) -> None:
@@ -58,7 +58,7 @@ def test_a_step_is_answered_once(store: StudyStore) -> None:
     answer(store, "s1", "consent", agreed=True)
     assert late is not None
     with pytest.raises(Problem, match="has been answered meanwhile"):
-        store.answer(late, "consent", Answer({"agreed": False}, "fi", AT, AT), 0.0)
+        store.answer(late, "consent", StepAnswer({"agreed": False}, "fi", AT, AT), 0.0)
     found = store.session("s1")
     assert found is not None
     assert found.answers["consent"].content == {"agreed": True}

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.study.protocol import LANGUAGES
-from services.gesture_controller.study.questionnaires import (
+from services.study.protocol import LANGUAGES
+from services.study.questionnaires import (
     TLX_PAIRS,
     TLX_SCALES,
     sus_grade,
@@ -14,7 +14,7 @@ from services.gesture_controller.study.questionnaires import (
     tlx_weighted,
     tlx_weights,
 )
-from services.gesture_controller.study.wording import consent_version, wording
+from services.study.wording import consent_version, wording
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from services.gesture_controller.study.analysis import MEASURES
-from services.gesture_controller.study.charts import sus_chart, tlx_chart
-from services.gesture_controller.study.protocol import Language
-from services.gesture_controller.study.questionnaires import TLX_SCALES
-from services.gesture_controller.study.wording import wording
+from services.study.analysis import MEASURES
+from services.study.charts import sus_chart, tlx_chart
+from services.study.protocol import Language
+from services.study.questionnaires import TLX_SCALES
+from services.study.wording import wording
 
 _GRID, _INK, _QUIET = "#d9dde5", "#1b2333", "#5a6478"
 

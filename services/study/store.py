@@ -29,11 +29,11 @@ from sqlalchemy.exc import IntegrityError
 
 from handover.errors import Problem
 from handover.migrations import migrate
-from services.gesture_controller.study.protocol import (
+from services.study.protocol import (
     FINISHED,
-    Answer,
     Condition,
     Session,
+    StepAnswer,
     balanced,
     next_step,
 )
@@ -92,7 +92,7 @@ class StudyStore:
                 "go on with that session, or choose another pseudonym",
             ) from None
 
-    def answer(self, session: Session, step: str, answer: Answer, lot: float) -> None:
+    def answer(self, session: Session, step: str, answer: StepAnswer, lot: float) -> None:
         """Keep the answer to the present step and move on; raises `Problem` 409 if somebody was faster.
 
         With "consent", the order of the conditions is drawn: the rarer one so far, else by `lot`.
@@ -144,11 +144,11 @@ class StudyStore:
         if where is not None:
             statement = statement.where(where)
             theirs = theirs.where(_answers.c.session.in_(select(_sessions.c.id).where(where)))
-        answers: dict[str, dict[str, Answer]] = defaultdict(dict)
+        answers: dict[str, dict[str, StepAnswer]] = defaultdict(dict)
         with self._engine.connect() as connection:
             rows = connection.execute(statement).mappings().all()
             for row in connection.execute(theirs).mappings():
-                answers[row["session"]][row["step"]] = Answer(
+                answers[row["session"]][row["step"]] = StepAnswer(
                     orjson.loads(row["content"]), row["language"], row["opened_at"], row["answered_at"]
                 )
         return [_session(dict(row), answers[row["id"]]) for row in rows]
@@ -165,6 +165,6 @@ class StudyStore:
         )
 
 
-def _session(row: Mapping[str, Any], answers: Mapping[str, Answer]) -> Session:
+def _session(row: Mapping[str, Any], answers: Mapping[str, StepAnswer]) -> Session:
     first = Condition(row["first"]) if row["first"] else None
     return Session(**{**row, "first": first, "answers": answers})

@@ -1,0 +1,1 @@
+"""The study service: usability studies that compare personal and predefined gestures."""

@@ -1,0 +1,45 @@
+"""The study service: usability studies of the gestures, with questionnaires, conditions and analysis."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from handover.background_tasks import BackgroundTasks
+from handover.database import connect
+from handover.resync import Resync
+from handover.service import create_app
+from handover.storage import storage_check
+from services.study.controller_client import ControllerClient
+from services.study.gesture_conditions import GestureConditions
+from services.study.routes import add_study
+from services.study.settings import StudySettings
+from services.study.store import StudyStore
+from services.study.study_session import StudySessions
+
+RECONCILE_INTERVAL_S = 2.0
+
+
+def make_app(settings: StudySettings) -> FastAPI:
+    """Return the application; raise `UsageError` if it cannot work with these settings."""
+    database = connect(settings.database("study"))
+    client = ControllerClient(settings.gesture_controller)
+    conditions = GestureConditions(client)
+    sessions = StudySessions(StudyStore(database), conditions)
+    resync = Resync(conditions.reconcile, RECONCILE_INTERVAL_S)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        async with client, sessions, BackgroundTasks("study") as tasks:
+            tasks.start(resync.run)
+            yield
+        database.dispose()
+
+    app = create_app(
+        "Study",
+        description=__doc__ or "",
+        lifespan=lifespan,
+        checks={"storage": storage_check(settings.data_dir)},
+    )
+    add_study(app, sessions)
+    return app
