@@ -49,5 +49,5 @@ class ControllerClient:
             response = await self._http.request(method, path, json=body)
             response.raise_for_status()
         except httpx.HTTPError as error:
-            raise ControllerUnavailable(f"{self._url}: {error or type(error).__name__}") from None
+            raise ControllerUnavailable(f"{self._url}: {str(error) or type(error).__name__}") from None
         return response

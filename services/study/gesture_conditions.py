@@ -1,8 +1,8 @@
 """Gesture conditions: keeps the conditions of the gesture controller equal to those of the sessions.
 
-The controller asks a participant for their own gestures or for those of the site. Each change is sent at
-once. A request can fail and both services can restart, so `reconcile` is repeated every few seconds. Of several
-sessions with the same glove or person, only the latest one counts.
+The controller asks a participant for their own gestures or for those of the site. Each change is sent
+at once. A request can fail and both services can restart, so `reconcile` is repeated every few seconds.
+Of several sessions with the same glove or person, only the latest one counts.
 """
 
 import asyncio

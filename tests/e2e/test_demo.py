@@ -14,7 +14,7 @@ import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
-SERVICES = {"context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "webui"}
+SERVICES = {"context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "study", "webui"}
 
 Start = Callable[..., subprocess.Popen[str]]
 

@@ -21,6 +21,7 @@ SERVICES = (
     "task_orchestrator",
     "gesture_controller",
     "trajectory_tool",
+    "study",
     "webui",
     "ros_fiware_bridge",
 )
@@ -38,6 +39,7 @@ READ = {
     "task_orchestrator": "/processes",
     "gesture_controller": "/gloves",
     "trajectory_tool": "/robots",
+    "study": "/sessions",
     "webui": "/api/events",
     "ros_fiware_bridge": "/rules",
 }

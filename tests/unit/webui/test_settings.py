@@ -34,6 +34,7 @@ def test_every_service_has_a_url() -> None:
     assert urls["context-broker"] == "http://orion:1026"
     assert urls["task-orchestrator"] == "http://orchestrator:54200"
     assert urls["trajectory-tool"] == "http://127.0.0.1:54220"
+    assert urls["study"] == "http://127.0.0.1:54270"
 
 
 def test_the_ros_bridge_has_a_url_if_a_mapping_is_set() -> None:
