@@ -180,7 +180,7 @@ def test_a_participant_can_pause_or_withdraw_at_any_time(
     page.get_by_role("button", name="Leave the study and delete my answers").click()
     page.get_by_role("dialog").get_by_role("button", name="Leave the study and delete my answers").click()
     page.get_by_role("heading", name="You have left the study").wait_for()
-    kept = [one["pseudonym"] for one in httpx.get(f"{url}/study/sessions").json()]
+    kept = [one["pseudonym"] for one in httpx.get(f"{glove_screen.url('study')}/sessions").json()]
     assert "Kim" not in kept
     leave(page, code)
     page.get_by_role("navigation").wait_for()
