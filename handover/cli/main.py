@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from handover.cli import bridge, process, secrets, specification
+from handover.cli import bridge, broker, process, secrets, specification
 from handover.cli.check import databases, faults_in
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
@@ -29,6 +29,7 @@ app = typer.Typer(
 )
 app.add_typer(process.app, name="process")
 app.add_typer(bridge.app, name="bridge")
+app.add_typer(broker.app, name="broker")
 app.add_typer(specification.app, name="specification")
 app.add_typer(secrets.app, name="secrets")
 

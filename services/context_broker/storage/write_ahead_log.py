@@ -61,6 +61,15 @@ class Stamp(NamedTuple):
     is_closed: bool
 
 
+class Frame(NamedTuple):
+    """A frame as it is in a file: with its record if it is complete."""
+
+    offset: int
+    number: int
+    record: bytes | None
+    is_damaged: bool
+
+
 class WriteAheadLog:
     """Frames in two files beside `path`, numbered from 1 on. Written by one thread at a time."""
 
@@ -111,6 +120,22 @@ class WriteAheadLog:
                 f"{self._names()}: an older copy; it ends before change {checkpointed} of the tables"
             )
         return [found[number] for number in range(checkpointed + 1, following)]
+
+    def stamps(self) -> list[tuple[Path, Stamp | None]]:
+        """Return the files that exist, each with its stamp, None where that is not readable."""
+        return [(file.path, file.stamp()) for file in self._files if file.path.exists()]
+
+    def frames(self, path: Path) -> list[Frame]:
+        """Return the frames of one file in the order of their offsets; damaged ones have the number 0."""
+        (file,) = (file for file in self._files if file.path == path)
+        content = file.content()
+        found = [Frame(at, 0, None, is_damaged=True) for at in set(content.damaged)]
+        for at, number in content.numbers.items():
+            if at not in content.damaged:
+                record = content.records.get(number)
+                is_whole = record is not None and content.ends[number] == at + _pages(len(record))
+                found.append(Frame(at, number, record if is_whole else None, is_damaged=False))
+        return sorted(found, key=lambda frame: frame.offset)
 
     def foreign(self, database: bytes, opening: bytes) -> str | None:
         """Return a description of changes of another opening that may be in no table; None if there are
