@@ -3,9 +3,10 @@ import os
 import random
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -49,10 +50,16 @@ def domain_id(request: pytest.FixtureRequest) -> int:
 
 
 @contextmanager
-def running_peer(adapter: Adapter, domain_id: int, *type_paths: Path) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, str(Path(__file__).parent / "peer.py"), adapter.value, str(domain_id)]
+def running_script(
+    script: str, *arguments: str, environment: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[subprocess.Popen[str]]:
+    """Run a script of this folder, which prints "ready" and ends when its input does."""
     with subprocess.Popen(
-        [*command, *map(str, type_paths)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, str(Path(__file__).parent / script), *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
     ) as process:
         assert process.stdout is not None
         assert process.stdin is not None
@@ -65,6 +72,12 @@ def running_peer(adapter: Adapter, domain_id: int, *type_paths: Path) -> Iterato
                 process.wait(120)
             finally:
                 process.kill()
+
+
+@contextmanager
+def running_peer(adapter: Adapter, domain_id: int, *type_paths: Path) -> Iterator[subprocess.Popen[str]]:
+    with running_script("peer.py", adapter.value, str(domain_id), *map(str, type_paths)) as process:
+        yield process
 
 
 @pytest.fixture(scope="module")

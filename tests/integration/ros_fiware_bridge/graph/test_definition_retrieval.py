@@ -1,9 +1,6 @@
 """Definitions are retrieved from a genuine node, which does not use our adapters."""
 
 import asyncio
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +11,7 @@ from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
 from ros_fiware_bridge.inspection import definition_retrieval
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.integration.ros_fiware_bridge.graph.conftest import true
+from tests.integration.ros_fiware_bridge.graph.conftest import running_script, true
 from tests.kit.skipping import NO_ROS
 
 pytestmark = [
@@ -26,25 +23,9 @@ NESTED = "test_msgs/msg/Nested"
 
 @pytest.fixture(scope="module", autouse=True)
 def robot(domain_id: int) -> Iterator[None]:
-    command = [sys.executable, str(Path(__file__).parent / "genuine_rclpy.py"), str(domain_id)]
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdin is not None
-        try:
-            assert process.stdout.readline() == "ready\n"
-            yield
-        finally:
-            process.stdin.close()
-            try:
-                process.wait(120)
-            finally:
-                process.kill()
+    local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    with running_script("genuine_rclpy.py", str(domain_id), environment=local):
+        yield
 
 
 async def test_a_message_is_decoded_with_definitions_of_its_node(domain_id: int, tmp_path: Path) -> None:

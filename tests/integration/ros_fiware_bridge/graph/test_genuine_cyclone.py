@@ -1,10 +1,7 @@
 """Our DDS against nodes of `rmw_cyclonedds_cpp`: they publish hashes of request and response messages."""
 
-import subprocess
-import sys
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +12,7 @@ from ros_fiware_bridge.errors import TypeHashDiffers
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
 from ros_fiware_bridge.graph.port import GoalStatus, RosGraph
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.integration.ros_fiware_bridge.graph.conftest import true
+from tests.integration.ros_fiware_bridge.graph.conftest import running_script, true
 
 TRIGGER = "std_srvs/srv/Trigger"
 OF_REQUEST = "RIHS01_d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199"
@@ -25,19 +22,8 @@ OF_SERVICE = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b20
 
 @contextmanager
 def genuine(domain_id: int, *arguments: str) -> Iterator[None]:
-    command = [sys.executable, str(Path(__file__).parent / "genuine_cyclone.py"), str(domain_id), *arguments]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdin is not None
-        try:
-            assert process.stdout.readline() == "ready\n"
-            yield
-        finally:
-            process.stdin.close()
-            try:
-                process.wait(120)
-            finally:
-                process.kill()
+    with running_script("genuine_cyclone.py", str(domain_id), *arguments):
+        yield
 
 
 @pytest.fixture
