@@ -32,9 +32,9 @@ _ROWS: Final[dict[str, tuple[Callable[..., int], str]]] = {
 def faults_in(path: Path) -> Iterator[str]:
     """Yield each fault of a broker's database and of the write-ahead log beside it."""
     database = SqliteDatabase(path)
-    filing = Checkpointer(database, lambda *_: None, lambda _: None)
+    checkpointer = Checkpointer(database, lambda *_: None, lambda _: None)
     try:
-        filing.require_database()
+        checkpointer.require_database()
         if not path.exists():
             return
         yield from (f"{path}: {fault}" for fault in faults_of(path)[0])
@@ -46,7 +46,7 @@ def faults_in(path: Path) -> Iterator[str]:
         yield f"{path}: {error}"
         return
     yield from _faults_of_rows(path)
-    yield from _faults_of_log(database, filing)
+    yield from _faults_of_log(database, checkpointer)
 
 
 def _faults_of_rows(path: Path) -> Iterator[str]:
@@ -82,7 +82,7 @@ def _shown(row: list[Any]) -> str:
     return ", ".join(str(value) for value in row[:3] if not isinstance(value, bytes))
 
 
-def _faults_of_log(database: SqliteDatabase, filing: Checkpointer) -> Iterator[str]:
+def _faults_of_log(database: SqliteDatabase, checkpointer: Checkpointer) -> Iterator[str]:
     try:
         database.keep_others_out()
     except UsageError:
@@ -91,7 +91,7 @@ def _faults_of_log(database: SqliteDatabase, filing: Checkpointer) -> Iterator[s
         yield f"{database.path.with_suffix('.lock')}: {error}"
         return
     try:
-        filing.read_left()
+        checkpointer.read_left()
     except (Damaged, NotStored, OSError) as error:
         yield str(error)
     finally:

@@ -73,12 +73,12 @@ class Checkpointer:
         """Encoded commits: decoded they take ten times the memory."""
         self._guard = threading.Lock()
         """Guards the log and what waits for a checkpoint."""
-        self._checkpointer = threading.Lock()
+        self._checkpoint_lock = threading.Lock()
         """Held while the tables are written."""
         self._is_wanted = threading.Event()
         self._is_ending = threading.Event()
         self._flush_s = 0.0
-        self._thread = threading.Thread(target=self._work, name="filing", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="checkpoint", daemon=True)
 
     @property
     def path(self) -> Path:
@@ -163,7 +163,7 @@ class Checkpointer:
         While the log files are overwritten, the tables say that no log is valid: the process may be killed at
         any time.
         """
-        with self._checkpointer:
+        with self._checkpoint_lock:
             if self._has_begun:
                 return
             try:
@@ -256,22 +256,22 @@ class Checkpointer:
         self._is_wanted.set()
         if self._thread.is_alive():
             self._thread.join()
-        is_filed = False
+        is_complete = False
         if self._has_begun:
             try:
                 self.settle()
                 with self._database.transaction() as writer:
                     self._write_state(writer, 0, is_open=False)
-                is_filed = True
+                is_complete = True
             except NotStored as error:
                 log.warning(
                     "the commits in the log are written to the tables at the next start", error=str(error)
                 )
-        self._log.close(by_sequence=is_filed)
+        self._log.close(in_order=is_complete)
 
     def _checkpoint(self, besides: Entries | None = None) -> None:
         """Write the waiting commits to the tables, and `besides`, which is too large for the log."""
-        with self._checkpointer:
+        with self._checkpoint_lock:
             with self._guard:
                 waiting, number = self._waiting.copy(), self._log.number
             if not waiting and besides is None:

@@ -22,15 +22,15 @@ _COUNTED = ("entities", "documents", "pending", "settled", "history", "cleared",
 
 def describe(path: Path) -> Iterator[str]:
     """Yield lines about the log beside the database `path`. Raises `UsageError` if there is none."""
-    checkpointed = _checkpointed(path)
+    log, checkpointed = _log(path), _checkpointed(path)
     yield f"{path}: the tables have everything up to change {checkpointed}"
-    for file, stamp in _log(path).stamps():
+    for file, stamp in log.stamps():
         if stamp is None:
             yield f"{file}: its first page is damaged, or is not of this format"
             continue
         state = "closed, everything is in the tables" if stamp.is_closed else "open"
         yield f"{file}: database {stamp.database.hex()}, opening {stamp.opening.hex()}, {state}"
-        for frame in _log(path).frames(file):
+        for frame in log.frames(file):
             yield f"  byte {frame.offset:>8}  {_summary(frame, checkpointed)}"
 
 

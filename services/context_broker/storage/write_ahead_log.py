@@ -205,10 +205,10 @@ class WriteAheadLog:
         """Record that the tables have everything up to frame `number`."""
         self._checkpointed = number
 
-    def close(self, *, by_sequence: bool = False) -> None:
+    def close(self, *, in_order: bool = False) -> None:
         """Close the files; after a clean end they say that the tables have everything."""
         for file in self._files:
-            if by_sequence:
+            if in_order:
                 with suppress(OSError):
                     file.write(0, _stamp_page(self._stamp._replace(is_closed=True)))
             file.close()
@@ -262,7 +262,7 @@ class _File:
         """Offset of the next frame."""
         self.last = 0
         """The number of the last frame."""
-        self._checkpoint: BinaryIO | None = None
+        self._handle: BinaryIO | None = None
 
     def stamp(self) -> Stamp | None:
         """Return the content of the first page; None if it is not readable."""
@@ -333,22 +333,22 @@ class _File:
     def prepare(self, stamp: Stamp) -> None:
         """Open the file, clear it, extend it to its full size, and stamp it."""
         self.end, self.last = PAGE, 0
-        if self._checkpoint is None:
-            self._checkpoint = open(  # noqa: SIM115 - it stays open
+        if self._handle is None:
+            self._handle = open(  # noqa: SIM115 - it stays open
                 self.path, "r+b" if self.path.exists() else "w+b", buffering=0, opener=_open_synced
             )
         try:
-            content = self._checkpoint.read() if self._checkpoint.seek(0) == 0 else b""
+            content = self._handle.read() if self._handle.seek(0) == 0 else b""
             used = SIZE if len(content) < SIZE else len(content.rstrip(b"\0"))
             if used > PAGE:
-                self._checkpoint.seek(PAGE)
-                _write(self._checkpoint, bytes(used - PAGE))
+                self._handle.seek(PAGE)
+                _write(self._handle, bytes(used - PAGE))
             if len(content) > SIZE:
-                self._checkpoint.truncate(SIZE)
-            self._checkpoint.seek(0)
-            _write(self._checkpoint, _stamp_page(stamp))
+                self._handle.truncate(SIZE)
+            self._handle.seek(0)
+            _write(self._handle, _stamp_page(stamp))
             if not _SYNCED or len(content) != SIZE:
-                os.fsync(self._checkpoint.fileno())
+                os.fsync(self._handle.fileno())
                 flush_folder(self.path.parent)
         except OSError:
             self.close()
@@ -362,7 +362,7 @@ class _File:
 
     def write(self, at: int, frame: bytes) -> None:
         """Write a frame and return when it is durable."""
-        file = self._checkpoint
+        file = self._handle
         assert file is not None  # noqa: S101 - it has been prepared
         file.seek(at)
         _write(file, frame)
@@ -371,9 +371,9 @@ class _File:
 
     def close(self) -> None:
         """Close the file."""
-        if self._checkpoint is not None:
-            self._checkpoint.close()
-            self._checkpoint = None
+        if self._handle is not None:
+            self._handle.close()
+            self._handle = None
 
 
 def _written_by(sector: bytes, seed: int) -> tuple[int, int] | None:

@@ -198,7 +198,7 @@ def test_the_log_of_another_opening_or_database_is_noticed(tmp_path: Path) -> No
     again.begin(DATABASE, b"opening2")
     again.append(b"of this time")
     assert read(tmp_path, opening=b"opening2") == [b"of this time"]
-    again.close(by_sequence=True)
+    again.close(in_order=True)
     assert again.foreign(DATABASE, b"opening3") is None, "what was closed in order is all in the tables"
 
 
