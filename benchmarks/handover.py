@@ -122,7 +122,7 @@ def free_ports(count: int) -> list[int]:
 
 def environment(data_dir: str) -> dict[str, str]:
     """The environment of a cell on free ports."""
-    broker, orchestrator, controller, trajectory, glove, webui = free_ports(6)
+    broker, orchestrator, controller, trajectory, study, glove, webui = free_ports(7)
     return {
         **{name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")},
         "HANDOVER_DATA_DIR": data_dir,
@@ -131,6 +131,7 @@ def environment(data_dir: str) -> dict[str, str]:
         "HANDOVER_ORCHESTRATOR_PORT": str(orchestrator),
         "HANDOVER_CONTROLLER_PORT": str(controller),
         "HANDOVER_TRAJECTORY_PORT": str(trajectory),
+        "HANDOVER_STUDY_PORT": str(study),
         "HANDOVER_GLOVE_PORT": str(glove),
         "HANDOVER_WEBUI_PORT": str(webui),
         "HANDOVER_ANNOUNCE_MS": "100",
