@@ -15,6 +15,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -153,6 +154,8 @@ def up(env: dict[str, str]) -> tuple[subprocess.Popen[str], float]:
     assert process.stdout is not None
     for line in process.stdout:
         if line.startswith("ready"):
+            # A full pipe would block the services.
+            threading.Thread(target=process.stdout.read, daemon=True).start()
             return process, time.perf_counter() - began
     raise SystemExit("handover up did not become ready")
 

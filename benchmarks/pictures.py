@@ -14,7 +14,9 @@ import io
 import math
 import random
 import shutil
+import signal
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -34,6 +36,7 @@ from benchmarks.handover import environment, stop, up
 OUT = Path(__file__).parent.parent / "webui" / "pictures"
 FLAGS = ["--disable-gpu", "--disable-quic", "--disable-sync", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 1280, "height": 800}
+TALL = {"width": 1280, "height": 1180}
 FRAMES_HZ = 50
 STRAIGHT, BENT, NOISE = (1250, 2050, 2050, 2150, 2200), (500, 320, 280, 400, 420), 14
 TIMEOUT_MS = 60_000
@@ -51,6 +54,7 @@ PAGES = {
     "alerts": "/system?tab=alerts", "events": "/system?tab=events", "robots": "/system?tab=robots",
     "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
 }  # fmt: skip
+FIRST_ORDER = 4711
 LOCALES = {"en": "en-GB", "de": "de-DE", "fi": "fi-FI"}
 
 
@@ -150,10 +154,10 @@ class Product:
         return dict(self.http.get("/gesture-controller/gloves/glove-1").raise_for_status().json())
 
     def start_process(self) -> str:
-        """Start bin picking and return the id."""
-        return str(
-            self.post("/task-orchestrator/processes", definition="bin-picking", key="order 4711")["id"]
-        )
+        """Start bin picking with an unused business key and return the id."""
+        key = f"order {FIRST_ORDER + self._orders}"
+        self._orders += 1
+        return str(self.post("/task-orchestrator/processes", definition="bin-picking", key=key)["id"])
 
     def prompted_code(self) -> str:
         """Return the code of the gesture that the glove is prompted for, as soon as there is a Task."""
@@ -173,7 +177,7 @@ class Product:
         self.hand.show(task["code"] if task and task["status"] == "inProgress" else "00000")
 
 
-def wait_until(condition: Callable[[], Any], timeout_s: float = 300.0) -> None:
+def wait_until(condition: Callable[[], Any], timeout_s: float = 60.0) -> None:
     """Wait until `condition` holds; raises `TimeoutError`."""
     deadline_s = time.monotonic() + timeout_s
     while not condition():
@@ -306,7 +310,7 @@ def test(product: Product) -> None:
         product.hand.show("00000" if asked is None else "20022" if wrong else asked["code"])
         time.sleep(0.1)
     product.hand.show("00000")
-    with product.page(f"/test?part=accuracy&test={began['id']}") as page:
+    with product.page(f"/test?part=accuracy&test={began['id']}", viewport=TALL) as page:
         page.get_by_role("heading", name="Confusion matrix").wait_for()
         product.keep(page, "test")
 
@@ -315,8 +319,8 @@ def study(product: Product) -> None:
     """The results of a study with twelve invented participants."""
     invented = random.Random(3)
     for _ in range(12):
-        session = product.post("/gesture-controller/study/sessions", language="en")
-        path = f"/gesture-controller/study/sessions/{session['id']}"
+        session = product.post("/study/sessions", language="en")
+        path = f"/study/sessions/{session['id']}"
         while session["step"] != "finished":
             session = product.http.get(path).json()
             if session["step"] != "finished":
@@ -382,6 +386,8 @@ def main() -> None:
     if chromium is None:
         raise SystemExit("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
     arguments.out.mkdir(parents=True, exist_ok=True)
+    # Otherwise the services would outlive a script that `timeout` terminates.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         env = {**environment(folder), "HANDOVER_ANNOUNCE_MS": "500", "HANDOVER_CONFIRM_MS": "1500"}
         services, _ = up(env)
