@@ -222,7 +222,7 @@ async def _ngsild_to_ros(robot: Any, broker: BrokerClient, count: int, rate_hz: 
     sent_s: dict[int, float] = {}
 
     def on_message(received: Any) -> None:
-        received_s.setdefault(int(received.value("data")), time.perf_counter())
+        received_s.setdefault(int(received.message["data"]), time.perf_counter())
 
     subscription = await robot.subscribe("/goal", "std_msgs/msg/Float64", on_message, Qos(depth=100))
     assert await subscription.matched(20)

@@ -116,7 +116,7 @@ def main() -> None:
         return
     looks: dict[str, Callable[[Any], Any]] = {
         "unread": lambda _: None,
-        "one field read": lambda received: received.value("position[3]"),
+        "one field read": lambda received: received.message["position"][3],
     }
     for rate_hz in asked.rate:
         for name, look in looks.items():

@@ -19,10 +19,6 @@ class BadDefinition(GraphError, UsageError):
     """A `.msg`, `.srv` or `.action` file is invalid, or contradicts another one."""
 
 
-class UnknownField(GraphError, UsageError):
-    """The definition has no such field."""
-
-
 class UnknownQos(GraphError, UsageError):
     """There is no such quality of service."""
 

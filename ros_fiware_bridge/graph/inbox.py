@@ -3,7 +3,6 @@
 import asyncio
 import time
 from collections import deque
-from typing import Any
 
 import structlog
 
@@ -52,10 +51,6 @@ class RawReceived:
         if self._message is not None or () in fields:
             return self.message
         return self._store.excerpt(self.type_name, self._data, fields)
-
-    def value(self, path: str) -> Any:
-        """Return one field."""
-        return self._store.field(self.type_name, path).of(self.message)
 
 
 class Inbox:

@@ -53,16 +53,6 @@ class Received(Protocol):
             BadMessage: what came is not a message of this type.
         """
 
-    def value(self, path: str) -> Any:
-        """Return one field, `position[0]` or `pose.pose.position`.
-
-        An index beyond the end of an array that has no fixed length gives None.
-
-        Raises:
-            UnknownField: the definition has no such field.
-            BadMessage: what came is not a message of this type.
-        """
-
 
 OnMessage = Callable[[Received], None]
 

@@ -1,8 +1,7 @@
-"""Message definitions as a rule sees them: the type that a path target to, checked before anything runs."""
+"""Message definitions as a rule sees them: the type that a path selects, checked before anything runs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Protocol
 
 from ros_fiware_bridge.mapping.paths import Each, Field, Getter, Index, Path, Step, Where, getter
@@ -193,7 +192,5 @@ def _field_of(definition: Definition, name: str, so_far: str) -> FieldType:
     found = definition.field(name)
     if found is not None:
         return found.type
-    names = [field.name for field in definition.fields]
-    close = get_close_matches(name, names, n=1)
-    meant = f'did you mean "{close[0]}"?' if close else f"it has {', '.join(names) or 'no fields'}"
-    raise InvalidRule(f'{so_far} ({definition.type_name}) has no field "{name}"; {meant}')
+    hint = definition.suggest_field(name)
+    raise InvalidRule(f'{so_far} ({definition.type_name}) has no field "{name}"; {hint}')

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from enum import Enum
 from types import MappingProxyType
 from typing import Any
@@ -98,3 +99,10 @@ class Definition:
     def field(self, name: str) -> Field | None:
         """Return the field of that name, or None."""
         return next((one for one in self.fields if one.name == name), None)
+
+    def suggest_field(self, name: str) -> str:
+        """Return a hint for an unknown field: the one that `name` may mean, or all fields."""
+        names = [one.name for one in self.fields]
+        if close := get_close_matches(name, names, n=1):
+            return f'did you mean "{close[0]}"?'
+        return f"it has {', '.join(names) or 'no fields'}"

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from ros_fiware_bridge.errors import BadMessage
 from ros_fiware_bridge.types.definition import FLOATS, INTEGER_RANGES, Definition, Field, FieldType, Many
-from ros_fiware_bridge.types.field_path import meant
 
 Fit = Callable[[Any], Any]
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
@@ -86,7 +85,7 @@ class Fitting:
                     slots[attribute] = defaults[attribute]
             if taken != len(value):
                 extra = next(name for name in value if name not in fits)
-                raise Unfit(f'{type_name} has no field "{extra}"; {meant(str(extra), definition)}')
+                raise Unfit(f'{type_name} has no field "{extra}"; {definition.suggest_field(str(extra))}')
             return made
 
         self._fits[type_name] = fit

@@ -14,7 +14,6 @@ from ros_fiware_bridge.errors import BadDefinition, UnknownType, UnsupportedType
 from ros_fiware_bridge.types import definition_files, wrappers
 from ros_fiware_bridge.types.definition import Definition, Field, FieldType, Many
 from ros_fiware_bridge.types.excerpt import FieldNames
-from ros_fiware_bridge.types.field_path import FieldPath, field_path
 from ros_fiware_bridge.types.fitting import Fitting
 from ros_fiware_bridge.types.type_hash import rihs01
 from ros_fiware_bridge.types.wire import Wire, attribute
@@ -26,7 +25,6 @@ _DEFAULTS: Mapping[str, Mapping[str, Any]] = {
     "geometry_msgs/msg/Quaternion": {"w": 1.0},
     "sensor_msgs/msg/NavSatStatus": {"status": -2},
 }
-_MAX_CACHED_PATHS = 10_000  # more than the rules of a bridge contain
 _SERVICE_PARTS = ("_Request", "_Response")
 _ACTION_PARTS = ("_Goal", "_Result", "_Feedback")
 
@@ -44,7 +42,6 @@ class TypeStore:
         self._definitions: dict[str, Definition] = {}
         self._hashes: dict[str, str] = {}
         self._sound: set[str] = set()
-        self._paths: dict[tuple[str, str], FieldPath] = {}
         own: dict[str, Path] = {}
         for path in type_paths:
             for type_name, file in definition_files.find(Path(path)):
@@ -174,20 +171,6 @@ class TypeStore:
             if type_name in self._files and "/msg/" not in type_name:
                 self._derive(type_name)
             known = self._hashes[type_name] = rihs01(type_name, self.definition)
-        return known
-
-    def field(self, type_name: str, path: str) -> FieldPath:
-        """Return `path` checked against the definition of a message type.
-
-        Raises:
-            UnknownField: there is no such field.
-        """
-        key = (type_name, path)
-        known = self._paths.get(key)
-        if known is None:
-            known = field_path(path, type_name, self.definition)
-            if len(self._paths) < _MAX_CACHED_PATHS:
-                self._paths[key] = known
         return known
 
     def encode(self, type_name: str, message: Mapping[str, Any]) -> bytes:

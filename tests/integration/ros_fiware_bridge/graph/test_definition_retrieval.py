@@ -52,7 +52,7 @@ async def test_a_message_is_decoded_with_definitions_of_its_node(domain_id: int,
         got: asyncio.Queue[Any] = asyncio.Queue()
         await graph.subscribe("/nested", NESTED, got.put_nowait)
         received = await asyncio.wait_for(got.get(), 30)
-        assert received.value("basic_types_value.int32_value") == 7
+        assert received.message["basic_types_value"]["int32_value"] == 7
         assert not graph.problems()
     finally:
         await graph.close()

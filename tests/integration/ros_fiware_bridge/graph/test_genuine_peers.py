@@ -53,7 +53,7 @@ async def test_messages_pass_to_and_from_a_genuine_node(graph: RosGraph) -> None
     await asyncio.wait_for(say(), 20)
     assert got[0].message["name"] == ["a", "bc"]
     assert got[0].message["position"].tolist() == [0.5, -1.5]
-    assert got[0].value("header.frame_id") == "Grüße"
+    assert got[0].message["header"]["frame_id"] == "Grüße"
 
 
 async def test_latched_and_best_effort_messages_of_a_genuine_node_are_received(graph: RosGraph) -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.errors import BadDefinition, BadMessage, UnknownField, UnknownType, UnsupportedType
+from ros_fiware_bridge.errors import BadDefinition, BadMessage, UnknownType, UnsupportedType
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.unit.ros_fiware_bridge.types.random_messages import listed, message_of
 
@@ -182,40 +182,6 @@ def test_a_message_round_trips(data: st.DataObject) -> None:
     )
     message = data.draw(message_of(store, name))
     assert listed(store.decode(name, store.encode(name, message))) == message
-
-
-def test_field_paths_are_checked_and_read() -> None:
-    message = store.decode(JOINT_STATE, store.encode(JOINT_STATE, {"position": [0.5], "name": ["a"]}))
-    assert store.field(JOINT_STATE, "position[0]").of(message) == 0.5
-    assert type(store.field(JOINT_STATE, "position[0]").of(message)) is float
-    assert store.field(JOINT_STATE, "position[4]").of(message) is None
-    assert store.field(JOINT_STATE, "header.stamp").of(message) == {"sec": 0, "nanosec": 0}
-    assert str(store.field(JOINT_STATE, "name").type) == "string[]"
-
-
-@pytest.mark.parametrize(
-    ("path", "says"),
-    [
-        ("positions[0]", 'sensor_msgs/msg/JointState has no field "positions"; did you mean "position"?'),
-        ("header.frame_id[0]", "is string, not an array; remove the [0]"),
-        (
-            "header.stamp.sec.x",
-            "header.stamp.sec of sensor_msgs/msg/JointState is int32, which has no fields",
-        ),
-        ("name.x", "name one element, name[0].x"),
-        ("position[-1]", "is not a field path"),
-        ("", "is not a field path"),
-    ],
-)
-def test_an_invalid_field_path_gives_the_reason(path: str, says: str) -> None:
-    with pytest.raises(UnknownField) as error:
-        store.field(JOINT_STATE, path)
-    assert says in str(error.value)
-
-
-def test_an_index_beyond_a_fixed_array_is_refused() -> None:
-    with pytest.raises(UnknownField, match="the last index is 35"):
-        store.field("geometry_msgs/msg/PoseWithCovariance", "covariance[36]")
 
 
 @pytest.mark.parametrize(
