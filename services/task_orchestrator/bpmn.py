@@ -22,12 +22,12 @@ from services.task_orchestrator.definition import (
     Node,
     Trigger,
 )
-from services.task_orchestrator.expressions import ExpressionError, read, read_script
 from services.task_orchestrator.extension import (
     Findings,
     read_activity,
     read_process_extension,
 )
+from services.task_orchestrator.languages.native import ExpressionError, read, read_script
 from services.task_orchestrator.timers import due_at, is_time
 from services.task_orchestrator.xml_names import BPMN, MAX_BYTES, MAX_ELEMENTS, local, qualified
 

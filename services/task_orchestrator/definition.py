@@ -14,7 +14,7 @@ from handover.durations import Duration
 from handover.errors import Problem
 from handover.messages import Message, message, with_code
 from handover.outcomes import reason_of
-from services.task_orchestrator.expressions import Expression
+from services.task_orchestrator.languages.native import Expression
 
 MAX_FAULTS_LISTED = 100
 

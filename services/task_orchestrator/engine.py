@@ -29,8 +29,8 @@ from handover.errors import HandoverError
 from handover.messages import message, text_of
 from services.task_orchestrator.bpmn import bare_process
 from services.task_orchestrator.definition import Definition, Kind, Trigger
-from services.task_orchestrator.expressions import ExpressionError
 from services.task_orchestrator.joins import InclusiveJoin, merge_variables, path_to
+from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.spiff import Parser, Scripts, Timer
 
 for _chatty in ("spiff.task", "spiff.workflow"):

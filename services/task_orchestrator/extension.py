@@ -26,7 +26,7 @@ from services.task_orchestrator.definition import (
     ProcessParameter,
     variable_of,
 )
-from services.task_orchestrator.expressions import ExpressionError, is_variable_name, read
+from services.task_orchestrator.languages.native import ExpressionError, is_variable_name, read
 from services.task_orchestrator.xml_names import HANDOVER, local, qualified
 
 _SHORT = re.compile(r"[A-Z][A-Za-z0-9]*:[A-Za-z0-9_.-]+", re.ASCII)

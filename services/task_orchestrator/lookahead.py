@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from services.task_orchestrator.definition import Activity, Definition, Flow, Kind, Node, Trigger, variable_of
-from services.task_orchestrator.expressions import ExpressionError, read
+from services.task_orchestrator.languages.native import ExpressionError, read
 
 MAX_UPCOMING = 8
 """A longer list of possible activities is of no use to a person."""

@@ -34,7 +34,7 @@ from services.task_orchestrator.definition_registry import (
     read_runnable,
 )
 from services.task_orchestrator.entities import final_attributes
-from services.task_orchestrator.expressions import is_variable_name
+from services.task_orchestrator.languages.native import is_variable_name
 from services.task_orchestrator.outbox import Outbox
 from services.task_orchestrator.process import Process, entity_of
 from services.task_orchestrator.records import Message, MessageKind, ProcessRecord, Step

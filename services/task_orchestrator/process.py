@@ -24,7 +24,7 @@ from services.task_orchestrator.entities import (
     status_property,
     task_entity,
 )
-from services.task_orchestrator.expressions import ExpressionError
+from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.records import (
     Act,
     ActKind,

@@ -13,9 +13,9 @@ from SpiffWorkflow.bpmn.specs.event_definitions.timer import TimerEventDefinitio
 from SpiffWorkflow.task import Task as Token
 
 from services.task_orchestrator.definition import HANDED_OVER, Kind
-from services.task_orchestrator.expressions import ExpressionError, read, read_script
-from services.task_orchestrator.grammar import within_limits
 from services.task_orchestrator.joins import InclusiveJoin, ParallelJoin
+from services.task_orchestrator.languages.base import within_limits
+from services.task_orchestrator.languages.native import ExpressionError, read, read_script
 from services.task_orchestrator.timers import due_at, is_time
 from services.task_orchestrator.xml_names import qualified
 

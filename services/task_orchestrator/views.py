@@ -12,8 +12,8 @@ from services.task_orchestrator.counts import ElementCount, PeriodCount, Version
 from services.task_orchestrator.definition import Activity, Definition
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.entities import resource_id
-from services.task_orchestrator.expressions import ExpressionError
 from services.task_orchestrator.extension import is_reference
+from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.lookahead import upcoming_activities
 from services.task_orchestrator.records import Act, DefinitionRecord, Move, ProcessRecord, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings

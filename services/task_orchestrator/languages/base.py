@@ -1,14 +1,30 @@
-"""What every expression language offers: an expression that was read once and is evaluated often."""
+"""Parts common to the expression languages: the protocol, the error, and the limits of values."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Protocol, TypeAlias
 
-from services.task_orchestrator.grammar import ExpressionError
-
-__all__ = ["Expression", "ExpressionError", "Json", "Variables"]
+from handover.errors import HandoverError
 
 Json: TypeAlias = Any
 Variables: TypeAlias = Mapping[str, Json]
+
+MAX_CHARACTERS = 1000
+"""Of the text of an expression."""
+
+MAX_NODES = 200
+MAX_DEPTH = 30
+"""Of the syntax tree, and of a value."""
+
+MAX_ITEMS = 10_000
+"""Items and characters of a value that an expression may create."""
+
+MAX_NUMBER = 2**53
+"""Larger JSON numbers lose integer precision."""
+
+
+class ExpressionError(HandoverError):
+    """An expression is invalid, or cannot be evaluated with the present variables."""
 
 
 class Expression(Protocol):
@@ -26,3 +42,37 @@ class Expression(Protocol):
     def names(self) -> frozenset[str]:
         """Return the names of the variables that the expression reads."""
         ...
+
+
+def within_limits(value: Json) -> Json:
+    """Return `value` if it is JSON within the limits; raise `ExpressionError` if not."""
+    left = MAX_ITEMS
+    heap = [(value, 0)]
+    while heap:
+        item, depth = heap.pop()
+        if depth > MAX_DEPTH:
+            raise ExpressionError(f"a value is nested at most {MAX_DEPTH} deep")
+        if isinstance(item, str):
+            left -= len(item) // 64
+            _check_text(item)
+        elif isinstance(item, dict):
+            heap.extend((part, depth + 1) for part in item.values())
+        elif isinstance(item, list):
+            heap.extend((part, depth + 1) for part in item)
+        elif isinstance(item, float) and not math.isfinite(item):
+            raise ExpressionError("a number must be finite")
+        elif isinstance(item, int) and abs(item) > MAX_NUMBER:
+            raise ExpressionError("a number is too large")
+        elif not (item is None or isinstance(item, bool | int | float)):
+            raise ExpressionError(f"{type(item).__name__} is no JSON value")
+        left -= 1
+        if left - len(heap) < 0:
+            raise ExpressionError(f"a value holds at most {MAX_ITEMS} items")
+    return value
+
+
+def _check_text(text: str) -> None:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise ExpressionError("a text has a lone surrogate") from None

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.expressions import ExpressionError, read, read_script
-from services.task_orchestrator.grammar import MAX_CHARACTERS, within_limits
+from services.task_orchestrator.languages.base import MAX_CHARACTERS, within_limits
+from services.task_orchestrator.languages.native import ExpressionError, read, read_script
 
 SCAN = {
     "scan": {"found": True, "part": "gear", "pose": {"position": [1.5, -2, 0]}},
@@ -236,3 +236,15 @@ def test_a_value_too_large_or_too_deep_is_refused() -> None:
         deep = [deep]
     with pytest.raises(ExpressionError, match="deep"):
         within_limits(deep)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("scan.found and tries < len(parts)", {"scan", "tries", "parts"}),
+        ("true", set()),
+        ("defined(place) and place['key']", {"place"}),
+    ],
+)
+def test_an_expression_names_the_variables_it_reads(text: str, names: set[str]) -> None:
+    assert read(text).names() == names

@@ -4,23 +4,17 @@ The text is parsed, but never compiled to Python code.
 """
 
 import ast
-import math
 import warnings
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeAlias
 
-from handover.errors import HandoverError
-
-Json: TypeAlias = Any
-
-MAX_CHARACTERS = 1000
-MAX_NODES = 200
-MAX_DEPTH = 30
-MAX_ITEMS = 10_000
-"""Items and characters of a value that an expression may create."""
-
-MAX_NUMBER = 2**53
-"""Larger JSON numbers lose integer precision."""
+from services.task_orchestrator.languages.base import (
+    MAX_CHARACTERS,
+    MAX_DEPTH,
+    MAX_NODES,
+    ExpressionError,
+    Json,
+    within_limits,
+)
 
 CONSTANTS: Mapping[str, Json] = {"true": True, "false": False, "null": None}
 ARGUMENTS: Mapping[str, range] = {
@@ -42,10 +36,6 @@ _PLAIN = (
     *(ast.BoolOp, ast.BinOp, ast.UnaryOp, ast.Compare, ast.IfExp, ast.List, ast.Subscript),
     *(ast.And, ast.Or, ast.Load, *_OPERATORS, *_COMPARISONS, *_SIGNS),
 )
-
-
-class ExpressionError(HandoverError):
-    """An expression is invalid, or cannot be evaluated with the present variables."""
 
 
 def parse(text: str) -> ast.expr:
@@ -72,40 +62,6 @@ def parse(text: str) -> ast.expr:
 def is_variable_name(name: str) -> bool:
     """Return whether `name` can be the name of a process variable."""
     return name.isidentifier() and name.isascii() and len(name) <= 100 and name not in _RESERVED
-
-
-def within_limits(value: Json) -> Json:
-    """Return `value` if it is JSON within the limits; raise `ExpressionError` if not."""
-    left = MAX_ITEMS
-    heap = [(value, 0)]
-    while heap:
-        item, depth = heap.pop()
-        if depth > MAX_DEPTH:
-            raise ExpressionError(f"a value is nested at most {MAX_DEPTH} deep")
-        if isinstance(item, str):
-            left -= len(item) // 64
-            _check_text(item)
-        elif isinstance(item, dict):
-            heap.extend((part, depth + 1) for part in item.values())
-        elif isinstance(item, list):
-            heap.extend((part, depth + 1) for part in item)
-        elif isinstance(item, float) and not math.isfinite(item):
-            raise ExpressionError("a number must be finite")
-        elif isinstance(item, int) and abs(item) > MAX_NUMBER:
-            raise ExpressionError("a number is too large")
-        elif not (item is None or isinstance(item, bool | int | float)):
-            raise ExpressionError(f"{type(item).__name__} is no JSON value")
-        left -= 1
-        if left - len(heap) < 0:
-            raise ExpressionError(f"a value holds at most {MAX_ITEMS} items")
-    return value
-
-
-def _check_text(text: str) -> None:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        raise ExpressionError("a text has a lone surrogate") from None
 
 
 def _check(tree: ast.expr) -> None:

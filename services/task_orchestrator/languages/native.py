@@ -12,20 +12,21 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from services.task_orchestrator.grammar import (
-    CONSTANTS,
+from services.task_orchestrator.languages.base import (
     MAX_NUMBER,
     ExpressionError,
     Json,
+    Variables,
+    within_limits,
+)
+from services.task_orchestrator.languages.native_grammar import (
+    CONSTANTS,
     in_words,
     is_variable_name,
     parse,
-    within_limits,
 )
 
 __all__ = ["Expression", "ExpressionError", "Json", "Variables", "is_variable_name", "read", "read_script"]
-
-Variables = Mapping[str, Json]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,14 @@ class Expression:
             return within_limits(_evaluate(self._tree, variables))
         except ExpressionError as error:
             raise ExpressionError(f"`{self.text}`: {error}") from None
+
+    def names(self) -> frozenset[str]:
+        """Return the names of the variables that it reads."""
+        return frozenset(
+            node.id
+            for node in ast.walk(self._tree)
+            if isinstance(node, ast.Name) and node.id not in CONSTANTS and node.id not in _CALLABLE
+        )
 
 
 @lru_cache(maxsize=4096)
@@ -100,6 +109,8 @@ FUNCTIONS: Mapping[str, Callable[..., Json]] = {
     "min": _extreme("min", min),
     "max": _extreme("max", max),
 }
+
+_CALLABLE = frozenset({*FUNCTIONS, "defined"})
 
 _ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
