@@ -1,0 +1,145 @@
+"""Events and gateways: what happens when a token enters one, and when a wait ends."""
+
+from typing import Any
+
+from handover.messages import message
+from services.task_orchestrator.execution.activities import enter_activity, throw_message
+from services.task_orchestrator.execution.compensation import start_compensation
+from services.task_orchestrator.execution.machine import Machine, ThrownSignal
+from services.task_orchestrator.execution.navigation import await_join, choose_event, join
+from services.task_orchestrator.execution.propagation import (
+    start_boundary,
+    start_event_subprocess,
+    throw_error,
+    throw_escalation,
+)
+from services.task_orchestrator.execution.state import Frame, Token, TokenState, Wait, WaitType
+from services.task_orchestrator.execution.waits import add_wait, remove_wait, repeat
+from services.task_orchestrator.model import (
+    ACTIVITIES,
+    CompensateEvent,
+    ErrorEvent,
+    EscalationEvent,
+    Kind,
+    LinkEvent,
+    MessageEvent,
+    Node,
+    SignalEvent,
+    TerminateEvent,
+)
+
+
+def enter(machine: Machine, token: Token, node: Node) -> None:
+    """Enter a node; raise `RunFailed` if that is impossible."""
+    if node.kind in ACTIVITIES:
+        enter_activity(machine, token, node)
+        return
+    match node.kind:
+        case Kind.CATCH_EVENT:
+            _enter_catch(machine, token, node)
+        case Kind.THROW_EVENT | Kind.END_EVENT:
+            _throw(machine, token, node)
+        case Kind.PARALLEL | Kind.INCLUSIVE:
+            _enter_join(machine, token, node)
+        case Kind.EVENT_BASED:
+            with machine.failures(token):
+                for event in choose_event(machine, token):
+                    add_wait(machine, token, event)
+            token.state = TokenState.WAITING
+        case _:
+            machine.change_state(token, TokenState.FINISHING)
+
+
+def _enter_catch(machine: Machine, token: Token, node: Node) -> None:
+    if node.event is None or isinstance(node.event, LinkEvent):
+        machine.change_state(token, TokenState.FINISHING)
+        return
+    with machine.failures(token):
+        add_wait(machine, token, node)
+    token.state = TokenState.WAITING
+
+
+def _enter_join(machine: Machine, token: Token, node: Node) -> None:
+    incoming = machine.frame_of(token).graph.incoming[node.id]
+    if len(incoming) < 2:
+        machine.change_state(token, TokenState.FINISHING)
+    elif node.kind is Kind.PARALLEL:
+        join(machine, token, incoming)
+    else:
+        await_join(machine, token)
+
+
+def _throw(machine: Machine, token: Token, node: Node) -> None:
+    with machine.failures(token):
+        variables = machine.variables(token)
+        token.local.update({each.target: each.value.value(variables) for each in node.inputs})
+    match node.event:
+        case MessageEvent() as event:
+            throw_message(machine, token, event)
+        case SignalEvent() as event:
+            with machine.failures(token):
+                name = str(event.name.value(machine.variables(token)))
+            machine.effects.append(ThrownSignal(name, dict(token.local), machine.element(token)))
+        case EscalationEvent() as event:
+            details = {"activity": node.id, "code": event.code}
+            if throw_escalation(machine, token, event.code, details):
+                return
+        case CompensateEvent() as event:
+            start_compensation(machine, token, event)
+            return
+        case ErrorEvent() as event:
+            _throw_error(machine, token, node, event)
+            return
+        case TerminateEvent():
+            machine.cancel_others(machine.frame_of(token), but=token)
+        case LinkEvent() as event:
+            frame = machine.frame_of(token)
+            machine.add_token(frame, frame.graph.links[event.name].id, state=TokenState.FINISHING)
+            machine.remove(token)
+            return
+        case _:
+            pass
+    machine.change_state(token, TokenState.FINISHING)
+
+
+def _throw_error(machine: Machine, token: Token, node: Node, event: ErrorEvent) -> None:
+    reason = message("process.error_end_event", 'the error end event "{node}" was reached', node=node.name)
+    details = {"activity": node.id, "reason": str(reason), "code": event.code}
+    if not throw_error(machine, token, event.code, details):
+        machine.fail_process(reason)
+
+
+def trigger(machine: Machine, wait: Wait, results: dict[str, Any]) -> None:
+    """Let the event of a wait occur; `results` are the variables that it brings."""
+    frame = machine.state.frames[wait.frame]
+    if wait.token is None:
+        _trigger_subprocess(machine, frame, wait, results)
+        return
+    token = machine.state.tokens[wait.token]
+    event = frame.graph.nodes[wait.node]
+    if event.kind is Kind.BOUNDARY_EVENT:
+        if not event.interrupting:
+            _keep_or_remove(machine, wait)
+        start_boundary(machine, token, event, results, interrupting=event.interrupting)
+    elif token.node == wait.node:
+        machine.clear_waits(token)
+        token.results = results
+        machine.change_state(token, TokenState.FINISHING)
+    else:  # an event-based gateway
+        machine.add_token(frame, event.id, state=TokenState.FINISHING, results=results)
+        machine.remove(token)
+
+
+def _trigger_subprocess(machine: Machine, frame: Frame, wait: Wait, results: dict[str, Any]) -> None:
+    for subprocess, start in frame.graph.event_subprocesses:
+        if start.id != wait.node:
+            continue
+        if not start.interrupting:
+            _keep_or_remove(machine, wait)
+        start_event_subprocess(machine, frame, subprocess, start, results, interrupting=start.interrupting)
+
+
+def _keep_or_remove(machine: Machine, wait: Wait) -> None:
+    """Keep the wait of an event that does not interrupt, unless it is a timer that is not due again."""
+    if wait.type is WaitType.TIMER and not repeat(machine, wait):
+        remove_wait(machine, wait)

@@ -1,0 +1,150 @@
+"""Navigation: tokens take sequence flows, are split and joined by gateways, and end."""
+
+from handover.messages import message
+from services.task_orchestrator.execution.machine import Machine
+from services.task_orchestrator.execution.state import Frame, RunFailed, Token, TokenState
+from services.task_orchestrator.languages.base import Variables
+from services.task_orchestrator.model import Flow, Kind, Node
+
+
+def leave(machine: Machine, token: Token) -> None:
+    """Move a token from its node along the sequence flows to be taken; without any it ends.
+
+    Raises `RunFailed`, without a change, if there are flows but none can be taken.
+    """
+    frame = machine.frame_of(token)
+    node = frame.graph.nodes[token.node]
+    flows = frame.graph.outgoing[node.id]
+    if len(flows) > 1 or (flows and flows[0].condition is not None):
+        flows = _chosen(machine, token, node, flows)
+    for flow in flows:
+        machine.add_token(frame, flow.target, via=flow.id)
+    machine.remove(token)
+
+
+def _chosen(machine: Machine, token: Token, node: Node, flows: list[Flow]) -> list[Flow]:
+    if node.kind is Kind.PARALLEL:
+        return flows
+    variables = machine.variables(token)
+    taken: list[Flow] = []
+    for flow in flows:
+        if flow.id == node.default:
+            continue
+        if _holds(machine, token, flow, variables):
+            taken.append(flow)
+            if node.kind is Kind.EXCLUSIVE:
+                break
+    taken = taken or [flow for flow in flows if flow.id == node.default]
+    if not taken:
+        raise machine.failure(token, _no_match(flows))
+    return taken
+
+
+def _holds(machine: Machine, token: Token, flow: Flow, variables: Variables) -> bool:
+    if flow.condition is None:
+        return True
+    with machine.failures(token):
+        return bool(flow.condition.value(variables))
+
+
+def _no_match(flows: list[Flow]) -> str:
+    described = "; ".join(
+        f"{flow.name or flow.id}: {flow.condition.text if flow.condition is not None else 'no condition'}"
+        for flow in flows
+    )
+    return message(
+        "process.no_condition_holds",
+        "no condition holds and there is no default flow ({conditions})",
+        conditions=described,
+    )
+
+
+def join(machine: Machine, token: Token, incoming: list[Flow]) -> None:
+    """Let a token that has arrived at a parallel gateway wait for, or continue with, the other branches."""
+    token.state = TokenState.JOINED
+    frame = machine.frame_of(token)
+    arrived = _arrived(frame, token.node)
+    if all(flow.id in arrived for flow in incoming):
+        _merge(machine, [arrived[flow.id] for flow in incoming])
+
+
+def await_join(machine: Machine, token: Token) -> None:
+    """Let a token wait at an inclusive gateway until no other token can arrive there."""
+    token.state = TokenState.JOINED
+    machine.joins_to_check[token.frame, token.node] = None
+
+
+def check_joins(machine: Machine) -> bool:
+    """Continue one inclusive join that no other token can reach; return whether there was one."""
+    while machine.joins_to_check:
+        frame_id, name = next(iter(machine.joins_to_check))
+        del machine.joins_to_check[frame_id, name]
+        frame = machine.state.frames.get(frame_id)
+        if frame is None:
+            continue
+        arrived = _arrived(frame, name)
+        if arrived and _is_complete(frame, name, arrived):
+            _merge(machine, list(arrived.values()))
+            return True
+    return False
+
+
+def _arrived(frame: Frame, join: str) -> dict[str, Token]:
+    """Return the first token that has arrived at `join` by each flow."""
+    arrived: dict[str, Token] = {}
+    for token in frame.tokens.values():
+        if token.node == join and token.state is TokenState.JOINED and token.via is not None:
+            arrived.setdefault(token.via, token)
+    return arrived
+
+
+def _is_complete(frame: Frame, join: str, arrived: dict[str, Token]) -> bool:
+    """Return whether no token can reach an incoming flow that is still empty (BPMN 2.0.2, 13.4.3)."""
+    upstream = frame.graph.upstream[join]
+    empty = [nodes for flow, nodes in upstream.items() if flow not in arrived]
+    full = [nodes for flow, nodes in upstream.items() if flow in arrived]
+    for token in frame.tokens.values():
+        if token.node == join:
+            continue
+        can_arrive = any(token.node in nodes for nodes in empty)
+        if can_arrive and not any(token.node in nodes for nodes in full):
+            return False
+    return True
+
+
+def _merge(machine: Machine, tokens: list[Token]) -> None:
+    first, *others = tokens
+    first.state = TokenState.WAITING  # no longer counted as arrived
+    for other in others:
+        machine.remove(other)
+    machine.change_state(first, TokenState.FINISHING)
+
+
+def find_stalled(machine: Machine) -> None:
+    """Raise incidents at joins that wait for branches from which no token can come any more."""
+    for frame in machine.state.frames.values():
+        if not frame.tokens or frame.waits:
+            continue
+        if any(token.state is not TokenState.JOINED for token in frame.tokens.values()):
+            continue
+        for token in frame.tokens.values():
+            arrived = _arrived(frame, token.node)
+            missing = [flow for flow in frame.graph.incoming[token.node] if flow.id not in arrived]
+            failure = machine.failure(
+                token,
+                message(
+                    "process.join_never_complete",
+                    "the join waits for {flows}, and no token can come from there any more",
+                    flows=", ".join(flow.name or flow.id for flow in missing),
+                ),
+            )
+            machine.raise_incident(token, failure.args[0], stage=TokenState.JOINED)
+
+
+def choose_event(machine: Machine, token: Token) -> list[Node]:
+    """Return the events that follow an event-based gateway; raise `RunFailed` if there is none."""
+    graph = machine.frame_of(token).graph
+    events = [graph.nodes[flow.target] for flow in graph.outgoing[token.node]]
+    if not events:
+        raise RunFailed(f'at "{token.node}": no event follows the gateway')
+    return events

@@ -1,0 +1,332 @@
+"""State: tokens, frames and waits of one process, and their snapshot.
+
+A frame is a running scope: the process itself, a subprocess, an event subprocess or a called process. Only
+what is alive is part of the state, so that a step costs the same however long a process has run.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from datetime import datetime
+from enum import StrEnum
+from typing import Any
+
+import orjson
+
+from handover.errors import HandoverError
+from handover.messages import message, message_in, text_of, with_code
+from services.task_orchestrator.execution.graph import Graph, Plan
+
+SNAPSHOT_VERSION = 1
+MAX_SNAPSHOT_BYTES = 4 * 1024 * 1024
+"""Size of a snapshot; the variables are most of it."""
+
+
+class RunFailed(HandoverError):
+    """The engine cannot do what is asked of it; the text names the element and the reason."""
+
+
+class TokenState(StrEnum):
+    """What a token does at its node."""
+
+    READY = "ready"
+    """It is about to enter the node."""
+    WORK = "work"
+    """A performer works on its Task."""
+    WAITING = "waiting"
+    """It waits for an event."""
+    SCOPE = "scope"
+    """A frame runs in its node."""
+    LOOP = "loop"
+    """It is the body of a loop; its inner tokens do the work."""
+    JOINED = "joined"
+    """It waits at a join for the other branches."""
+    COMPENSATING = "compensating"
+    """It waits for compensation handlers."""
+    FINISHING = "finishing"
+    """It is about to leave the node."""
+    INCIDENT = "incident"
+    """It cannot continue until somebody mends what is wrong."""
+
+
+@dataclass(slots=True)
+class Incident:
+    """Why a token cannot continue; `stage` is the state in which it stopped."""
+
+    stage: TokenState
+    reason: str
+    since: datetime
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Loop:
+    """Progress of a loop or of a multi-instance activity."""
+
+    total: int | None
+    """Number of instances; None for a standard loop."""
+    started: int = 0
+    completed: int = 0
+    items: list[Any] | None = None
+    outputs: list[Any] | None = None
+
+
+@dataclass(slots=True)
+class Compensation:
+    """The compensations that a token still has to run in the frame `frame`, the next one last."""
+
+    frame: int
+    entries: list[dict[str, Any]]
+
+
+@dataclass(slots=True)
+class Token:
+    """A token; ids are never used twice within a process."""
+
+    id: int
+    frame: int
+    node: str
+    state: TokenState = TokenState.READY
+    via: str | None = None
+    """The sequence flow by which it came."""
+    visit: int = 0
+    """How often the activity of its node was started when its Task was created; 0: never."""
+    local: dict[str, Any] = field(default_factory=dict)
+    results: dict[str, Any] | None = None
+    """The results of the activity or the payload of the event that it takes along when it leaves."""
+    incident: Incident | None = None
+    body: int | None = None
+    """The token of the loop of which this one is an instance."""
+    index: int = 0
+    loop: Loop | None = None
+    compensation: Compensation | None = None
+    compensates: int | None = None
+    """The token that waits until this one has compensated."""
+    inside: dict[str, Any] | None = None
+    """What a completed subprocess leaves behind for its compensation."""
+    waits: list[int] = field(default_factory=list)
+    inner: list[int] = field(default_factory=list)
+    child: int | None = None
+    """The frame that runs in its node."""
+
+
+@dataclass(slots=True)
+class Frame:
+    """A running scope; `host` is the token in whose node it runs, None for the process itself."""
+
+    id: int
+    scope: str
+    host: int | None = None
+    process: tuple[str, int] | None = None
+    """Name and version of the definition, if the frame is a process."""
+    variables: dict[str, Any] = field(default_factory=dict)
+    data: dict[str, Any] = field(default_factory=dict)
+    """Data objects by id."""
+    compensations: list[dict[str, Any]] = field(default_factory=list)
+    """Completed activities that have a compensation handler, in the order of their completion."""
+    waits: list[int] = field(default_factory=list)
+    tokens: dict[int, Token] = field(default_factory=dict)
+    graph: Graph = field(default=None, repr=False)  # type: ignore[assignment]  # set before the first use
+    prefix: str = ""
+    """Prefix of the ids of elements in a called process: the ids of the call activities."""
+
+
+class WaitType(StrEnum):
+    """What ends a wait."""
+
+    TIMER = "timer"
+    MESSAGE = "message"
+    SIGNAL = "signal"
+    CONDITION = "condition"
+
+
+@dataclass(slots=True)
+class Wait:
+    """A wait for the event `node` of a frame.
+
+    `token` is the token that the event continues or, for a boundary event, whose activity it is attached to;
+    None for an event subprocess.
+    """
+
+    id: int
+    type: WaitType
+    frame: int
+    node: str
+    token: int | None = None
+    due: datetime | None = None
+    text: str | None = None
+    """The text of a repeating timer, or the name of a message or signal."""
+    count: int = 0
+    """How often the repeating timer was due."""
+    since: datetime | None = None
+    key: Any = None
+    """The correlation key of a message."""
+    holds: bool = False
+    """Whether the condition was true when it was last evaluated."""
+
+
+@dataclass(slots=True)
+class State:
+    """The state of one process."""
+
+    next_id: int = 1
+    frames: dict[int, Frame] = field(default_factory=dict)
+    tokens: dict[int, Token] = field(default_factory=dict)
+    waits: dict[int, Wait] = field(default_factory=dict)
+    visits: dict[str, int] = field(default_factory=dict)
+    completed: bool = False
+    failure: str | None = None
+    """Why the process has ended by an error that nothing caught."""
+
+    def new_id(self) -> int:
+        """Return an id that no token, frame or wait of this process ever had."""
+        found, self.next_id = self.next_id, self.next_id + 1
+        return found
+
+    @property
+    def root(self) -> Frame:
+        """Return the frame of the process itself."""
+        return next(iter(self.frames.values()))
+
+    def snapshot(self) -> bytes:
+        """Return the serialized state; raise `RunFailed` if its variables are too large or no JSON."""
+        content = {
+            "version": SNAPSHOT_VERSION,
+            "next": self.next_id,
+            "frames": [_values(frame, _FRAME_FIELDS) for frame in self.frames.values()],
+            "tokens": [_token_values(token) for token in self.tokens.values()],
+            "waits": [_values(wait, _WAIT_FIELDS) for wait in self.waits.values()],
+            "visits": self.visits,
+            "completed": self.completed,
+            **({} if self.failure is None else with_code("failure", self.failure)),
+        }
+        try:
+            written = orjson.dumps(content)
+        except TypeError as error:
+            raise RunFailed(
+                message(
+                    "process.variable_not_json",
+                    "a process variable is no JSON: {error}",
+                    error=text_of(error),
+                )
+            ) from error
+        if len(written) > MAX_SNAPSHOT_BYTES:
+            raise RunFailed(
+                message(
+                    "process.variables_too_large",
+                    "the process variables take more than {limit} bytes",
+                    limit=MAX_SNAPSHOT_BYTES,
+                )
+            )
+        return written
+
+
+_DERIVED = frozenset({"tokens", "graph", "inner", "child"})
+_FRAME_FIELDS = tuple(each.name for each in fields(Frame) if each.name not in _DERIVED)
+_WAIT_FIELDS = tuple(each.name for each in fields(Wait))
+_TOKEN_FIELDS = tuple(
+    each.name for each in fields(Token) if each.name not in {*_DERIVED, "incident", "loop", "compensation"}
+)
+
+
+def _values(record: Any, names: Iterable[str]) -> dict[str, Any]:
+    """Return the members of `record` that differ from their defaults, all of which are false."""
+    values = {name: getattr(record, name) for name in names}
+    return {name: value for name, value in values.items() if value or (name == "key" and value is not None)}
+
+
+def _token_values(token: Token) -> dict[str, Any]:
+    values = _values(token, _TOKEN_FIELDS)
+    if token.incident is not None:
+        incident = token.incident
+        values["incident"] = {
+            "stage": incident.stage,
+            "since": incident.since,
+            "details": incident.details,
+            **with_code("reason", incident.reason),
+        }
+    if token.loop is not None:
+        values["loop"] = {each.name: getattr(token.loop, each.name) for each in fields(Loop)}
+    if token.compensation is not None:
+        values["compensation"] = {
+            "frame": token.compensation.frame,
+            "entries": token.compensation.entries,
+        }
+    return values
+
+
+class Library:
+    """The definitions that a process may call, by name and version. A subclass finds them."""
+
+    def plan(self, name: str, version: int) -> Plan:
+        """Return a version of a definition; raise `RunFailed` if there is none that can be executed."""
+        raise NotImplementedError
+
+    def find(self, name: str, version: int | None, tag: str | None) -> Plan:
+        """Return the latest version, or that with the version number or tag; raise `RunFailed` if none."""
+        raise NotImplementedError
+
+
+def read_snapshot(snapshot: bytes, library: Library) -> State:
+    """Return the state of a `snapshot`; raise `RunFailed` if this release cannot read it."""
+    content = orjson.loads(snapshot)
+    if content.get("version") != SNAPSHOT_VERSION:
+        raise RunFailed(
+            message(
+                "process.unknown_state_version",
+                "this release cannot read a run of the format {version}",
+                version=content.get("version"),
+            )
+        )
+    state = State(
+        next_id=content["next"],
+        visits=content["visits"],
+        completed=content["completed"],
+        failure=message_in(content, "failure"),
+    )
+    for values in content["tokens"]:
+        token = _read_token(values)
+        state.tokens[token.id] = token
+    for values in content["frames"]:
+        process = values.pop("process", None)
+        frame = Frame(**values, process=None if process is None else (process[0], process[1]))
+        state.frames[frame.id] = frame
+    for values in content["waits"]:
+        wait = Wait(**{**values, "type": WaitType(values["type"])})
+        wait.due, wait.since = _moment(wait.due), _moment(wait.since)
+        state.waits[wait.id] = wait
+    _link(state, library)
+    return state
+
+
+def _read_token(values: dict[str, Any]) -> Token:
+    incident, loop = values.pop("incident", None), values.pop("loop", None)
+    compensation = values.pop("compensation", None)
+    token = Token(**{**values, "state": TokenState(values.get("state", TokenState.READY))})
+    if incident is not None:
+        since = _moment(incident["since"])
+        assert since is not None  # noqa: S101 - written by `_token_values`
+        reason = message_in(incident, "reason") or ""
+        token.incident = Incident(TokenState(incident["stage"]), reason, since, incident["details"])
+    token.loop = None if loop is None else Loop(**loop)
+    token.compensation = None if compensation is None else Compensation(**compensation)
+    return token
+
+
+def _link(state: State, library: Library) -> None:
+    """Restore what is derived: the graphs and tokens of frames, the inner tokens and frames of tokens."""
+    for frame in state.frames.values():
+        host = None if frame.host is None else state.tokens[frame.host]
+        if frame.process is not None:
+            frame.graph = library.plan(*frame.process).graph
+        elif host is not None:
+            frame.graph = state.frames[host.frame].graph.inner[frame.scope]
+        if host is not None:
+            host.child = frame.id
+    for token in state.tokens.values():
+        state.frames[token.frame].tokens[token.id] = token
+        if token.body is not None:
+            state.tokens[token.body].inner.append(token.id)
+
+
+def _moment(value: Any) -> datetime | None:
+    return datetime.fromisoformat(value) if isinstance(value, str) else None

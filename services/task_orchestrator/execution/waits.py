@@ -1,0 +1,118 @@
+"""Waits: timers, messages, signals and conditions that a process waits for."""
+
+import sys
+
+from services.task_orchestrator.execution.machine import Machine
+from services.task_orchestrator.execution.state import Frame, Token, Wait, WaitType
+from services.task_orchestrator.languages.base import ExpressionError, Variables
+from services.task_orchestrator.model import (
+    ConditionalEvent,
+    MessageEvent,
+    Node,
+    SignalEvent,
+    TimerEvent,
+    TimerType,
+)
+from services.task_orchestrator.timers import due_at, parse_cycle
+
+Owner = Token | Frame
+
+
+def add_wait(machine: Machine, owner: Owner, event: Node) -> None:
+    """Wait for the event `event`, if it is one that is waited for.
+
+    The owner is the token that continues at the event or whose activity the event is attached to, or the
+    frame of an event subprocess. Raises `ExpressionError` or `ValueError` for values that are invalid.
+    """
+    if isinstance(owner, Token):
+        variables = machine.variables(owner)
+        wait = Wait(0, WaitType.TIMER, owner.frame, event.id, owner.id)
+    else:
+        variables = machine.frame_variables(owner)
+        wait = Wait(0, WaitType.TIMER, owner.id, event.id)
+    match event.event:
+        case TimerEvent() as timer:
+            _set_due(machine, wait, timer, timer.value.value(variables))
+        case MessageEvent() as definition:
+            wait.type = WaitType.MESSAGE
+            wait.text = str(definition.name.value(variables))
+            if definition.correlation is not None:
+                wait.key = definition.correlation.value(variables)
+        case SignalEvent() as definition:
+            wait.type = WaitType.SIGNAL
+            wait.text = str(definition.name.value(variables))
+        case ConditionalEvent():
+            wait.type = WaitType.CONDITION
+            machine.variables_changed = True  # so that it is evaluated at the end of this step
+        case _:
+            return
+    wait.id = machine.state.new_id()
+    machine.state.waits[wait.id] = wait
+    owner.waits.append(wait.id)
+
+
+def _set_due(machine: Machine, wait: Wait, timer: TimerEvent, value: object) -> None:
+    if not isinstance(value, str):
+        raise ExpressionError(f"a timer needs a text such as PT5M, not {value!r}")
+    if timer.type is TimerType.CYCLE:
+        wait.text, wait.since = value, machine.now
+        wait.due = parse_cycle(value).first(machine.now)
+    else:
+        wait.due = due_at(value, machine.now)
+
+
+def repeat(machine: Machine, wait: Wait) -> bool:
+    """Set a repeating timer to its next moment; return False if there is none.
+
+    A cycle without a number of repetitions skips the moments that were missed while nobody was there.
+    """
+    if wait.text is None or wait.due is None:
+        return False
+    cycle = parse_cycle(wait.text)
+    wait.count += 1
+    following = cycle.next(wait.due, wait.count)
+    is_endless = cycle.next(wait.due, sys.maxsize) is not None
+    while following is not None and following <= machine.now and is_endless:
+        following = cycle.next(following, wait.count)
+    wait.due = following
+    return following is not None
+
+
+def remove_wait(machine: Machine, wait: Wait) -> None:
+    """Remove one wait."""
+    machine.state.waits.pop(wait.id, None)
+    owner: Owner | None = machine.state.frames.get(wait.frame)
+    if wait.token is not None:
+        owner = machine.state.tokens.get(wait.token)
+    if owner is not None and wait.id in owner.waits:
+        owner.waits.remove(wait.id)
+
+
+def conditions_that_became_true(machine: Machine) -> list[Wait]:
+    """Return the waits whose conditions are true now and were not at the last evaluation."""
+    found = []
+    for wait in list(machine.state.waits.values()):
+        if wait.type is not WaitType.CONDITION:
+            continue
+        frame = machine.state.frames[wait.frame]
+        event = frame.graph.nodes.get(wait.node) or _start_of(frame, wait.node)
+        if not isinstance(event.event, ConditionalEvent):
+            continue
+        token = None if wait.token is None else machine.state.tokens[wait.token]
+        variables = machine.frame_variables(frame) if token is None else machine.variables(token)
+        held, wait.holds = wait.holds, _holds(event.event, variables)
+        if wait.holds and not held:
+            found.append(wait)
+    return found
+
+
+def _holds(event: ConditionalEvent, variables: Variables) -> bool:
+    try:
+        return bool(event.condition.value(variables))
+    except ExpressionError:
+        return False  # a variable that is not there yet
+
+
+def _start_of(frame: Frame, name: str) -> Node:
+    """Return the start event `name` of an event subprocess of a frame."""
+    return next(start for _, start in frame.graph.event_subprocesses if start.id == name)
