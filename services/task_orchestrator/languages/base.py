@@ -1,7 +1,7 @@
 """Parts common to the expression languages: the protocol, the error, and the limits of values."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, TypeAlias
 
 from handover.errors import HandoverError
@@ -23,8 +23,19 @@ MAX_NUMBER = 2**53
 """Larger JSON numbers lose integer precision."""
 
 
+MAX_LISTED = 20
+"""Names that an error lists."""
+
+
 class ExpressionError(HandoverError):
     """An expression is invalid, or cannot be evaluated with the present variables."""
+
+
+NOW = "now()"
+"""The key under which `variables` may have the present time (ISO 8601); no variable can have that name.
+
+Without it, `now()` of JUEL and FEEL reads the clock of the system.
+"""
 
 
 class Expression(Protocol):
@@ -76,3 +87,25 @@ def _check_text(text: str) -> None:
         text.encode()
     except UnicodeEncodeError:
         raise ExpressionError("a text has a lone surrogate") from None
+
+
+def describe(value: Json) -> str:
+    """Return the type of `value` as errors name it."""
+    if value is None:
+        return "null"
+    kinds = {
+        bool: "a yes or no",
+        int: "a number",
+        float: "a number",
+        str: "a text",
+        list: "a list",
+        dict: "an object",
+    }
+    return kinds.get(type(value), type(value).__name__)
+
+
+def quote_names(names: Iterable[Any]) -> str:
+    """Return the first of `names` in order, as errors list what can be used instead."""
+    ordered = sorted(map(str, names))
+    rest = len(ordered) - MAX_LISTED
+    return ", ".join(ordered[:MAX_LISTED]) + (f" and {rest} more" if rest > 0 else "") or "none"

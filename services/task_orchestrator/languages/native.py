@@ -17,6 +17,7 @@ from services.task_orchestrator.languages.base import (
     ExpressionError,
     Json,
     Variables,
+    describe,
     within_limits,
 )
 from services.task_orchestrator.languages.native_grammar import (
@@ -75,14 +76,14 @@ def read_script(text: str) -> tuple[tuple[str, Expression], ...]:
 
 def _number(value: Json, doing: str) -> int | float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ExpressionError(f"{doing} needs a number, not {_kind(value)}")
+        raise ExpressionError(f"{doing} needs a number, not {describe(value)}")
     return value
 
 
 def _length(value: Json) -> int:
     if isinstance(value, str | list | dict):
         return len(value)
-    raise ExpressionError(f"len() needs a text, a list or an object, not {_kind(value)}")
+    raise ExpressionError(f"len() needs a text, a list or an object, not {describe(value)}")
 
 
 def _rounded(value: Json, digits: Json = 0) -> int | float:
@@ -175,11 +176,11 @@ def _part(whole: Json, key: Json) -> Json:
         )
     if isinstance(whole, list):
         if isinstance(key, bool) or not isinstance(key, int):
-            raise ExpressionError(f"a list is asked for a whole number, not {_kind(key)}")
+            raise ExpressionError(f"a list is asked for a whole number, not {describe(key)}")
         if not -len(whole) <= key < len(whole):
             raise ExpressionError(f"a list of {len(whole)} has no item {key}")
         return whole[key]
-    raise ExpressionError(f'{_kind(whole)} has no parts, so none is "{key}"')
+    raise ExpressionError(f'{describe(whole)} has no parts, so none is "{key}"')
 
 
 def _either(node: ast.BoolOp, variables: Variables) -> Json:
@@ -248,7 +249,7 @@ def _contains(whole: Json, part: Json) -> bool:
         return any(_equal(item, part) for item in whole)
     if isinstance(whole, str | dict) and isinstance(part, str):
         return part in whole
-    raise ExpressionError(f"{_kind(part)} cannot be looked for in {_kind(whole)}")
+    raise ExpressionError(f"{describe(part)} cannot be looked for in {describe(whole)}")
 
 
 def _object(node: ast.Dict, variables: Variables) -> Json:
@@ -265,17 +266,3 @@ def _call(name: str, arguments: list[ast.expr], variables: Variables) -> Json:
     if name == "defined":
         return isinstance(arguments[0], ast.Name) and arguments[0].id in variables
     return FUNCTIONS[name](*(_evaluate(argument, variables) for argument in arguments))
-
-
-def _kind(value: Json) -> str:
-    if value is None:
-        return "null"
-    kinds = {
-        bool: "a yes or no",
-        int: "a number",
-        float: "a number",
-        str: "a text",
-        list: "a list",
-        dict: "an object",
-    }
-    return kinds.get(type(value), type(value).__name__)

@@ -1,0 +1,107 @@
+"""Tokens: what the parsers of JUEL and FEEL share, which is a lazy tokenizer with limits and positions."""
+
+import re
+
+from services.task_orchestrator.languages.base import ExpressionError
+
+MAX_CHARACTERS = 10_000
+MAX_TOKENS = 2000
+MAX_DEPTH = 30
+"""Nested parentheses, brackets, calls and prefix operators."""
+
+MAX_QUOTED = 60
+"""Characters of an expression that an error quotes."""
+
+_ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f"}
+_ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|.)", re.DOTALL)
+
+
+def excerpt(text: str) -> str:
+    """Return `text` between backticks, shortened to the length that an error may quote."""
+    return f"`{text}`" if len(text) <= MAX_QUOTED else f"`{text[: MAX_QUOTED - 1]}…`"
+
+
+class Tokens:
+    """A cursor over a text; `kind`, `text` and `start` are those of the token at the cursor.
+
+    The pattern has a named group for each kind of token; white space and comments are the group `skip`.
+    Kinds: `name`, `number`, `string`, `operator`, and `end` behind the last token.
+    """
+
+    def __init__(self, source: str, pattern: re.Pattern[str], position: int = 0) -> None:
+        if len(source) > MAX_CHARACTERS:
+            raise ExpressionError(f"an expression has at most {MAX_CHARACTERS} characters, not {len(source)}")
+        self.source = source
+        self.kind = ""
+        self.text = ""
+        self.start = position
+        self.position = position
+        self._pattern = pattern
+        self._count = 0
+        self._depth = 0
+
+    def advance(self) -> None:
+        """Move to the next token."""
+        match = self._pattern.match(self.source, self.position)
+        while match is not None and match.lastgroup == "skip":
+            self.position = match.end()
+            match = self._pattern.match(self.source, self.position)
+        self.start = self.position
+        self._count += 1
+        if self._count > MAX_TOKENS:
+            raise self.error(f"an expression has at most {MAX_TOKENS} parts")
+        if match is not None:
+            self.kind, self.text, self.position = str(match.lastgroup), match.group(), match.end()
+        elif self.position >= len(self.source):
+            self.kind, self.text = "end", ""
+        else:
+            character = self.source[self.position]
+            if character in "\"'":
+                raise self.error(f"the string that starts with {character} has no end")
+            raise self.error(f"{character!a} is not part of the language")
+
+    def accept(self, *texts: str) -> str | None:
+        """Move past the token if it is an operator or word of `texts`, and return its text."""
+        if self.text in texts and self.kind in {"operator", "name"}:
+            text = self.text
+            self.advance()
+            return text
+        return None
+
+    def expect(self, text: str) -> None:
+        """Move past the operator or word `text`; raise `ExpressionError` if there is something else."""
+        if self.accept(text) is None:
+            raise self.error(f'expected "{text}" instead of {self.found()}')
+
+    def found(self) -> str:
+        """Return the token at the cursor as an error names it."""
+        return "the end" if self.kind == "end" else f'"{self.text[:MAX_QUOTED]}"'
+
+    def error(self, reason: str, position: int | None = None) -> ExpressionError:
+        """Return the error for the token at the cursor, or at `position`; errors count from 1."""
+        place = self.start if position is None else position
+        return ExpressionError(f"position {place + 1}: {reason}")
+
+    def enter(self) -> None:
+        """Begin a nested part; raise `ExpressionError` if it is nested too deeply."""
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise self.error(f"an expression is nested at most {MAX_DEPTH} deep")
+
+    def leave(self) -> None:
+        """End a nested part."""
+        self._depth -= 1
+
+
+def unquote(literal: str) -> str:
+    """Return the text of a string literal in single or double quotes with the escapes of JSON."""
+    inner = literal[1:-1]
+    if "\\" not in inner:
+        return inner
+    return _ESCAPE.sub(lambda match: _unescape(match.group(1)), inner)
+
+
+def _unescape(escape: str) -> str:
+    if len(escape) == 5:
+        return chr(int(escape[1:], 16))
+    return _ESCAPES.get(escape, escape)
