@@ -28,12 +28,14 @@ def inspect(
     ] = False,
 ) -> None:
     """List the changes in the write-ahead log of the broker, also of a running one; nothing is written."""
-    from services.context_broker.storage import inspection  # noqa: PLC0415 - no other command needs it
+    from services.context_broker.storage.write_ahead_log import (  # noqa: PLC0415 - no other command needs it
+        inspection,
+    )
 
     folder = data_dir if data_dir is not None else Settings.load().data_dir
     path = folder / BROKER
     lines = (
-        (orjson.dumps(record).decode() for record in inspection.records(path))
+        (orjson.dumps(change).decode() for change in inspection.changes(path))
         if as_json
         else inspection.describe(path)
     )

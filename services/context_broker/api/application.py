@@ -190,7 +190,7 @@ class BrokerApplication:
         if not self._broker.journal.is_on_disk:
             return
         try:
-            self._broker.journal.require_room()
+            self._broker.journal.require_space()
         except NotStored as error:
             free = disk_usage(self._data_dir).free
             raise NotStored(f"{self._data_dir} ({free} bytes free) does not take changes: {error}") from error

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from services.context_broker.model.attribute_selection import select_attributes
 from services.context_broker.model.entity import Entity
 from services.context_broker.storage.entries import DocumentKey, DocumentKind, EntityRow, Entries
-from services.context_broker.storage.history_archive import END_OF_TIME, DepartedRow
+from services.context_broker.storage.history_archive import END_OF_TIME, TemporalOnlyRow
 from services.context_broker.tenants import Tenant
 
 ENTITIES_PER_COMMIT = 2000
@@ -47,15 +47,15 @@ async def write_content(inner: Tenant, content: SnapshotContent) -> None:
         inner.store.take(one)
 
 
-def deletion_entries(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iterator[Entries]:
+def deletion_entries(inner: Tenant, temporal_only: Sequence[tuple[int, str]]) -> Iterator[Entries]:
     """Yield the commits that delete all documents and entities of a snapshot.
 
-    `departed` are place and id of the entities that have a history only.
+    `temporal_only` are sequence number and id of the entities that have a history only.
     """
-    for start in range(0, len(departed), ENTITIES_PER_COMMIT):
-        gone_by = departed[start : start + ENTITIES_PER_COMMIT]
+    for start in range(0, len(temporal_only), ENTITIES_PER_COMMIT):
+        gone_by = temporal_only[start : start + ENTITIES_PER_COMMIT]
         yield Entries(
-            departed={place: DepartedRow(inner.name, one, None) for place, one in gone_by},
+            temporal_only={place: TemporalOnlyRow(inner.name, one, None) for place, one in gone_by},
             cleared=[(place, END_OF_TIME) for place, _ in gone_by],
         )
     entities = inner.store.candidates()

@@ -94,8 +94,10 @@ class SnapshotStore:
 
     async def delete_content(self, inner: Tenant) -> None:
         """Delete the content of a snapshot from the disk."""
-        departed = await asyncio.to_thread(lambda: list(inner.notifier.journal.archive.departed(inner.name)))
-        for each in deletion_entries(inner, [(place, one) for place, one, _ in departed]):
+        temporal_only = await asyncio.to_thread(
+            lambda: list(inner.notifier.journal.archive.temporal_only_entities(inner.name))
+        )
+        for each in deletion_entries(inner, [(place, one) for place, one, _ in temporal_only]):
             await _write(inner, each)
         if inner.is_kept:
             await _write(inner, Entries(documents={(DocumentKind.TENANT, DEFAULT, inner.name): None}))

@@ -13,10 +13,11 @@ from typing import Any, Final
 from handover.errors import UsageError
 from handover.sqlite_files import faults_of
 from services.context_broker.storage import checksums
-from services.context_broker.storage.checkpoint import Checkpointer
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT
-from services.context_broker.storage.write_ahead_log import Damaged
+from services.context_broker.storage.write_ahead_log.checkpoint import Checkpointer
+from services.context_broker.storage.write_ahead_log.frames import UnknownVersion
+from services.context_broker.storage.write_ahead_log.log_file import Damaged
 
 MAX_FAULTS: Final = 20
 """Damaged rows of a table that are listed; the others are counted."""
@@ -25,7 +26,7 @@ _ROWS: Final[dict[str, tuple[Callable[..., int], str]]] = {
     "documents": (checksums.of_document, "kind, tenant, id, body"),
     "outbox": (checksums.of_notice, "seq, tenant, subscription, entity, at, body, headers"),
     "history": (checksums.of_change, "entity, seq, observed_from, observed_to, rewritten, body"),
-    "departed": (checksums.of_departed, "place, tenant, id, body"),
+    "temporal_only_entities": (checksums.of_temporal_only, "seq, tenant, id, body"),
 }
 
 
@@ -91,8 +92,8 @@ def _faults_of_log(database: SqliteDatabase, checkpointer: Checkpointer) -> Iter
         yield f"{database.path.with_suffix('.lock')}: {error}"
         return
     try:
-        checkpointer.read_left()
-    except (Damaged, NotStored, OSError) as error:
+        checkpointer.recover()
+    except (Damaged, UnknownVersion, NotStored, OSError) as error:
         yield str(error)
     finally:
         database.close()

@@ -9,16 +9,16 @@ from struct import Struct
 from typing import Any, Final
 from zlib import crc32
 
-_PLACE: Final = Struct("<q")
+_SEQ: Final = Struct("<q")
 _CHANGE: Final = Struct("<qqqdd")
 _NOTICE: Final = Struct("<qd")
 _NOTHING: Final = float("-inf")
 """Stands for a missing time; no time has this value."""
 
 
-def of_entity(place: int, tenant: str, body: bytes) -> int:
+def of_entity(seq: int, tenant: str, body: bytes) -> int:
     """Return the checksum of a row of `entities`."""
-    return crc32(body, crc32(tenant.encode(), crc32(_PLACE.pack(place))))
+    return crc32(body, crc32(tenant.encode(), crc32(_SEQ.pack(seq))))
 
 
 def of_document(kind: str, tenant: str, name: str, body: bytes) -> int:
@@ -41,7 +41,7 @@ def of_notice(  # noqa: PLR0917 - as the row has them
 
 
 def of_change(  # noqa: PLR0917 - as the row has them
-    place: int,
+    entity: int,
     seq: int,
     observed_from: float | None,
     observed_to: float | None,
@@ -51,17 +51,17 @@ def of_change(  # noqa: PLR0917 - as the row has them
     """Return the checksum of a row of `history`."""
     first = _NOTHING if observed_from is None else observed_from
     last = _NOTHING if observed_to is None else observed_to
-    return crc32(body, crc32(_CHANGE.pack(place, seq, rewritten, first, last)))
+    return crc32(body, crc32(_CHANGE.pack(entity, seq, rewritten, first, last)))
 
 
-def of_departed(place: int, tenant: str, name: str, body: bytes) -> int:
-    """Return the checksum of a row of `departed`."""
-    return crc32(body, crc32(f"{tenant}\0{name}".encode(), crc32(_PLACE.pack(place))))
+def of_temporal_only(seq: int, tenant: str, name: str, body: bytes) -> int:
+    """Return the checksum of a row of `temporal_only_entities`."""
+    return crc32(body, crc32(f"{tenant}\0{name}".encode(), crc32(_SEQ.pack(seq))))
 
 
-def of_state(identity: str, opening: str, checkpointed: int, is_open: int) -> int:
+def of_state(database_id: str, log_id: str, checkpointed: int, is_open: int) -> int:
     """Return the checksum of the row of `log_state`."""
-    return crc32(f"{identity} {opening} {checkpointed} {is_open}".encode())
+    return crc32(f"{database_id} {log_id} {checkpointed} {is_open}".encode())
 
 
 def holds(of: Callable[..., int], checksum: Any, row: Sequence[Any]) -> bool:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
+from services.context_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
 
 OVERHEAD_BYTES: Final = 200
 """Memory that a notification takes besides its body."""
@@ -90,7 +90,7 @@ class Entries:
     history: list[HistoryRow] = field(default_factory=list)
     cleared: list[tuple[int, int]] = field(default_factory=list)
     """Sequence numbers, each with the seq below which its history is deleted."""
-    departed: dict[int, DepartedRow] = field(default_factory=dict)
+    temporal_only: dict[int, TemporalOnlyRow] = field(default_factory=dict)
     """By sequence number."""
 
     def add(self, later: "Entries") -> None:
@@ -103,7 +103,7 @@ class Entries:
             self.settled.extend(later.settled)
         if later.documents:
             self.documents.update(later.documents)
-        if later.departed:
-            self.departed.update(later.departed)
+        if later.temporal_only:
+            self.temporal_only.update(later.temporal_only)
         if later.cleared:
             self.cleared.extend(later.cleared)

@@ -21,14 +21,14 @@ _CHANGE: Final = "entity, seq, observed_from, observed_to, rewritten, body, chec
 
 
 class HistoryRow(NamedTuple):
-    """A change of the entity with sequence number `place`; without `body` the row is deleted.
+    """A change of the entity with sequence number `entity`; without `body` the row is deleted.
 
     `seq` is the time of the change in microseconds since 1970, unique within the entity. `observed` are the
     first and the last observedAt in it, in seconds since 1970, if it has any. `rewritten` is 1 if it was
     changed later, so that a modifiedAt in it may be later than the row.
     """
 
-    place: int
+    entity: int
     seq: int
     observed_from: float | None
     observed_to: float | None
@@ -37,7 +37,7 @@ class HistoryRow(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class DepartedRow:
+class TemporalOnlyRow:
     """An entity that is history only: it was deleted, or never existed as a current one. No `body` deletes
     the row."""
 
@@ -57,78 +57,80 @@ class Archive:
         """Abort all reads."""
         self._is_closed = True
 
-    def departed(self, tenant: str, entity_id: str | None = None) -> Iterator[tuple[int, str, bytes]]:
-        """Yield place, id and body of temporal-only entities, all of them or those of one id; from any
+    def temporal_only_entities(
+        self, tenant: str, entity_id: str | None = None
+    ) -> Iterator[tuple[int, str, bytes]]:
+        """Yield sequence number, id and body of temporal-only entities, all or those of one id; from any
         thread."""
-        asked = "SELECT place, id, body, checksum FROM departed WHERE tenant = ?"
+        statement = "SELECT seq, id, body, checksum FROM temporal_only_entities WHERE tenant = ?"
         if entity_id is None:
-            rows = self._scan(f"{asked} ORDER BY place", (tenant,))
+            rows = self._scan(f"{statement} ORDER BY seq", (tenant,))
         else:
-            rows = self._scan(f"{asked} AND id = ? ORDER BY place", (tenant, entity_id))
-        for place, name, body, checksum in rows:
-            require_row(checksums.of_departed, checksum, (place, tenant, name, body), self._damaged)
-            yield place, name, body
+            rows = self._scan(f"{statement} AND id = ? ORDER BY seq", (tenant, entity_id))
+        for entity_seq, name, body, checksum in rows:
+            require_row(checksums.of_temporal_only, checksum, (entity_seq, tenant, name, body), self._damaged)
+            yield entity_seq, name, body
 
     def history(
         self,
-        places: Sequence[int],
+        entity_seqs: Sequence[int],
         condition: str = "",
         values: Sequence[float] = (),
         *,
         latest_first: bool = False,
     ) -> Iterator[tuple[int, int, float | None, bytes]]:
-        """Yield place, seq, first observedAt and body of the changes at `places`, in order; from any thread.
+        """Yield entity, seq, first observedAt and body of changes of entities, in order; from any thread.
 
         `condition` is SQL on seq, observed_from, observed_to and rewritten.
         """
-        marks = ", ".join("?" * len(places))
+        marks = ", ".join("?" * len(entity_seqs))
         narrowed = f" AND {condition}" if condition else ""
         order = "entity, seq DESC" if latest_first else "entity, seq"
-        asked = f"SELECT {_CHANGE} FROM history WHERE entity IN ({marks})"  # noqa: S608 - ours
-        for *row, checksum in self._scan(f"{asked}{narrowed} ORDER BY {order}", (*places, *values)):
+        statement = f"SELECT {_CHANGE} FROM history WHERE entity IN ({marks})"  # noqa: S608 - ours
+        for *row, checksum in self._scan(f"{statement}{narrowed} ORDER BY {order}", (*entity_seqs, *values)):
             require_row(checksums.of_change, checksum, row, self._damaged)
-            place, seq, observed_from, _, _, body = row
-            yield place, seq, observed_from, body
+            entity_seq, seq, observed_from, _, _, body = row
+            yield entity_seq, seq, observed_from, body
 
-    def changes_after(self, place: int, after: int, most: int) -> list[tuple[int, bytes]]:
-        """Return seq and body of the first `most` changes at `place` after the seq `after`."""
+    def changes_after(self, entity_seq: int, after: int, most: int) -> list[tuple[int, bytes]]:
+        """Return seq and body of the first `most` changes of an entity after the seq `after`."""
         rows = self._database.read(
             f"SELECT {_CHANGE} FROM history WHERE entity = ? AND seq > ? ORDER BY seq LIMIT ?",  # noqa: S608 - ours
-            (place, after, most),
+            (entity_seq, after, most),
         )
         for *row, checksum in rows:
             require_row(checksums.of_change, checksum, row, self._damaged)
         return [(int(row[1]), row[5]) for row in rows]
 
-    def bound_of(self, place: int, most: int, before: int | None = None) -> int | None:
-        """Return the seq after the first `most` changes at `place` (below `before`), None if there is
+    def bound_of(self, entity_seq: int, most: int, before: int | None = None) -> int | None:
+        """Return the seq after the first `most` changes of an entity (below `before`), None if there is
         none."""
         narrowed, values = ("", ()) if before is None else ("AND seq < ? ", (before,))
         found = self._database.read(
             f"SELECT seq FROM history WHERE entity = ? {narrowed}ORDER BY seq LIMIT 1 OFFSET ?",  # noqa: S608 - ours
-            (place, *values, most),
+            (entity_seq, *values, most),
         )
         return int(found[0][0]) if found else None
 
     def first_change(self, after: int) -> tuple[int, int] | None:
-        """Return the first place after `after` that has history, and the seq of its first change."""
+        """Return the first entity after `after` that has history, and the seq of its first change."""
         found = self._database.read(
             "SELECT entity, seq FROM history WHERE entity > ? ORDER BY entity, seq LIMIT 1", (after,)
         )
         return (int(found[0][0]), int(found[0][1])) if found else None
 
-    def departed_without_history(self, place: int) -> tuple[str, str] | None:
-        """Return tenant and id of the temporal-only entity at `place` if it has no history."""
+    def temporal_only_without_history(self, entity_seq: int) -> tuple[str, str] | None:
+        """Return tenant and id of a temporal-only entity if it has no history."""
         found = self._database.read(
-            "SELECT tenant, id FROM departed WHERE place = ? "
-            "AND NOT EXISTS (SELECT 1 FROM history WHERE entity = departed.place)",
-            (place,),
+            "SELECT tenant, id FROM temporal_only_entities WHERE seq = ? "
+            "AND NOT EXISTS (SELECT 1 FROM history WHERE entity = temporal_only_entities.seq)",
+            (entity_seq,),
         )
         return (found[0][0], found[0][1]) if found else None
 
     def _damaged(self, row: Sequence[Any]) -> NotStored:
         return NotStored(
-            damage(f"{self._database.name}: the history at place {row[0]} is not as it was written")
+            damage(f"{self._database.name}: the history of entity {row[0]} is not as it was written")
         )
 
     def _scan(self, statement: str, parameters: Sequence[Any]) -> Iterator[Any]:
@@ -142,35 +144,37 @@ def write_archive(
     writer: Writer,
     history: Sequence[HistoryRow],
     cleared: Sequence[tuple[int, int]],
-    departed: Mapping[int, DepartedRow],
+    temporal_only: Mapping[int, TemporalOnlyRow],
 ) -> None:
     """Write changes and temporal-only entities as part of a commit, and delete what is to be deleted."""
-    kept = [(*row[:5], row.body) for row in history if row.body is not None]
-    if kept:
+    written = [(*row[:5], row.body) for row in history if row.body is not None]
+    if written:
         writer.run_many(
             "INSERT INTO history (entity, seq, observed_from, observed_to, rewritten, body, checksum) "
             "VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (entity, seq) DO UPDATE SET observed_from = "
             "excluded.observed_from, observed_to = excluded.observed_to, rewritten = excluded.rewritten, "
             "body = excluded.body, checksum = excluded.checksum",
-            [(*row, checksums.of_change(*row)) for row in kept],
+            [(*row, checksums.of_change(*row)) for row in written],
         )
-    gone = [(row.place, row.seq) for row in history if row.body is None]
-    if gone:
-        writer.run_many("DELETE FROM history WHERE entity = ? AND seq = ?", gone)
+    deleted = [(row.entity, row.seq) for row in history if row.body is None]
+    if deleted:
+        writer.run_many("DELETE FROM history WHERE entity = ? AND seq = ?", deleted)
     if cleared:
         writer.run_many("DELETE FROM history WHERE entity = ? AND seq < ?", cleared)
-    if departed:
-        _write_departed(writer, departed)
+    if temporal_only:
+        _write_temporal_only(writer, temporal_only)
 
 
-def _write_departed(writer: Writer, departed: Mapping[int, DepartedRow]) -> None:
-    kept = [(place, row.tenant, row.id, row.body) for place, row in departed.items() if row.body is not None]
-    if kept:
+def _write_temporal_only(writer: Writer, temporal_only: Mapping[int, TemporalOnlyRow]) -> None:
+    written = [
+        (seq, row.tenant, row.id, row.body) for seq, row in temporal_only.items() if row.body is not None
+    ]
+    if written:
         writer.run_many(
-            "INSERT INTO departed (place, tenant, id, body, checksum) VALUES (?, ?, ?, ?, ?) "
-            "ON CONFLICT (place) DO UPDATE SET body = excluded.body, checksum = excluded.checksum",
-            [(*row, checksums.of_departed(*row)) for row in kept],
+            "INSERT INTO temporal_only_entities (seq, tenant, id, body, checksum) VALUES (?, ?, ?, ?, ?) "
+            "ON CONFLICT (seq) DO UPDATE SET body = excluded.body, checksum = excluded.checksum",
+            [(*row, checksums.of_temporal_only(*row)) for row in written],
         )
-    gone = [(place,) for place, row in departed.items() if row.body is None]
-    if gone:
-        writer.run_many("DELETE FROM departed WHERE place = ?", gone)
+    deleted = [(seq,) for seq, row in temporal_only.items() if row.body is None]
+    if deleted:
+        writer.run_many("DELETE FROM temporal_only_entities WHERE seq = ?", deleted)

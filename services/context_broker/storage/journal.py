@@ -13,11 +13,11 @@ from handover.errors import UsageError
 from handover.sqlite_files import damage
 from handover.telemetry import get_logger
 from services.context_broker.storage import checksums
-from services.context_broker.storage.checkpoint import Checkpointer
 from services.context_broker.storage.checksums import require_row
 from services.context_broker.storage.database import Database, NotStored, Row, SqliteDatabase, Writer
 from services.context_broker.storage.entries import OVERHEAD_BYTES, DocumentKind, Entries, PendingNotification
 from services.context_broker.storage.history_archive import Archive, write_archive
+from services.context_broker.storage.write_ahead_log.checkpoint import Checkpointer
 
 __all__ = ["Journal", "NotStored"]
 
@@ -43,13 +43,13 @@ SCRIPT: Final = """
         rewritten INTEGER NOT NULL, body {bytes} NOT NULL, checksum INTEGER NOT NULL,
         PRIMARY KEY (entity, seq)
     );
-    CREATE TABLE departed (
-        place BIGINT PRIMARY KEY, tenant TEXT NOT NULL, id TEXT NOT NULL, body {bytes} NOT NULL,
+    CREATE TABLE temporal_only_entities (
+        seq BIGINT PRIMARY KEY, tenant TEXT NOT NULL, id TEXT NOT NULL, body {bytes} NOT NULL,
         checksum INTEGER NOT NULL
     );
-    CREATE INDEX departed_by_id ON departed (tenant, id);
+    CREATE INDEX temporal_only_by_id ON temporal_only_entities (tenant, id);
     CREATE TABLE log_state (
-        name TEXT PRIMARY KEY, identity TEXT NOT NULL, opening TEXT NOT NULL, checkpointed BIGINT NOT NULL,
+        name TEXT PRIMARY KEY, database_id TEXT NOT NULL, log_id TEXT NOT NULL, checkpointed BIGINT NOT NULL,
         is_open INTEGER NOT NULL, checksum INTEGER NOT NULL
     );
     CREATE TABLE totals (name TEXT PRIMARY KEY, number BIGINT NOT NULL, checksum BIGINT NOT NULL);
@@ -94,7 +94,7 @@ class Journal:
             self._checkpointer.open()
             last = self._checkpointer.last_of("SELECT coalesce(max(seq), 0) FROM outbox")
             self._last_notice = max(
-                last, *(one.seq for left in self._checkpointer.left for one in left.pending), 0
+                last, *(one.seq for entries in self._checkpointer.recovered for one in entries.pending), 0
             )
 
     def try_lock(self) -> bool:
@@ -126,10 +126,10 @@ class Journal:
         """Return why this broker has to load the database again: another one has written it."""
         return self._database.lost
 
-    def require_room(self) -> None:
+    def require_space(self) -> None:
         """Raise `NotStored` with the reason while the disk refuses commits."""
         if self._checkpointer is not None:
-            self._checkpointer.require_room()
+            self._checkpointer.require_space()
 
     def commit(self, entries: Entries) -> None:
         """Write all of `entries` or nothing, and return when they are durable. Raises `NotStored`."""
@@ -191,48 +191,48 @@ class Journal:
 
         Raises `UsageError` for a damaged or missing one.
         """
-        left = self._left()
+        recovered = self._recovered()
         number = total = 0
-        for place, tenant, body, checksum in self._scan(
+        for seq, tenant, body, checksum in self._scan(
             "SELECT seq, tenant, body, checksum FROM entities ORDER BY seq"
         ):
-            require_row(checksums.of_entity, checksum, (place, tenant, body), self._damaged)
+            require_row(checksums.of_entity, checksum, (seq, tenant, body), self._damaged)
             number, total = number + 1, total + checksum
-            row = left.entities.pop(place, None)
+            row = recovered.entities.pop(seq, None)
             if row is None:
                 yield tenant, body
             elif row.body is not None:
                 yield row.tenant, row.body
         self._require_total("entities", number, total)
-        for _, row in sorted(left.entities.items()):
+        for _, row in sorted(recovered.entities.items()):
             if row.body is not None:
                 yield row.tenant, row.body
 
     def documents(self, kind: DocumentKind) -> Iterator[tuple[str, str, bytes]]:
         """Yield tenant, id and body of all documents of a kind. Raises `UsageError` for a damaged one."""
-        left = {key[1:]: body for key, body in self._left().documents.items() if key[0] is kind}
+        recovered = {key[1:]: body for key, body in self._recovered().documents.items() if key[0] is kind}
         for tenant, name, body, checksum in self._scan(
             "SELECT tenant, id, body, checksum FROM documents WHERE kind = ? ORDER BY tenant, id",
             (kind.value,),
         ):
             require_row(checksums.of_document, checksum, (kind.value, tenant, name, body), self._damaged)
-            found = left.pop((tenant, name), body)
+            found = recovered.pop((tenant, name), body)
             if found is not None:
                 yield tenant, name, found
-        for (tenant, name), changed in sorted(left.items()):
+        for (tenant, name), changed in sorted(recovered.items()):
             if changed is not None:
                 yield tenant, name, changed
 
-    def _left(self) -> Entries:
+    def _recovered(self) -> Entries:
         """Return what was in the log at the start and cannot be written to the tables for lack of space."""
-        together = Entries()
-        for one in () if self._checkpointer is None else self._checkpointer.left:
-            together.add(one)
-        return together
+        merged = Entries()
+        for commit in () if self._checkpointer is None else self._checkpointer.recovered:
+            merged.add(commit)
+        return merged
 
     def _scan(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
         """Yield rows of the tables, after a checkpoint if one is possible."""
-        if self._checkpointer is not None and self._checkpointer.left:
+        if self._checkpointer is not None and self._checkpointer.recovered:
             return self._checkpointer.scan_tables(statement, parameters)
         return self._database.scan(statement, parameters)
 
@@ -290,15 +290,15 @@ class Journal:
     def pending_subscriptions(self, tenant: str) -> set[str]:
         """Return the subscriptions of a tenant with pending notifications, as `pending`."""
         rows = self._scan("SELECT DISTINCT subscription FROM outbox WHERE tenant = ?", (tenant,))
-        left = {one.subscription for one in self._left().pending if one.tenant == tenant}
-        return left | {subscription for (subscription,) in rows}
+        recovered = {one.subscription for one in self._recovered().pending if one.tenant == tenant}
+        return recovered | {subscription for (subscription,) in rows}
 
     def last_sequence(self) -> int:
         """Return the highest sequence number."""
         ((last,),) = self._scan("SELECT coalesce(max(seq), 0) FROM entities")
-        ((gone,),) = self._scan("SELECT coalesce(max(place), 0) FROM departed")
-        left = self._left()
-        return max(int(last), int(gone), *left.entities, *left.departed)
+        ((gone,),) = self._scan("SELECT coalesce(max(seq), 0) FROM temporal_only_entities")
+        recovered = self._recovered()
+        return max(int(last), int(gone), *recovered.entities, *recovered.temporal_only)
 
 
 def _number(entries: Entries, last_notice: int) -> None:
@@ -311,19 +311,19 @@ def _write_tables(writer: Writer, entries: Entries) -> None:
     _write_entities(writer, entries)
     _write_documents(writer, entries)
     _write_outbox(writer, entries)
-    write_archive(writer, entries.history, entries.cleared, entries.departed)
+    write_archive(writer, entries.history, entries.cleared, entries.temporal_only)
 
 
 def _checkpoint(writer: Writer, entries: Entries) -> None:
     """Write tables of SQLite, and update their totals."""
-    places = list(entries.entities)
+    seqs = list(entries.entities)
     keys = [(kind.value, tenant, name) for kind, tenant, name in entries.documents]
     before = [
-        _total(writer, "entities", "seq", places),
+        _total(writer, "entities", "seq", seqs),
         _total(writer, "documents", "kind, tenant, id", keys),
     ]
     _write_tables(writer, entries)
-    after = [_total(writer, "entities", "seq", places), _total(writer, "documents", "kind, tenant, id", keys)]
+    after = [_total(writer, "entities", "seq", seqs), _total(writer, "documents", "kind, tenant, id", keys)]
     for table, (number, total), (was, was_total) in zip(
         ("entities", "documents"), after, before, strict=True
     ):

@@ -26,7 +26,7 @@ import orjson
 from services.context_broker.model.entity import NULL, SAYS, Attributes, Event, Instance, dataset_of
 from services.context_broker.model.validation import has_expired, moment, timestamp, timestamp_now
 from services.context_broker.storage.entries import Entries
-from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
+from services.context_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
 
 SCOPE: Final = "scope"
 """The name of the scopes among the attributes of an entity (whose names are IRIs)."""
@@ -154,7 +154,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
-class Departed:
+class TemporalOnlyEntity:
     """An entity with a history only: `deleted_at` is None if it never was a current entity.
 
     `expires_at` is when its history expires, None if only retention deletes it (clause 4.22).
@@ -177,7 +177,7 @@ class Departed:
         return orjson.dumps(kept if self.expires_at is None else [*kept, self.expires_at])
 
     @classmethod
-    def restored(cls, stored: bytes) -> "Departed":
+    def restored(cls, stored: bytes) -> "TemporalOnlyEntity":
         """Return the entity in the body of a stored row."""
         types, scopes, *times = orjson.loads(stored)
         return cls(tuple(types), tuple(scopes), *times)
@@ -199,8 +199,10 @@ class Recorder:
         else:
             at = after.modified_at
         if after is None:
-            entries.departed[one.seq] = DepartedRow(
-                tenant, one.id, Departed(one.types, one.scopes, one.created_at, one.modified_at, at).stored()
+            entries.temporal_only[one.seq] = TemporalOnlyRow(
+                tenant,
+                one.id,
+                TemporalOnlyEntity(one.types, one.scopes, one.created_at, one.modified_at, at).stored(),
             )
         change = change_of(event)
         if change is not None:

@@ -191,7 +191,7 @@ def _in_scope(archive: Archive, run: list[Subject], history_request: HistoryRequ
     if wanted is None:
         return run
     # Provided scopes without a time hold for all the time.
-    timeless = {place for subject in run if subject.is_temporal_only for place in subject.places}
+    timeless = {place for subject in run if subject.was_never_current for place in subject.places}
     changes: dict[int, list[tuple[int, Scopes]]] = {}
     for place, seq, _, body in archive.history([place for subject in run for place in subject.places]):
         if not Change.may_set_scopes(body):
@@ -276,7 +276,7 @@ def _read(archive: Archive, run: Sequence[Subject], history_request: HistoryRequ
         for name, position, instance in Change.restored(body).instances(seq):
             at = query.time_of(instance, is_scope=name == SCOPE)
             # An expired attribute of a current entity ends, but its history stays (clause 4.22).
-            if evolution.subject.is_temporal_only and has_expired(instance.get("expiresAt"), now_s):
+            if evolution.subject.was_never_current and has_expired(instance.get("expiresAt"), now_s):
                 continue
             if at is None or (series := _series_for(evolution, name, instance, history_request)) is None:
                 continue

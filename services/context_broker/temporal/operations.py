@@ -108,8 +108,8 @@ class TemporalOperations:
         history_request = HistoryRequest(options.query, options.view.wants, None, options.view.view.datasets)
 
         def look() -> tuple[EvolutionPage, list[bytes]] | None:
-            departed = self._archive.departed(request.tenant.name, entity_id)
-            subjects = subjects_of(() if live is None else (live,), departed)
+            temporal_only = self._archive.temporal_only_entities(request.tenant.name, entity_id)
+            subjects = subjects_of(() if live is None else (live,), temporal_only)
             if not subjects:
                 return None
             found = read_evolution(self._archive, subjects[0], history_request)
@@ -173,7 +173,9 @@ class TemporalOperations:
             ids: tuple[str | None, ...] = (
                 (None,) if selection.ids is None else tuple(dict.fromkeys(selection.ids))
             )
-            known = subjects_of(live, chain.from_iterable(self._archive.departed(name, one) for one in ids))
+            known = subjects_of(
+                live, chain.from_iterable(self._archive.temporal_only_entities(name, one) for one in ids)
+            )
             wanted = [one for one in known if narrowing.wants(one.as_entity())]
             if order is not None:
                 wanted.sort(key=lambda one: order.place_of(one.as_entity()))

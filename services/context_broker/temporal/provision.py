@@ -27,9 +27,9 @@ from services.context_broker.request.request_context import (
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries
-from services.context_broker.storage.history_archive import END_OF_TIME, Archive, DepartedRow, HistoryRow
+from services.context_broker.storage.history_archive import END_OF_TIME, Archive, HistoryRow, TemporalOnlyRow
 from services.context_broker.temporal.evolution_parser import ProvidedEvolution, parse_evolution
-from services.context_broker.temporal.history import SCOPE, Change, Departed, Recorder, place_of
+from services.context_broker.temporal.history import SCOPE, Change, Recorder, TemporalOnlyEntity, place_of
 from services.context_broker.temporal.subjects import Subject, subjects_of
 from services.context_broker.tenants import Tenant
 
@@ -128,8 +128,8 @@ class TemporalProvision:
                     await _commit(tenant, Entries(cleared=[(place, END_OF_TIME if bound is None else bound)]))
                     if bound is None:
                         break
-            gone = {place: DepartedRow(tenant.name, entity_id, None) for place in subject.places}
-            await _commit(tenant, Entries(departed=gone))
+            gone = {place: TemporalOnlyRow(tenant.name, entity_id, None) for place in subject.places}
+            await _commit(tenant, Entries(temporal_only=gone))
         return DONE
 
     async def delete_attribute(self, request: RequestContext) -> Response:
@@ -226,14 +226,16 @@ class TemporalProvision:
             place = live.seq
         else:
             place = subject.places[-1] if subject is not None else tenant.store.next_seq()
-            known = Departed((), (), at, at, None) if subject is None else subject.departed(at)
+            known = (
+                TemporalOnlyEntity((), (), at, at, None) if subject is None else subject.as_temporal_only(at)
+            )
             known = replace(
                 known,
                 types=tuple(dict.fromkeys((*known.types, *provided.types))),
                 scopes=provided.scopes or known.scopes,
                 expires_at=provided.expires_at or known.expires_at,
             )
-            entries.departed[place] = DepartedRow(tenant.name, entity_id, known.stored())
+            entries.temporal_only[place] = TemporalOnlyRow(tenant.name, entity_id, known.stored())
         try:
             if overwrites and subject is not None:
                 rows, added = await asyncio.to_thread(self._overwritten, subject.places, added)
@@ -280,9 +282,11 @@ class TemporalProvision:
         return rows, {name: several for name, several in left.items() if several}
 
     async def _subject(self, tenant: Tenant, entity_id: str) -> Subject | None:
-        departed = await asyncio.to_thread(lambda: list(self._archive.departed(tenant.name, entity_id)))
+        temporal_only = await asyncio.to_thread(
+            lambda: list(self._archive.temporal_only_entities(tenant.name, entity_id))
+        )
         live = tenant.store.latest(entity_id)
-        found = subjects_of(() if live is None else (live,), departed)
+        found = subjects_of(() if live is None else (live,), temporal_only)
         return found[0] if found else None
 
     async def _existing(self, tenant: Tenant, entity_id: str) -> Subject:

@@ -14,8 +14,8 @@ from handover.telemetry import get_logger
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries
-from services.context_broker.storage.history_archive import END_OF_TIME, Archive, DepartedRow
-from services.context_broker.temporal.history import Departed, seq_before
+from services.context_broker.storage.history_archive import END_OF_TIME, Archive, TemporalOnlyRow
+from services.context_broker.temporal.history import TemporalOnlyEntity, seq_before
 
 log = get_logger(__name__)
 
@@ -95,7 +95,9 @@ class Retention:
         over = await asyncio.to_thread(self._expired, tuple(self._tenants()), now_s)
         for tenant, entity_id, place in over:
             await self._delete(place, END_OF_TIME)
-            await self._commits.store(Entries(departed={place: DepartedRow(tenant, entity_id, None)}))
+            await self._commits.store(
+                Entries(temporal_only={place: TemporalOnlyRow(tenant, entity_id, None)})
+            )
         return len(over)
 
     def _expired(self, tenants: Iterable[str], now_s: float) -> list[tuple[str, str, int]]:
@@ -103,9 +105,9 @@ class Retention:
         found: list[tuple[str, str, int]] = []
         for tenant in tenants:
             before: dict[str, list[int]] = {}
-            for place, entity_id, body in self._archive.departed(tenant):
+            for place, entity_id, body in self._archive.temporal_only_entities(tenant):
                 before.setdefault(entity_id, []).append(place)
-                if Departed.restored(body).has_expired_at(now_s):
+                if TemporalOnlyEntity.restored(body).has_expired_at(now_s):
                     found += [(tenant, entity_id, one) for one in before.pop(entity_id)]
         return found
 
@@ -133,7 +135,9 @@ class Retention:
         return place, False
 
     async def _delete_if_empty(self, place: int) -> None:
-        gone = await asyncio.to_thread(self._archive.departed_without_history, place)
+        gone = await asyncio.to_thread(self._archive.temporal_only_without_history, place)
         if gone is not None:
             tenant, entity_id = gone
-            await self._commits.store(Entries(departed={place: DepartedRow(tenant, entity_id, None)}))
+            await self._commits.store(
+                Entries(temporal_only={place: TemporalOnlyRow(tenant, entity_id, None)})
+            )

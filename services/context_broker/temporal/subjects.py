@@ -8,14 +8,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from services.context_broker.model.entity import Entity
-from services.context_broker.temporal.history import Departed
+from services.context_broker.temporal.history import TemporalOnlyEntity
 
 
 @dataclass(frozen=True, slots=True)
 class Subject:
     """An entity with a history; each of its creations has one of the `places`.
 
-    `is_temporal_only`: it never was a current entity; its history was provided by clients.
+    `was_never_current`: it never was a current entity; its history was provided by clients.
     """
 
     id: str
@@ -26,7 +26,7 @@ class Subject:
     deleted_at: str | None
     places: tuple[int, ...]
     expires_at: str | None = None
-    is_temporal_only: bool = False
+    was_never_current: bool = False
 
     def as_entity(self) -> Entity:
         """Return the current or last entity without its attributes."""
@@ -41,20 +41,22 @@ class Subject:
             self.expires_at,
         )
 
-    def departed(self, at: str) -> Departed:
+    def as_temporal_only(self, at: str) -> TemporalOnlyEntity:
         """Return the stored form of an entity with a history only, changed at `at`."""
-        return Departed(self.types, self.scopes, self.created_at, at, self.deleted_at, self.expires_at)
+        return TemporalOnlyEntity(
+            self.types, self.scopes, self.created_at, at, self.deleted_at, self.expires_at
+        )
 
 
-def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, bytes]]) -> list[Subject]:
-    """Return the subjects of current and departed entities, in the order of their first creation.
+def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, str, bytes]]) -> list[Subject]:
+    """Return the subjects of current and temporal-only entities, in the order of their first creation.
 
     Places before an expired one are left out, even if they are still on disk.
     """
     found: dict[str, Subject] = {}
     now_s = time.time()
-    for place, entity_id, body in departed:
-        it = Departed.restored(body)
+    for place, entity_id, body in temporal_only:
+        it = TemporalOnlyEntity.restored(body)
         if it.has_expired_at(now_s):
             found.pop(entity_id, None)
             continue
@@ -70,7 +72,7 @@ def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, b
             it.deleted_at,
             places,
             it.expires_at,
-            is_temporal_only=it.deleted_at is None,
+            was_never_current=it.deleted_at is None,
         )
     for entity in entities:
         known = found.get(entity.id)

@@ -394,7 +394,7 @@ def test_a_value_of_the_past_that_is_damaged_is_not_served(own_broker: Any) -> N
         assert http.get(f"/entities/{entity['id']}").status_code == 200
         answer = http.get(f"/temporal/entities/{entity['id']}", params=ever)
         assert answer.status_code == 503, answer.text
-        assert "the history at place 1 is not as it was written" in answer.json()["detail"]
+        assert "the history of entity 1 is not as it was written" in answer.json()["detail"]
 
 
 @in_a_file

@@ -79,8 +79,8 @@ class RecordedEntity:
 
     def subject(self) -> Subject:
         self.commit()
-        departed = self.journal.archive.departed("", f"urn:x:{self.place}")
-        (found,) = subjects_of(() if self.entity is None else (self.entity,), departed)
+        temporal_only = self.journal.archive.temporal_only_entities("", f"urn:x:{self.place}")
+        (found,) = subjects_of(() if self.entity is None else (self.entity,), temporal_only)
         return found
 
     def read(self, query: TemporalQuery) -> EvolutionPage:

@@ -4,26 +4,30 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.context_broker.storage.checkpoint import lots
+from services.context_broker.storage.check import faults_in
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import DocumentKind, EntityRow, Entries, PendingNotification
-from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
+from services.context_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
 from services.context_broker.storage.journal import SCRIPT, Journal, total_of
-from services.context_broker.storage.records import decoded, encoded
-from services.context_broker.storage.write_ahead_log import SIZE
+from services.context_broker.storage.write_ahead_log import frames
+from services.context_broker.storage.write_ahead_log.checkpoint import merge_commits
+from services.context_broker.storage.write_ahead_log.frames import FILE_BYTES
+from services.context_broker.storage.write_ahead_log.inspection import changes, describe
+from services.context_broker.storage.write_ahead_log.records import decode, encode
 
 TABLES = {
     "entities": "SELECT seq, tenant, body FROM entities",
     "documents": "SELECT kind, tenant, id, body FROM documents",
     "outbox": "SELECT seq, tenant, subscription, entity, at, body, headers FROM outbox",
     "history": "SELECT entity, seq, observed_from, observed_to, rewritten, body FROM history",
-    "departed": "SELECT place, tenant, id, body FROM departed",
+    "temporal_only_entities": "SELECT seq, tenant, id, body FROM temporal_only_entities",
 }
 
 bodies = st.binary(max_size=40)
@@ -37,7 +41,7 @@ entity_rows = st.builds(EntityRow, tenants, names, bodies_or_none)
 history_rows = st.builds(
     HistoryRow, places, st.integers(1, 5), times, times, st.integers(0, 1), bodies_or_none
 )
-departed_rows = st.builds(DepartedRow, tenants, names, bodies_or_none)
+temporal_only_rows = st.builds(TemporalOnlyRow, tenants, names, bodies_or_none)
 notices = st.builds(
     PendingNotification, tenants, names, names, st.floats(0, 2e9), bodies_or_none, st.just(0), bodies_or_none
 )
@@ -61,7 +65,7 @@ commits = st.builds(
     settled=st.lists(st.integers(1, 9), max_size=3, unique=True),
     # One commit names a row of history once, and clears nothing that it writes: so does the broker.
     history=st.lists(history_rows, max_size=3, unique_by=lambda row: row[:2]),
-    departed=st.dictionaries(places, departed_rows, max_size=2),
+    temporal_only=st.dictionaries(places, temporal_only_rows, max_size=2),
 ) | st.builds(Entries, cleared=st.lists(st.tuples(places, st.integers(1, 6)), max_size=2))
 
 
@@ -86,8 +90,8 @@ def in_turn(made: list[Entries]) -> list[Entries]:
     for entries in made:
         for place, row in entries.entities.items():
             entries.entities[place] = EntityRow(tenant_of(place), f"urn:{place}", row.body)
-        for place, gone in entries.departed.items():
-            entries.departed[place] = DepartedRow(tenant_of(place), f"urn:{place}", gone.body)
+        for place, gone in entries.temporal_only.items():
+            entries.temporal_only[place] = TemporalOnlyRow(tenant_of(place), f"urn:{place}", gone.body)
         entries.settled = [seq for seq in entries.settled if seq <= pending]
         pending += len(entries.pending)
     return made
@@ -97,16 +101,16 @@ def in_turn(made: list[Entries]) -> list[Entries]:
 def test_a_record_decodes_to_the_encoded_entries(entries: Entries) -> None:
     for number, notice in enumerate(entries.pending, 7):
         notice.seq = number
-    again = decoded(encoded(entries))
+    again = decode(encode(entries))
     assert (again.entities, again.documents, again.settled) == (
         entries.entities,
         entries.documents,
         entries.settled,
     )
-    assert (again.history, again.cleared, again.departed) == (
+    assert (again.history, again.cleared, again.temporal_only) == (
         entries.history,
         entries.cleared,
-        entries.departed,
+        entries.temporal_only,
     )
     assert [result(notice) for notice in again.pending] == [result(notice) for notice in entries.pending]
 
@@ -158,14 +162,14 @@ def test_delivered_notifications_are_not_written_to_the_tables() -> None:
     first, second = Entries(), Entries()
     first.pending = [PendingNotification("", "urn:s", "urn:e", 1.0, b"{}", seq) for seq in (1, 2)]
     second.settled = [1, 8]
-    (lot,) = lots([first, second])
-    assert [notice.seq for notice in lot.pending] == [2]
-    assert lot.settled == [8]
+    (merged,) = merge_commits([first, second])
+    assert [notice.seq for notice in merged.pending] == [2]
+    assert merged.settled == [8]
 
 
 def test_a_commit_too_long_for_the_log_is_written_at_once_and_in_its_turn(tmp_path: Path) -> None:
     journal = opened(tmp_path / "broker.db")
-    for body in (b"small", bytes(2 * SIZE), b"smaller"):
+    for body in (b"small", bytes(2 * FILE_BYTES), b"smaller"):
         journal.commit(Entries(entities={1: EntityRow("", "urn:e", body)}))
     assert list(journal.entities()) == [("", b"smaller")]
     journal.close()
@@ -198,7 +202,7 @@ def test_commits_continue_without_checkpoints_until_the_log_is_full(tmp_path: Pa
         other.execute("ALTER TABLE entities RENAME TO out_of_reach")
         with pytest.raises(NotStored, match="no such table"):
             commit_on_and_on()
-        assert committed * 100_000 > SIZE
+        assert committed * 100_000 > FILE_BYTES
         with pytest.raises(NotStored):
             journal.last_sequence()
         other.execute("ALTER TABLE out_of_reach RENAME TO entities")
@@ -227,6 +231,62 @@ def test_a_damaged_log_is_refused_with_what_to_do(tmp_path: Path) -> None:
         UsageError, match=r"damaged data: .*broker\.log-1.* change 2 cannot be read, and 3 is there; restore"
     ):
         opened(copy / "broker.db")
+
+
+def killed_broker(folder: Path) -> Path:
+    """Return the database of a broker that was killed with one change in the log only."""
+    journal = opened(folder / "broker.db")
+    copy = folder / "copy"
+    copy.mkdir()
+    with closing(sqlite3.connect(folder / "broker.db", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        journal.commit(Entries(entities={1: EntityRow("", "urn:e", b"body")}))
+        for name in ("broker.db", "broker.log-1", "broker.log-2", "broker.db-wal"):
+            (copy / name).write_bytes((folder / name).read_bytes())
+        other.execute("ROLLBACK")
+    journal.close()
+    return copy / "broker.db"
+
+
+def refusal(database: Path) -> str:
+    """Return the error of a start, which changes no file."""
+    before = {path.name: path.read_bytes() for path in database.parent.glob("broker.log-*")}
+    journal = Journal(SqliteDatabase(database))
+    with pytest.raises(UsageError) as refused:
+        journal.open()
+    journal.close()
+    assert {path.name: path.read_bytes() for path in database.parent.glob("broker.log-*")} == before
+    assert list(faults_in(database)) == [str(refused.value)]
+    return str(refused.value)
+
+
+def test_a_record_of_another_version_is_refused_by_name_with_the_way_out(tmp_path: Path) -> None:
+    database = killed_broker(tmp_path)
+    file = database.with_suffix(".log-1")
+    content = file.read_bytes()
+    header = frames.decode_header(content[: frames.SECTOR_BYTES])
+    assert header is not None
+    seed = frames.checksum_seed(header.log_id)
+    later = frames.encode_frame(frames.COMMIT, 2, b'{"entity/2": [{"name": "x"}]}\n', 9, seed)
+    second = 2 * frames.PAGE_BYTES
+    file.write_bytes(content[:second] + later + content[second + len(later) :])
+    text = refusal(database)
+    assert 'broker.log-2: change 2 has a record of the type "entity/2"' in text
+    assert "start the version that wrote it and stop it" in text
+    assert "1 entity/2" in "\n".join(describe(database))
+    assert [change["records"][0]["type"] for change in changes(database)] == ["entity/1", "entity/2"]
+
+
+def test_a_log_of_another_format_is_refused_by_name_with_the_way_out(tmp_path: Path) -> None:
+    database = killed_broker(tmp_path)
+    file = database.with_suffix(".log-2")
+    content = file.read_bytes()
+    sector = content[:7] + b"2" + content[8:508]
+    file.write_bytes(sector + crc32(sector).to_bytes(4, "little") + content[512:])
+    text = refusal(database)
+    assert "broker.log-2 is of format 2 of the log, which this version of Handover does not know" in text
+    assert "start the version that wrote it and stop it" in text
+    assert text in list(describe(database))
 
 
 @pytest.mark.parametrize(("table", "key"), [("entities", "seq"), ("documents", "kind, tenant, id")])

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.context_broker.storage import commits
-from services.context_broker.storage.checkpoint import MAX_QUICK_BYTES
 from services.context_broker.storage.commits import CommitQueue, NotCompleted
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries
 from services.context_broker.storage.journal import Journal
+from services.context_broker.storage.write_ahead_log.checkpoint import MAX_INLINE_BYTES
 
 QUICK, SLOW = 0.00001, 1.0
 
@@ -93,7 +93,7 @@ def test_few_writes_are_worth_a_flush_on_the_loop_only_where_it_has_nothing_else
 
 def test_large_writes_are_committed_by_the_thread(tmp_path: Path) -> None:
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
-        await queue.store(entity(1, MAX_QUICK_BYTES))
+        await queue.store(entity(1, MAX_INLINE_BYTES))
         await queue.store(entity(2))
 
     assert run(tmp_path, steps).committed_by[0] == "journal"

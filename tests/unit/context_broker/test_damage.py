@@ -15,7 +15,7 @@ import pytest
 from handover.errors import UsageError
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import DocumentKind, EntityRow, Entries, PendingNotification
-from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
+from services.context_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT, Journal
 
 TRIALS = int(os.environ.get("HANDOVER_TEST_DAMAGES", "12"))
@@ -30,7 +30,7 @@ class Model:
     entities: dict[int, bytes] = field(default_factory=dict)
     documents: dict[str, bytes] = field(default_factory=dict)
     history: dict[tuple[int, int], bytes] = field(default_factory=dict)
-    departed: dict[int, bytes] = field(default_factory=dict)
+    temporal_only: dict[int, bytes] = field(default_factory=dict)
     pending: list[bytes] = field(default_factory=list)
 
     def everything(self) -> Any:
@@ -38,7 +38,7 @@ class Model:
             [body for _, body in sorted(self.entities.items())],
             dict(sorted(self.documents.items())),
             dict(sorted(self.history.items())),
-            dict(sorted(self.departed.items())),
+            dict(sorted(self.temporal_only.items())),
             self.pending,
         )
 
@@ -51,10 +51,10 @@ def commit(journal: Journal, model: Model, chance: random.Random) -> None:
     seq = 1_000_000 + len(model.history)
     if place in model.entities and chance.random() < 0.2:
         entries.entities[place] = EntityRow("", f"urn:{place}", None)
-        entries.departed[place] = DepartedRow("", f"urn:{place}", body)
+        entries.temporal_only[place] = TemporalOnlyRow("", f"urn:{place}", body)
         del model.entities[place]
-        model.departed[place] = body
-    elif place not in model.departed:
+        model.temporal_only[place] = body
+    elif place not in model.temporal_only:
         entries.entities[place] = EntityRow("", f"urn:{place}", body)
         model.entities[place] = body
     entries.history.append(HistoryRow(place, seq, chance.choice([None, 1.5]), None, 0, body))
@@ -78,7 +78,7 @@ def served(folder: Path) -> Any:
             [body for _, body in journal.entities()],
             {name: body for _, name, body in journal.documents(DocumentKind.CONTEXT)},
             dict(sorted(history.items())),
-            {place: body for place, _, body in journal.archive.departed("")},
+            {place: body for place, _, body in journal.archive.temporal_only_entities("")},
             [one.body for one in journal.pending("", SUBSCRIPTION, 0, 10_000)],
         )
     finally:

@@ -291,7 +291,7 @@ def test_a_recreated_entity_has_one_history(journal: Journal) -> None:
     life.take(changes.created(again, at, life.place), at)
     assert life.entity is not None
     life.commit()
-    (subject,) = subjects_of((life.entity,), journal.archive.departed("", entity_id))
+    (subject,) = subjects_of((life.entity,), journal.archive.temporal_only_entities("", entity_id))
     assert subject.places == (first, life.place)
     assert subject.deleted_at is None
     found = read_evolution(

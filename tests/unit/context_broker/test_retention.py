@@ -9,9 +9,9 @@ import pytest
 from services.context_broker.model.validation import moment, timestamp
 from services.context_broker.storage.database import SqliteDatabase
 from services.context_broker.storage.entries import Entries
-from services.context_broker.storage.history_archive import DepartedRow
+from services.context_broker.storage.history_archive import TemporalOnlyRow
 from services.context_broker.storage.journal import Journal, NotStored
-from services.context_broker.temporal.history import Change, Departed, Recorder, micros_of
+from services.context_broker.temporal.history import Change, Recorder, TemporalOnlyEntity, micros_of
 from services.context_broker.temporal.retention import Retention
 
 from .recorded_entities import START, RecordedEntity
@@ -61,11 +61,11 @@ async def test_old_history_and_departed_entities_are_deleted_in_small_commits(
     retention = Retention(own.archive, Straight(own), 1)  # type: ignore[arg-type]  # all that it needs of them
     assert await retention.clear(before) == 6
     assert list(own.archive.history([living.place])) == []
-    assert [one for one, _, _ in own.archive.departed("")] == [gone.place, young.place]
+    assert [one for one, _, _ in own.archive.temporal_only_entities("")] == [gone.place, young.place]
     assert len(list(own.archive.history([gone.place]))) == 1
     assert len(list(own.archive.history([young.place]))) == 10
     assert await retention.clear(micros_of(timestamp(datetime.now(UTC) + timedelta(days=1)))) > 0
-    assert list(own.archive.departed("")) == []
+    assert list(own.archive.temporal_only_entities("")) == []
     assert await retention.clear(2**62) == 0
     own.close()
     with pytest.raises(NotStored):
@@ -80,14 +80,14 @@ async def test_expired_history_is_deleted_with_all_earlier_places(
     at, end = "2026-01-01T00:00:00Z", "2026-01-02T00:00:00Z"
     recorder, entries = Recorder(), Entries()
     kept = {
-        1: ("urn:x:gone", Departed(("urn:t",), (), at, at, at)),
-        2: ("urn:x:stays", Departed(("urn:t",), (), at, at, None)),
-        3: ("urn:x:gone", Departed(("urn:t",), (), at, at, None, end)),
-        4: ("urn:x:gone", Departed(("urn:t",), (), at, at, None)),
+        1: ("urn:x:gone", TemporalOnlyEntity(("urn:t",), (), at, at, at)),
+        2: ("urn:x:stays", TemporalOnlyEntity(("urn:t",), (), at, at, None)),
+        3: ("urn:x:gone", TemporalOnlyEntity(("urn:t",), (), at, at, None, end)),
+        4: ("urn:x:gone", TemporalOnlyEntity(("urn:t",), (), at, at, None)),
     }
-    for place, (entity_id, departed) in kept.items():
-        assert Departed.restored(departed.stored()) == departed
-        entries.departed[place] = DepartedRow("", entity_id, departed.stored())
+    for place, (entity_id, temporal_only) in kept.items():
+        assert TemporalOnlyEntity.restored(temporal_only.stored()) == temporal_only
+        entries.temporal_only[place] = TemporalOnlyRow("", entity_id, temporal_only.stored())
         for number in range(5):
             instance = {"type": "Property", "value": number, "observedAt": at}
             entries.history.append(recorder.row(place, Change({"urn:a": [instance]}), at))
@@ -96,5 +96,5 @@ async def test_expired_history_is_deleted_with_all_earlier_places(
     end_s = moment(end) or 0.0
     assert await retention.end(end_s - 1) == 0
     assert await retention.end(end_s) == 2
-    assert [place for place, _, _ in own.archive.departed("")] == [2, 4]
+    assert [place for place, _, _ in own.archive.temporal_only_entities("")] == [2, 4]
     assert [len(list(own.archive.history([place]))) for place in kept] == [0, 5, 0, 5]

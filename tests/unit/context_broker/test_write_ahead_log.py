@@ -10,19 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from services.context_broker.storage.write_ahead_log import PAGE, SIZE, Damaged, WriteAheadLog
+from services.context_broker.storage.write_ahead_log.frames import FILE_BYTES, PAGE_BYTES
+from services.context_broker.storage.write_ahead_log.log import WriteAheadLog
+from services.context_broker.storage.write_ahead_log.log_file import Damaged
 
-DATABASE, OPENING = b"database", b"opening1"
+DATABASE_ID, LOG_ID = b"database", b"log id 1"
 
 
 def begun(folder: Path) -> WriteAheadLog:
     log = WriteAheadLog(folder / "broker.db")
-    log.begin(DATABASE, OPENING)
+    log.begin(DATABASE_ID, LOG_ID)
     return log
 
 
-def read(folder: Path, checkpointed: int = 0, opening: bytes = OPENING) -> list[bytes]:
-    return WriteAheadLog(folder / "broker.db").read(DATABASE, opening, checkpointed)
+def read(folder: Path, checkpointed: int = 0, log_id: bytes = LOG_ID) -> list[bytes]:
+    return WriteAheadLog(folder / "broker.db").read(DATABASE_ID, log_id, checkpointed)
 
 
 class Writing(RuleBasedStateMachine):
@@ -40,35 +42,35 @@ class Writing(RuleBasedStateMachine):
 
     @rule(
         length=st.one_of(
-            st.integers(0, 3 * PAGE),
-            st.integers(SIZE // 3, SIZE - PAGE - 45_000),
+            st.integers(0, 3 * PAGE_BYTES),
+            st.integers(FILE_BYTES // 3, FILE_BYTES - PAGE_BYTES - 45_000),
             st.sampled_from([8 * 502 - 16, 8 * 502 - 15, 502 - 16, 502 - 15]),
         ),
         filler=st.binary(min_size=1, max_size=3),
     )
     def append(self, length: int, filler: bytes) -> None:
         record = (filler * (length // len(filler) + 1))[:length]
-        assert not self.log.never_fits(record)
-        if not self.log.has_room(record):
-            self.file(1.0)
-            assert self.log.has_room(record)
+        assert not self.log.is_too_large(record)
+        if not self.log.has_space(record):
+            self.checkpoint(1.0)
+            assert self.log.has_space(record)
         self.log.append(record)
         self.records.append(record)
         assert self.log.number == len(self.records)
 
     @precondition(lambda self: self.checkpointed < len(self.records))
     @rule(share=st.floats(0, 1))
-    def file(self, share: float) -> None:
+    def checkpoint(self, share: float) -> None:
         self.checkpointed += round((len(self.records) - self.checkpointed) * share)
-        self.log.checkpointed(self.checkpointed)
+        self.log.note_checkpoint(self.checkpointed)
 
     @invariant()
-    def what_is_not_filed_is_read_again(self) -> None:
+    def records_after_the_checkpoint_are_read_again(self) -> None:
         assert read(self.folder, self.checkpointed) == self.records[self.checkpointed :]
 
     @invariant()
     def it_stays_small(self) -> None:
-        assert sum(file.stat().st_size for file in self.folder.iterdir()) <= 2 * SIZE
+        assert sum(file.stat().st_size for file in self.folder.iterdir()) <= 2 * FILE_BYTES
 
     def teardown(self) -> None:
         self.log.close()
@@ -111,7 +113,7 @@ def test_a_frame_that_was_acknowledged_and_cannot_be_read_is_named(tmp_path: Pat
     for number in range(4):
         log.append(b"change %d" % number)
     log.close()
-    flip(tmp_path / "broker.log-1", 3 * PAGE + 35)
+    flip(tmp_path / "broker.log-1", 3 * PAGE_BYTES + 35)
     with pytest.raises(Damaged, match=r"broker\.log-1.*: change 3 cannot be read, and 4 is there"):
         read(tmp_path)
     assert read(tmp_path, 3) == [b"change 3"]
@@ -138,7 +140,7 @@ def test_a_bit_that_flips_in_the_last_frame_is_no_write_cut_short(
     records = [os.urandom(length) for length in lengths]
     for record in records[:-1]:
         log.append(record)
-    start = log._files[0].end
+    start = log.files[0].end
     log.append(records[-1])
     sectors = -(-(16 + lengths[-1]) // 502)
     log.close()
@@ -152,12 +154,12 @@ def test_damage_of_checkpointed_frames_is_ignored_where_no_frame_can_follow(tmp_
     for number in range(4):
         log.append(b"change %d" % number)
     log.close()
-    flip(tmp_path / "broker.log-1", 2 * PAGE + 35)
+    flip(tmp_path / "broker.log-1", 2 * PAGE_BYTES + 35)
     assert read(tmp_path, 2) == [b"change 2", b"change 3"]
 
 
 @pytest.mark.parametrize("name", ["broker.log-1", "broker.log-2"])
-@pytest.mark.parametrize("size", [None, 0, 1, PAGE, SIZE // 2, SIZE - 1, SIZE + 1])
+@pytest.mark.parametrize("size", [None, 0, 1, PAGE_BYTES, FILE_BYTES // 2, FILE_BYTES - 1, FILE_BYTES + 1])
 def test_a_log_that_is_missing_or_cut_is_named(tmp_path: Path, name: str, size: int | None) -> None:
     log = begun(tmp_path)
     log.append(b"change")
@@ -176,30 +178,32 @@ def test_an_older_copy_of_the_log_is_noticed(tmp_path: Path) -> None:
     old = (tmp_path / "broker.log-1").read_bytes()
     for number in (2, 3):
         log.append(b"change %d" % number)
-    log.checkpointed(3)
+    log.note_checkpoint(3)
     log.close()
     (tmp_path / "broker.log-1").write_bytes(old)
     with pytest.raises(Damaged, match="an older copy"):
         read(tmp_path, 3)
 
 
-def test_the_log_of_another_opening_or_database_is_noticed(tmp_path: Path) -> None:
+def test_a_log_with_another_id_or_of_another_database_is_refused(tmp_path: Path) -> None:
     log = begun(tmp_path)
     log.append(b"of another time")
     log.close()
     with pytest.raises(Damaged, match="one of the two is older"):
-        read(tmp_path, opening=b"opening2")
+        read(tmp_path, log_id=b"log id 2")
     again = WriteAheadLog(tmp_path / "broker.db")
     with pytest.raises(Damaged, match="another database"):
-        again.read(b"stranger", OPENING, 0)
-    assert "another database" in str(again.foreign(b"stranger", b"opening2"))
-    assert "this database, later" in str(again.foreign(DATABASE, b"opening2"))
-    assert again.foreign(DATABASE, OPENING) is None
-    again.begin(DATABASE, b"opening2")
+        again.read(b"stranger", LOG_ID, 0)
+    assert "another database" in str(again.describe_foreign(b"stranger", b"log id 2"))
+    assert "this database, later" in str(again.describe_foreign(DATABASE_ID, b"log id 2"))
+    assert again.describe_foreign(DATABASE_ID, LOG_ID) is None
+    again.begin(DATABASE_ID, b"log id 2")
     again.append(b"of this time")
-    assert read(tmp_path, opening=b"opening2") == [b"of this time"]
-    again.close(in_order=True)
-    assert again.foreign(DATABASE, b"opening3") is None, "what was closed in order is all in the tables"
+    assert read(tmp_path, log_id=b"log id 2") == [b"of this time"]
+    again.close(is_copied=True)
+    assert again.describe_foreign(DATABASE_ID, b"log id 3") is None, (
+        "the tables have everything of a closed log"
+    )
 
 
 def test_a_write_that_the_disk_refuses_leaves_no_trace(
@@ -207,7 +211,7 @@ def test_a_write_that_the_disk_refuses_leaves_no_trace(
 ) -> None:
     log = begun(tmp_path)
     log.append(b"kept")
-    write, refuses = log._files[0].write, True
+    write, refuses = log.files[0].write, True
 
     def fails_half_way(at: int, frame: bytes) -> None:
         nonlocal refuses
@@ -218,7 +222,7 @@ def test_a_write_that_the_disk_refuses_leaves_no_trace(
         write(at, frame)
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(log._files[0], "write", fails_half_way)
+    monkeypatch.setattr(log.files[0], "write", fails_half_way)
     with pytest.raises(OSError, match="no space"):
         log.append(os.urandom(9000))
     assert read(tmp_path) == [b"kept"]
@@ -228,11 +232,11 @@ def test_a_write_that_the_disk_refuses_leaves_no_trace(
     log.close()
 
 
-def test_a_record_larger_than_a_file_never_fits(tmp_path: Path) -> None:
+def test_a_record_larger_than_a_file_is_too_large(tmp_path: Path) -> None:
     log = begun(tmp_path)
-    assert log.never_fits(bytes(SIZE))
-    assert not log.has_room(bytes(SIZE))
-    assert not log.never_fits(bytes(SIZE - PAGE - 45_000))
+    assert log.is_too_large(bytes(FILE_BYTES))
+    assert not log.has_space(bytes(FILE_BYTES))
+    assert not log.is_too_large(bytes(FILE_BYTES - PAGE_BYTES - 45_000))
     log.close()
 
 
@@ -245,10 +249,10 @@ def test_a_record_that_the_disk_refused_is_not_there_later(tmp_path: Path) -> No
     log = begun(tmp_path)
     log.append(b"first")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (3 * PAGE, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3 * PAGE_BYTES, hard))
     try:
         with pytest.raises(OSError, match="File too large"):
-            log.append(bytes(4 * PAGE))
+            log.append(bytes(4 * PAGE_BYTES))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert read(tmp_path) == [b"first"]

@@ -45,13 +45,12 @@ def test_the_changes_of_a_killed_broker_are_listed_and_printed(cell: Cell) -> No
     listed = inspect(cell.data_dir)
     assert listed.returncode == 0, listed.stderr
     assert "the tables have everything up to change" in listed.stdout
-    assert "3 entities, 3 history" in listed.stdout
+    assert "3 entity/1, 3 history/1" in listed.stdout
     printed = [json.loads(line) for line in inspect(cell.data_dir, "--json").stdout.splitlines()]
     numbers = [record["number"] for record in printed]
     assert numbers == sorted(numbers)
-    assert [entity["id"] for entity in printed[-1]["entities"]] == [
-        lamp(number)["id"] for number in (1, 2, 3)
-    ]
+    entities = [record for record in printed[-1]["records"] if record["type"] == "entity/1"]
+    assert [entity["id"] for entity in entities] == [lamp(number)["id"] for number in (1, 2, 3)]
     before = [path.read_bytes() for path in sorted(cell.data_dir.glob("broker.*"))]
     inspect(cell.data_dir)
     assert [path.read_bytes() for path in sorted(cell.data_dir.glob("broker.*"))] == before
@@ -71,7 +70,7 @@ def test_a_damaged_change_is_listed(cell: Cell) -> None:
     listed = inspect(cell.data_dir)
     assert listed.returncode == 0, listed.stderr
     assert "damaged: some sectors are neither old nor new" in listed.stdout
-    assert "3 entities" not in listed.stdout
+    assert "3 entity/1" not in listed.stdout
 
 
 def test_without_a_log_the_way_out_is_named(tmp_path: Path) -> None:

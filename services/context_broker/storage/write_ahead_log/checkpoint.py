@@ -21,8 +21,10 @@ from handover.telemetry import get_logger
 from services.context_broker.storage import checksums
 from services.context_broker.storage.database import NotStored, Row, SqliteDatabase, Writer, unusable
 from services.context_broker.storage.entries import DocumentKind, Entries
-from services.context_broker.storage.records import decoded, encoded
-from services.context_broker.storage.write_ahead_log import Damaged, WriteAheadLog
+from services.context_broker.storage.write_ahead_log.frames import ID_BYTES, UnknownVersion
+from services.context_broker.storage.write_ahead_log.log import WriteAheadLog
+from services.context_broker.storage.write_ahead_log.log_file import Damaged
+from services.context_broker.storage.write_ahead_log.records import decode, encode
 
 log = get_logger(__name__)
 
@@ -32,7 +34,7 @@ RETRY_S: Final = 1.0
 MAX_SAMPLE_S: Final = 0.002
 SAMPLES: Final = 16
 DECAY: Final = 0.995
-MAX_QUICK_BYTES: Final = 64 * 1024
+MAX_INLINE_BYTES: Final = 64 * 1024
 """Maximum size of a record that the event loop writes itself."""
 
 UNCHECKPOINTED = Gauge(
@@ -57,7 +59,7 @@ class Checkpointer:
         self._write = write
         self._tidy = tidy
         self._log = WriteAheadLog(database.path)
-        self.left: list[Entries] = []
+        self.recovered: list[Entries] = []
         """Commits that an earlier process has left in the log, until the first checkpoint."""
         self._log_error: str | None = None
         """Why nothing can be written: the log could not be created."""
@@ -65,9 +67,9 @@ class Checkpointer:
         """Why the tables cannot be written."""
         self._write_error: str | None = None
         """Why the log could not be written the last time."""
-        self._identity = self._opening = b""
+        self._database_id = self._log_id = b""
         self._is_open = False
-        """Whether the log of `_opening` is valid, according to the tables."""
+        """Whether the log of `_log_id` is valid, according to the tables."""
         self._has_begun = False
         self._waiting: list[bytes] = []
         """Encoded commits: decoded they take ten times the memory."""
@@ -75,10 +77,10 @@ class Checkpointer:
         """Guards the log and what waits for a checkpoint."""
         self._checkpoint_lock = threading.Lock()
         """Held while the tables are written."""
-        self._is_wanted = threading.Event()
-        self._is_ending = threading.Event()
+        self._is_requested = threading.Event()
+        self._is_stopping = threading.Event()
         self._flush_s = 0.0
-        self._thread = threading.Thread(target=self._work, name="checkpoint", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="checkpoint", daemon=True)
 
     @property
     def path(self) -> Path:
@@ -100,28 +102,30 @@ class Checkpointer:
     def open(self) -> None:
         """Write what an earlier process has left in the log to the tables, and start a new log.
 
-        Raises `UsageError` for damage. Without space on the disk the broker serves reads only until there is
-        some.
+        Raises `UsageError` for damage and for a log of another version. Without space on the disk the broker
+        serves reads only until there is some.
         """
         try:
-            self.read_left()
+            self.recover()
         except Damaged as error:
             logs = " and ".join(path.name for path in self._log.paths)
             raise UsageError(
                 f"{damage(str(error))}; if {self.path.name} itself was restored, move {logs} away"
             ) from None
+        except UnknownVersion as error:
+            raise UsageError(str(error)) from None
         except (NotStored, OSError) as error:
             raise unusable(self.path, error) from None
         try:
             self._begin()
         except NotStored as error:
             log.warning("no space on the disk: reads only", database=str(self.path), error=str(error))
-            self._is_wanted.set()
+            self._is_requested.set()
         self._database.before_reading = self.settle
         UNCHECKPOINTED.set_function(lambda: len(self._waiting))
         self._thread.start()
 
-    def require_room(self) -> None:
+    def require_space(self) -> None:
         """Raise `NotStored` with the reason while the log or the tables cannot be written."""
         if (reason := self._log_error or self._write_error or self._tables_error) is not None:
             raise NotStored(reason)
@@ -135,30 +139,39 @@ class Checkpointer:
         ((last,),) = self.scan_tables(statement)
         return int(last)
 
-    def read_left(self) -> None:
-        """Read the state of the log from the tables, and the commits that are in the log only. Raises
-        `Damaged`."""
+    def recover(self) -> None:
+        """Read the state of the log from the tables, and the commits that are in the log only.
+
+        Raises `Damaged` and `UnknownVersion`; nothing is written.
+        """
         states = list(
-            self.scan_tables("SELECT identity, opening, checkpointed, is_open, checksum FROM log_state")
+            self.scan_tables("SELECT database_id, log_id, checkpointed, is_open, checksum FROM log_state")
         )
         if not states:  # a new database
-            self._identity = secrets.token_bytes(8)
+            self._database_id = secrets.token_bytes(ID_BYTES)
         else:
             *state, checksum = states[0]
             if not checksums.holds(checksums.of_state, checksum, state):
                 raise Damaged(f"{self.path}: the state of its log is not as it was written")
-            identity, opening, checkpointed, is_open = state
-            self._identity, self._opening = bytes.fromhex(identity), bytes.fromhex(opening)
+            database_id, log_id, checkpointed, is_open = state
+            self._database_id, self._log_id = bytes.fromhex(database_id), bytes.fromhex(log_id)
             self._is_open = bool(is_open)
         if self._is_open:
-            self.left = [
-                decoded(record) for record in self._log.read(self._identity, self._opening, checkpointed)
+            records = self._log.read(self._database_id, self._log_id, checkpointed)
+            self.recovered = [
+                self._decoded(number, record) for number, record in enumerate(records, checkpointed + 1)
             ]
-        elif (foreign := self._log.foreign(self._identity, self._opening)) is not None:
+        elif (foreign := self._log.describe_foreign(self._database_id, self._log_id)) is not None:
             raise Damaged(f"{foreign}: {self.path.name} is an older copy, or of another place")
 
+    def _decoded(self, number: int, record: bytes) -> Entries:
+        try:
+            return decode(record)
+        except UnknownVersion as error:
+            raise UnknownVersion(f"{self._log.names}: change {number} has {error.what}") from None
+
     def _begin(self) -> None:
-        """Write what is left to the tables, and start a log for a new opening. Raises `NotStored`.
+        """Write what is left to the tables, and start a new log. Raises `NotStored`.
 
         While the log files are overwritten, the tables say that no log is valid: the process may be killed at
         any time.
@@ -167,20 +180,22 @@ class Checkpointer:
             if self._has_begun:
                 return
             try:
-                if self.left or self._is_open:
+                if self.recovered or self._is_open:
                     with self._database.transaction() as writer:
-                        for lot in lots(self.left):
-                            self._write(writer, lot)
+                        for merged in merge_commits(self.recovered):
+                            self._write(writer, merged)
                         self._write_state(writer, 0, is_open=False)
-                    if self.left:
-                        log.info("wrote commits of an earlier process to the tables", commits=len(self.left))
-                    self.left, self._is_open = [], False
-                new = secrets.token_bytes(8)
-                self._log.begin(self._identity, new)
-                flush_s = self._log.tried_s()
+                    if self.recovered:
+                        log.info(
+                            "wrote commits of an earlier process to the tables", commits=len(self.recovered)
+                        )
+                    self.recovered, self._is_open = [], False
+                log_id = secrets.token_bytes(ID_BYTES)
+                self._log.begin(self._database_id, log_id)
+                flush_s = self._log.measure_write_s()
                 with self._database.transaction() as writer:
                     self._tidy(writer)
-                    self._opening = new
+                    self._log_id = log_id
                     self._write_state(writer, 0, is_open=True)
                 self._database.checkpoint()
             except (NotStored, OSError) as error:
@@ -191,11 +206,11 @@ class Checkpointer:
             self._flush_s, self._log_error = flush_s, None
 
     def _write_state(self, writer: Writer, checkpointed: int, *, is_open: bool) -> None:
-        """Write the state of the log to the tables: its identity, its opening and the last checkpoint."""
-        row = (self._identity.hex(), self._opening.hex(), checkpointed, int(is_open))
+        """Write the state of the log to the tables: both ids and the last checkpoint."""
+        row = (self._database_id.hex(), self._log_id.hex(), checkpointed, int(is_open))
         writer.run(
-            "INSERT INTO log_state (name, identity, opening, checkpointed, is_open, checksum) "
-            "VALUES ('log', ?, ?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET opening = excluded.opening, "
+            "INSERT INTO log_state (name, database_id, log_id, checkpointed, is_open, checksum) "
+            "VALUES ('log', ?, ?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET log_id = excluded.log_id, "
             "checkpointed = excluded.checkpointed, is_open = excluded.is_open, checksum = excluded.checksum",
             (*row, checksums.of_state(*row)),
         )
@@ -204,13 +219,13 @@ class Checkpointer:
         """Do as `commit` and return true if there is space and the record is small; else do nothing."""
         if self._log_error is not None:
             return False
-        record = encoded(entries)
-        if len(record) > MAX_QUICK_BYTES or not self._log.has_room(record):
+        record = encode(entries)
+        if len(record) > MAX_INLINE_BYTES or not self._log.has_space(record):
             return False
-        began_s = time.perf_counter()
+        started_s = time.perf_counter()
         self._append(record)
         # A single slow flush must not change the average much.
-        self._flush_s += (min(time.perf_counter() - began_s, MAX_SAMPLE_S) - self._flush_s) / SAMPLES
+        self._flush_s += (min(time.perf_counter() - started_s, MAX_SAMPLE_S) - self._flush_s) / SAMPLES
         return True
 
     def commit(self, entries: Entries) -> None:
@@ -218,11 +233,11 @@ class Checkpointer:
         `NotStored`."""
         if self._log_error is not None:
             self._begin()
-        record = encoded(entries)
-        if self._log.never_fits(record):
+        record = encode(entries)
+        if self._log.is_too_large(record):
             self._checkpoint(entries)
             return
-        if not self._log.has_room(record):
+        if not self._log.has_space(record):
             self._checkpoint()
         self._append(record)
         # A thread also waits for the interpreter, so it cannot measure the disk. Assume that the disk becomes
@@ -230,30 +245,30 @@ class Checkpointer:
         self._flush_s *= DECAY
 
     def _append(self, record: bytes) -> None:
-        was_tight = self._log.is_tight
+        needed_checkpoint = self._log.needs_checkpoint
         try:
             with self._guard:
                 self._log.append(record)
                 self._waiting.append(record)
         except OSError as error:
             self._write_error = str(error)
-            self._is_wanted.set()
+            self._is_requested.set()
             raise NotStored(f"{self._database.name}: {error}") from error
         self._write_error = None
-        if len(self._waiting) == 1 or self._log.is_tight is not was_tight:
-            self._is_wanted.set()
+        if len(self._waiting) == 1 or self._log.needs_checkpoint is not needed_checkpoint:
+            self._is_requested.set()
 
     def settle(self) -> None:
         """Write all commits so far to the tables; from any thread. Raises `NotStored`."""
-        if self.left:
+        if self.recovered:
             raise NotStored(f"{self._database.name}: {self._log_error}")
         if self._waiting:
             self._checkpoint()
 
     def close(self) -> None:
         """Write a last checkpoint, and close the log."""
-        self._is_ending.set()
-        self._is_wanted.set()
+        self._is_stopping.set()
+        self._is_requested.set()
         if self._thread.is_alive():
             self._thread.join()
         is_complete = False
@@ -267,39 +282,39 @@ class Checkpointer:
                 log.warning(
                     "the commits in the log are written to the tables at the next start", error=str(error)
                 )
-        self._log.close(in_order=is_complete)
+        self._log.close(is_copied=is_complete)
 
-    def _checkpoint(self, besides: Entries | None = None) -> None:
-        """Write the waiting commits to the tables, and `besides`, which is too large for the log."""
+    def _checkpoint(self, too_large: Entries | None = None) -> None:
+        """Write the waiting commits to the tables, and a commit that is too large for the log."""
         with self._checkpoint_lock:
             with self._guard:
                 waiting, number = self._waiting.copy(), self._log.number
-            if not waiting and besides is None:
+            if not waiting and too_large is None:
                 return
-            commits = [decoded(record) for record in waiting]
+            commits = [decode(record) for record in waiting]
             with self._database.transaction() as writer:
-                for lot in lots(commits if besides is None else [*commits, besides]):
-                    self._write(writer, lot)
+                for merged in merge_commits(commits if too_large is None else [*commits, too_large]):
+                    self._write(writer, merged)
                 self._write_state(writer, number, is_open=True)
             with self._guard:
                 del self._waiting[: len(waiting)]
-                self._log.checkpointed(number)
+                self._log.note_checkpoint(number)
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         """Write checkpoints in a thread of its own, when there is enough or after a delay."""
-        while not self._is_ending.is_set():
-            self._is_wanted.wait()
-            self._is_wanted.clear()
-            if not self._is_ending.is_set() and not self._log.is_tight:
-                self._is_wanted.wait(CHECKPOINT_DELAY_S)
-                self._is_wanted.clear()
+        while not self._is_stopping.is_set():
+            self._is_requested.wait()
+            self._is_requested.clear()
+            if not self._is_stopping.is_set() and not self._log.needs_checkpoint:
+                self._is_requested.wait(CHECKPOINT_DELAY_S)
+                self._is_requested.clear()
             try:
                 if not self._has_begun:
                     self._begin()
                     log.info("there is space on the disk again", database=str(self.path))
                 if self._write_error is not None:
                     with self._guard:
-                        self._log.try_out()
+                        self._log.probe()
                     self._write_error = None
                 self.settle()
                 self._tables_error = None
@@ -308,36 +323,36 @@ class Checkpointer:
                 if self._log_error is None:
                     self._tables_error = str(error)
                     log.warning("checkpoint failed: the tables cannot be written", error=str(error))
-                self._is_ending.wait(RETRY_S)
-                self._is_wanted.set()
+                self._is_stopping.wait(RETRY_S)
+                self._is_requested.set()
 
 
-def lots(commits: list[Entries]) -> list[Entries]:
-    """Combine commits, as far as their order does not matter.
+def merge_commits(commits: list[Entries]) -> list[Entries]:
+    """Merge commits, as far as their order does not matter.
 
     Notifications that were delivered meanwhile are left out.
     """
-    made: list[Entries] = []
-    lot = None
-    for one in commits:
-        forgets = bool(one.cleared) or _ends_a_subscription(one)
-        if lot is None or forgets:
-            lot = Entries()
-            made.append(lot)
-        lot.add(one)
-        if forgets:
-            lot = None
-    for lot in made:
-        delivered = set(lot.settled).intersection(notice.seq for notice in lot.pending)
+    merged: list[Entries] = []
+    last = None
+    for commit in commits:
+        deletes = bool(commit.cleared) or _deletes_subscription(commit)
+        if last is None or deletes:
+            last = Entries()
+            merged.append(last)
+        last.add(commit)
+        if deletes:
+            last = None
+    for entries in merged:
+        delivered = set(entries.settled).intersection(pending.seq for pending in entries.pending)
         if delivered:
-            lot.pending = [notice for notice in lot.pending if notice.seq not in delivered]
-            lot.settled = [seq for seq in lot.settled if seq not in delivered]
-        latest = {row[:2]: row for row in lot.history}
-        lot.history = list(latest.values())
-    return made
+            entries.pending = [pending for pending in entries.pending if pending.seq not in delivered]
+            entries.settled = [seq for seq in entries.settled if seq not in delivered]
+        latest = {row[:2]: row for row in entries.history}
+        entries.history = list(latest.values())
+    return merged
 
 
-def _ends_a_subscription(entries: Entries) -> bool:
+def _deletes_subscription(entries: Entries) -> bool:
     """Return whether the commit deletes a subscription: a later one may have the same id."""
     return any(
         body is None and kind in (DocumentKind.SUBSCRIPTION, DocumentKind.SOURCE_SUBSCRIPTION)
