@@ -72,8 +72,8 @@ def repeat(machine: Machine, wait: Wait) -> bool:
     wait.count += 1
     following = cycle.next(wait.due, wait.count)
     is_endless = cycle.next(wait.due, sys.maxsize) is not None
-    while following is not None and following <= machine.now and is_endless:
-        following = cycle.next(following, wait.count)
+    if following is not None and following <= machine.now and is_endless:
+        following = cycle.next_after(following, machine.now)
     wait.due = following
     return following is not None
 
