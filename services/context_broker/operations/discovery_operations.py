@@ -5,18 +5,25 @@ sources are added, unless `local=true` excludes them.
 """
 
 import time
-from collections.abc import Iterator
-from hashlib import sha256
-from typing import Any, Final
-
-import orjson
+from collections.abc import Callable, Iterable, Iterator
+from typing import Final
 
 from services.context_broker.model.conformance import OURS
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import not_found
 from services.context_broker.model.validation import require_name, shown, timestamp_now
-from services.context_broker.request.query_parameters import json_headers
-from services.context_broker.request.request_context import JSON_LD, RequestContext, Response
+from services.context_broker.request.discovery_documents import (
+    ATTRIBUTES,
+    TYPES,
+    Listing,
+    attribute_detail,
+    attribute_info,
+    discovery_response,
+    entry_document,
+    list_document,
+    type_info,
+)
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation, brief
 from services.context_broker.tenant_extensions import Announced
 
@@ -51,68 +58,34 @@ class DiscoveryOperations:
     async def types(self, request: RequestContext) -> Response:
         """GET types; with details=true the attributes of each (clauses 5.7.5 and 5.7.6)."""
         context = await request.reader_context()
-        compact, census = context.terms.compact, request.tenant.store.census
         registered = list(_registered(request))
-        kinds = sorted({*census.types(), *(kind for _, types in registered for kind in types)})
-        if not request.flag("details"):
-            return _answer(request, context, _listed("EntityTypeList", "typeList", kinds, context), kinds)
-        body = [
-            {
-                "id": kind,
-                "type": "EntityType",
-                "typeName": compact(kind),
-                "attributeNames": [compact(name) for name in _names(request, kind, registered)],
-            }
-            for kind in kinds
-        ]
-        return _answer(request, context, body, kinds)
+        stored = request.tenant.store.census.types()
+        types = sorted({*stored, *(kind for _, types in registered for kind in types)})
+        return _list(request, context, TYPES, types, lambda kind: _attributes_of(request, kind, registered))
+
+    async def attributes(self, request: RequestContext) -> Response:
+        """GET attributes; with details=true the types that have each (clauses 5.7.8 and 5.7.9)."""
+        context = await request.reader_context()
+        registered = list(_registered(request))
+        stored = request.tenant.store.census.attributes()
+        names = sorted({*stored, *(name for names, _ in registered for name in names)})
+        return _list(request, context, ATTRIBUTES, names, lambda name: _types_with(request, name, registered))
 
     async def type_details(self, request: RequestContext) -> Response:
         """GET types/{type} (clause 5.7.7)."""
         context = await request.reader_context()
         kind = context.terms.expand(require_name(request.names[0], "the type in the path"))
-        compact, census = context.terms.compact, request.tenant.store.census
+        census = request.tenant.store.census
         registered = [one for one in _registered(request) if kind in one[1]]
         count = census.entities_of(kind)
         if not count and not registered:
             raise not_found(f"there is no entity of the type {shown(request.names[0])} ({kind})")
-        known = census.attributes_of(kind)
-        body = {
-            "id": kind,
-            "type": "EntityTypeInfo",
-            "typeName": compact(kind),
-            "entityCount": count,
-            "attributeDetails": [
-                {
-                    "id": name,
-                    "type": "Attribute",
-                    "attributeName": compact(name),
-                    "attributeTypes": sorted(known.get(name, ())),
-                }
-                for name in _names(request, kind, registered)
-            ],
-        }
-        return _answer(request, context, body)
-
-    async def attributes(self, request: RequestContext) -> Response:
-        """GET attributes; with details=true the types that have each (clauses 5.7.8 and 5.7.9)."""
-        context = await request.reader_context()
-        compact, census = context.terms.compact, request.tenant.store.census
-        registered = list(_registered(request))
-        names = sorted({*census.attributes(), *(name for one, _ in registered for name in one)})
-        if not request.flag("details"):
-            body: Any = _listed("AttributeList", "attributeList", names, context)
-            return _answer(request, context, body, names)
-        body = [
-            {
-                "id": name,
-                "type": "Attribute",
-                "attributeName": compact(name),
-                "typeNames": [compact(kind) for kind in _types_with(request, name, registered)],
-            }
-            for name in names
+        stored = census.attributes_of(kind)
+        details = [
+            attribute_detail(name, context, stored.get(name, ()))
+            for name in _attributes_of(request, kind, registered)
         ]
-        return _answer(request, context, body, names)
+        return discovery_response(request, context, type_info(kind, context, count, details))
 
     async def attribute_details(self, request: RequestContext) -> Response:
         """GET attributes/{attrId} (clause 5.7.10)."""
@@ -122,16 +95,9 @@ class DiscoveryOperations:
         registered = [one for one in _registered(request) if name in one[0]]
         if not kinds and not registered:
             raise not_found(f"no entity has the attribute {shown(request.names[0])} ({name})")
-        compact = context.terms.compact
-        body = {
-            "id": name,
-            "type": "Attribute",
-            "attributeName": compact(name),
-            "attributeCount": sum(kinds.values()),
-            "attributeTypes": sorted(kinds),
-            "typeNames": [compact(kind) for kind in _types_with(request, name, registered)],
-        }
-        return _answer(request, context, body)
+        types = _types_with(request, name, registered)
+        body = attribute_info(name, context, kinds, sum(kinds.values()), types)
+        return discovery_response(request, context, body)
 
     async def source_identity(self, request: RequestContext) -> Response:
         """GET info/sourceIdentity (clause 5.15): the identity of the broker for a tenant."""
@@ -145,7 +111,20 @@ class DiscoveryOperations:
             "contextSourceUptime": f"PT{time.monotonic() - self._since_s:.3f}S",
             "contextSourceExtras": {"ngsildConformance": "{}.{}".format(*OURS)},
         }
-        return _answer(request, context, body)
+        return discovery_response(request, context, body)
+
+
+def _list(
+    request: RequestContext,
+    context: Context,
+    listing: Listing,
+    iris: list[str],
+    related: Callable[[str], Iterable[str]],
+) -> Response:
+    if request.flag("details"):
+        entries = [entry_document(listing, iri, related(iri), context) for iri in iris]
+        return discovery_response(request, context, entries, len(iris))
+    return discovery_response(request, context, list_document(listing, iris, context), len(iris))
 
 
 def _registered(request: RequestContext) -> Iterator[Announced]:
@@ -155,7 +134,7 @@ def _registered(request: RequestContext) -> Iterator[Announced]:
     yield from request.tenant.federation.announced()
 
 
-def _names(request: RequestContext, kind: str, registered: list[Announced]) -> list[str]:
+def _attributes_of(request: RequestContext, kind: str, registered: list[Announced]) -> list[str]:
     """Return the attributes of a type, stored ones first."""
     stored = request.tenant.store.census.attributes_of(kind)
     others = (name for names, types in registered if kind in types for name in sorted(names))
@@ -166,25 +145,3 @@ def _types_with(request: RequestContext, name: str, registered: list[Announced])
     """Return the types that have an attribute."""
     stored = request.tenant.store.census.types_with(name)
     return sorted({*stored, *(kind for names, types in registered if name in names for kind in types)})
-
-
-def _listed(kind: str, member: str, found: list[str], context: Context) -> dict[str, Any]:
-    digest = sha256("\n".join(found).encode()).hexdigest()[:16]
-    return {
-        "id": f"urn:ngsi-ld:{kind}:{digest}",
-        "type": kind,
-        member: [context.terms.compact(one) for one in found],
-    }
-
-
-def _answer(request: RequestContext, context: Context, body: Any, found: list[str] | None = None) -> Response:
-    if request.accept() == JSON_LD:
-        documents = body if isinstance(body, list) else [body]
-        written = [{"@context": context.document, **document} for document in documents]
-        body = written if isinstance(body, list) else written[0]
-        headers = [(b"content-type", JSON_LD.encode())]
-    else:
-        headers = json_headers(context)
-    if found is not None and request.flag("count"):
-        headers.append((b"ngsild-results-count", str(len(found)).encode()))
-    return Response(200, orjson.dumps(body), headers)

@@ -38,8 +38,8 @@ async def settled(
     tenant = broker.tenants.of(b"", makes=False)
     made = new_snapshot("urn:x:1", {"snapshotQueries": list(queries)})
     await store.store(tenant, made)
-    exchange = RequestContext(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
-    creator.start(exchange, made, context)
+    request = RequestContext(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
+    creator.start(request, made, context)
     async with asyncio.timeout(120):
         while store.of(tenant)["urn:x:1"].status is Status.PREPARING:
             await asyncio.sleep(0.005)
@@ -54,12 +54,12 @@ def kept_status(broker: Broker) -> list[bytes]:
 async def test_a_failing_query_is_reported_and_the_others_are_carried_out(broker: Broker) -> None:
     asked = 0
 
-    async def carry_out(operation: Operation, exchange: RequestContext) -> Response:
+    async def carry_out(operation: Operation, request: RequestContext) -> Response:
         nonlocal asked
         asked += 1
         if asked == 1:
             raise ZeroDivisionError
-        return await operation.answer(exchange)
+        return await operation.answer(request)
 
     store = SnapshotStore(broker.tenants)
     creator = SnapshotCreator(broker.tenants, store, carry_out, broker._by_name)

@@ -5,6 +5,7 @@ attributes within their registrations are added.
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import orjson
@@ -26,12 +27,17 @@ from services.context_broker.federation.distribution.forwarding import (
 from services.context_broker.federation.distribution.source_responses import query_source
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
 from services.context_broker.model.context import Context
-from services.context_broker.request.query_parameters import json_headers
-from services.context_broker.request.request_context import (
-    JSON_LD,
-    RequestContext,
-    Response,
+from services.context_broker.request.discovery_documents import (
+    ATTRIBUTES,
+    TYPES,
+    Listing,
+    attribute_detail,
+    attribute_info,
+    discovery_response,
+    entry_document,
+    type_info,
 )
+from services.context_broker.request.request_context import RequestContext, Response
 
 SourceDocument = tuple[Registration, SourceDialect, Any]
 """A source, the dialect of the request, and the document in its response."""
@@ -40,42 +46,26 @@ _LISTS: Final = ("typeList", "attributeList", "attributeDetails", "attributeType
 """A response with a single document has at least one of these members."""
 
 
+@dataclass(frozen=True, slots=True)
+class _SourceListing:
+    """How types or attributes are listed at sources."""
+
+    names: Listing
+    path: str
+    operation: str
+    details_operation: str
+    is_registered: Callable[[Registration, str], bool]
+    is_related_registered: Callable[[Registration, str], bool]
+
+
 async def types(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET types."""
-    has_details = request.parameter("details") == "true"
-    operation = "retrieveEntityTypeDetails" if has_details else "retrieveEntityTypes"
-    context = await request.reader_context()
-    documents = await _query_sources(
-        sources, operation, _EVERYTHING, context, lambda _: "types", details=has_details
-    )
-    answer = await perform(request)
-    if not documents:
-        return answer
-    if not has_details:
-        found = {name for one in documents for name in _iris(one, "typeList") if _has_type(one[0], name)}
-        return _with_list(answer, "typeList", found, context)
-    entries = [entry for one in documents for entry in _entries(one, "attributeNames", _has_type)]
-    return _with_entries(answer, "EntityType", ("typeName", "attributeNames"), entries, context)
+    return await _list(sources, request, perform, _TYPES)
 
 
 async def attributes(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET attributes."""
-    has_details = request.parameter("details") == "true"
-    operation = "retrieveAttrTypeDetails" if has_details else "retrieveAttrTypes"
-    context = await request.reader_context()
-    documents = await _query_sources(
-        sources, operation, _EVERYTHING, context, lambda _: "attributes", details=has_details
-    )
-    answer = await perform(request)
-    if not documents:
-        return answer
-    if not has_details:
-        found = {
-            name for one in documents for name in _iris(one, "attributeList") if _has_attribute(one[0], name)
-        }
-        return _with_list(answer, "attributeList", found, context)
-    entries = [entry for one in documents for entry in _entries(one, "typeNames", _has_attribute)]
-    return _with_entries(answer, "Attribute", ("attributeName", "typeNames"), entries, context)
+    return await _list(sources, request, perform, _ATTRIBUTES)
 
 
 async def type_details(sources: Sources, request: RequestContext, perform: Perform) -> Response:
@@ -90,17 +80,11 @@ async def type_details(sources: Sources, request: RequestContext, perform: Perfo
         context,
         lambda dialect: f"types/{quoted(dialect.name(kind))}",
     )
-    empty = {
-        "id": kind,
-        "type": "EntityTypeInfo",
-        "typeName": context.terms.compact(kind),
-        "entityCount": 0,
-        "attributeDetails": [],
-    }
-    answer = await _own(request, perform, empty if documents else None, context)
-    body = orjson.loads(answer.body)
+    empty = type_info(kind, context)
+    response = await _own(request, perform, empty if documents else None, context)
+    body = orjson.loads(response.body)
     if not documents or not isinstance(body, dict):
-        return answer
+        return response
     details = {one["id"]: one for one in body["attributeDetails"]}
     for registration, dialect, document in documents:
         body["entityCount"] += _count(document, "entityCount")
@@ -108,11 +92,10 @@ async def type_details(sources: Sources, request: RequestContext, perform: Perfo
         for one in details_there if isinstance(details_there, list) else ():
             name = _iri(one, "attributeName", dialect)
             if name is not None and _has_attribute(registration, name):
-                own = details.setdefault(name, {"id": name, "type": "Attribute", "attributeTypes": []})
-                own["attributeName"] = context.terms.compact(name)
+                own = details.setdefault(name, attribute_detail(name, context))
                 own["attributeTypes"] = _union(own["attributeTypes"], one.get("attributeTypes"))
     body["attributeDetails"] = list(details.values())
-    return Response(answer.status, orjson.dumps(body), answer.headers)
+    return Response(response.status, orjson.dumps(body), response.headers)
 
 
 async def attribute_details(sources: Sources, request: RequestContext, perform: Perform) -> Response:
@@ -127,25 +110,35 @@ async def attribute_details(sources: Sources, request: RequestContext, perform: 
         context,
         lambda dialect: f"attributes/{quoted(dialect.name(name))}",
     )
-    empty = {
-        "id": name,
-        "type": "Attribute",
-        "attributeName": context.terms.compact(name),
-        "attributeCount": 0,
-        "attributeTypes": [],
-        "typeNames": [],
-    }
-    answer = await _own(request, perform, empty if documents else None, context)
-    body = orjson.loads(answer.body)
+    empty = attribute_info(name, context)
+    response = await _own(request, perform, empty if documents else None, context)
+    body = orjson.loads(response.body)
     if not documents or not isinstance(body, dict):
-        return answer
+        return response
     for registration, dialect, document in documents:
         body["attributeCount"] += _count(document, "attributeCount")
         body["attributeTypes"] = _union(body["attributeTypes"], document.get("attributeTypes"))
         kinds = [dialect.context.terms.expand(one) for one in _texts(document.get("typeNames"))]
         there = [context.terms.compact(one) for one in kinds if _has_type(registration, one)]
         body["typeNames"] = _union(body["typeNames"], there)
-    return Response(answer.status, orjson.dumps(body), answer.headers)
+    return Response(response.status, orjson.dumps(body), response.headers)
+
+
+async def _list(
+    sources: Sources, request: RequestContext, perform: Perform, listed: _SourceListing
+) -> Response:
+    has_details = request.parameter("details") == "true"
+    operation = listed.details_operation if has_details else listed.operation
+    context = await request.reader_context()
+    documents = await _query_sources(
+        sources, operation, _EVERYTHING, context, lambda _: listed.path, details=has_details
+    )
+    response = await perform(request)
+    if not documents:
+        return response
+    if has_details:
+        return _add_entries(response, listed, documents, context)
+    return _add_names(response, listed, documents, context)
 
 
 async def _query_sources(
@@ -178,7 +171,7 @@ async def _query_sources(
         except Problem as problem:
             sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
         else:
-            if _is_answer(document, details=details):
+            if _has_expected_shape(document, details=details):
                 return registration, dialect, document
             sources.add_warning(
                 INVALID, f"{registration.endpoint} returns something other than was requested"
@@ -190,7 +183,7 @@ async def _query_sources(
     return [one for one in found if one is not None]
 
 
-def _is_answer(document: Any, *, details: bool) -> bool:
+def _has_expected_shape(document: Any, *, details: bool) -> bool:
     """Return whether a document has the shape of a discovery response."""
     if details:
         return isinstance(document, list) and all(isinstance(one, dict) for one in document)
@@ -206,44 +199,49 @@ async def _own(
     except Problem as problem:
         if problem.status != 404 or empty is None:
             raise
-    if request.accept() == JSON_LD:
-        body = orjson.dumps({"@context": context.document, **empty})
-        return Response(200, body, [(b"content-type", JSON_LD.encode())])
-    return Response(200, orjson.dumps(empty), json_headers(context))
+    return discovery_response(request, context, empty)
 
 
-def _with_list(answer: Response, member: str, found: Iterable[str], context: Context) -> Response:
-    body = orjson.loads(answer.body)
-    known = {context.terms.expand(one) for one in body[member]}
-    names = sorted(known.union(found))
-    body[member] = [context.terms.compact(one) for one in names]
-    return _counted(answer, body, len(names))
-
-
-def _with_entries(
-    answer: Response,
-    kind: str,
-    members: tuple[str, str],
-    entries: Iterable[tuple[str, list[str]]],
-    context: Context,
+def _add_names(
+    response: Response, listed: _SourceListing, documents: list[SourceDocument], context: Context
 ) -> Response:
-    body = orjson.loads(answer.body)
+    """Add the types or attributes of sources to a plain list."""
+    member = listed.names.member
+    body = orjson.loads(response.body)
+    known = {context.terms.expand(one) for one in body[member]}
+    there = {
+        iri
+        for registration, dialect, document in documents
+        for iri in map(dialect.context.terms.expand, _texts(document.get(member)))
+        if listed.is_registered(registration, iri)
+    }
+    iris = sorted(known | there)
+    body[member] = [context.terms.compact(iri) for iri in iris]
+    return _counted(response, body, len(iris))
+
+
+def _add_entries(
+    response: Response, listed: _SourceListing, documents: list[SourceDocument], context: Context
+) -> Response:
+    """Add the entries of sources to a detailed list."""
+    body = orjson.loads(response.body)
     known = {one["id"]: one for one in body}
-    name, below = members
     shape = {"@context": context.document} if body and "@context" in body[0] else {}
-    for iri, others in entries:
-        fresh = {**shape, "id": iri, "type": kind, name: context.terms.compact(iri), below: []}
-        own = known.setdefault(iri, fresh)
-        own[below] = _union(own[below], [context.terms.compact(one) for one in others])
-    return _counted(answer, [known[iri] for iri in sorted(known)], len(known))
+    related = listed.names.related
+    for source_document in documents:
+        for iri, others in _entries(source_document, listed):
+            fresh = {**shape, **entry_document(listed.names, iri, (), context)}
+            own = known.setdefault(iri, fresh)
+            own[related] = _union(own[related], [context.terms.compact(one) for one in others])
+    return _counted(response, [known[iri] for iri in sorted(known)], len(known))
 
 
-def _counted(answer: Response, body: Any, count: int) -> Response:
+def _counted(response: Response, body: Any, count: int) -> Response:
     headers = [
         (name, str(count).encode() if name == b"ngsild-results-count" else value)
-        for name, value in answer.headers
+        for name, value in response.headers
     ]
-    return Response(answer.status, orjson.dumps(body), headers)
+    return Response(response.status, orjson.dumps(body), headers)
 
 
 def _has_type(registration: Registration, kind: str) -> bool:
@@ -257,22 +255,15 @@ def _has_attribute(registration: Registration, name: str) -> bool:
     return any(piece.attributes is None or name in piece.attributes for piece in registration.information)
 
 
-def _iris(documents: SourceDocument, member: str) -> list[str]:
-    _, dialect, document = documents
-    return [dialect.context.terms.expand(one) for one in _texts(document.get(member))]
-
-
-def _entries(
-    documents: SourceDocument, member: str, has: Callable[[Registration, str], bool]
-) -> Iterable[tuple[str, list[str]]]:
-    registration, dialect, document = documents
-    name = "typeName" if member == "attributeNames" else "attributeName"
-    below = _has_attribute if member == "attributeNames" else _has_type
-    for one in document:
-        iri = _iri(one, name, dialect)
-        if iri is not None and has(registration, iri):
-            others = [dialect.context.terms.expand(other) for other in _texts(one.get(member))]
-            yield iri, [other for other in others if below(registration, other)]
+def _entries(source_document: SourceDocument, listed: _SourceListing) -> Iterable[tuple[str, list[str]]]:
+    """Yield the entries in the document of a source, as far as they are registered, each with what is
+    related to it."""
+    registration, dialect, document = source_document
+    for entry in document:
+        iri = _iri(entry, listed.names.name, dialect)
+        if iri is not None and listed.is_registered(registration, iri):
+            others = [dialect.context.terms.expand(one) for one in _texts(entry.get(listed.names.related))]
+            yield iri, [one for one in others if listed.is_related_registered(registration, one)]
 
 
 def _iri(document: Any, name: str, dialect: SourceDialect) -> str | None:
@@ -296,3 +287,11 @@ def _texts(given: Any) -> list[str]:
 
 def _union(own: list[str], others: Any) -> list[str]:
     return sorted({*own, *_texts(others)})
+
+
+_TYPES: Final = _SourceListing(
+    TYPES, "types", "retrieveEntityTypes", "retrieveEntityTypeDetails", _has_type, _has_attribute
+)
+_ATTRIBUTES: Final = _SourceListing(
+    ATTRIBUTES, "attributes", "retrieveAttrTypes", "retrieveAttrTypeDetails", _has_attribute, _has_type
+)

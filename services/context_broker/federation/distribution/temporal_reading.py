@@ -67,6 +67,15 @@ from services.context_broker.temporal.operations import temporal_parameters
 from services.context_broker.temporal.query import Representation, temporal_query, temporal_view
 
 
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A source that has the entity, and its part in the requested representation."""
+
+    registration: Registration
+    fetch: FetchPart
+    part: TemporalPart
+
+
 async def retrieve(sources: Sources, request: RequestContext, perform: Perform) -> Response:
     """GET temporal/entities/{id}."""
     context = await request.reader_context()
@@ -77,65 +86,96 @@ async def retrieve(sources: Sources, request: RequestContext, perform: Perform) 
     if not matches:
         return await perform(request)
     temporal_request = _temporal_request(request, context, request.parameters)
-    path = f"temporal/entities/{quoted(entity_id)}"
-
-    def of_source(match: Match) -> FetchPart:
-        return lambda parameters: fetch_from_source(sources, match, path, parameters, context, single=True)
-
-    async def of_own(parameters: Mapping[str, str]) -> TemporalPart:
-        collected = await perform(derived(request, parameters=parameters))
-        return TemporalPart([without_context(orjson.loads(collected.body))], edge_of(collected))
-
-    asking = [of_source(one) for one in matches]
-    parts = await gather_all(*(ask(temporal_request.parameters) for ask in asking))
+    found = await _find(sources, matches, entity_id, temporal_request)
+    if not found:
+        return await _retrieve_own(sources, request, perform)
     try:
         own: Response | None = await perform(request)
     except Problem as problem:
-        silent = [one for one in sources.source_errors if one.registration.mode.is_proxied]
-        has_documents = any(one.documents for one in parts)
-        if problem.status == 404 and not has_documents and silent:
-            return problem_response(gateway_problem(silent[0]))
-        if problem.status != 404 or not has_documents:
+        if problem.status != 404:
             raise
         own = None
-    readers: list[tuple[Registration | None, FetchPart]] = [
-        (match.registration, ask)
-        for match, ask, part in zip(matches, asking, parts, strict=True)
+    if (listed := listed_of(request)) is not None:
+        own_name = [] if own is None else [OWN]
+        listed.entities = {entity_id: own_name + [one.registration.id for one in found]}
+    if temporal_request.is_for_totals and (own is not None or len(found) > 1):
+        readers: list[tuple[Registration | None, FetchPart]] = [
+            (one.registration, one.fetch) for one in found
+        ]
+        if own is not None:
+            readers.insert(0, (None, _own_fetcher(request, perform)))
+        return await _aggregate(request, temporal_request, readers)
+    return _merge(request, temporal_request, own, found)
+
+
+async def _find(
+    sources: Sources, matches: list[Match], entity_id: str, temporal_request: TemporalRequest
+) -> list[_Found]:
+    """Return the sources that have the entity."""
+    context, path = temporal_request.context, f"temporal/entities/{quoted(entity_id)}"
+
+    def fetcher(match: Match) -> FetchPart:
+        return lambda parameters: fetch_from_source(sources, match, path, parameters, context, single=True)
+
+    fetchers = [fetcher(match) for match in matches]
+    parts = await gather_all(*(fetch(temporal_request.parameters) for fetch in fetchers))
+    return [
+        _Found(match.registration, fetch, part)
+        for match, fetch, part in zip(matches, fetchers, parts, strict=True)
         if part.documents
     ]
-    if not readers:
-        assert own is not None  # noqa: S101 - else it was raised
-        return own
-    if own is not None:
-        readers.insert(0, (None, of_own))
-    if (listed := listed_of(request)) is not None:
-        listed_sources = [OWN if registration is None else registration.id for registration, _ in readers]
-        listed.entities = {entity_id: listed_sources}
-    if temporal_request.is_for_totals and len(readers) > 1:
-        values = await fetch_values(readers, temporal_request)
-        document = temporal_merge.aggregated(
-            temporal_merge.merge_evolutions(values, context, temporal_request.query.last),
-            temporal_request.query,
-        )
-        return _answer(request, temporal_request, [document], None, single=True)
-    collected: list[temporal_merge.SourceEvolution] = [
-        (match.registration, temporal_merge.shown(document, temporal_request.view, context))
-        for match, part in zip(matches, parts, strict=True)
-        for document in part.documents
+
+
+async def _retrieve_own(sources: Sources, request: RequestContext, perform: Perform) -> Response:
+    """Return the broker's own response. If it has none, and a source did not answer, that is the error."""
+    try:
+        return await perform(request)
+    except Problem as problem:
+        errors = [error for error in sources.source_errors if error.registration.mode.is_proxied]
+        if problem.status == 404 and errors:
+            return problem_response(gateway_problem(errors[0]))
+        raise
+
+
+def _own_fetcher(request: RequestContext, perform: Perform) -> FetchPart:
+    async def fetch(parameters: Mapping[str, str]) -> TemporalPart:
+        response = await perform(derived(request, parameters=parameters))
+        return TemporalPart([without_context(orjson.loads(response.body))], edge_of(response))
+
+    return fetch
+
+
+async def _aggregate(
+    request: RequestContext,
+    temporal_request: TemporalRequest,
+    readers: list[tuple[Registration | None, FetchPart]],
+) -> Response:
+    """Return the aggregated values of an entity of which several sources have a part."""
+    values = await fetch_values(readers, temporal_request)
+    query = temporal_request.query
+    merged = temporal_merge.merge_evolutions(values, temporal_request.context, query.last)
+    document = temporal_merge.aggregated(merged, query)
+    return _answer(request, temporal_request, [document], None, single=True)
+
+
+def _merge(
+    request: RequestContext, temporal_request: TemporalRequest, own: Response | None, found: list[_Found]
+) -> Response:
+    """Return the entity of all sources, up to the instant to which all parts are complete."""
+    context, query = temporal_request.context, temporal_request.query
+    evolutions: list[temporal_merge.SourceEvolution] = [
+        (one.registration, temporal_merge.shown(document, temporal_request.view, context))
+        for one in found
+        for document in one.part.documents
     ]
-    edges = [part.edge for part in parts]
+    edges = [one.part.edge for one in found]
     if own is not None:
-        collected.insert(0, (None, without_context(orjson.loads(own.body))))
+        evolutions.insert(0, (None, without_context(orjson.loads(own.body))))
         edges.append(edge_of(own))
-    last = None if temporal_request.is_for_totals else temporal_request.query.last
-    edge = temporal_merge.common_edge(edges, temporal_request.query)
-    return _answer(
-        request,
-        temporal_request,
-        [temporal_merge.merge_evolutions(collected, context, last)],
-        edge,
-        single=True,
-    )
+    last = None if temporal_request.is_for_totals else query.last
+    document = temporal_merge.merge_evolutions(evolutions, context, last)
+    edge = temporal_merge.common_edge(edges, query)
+    return _answer(request, temporal_request, [document], edge, single=True)
 
 
 async def query(sources: Sources, request: RequestContext, perform: Perform) -> Response:
