@@ -177,7 +177,7 @@ class Call:
     """The process that a call activity runs: its latest version, a fixed one, or one with a version tag.
 
     Without `inputs` the process starts with no variables, or with all visible ones if `all_inputs`;
-    likewise at its end.
+    likewise at its end. `key` is its business key.
     """
 
     process: Value
@@ -187,6 +187,7 @@ class Call:
     outputs: tuple[Assignment, ...] = ()
     all_inputs: bool = False
     all_outputs: bool = False
+    key: Value | None = None
 
 
 @dataclass(frozen=True, slots=True)

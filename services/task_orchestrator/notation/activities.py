@@ -1,0 +1,268 @@
+"""Activities: the Task, call, loop and data of an activity, read into the model."""
+
+import re
+import unicodedata
+from collections.abc import Mapping
+from dataclasses import replace
+
+from lxml import etree
+
+from handover.messages import message
+from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.model import (
+    Activity,
+    DataAssociation,
+    Kind,
+    MultiInstance,
+    StandardLoop,
+    Value,
+)
+from services.task_orchestrator.notation.context import Context
+from services.task_orchestrator.notation.dialects.base import Script, Work, attempt, native_variable
+from services.task_orchestrator.notation.dialects.handover import has_task
+from services.task_orchestrator.notation.document import (
+    child,
+    child_text,
+    children,
+    documentation,
+    flag,
+    local,
+)
+from services.task_orchestrator.notation.elements import referenced, refuse, warn_without_effect
+
+_GENERATED_ID = re.compile(
+    r"(?:[A-Z][A-Za-z]*_(?:[0-9a-z]{7}|\d+)|_?[0-9A-Fa-f]{8}-[0-9A-Fa-f-]{27}|(?:sid|id|_)-?[0-9A-Fa-f-]{16,})",
+    re.ASCII,
+)
+"""Ids that drawing tools make, such as `Activity_0k2pzw1` and `UserTask_1`; the drawn name says more."""
+
+
+def definition_name(element: etree._Element) -> str:
+    """Return the TaskDefinition of an activity that names none: its id, or its name if that says more."""
+    id_ = element.get("id") or ""
+    name = element.get("name") or ""
+    if not _GENERATED_ID.fullmatch(id_):
+        return id_
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9]+", "-", plain).strip("-").lower()[:100] or id_
+
+
+def read_activity(element: etree._Element, context: Context, *, script: Script | None = None) -> Activity:
+    """Return the activity for whose Task nothing but the element itself is needed."""
+    found = context.found
+    main = context.dialects.main
+    work = main.work(element, found)
+    spreads = main.spreads_outputs
+    if has_task(element):
+        ours = context.dialects.handover.work(element, found)
+        hints = {**work.hints, **ours.hints}
+        work, spreads = ours, False
+    else:
+        hints = dict(work.hints)
+    parameters = dict(work.parameters)
+    if script is not None:
+        parameters |= {"script": Value(script.text), "scriptFormat": Value(script.format)}
+        work = _with_variable(work, script)
+    if work.variable is not None:
+        spreads = False
+    id_ = element.get("id") or ""
+    variable = work.variable or ("" if spreads or work.outputs else context.variable(element, None))
+    return Activity(
+        id=id_,
+        name=_drawn_name(element) or id_,
+        description=documentation(element),
+        lane=context.lanes.get(id_),
+        definition=work.definition if work.definition is not None else definition_name(element),
+        deadline=work.deadline,
+        involves=work.involves,
+        happens_at=work.happens_at,
+        parameters=parameters,
+        outputs=work.outputs,
+        variable=variable,
+        handles_outcomes=work.handles_outcomes,
+        hints=hints,
+        spreads_outputs=spreads and not work.outputs,
+    )
+
+
+def _with_variable(work: Work, script: Script) -> Work:
+    if script.variable is None:
+        return work
+    return replace(work, variable=script.variable)
+
+
+def _drawn_name(element: etree._Element) -> str:
+    return " ".join((element.get("name") or "").split())
+
+
+def warn_foreign_script(element: etree._Element, script: Script, context: Context) -> None:
+    """Add the warning that a script in another language becomes a Task."""
+    context.found.warn(
+        element,
+        message(
+            "bpmn.foreign_script",
+            "a {format} script is not run here: it becomes a Task, with the script among its parameters",
+            format=script.format or "foreign",
+        ),
+    )
+
+
+def read_loop(element: etree._Element, context: Context) -> StandardLoop | MultiInstance | None:
+    """Return the loop of an activity, if it has one."""
+    standard = child(element, "standardLoopCharacteristics")
+    if standard is not None:
+        return _standard_loop(element, standard, context)
+    multiple = child(element, "multiInstanceLoopCharacteristics")
+    return None if multiple is None else _multi_instance(element, multiple, context)
+
+
+def _standard_loop(element: etree._Element, loop: etree._Element, context: Context) -> StandardLoop:
+    condition = child_text(loop, "loopCondition")
+    maximum = (loop.get("loopMaximum") or "").strip()
+    if maximum and not (maximum.isascii() and maximum.isdecimal() and len(maximum) < 10):
+        context.found.fault(
+            element,
+            message("bpmn.wrong_loop_maximum", 'loopMaximum="{given}" is no number', given=maximum[:64]),
+        )
+        maximum = ""
+    if not condition and not maximum:
+        context.found.fault(
+            element, message("bpmn.endless_loop", "a loop needs a loopCondition or loopMaximum")
+        )
+    main = context.dialects.main
+    return StandardLoop(
+        attempt(element, lambda: main.expression(condition), None, context.found) if condition else None,
+        flag(loop, "testBefore", default=False),
+        int(maximum) if maximum else None,
+    )
+
+
+def _multi_instance(element: etree._Element, loop: etree._Element, context: Context) -> MultiInstance:
+    found, main = context.found, context.dialects.main
+    items = main.items(loop, found)
+    cardinality, completion = child_text(loop, "loopCardinality"), child_text(loop, "completionCondition")
+    if loop.get("behavior") not in {None, "All"} or child(loop, "complexBehaviorDefinition") is not None:
+        warn_without_effect_text(element, "behavior of multiInstanceLoopCharacteristics", context)
+    collection = items.collection
+    if collection is None:
+        name = _data_name(element, child_text(loop, "loopDataInputRef"), context)
+        if name:
+            collection = attempt(element, lambda: native_variable(name), None, found)
+    if collection is None and not cardinality and element.get("id") not in found.broken:
+        found.fault(
+            element,
+            message(
+                "bpmn.no_collection",
+                "a multi-instance activity needs a loopCardinality, or a loopDataInputRef that names a list",
+            ),
+        )
+    output = items.output_collection
+    if output is None:
+        output = _data_name(element, child_text(loop, "loopDataOutputRef"), context) or None
+    output_item = items.output_item
+    if output_item is None:
+        item_name = _item_name(element, child(loop, "outputDataItem"), context)
+        if item_name:
+            output_item = attempt(element, lambda: native_variable(item_name), None, found)
+    return MultiInstance(
+        sequential=flag(loop, "isSequential", default=False),
+        cardinality=attempt(element, lambda: _number(cardinality, context), None, found)
+        if cardinality
+        else None,
+        collection=collection,
+        item_variable=items.item_variable or _item_name(element, child(loop, "inputDataItem"), context),
+        completion=attempt(element, lambda: main.expression(completion), None, found) if completion else None,
+        output_collection=output,
+        output_item=output_item,
+    )
+
+
+def _number(given: str, context: Context) -> Value:
+    if given.isascii() and given.isdecimal() and len(given) < 10:
+        return Value(int(given))
+    return Value(expression=context.dialects.main.expression(given))
+
+
+def _item_name(element: etree._Element, item: etree._Element | None, context: Context) -> str | None:
+    if item is None:
+        return None
+    name = item.get("name") or item.get("id") or ""
+    if not is_variable_name(name):
+        context.found.fault(
+            element,
+            message("bpmn.wrong_variable", '"{name}" cannot be the name of a variable', name=name),
+        )
+        return None
+    return str(name)
+
+
+def _data_name(element: etree._Element, reference: str, context: Context) -> str:
+    """Return the name of the data object, data input or variable that a loop refers to."""
+    reference = referenced(reference)
+    data = context.data.get(reference, reference)
+    if data in context.data_names:
+        return context.data_names[data]
+    for part in element.iterdescendants("{*}dataInput", "{*}dataOutput"):
+        if part.get("id") == reference:
+            return part.get("name") or reference
+    return reference
+
+
+def warn_without_effect_text(element: etree._Element, what: str, context: Context) -> None:
+    """Add the warning that a part of an element has no effect on the execution."""
+    context.found.warn(
+        element, message("bpmn.no_effect", "{element} has no effect on the execution", element=what)
+    )
+
+
+def read_data(
+    element: etree._Element, context: Context
+) -> tuple[tuple[DataAssociation, ...], tuple[DataAssociation, ...]]:
+    """Return the data objects that an activity or event reads and writes."""
+    names = _own_data(element)
+    inputs: list[DataAssociation] = []
+    outputs: list[DataAssociation] = []
+    for association in children(element, "dataInputAssociation", "dataOutputAssociation"):
+        is_input = local(association) == "dataInputAssociation"
+        source = referenced(child_text(association, "sourceRef"))
+        target = referenced(child_text(association, "targetRef"))
+        outer, inner = (source, target) if is_input else (target, source)
+        data = context.data.get(outer, outer)
+        if data not in context.data_names:
+            warn_without_effect(association, context.found)
+            continue
+        for part in ("transformation", "assignment"):
+            if child(association, part) is not None:
+                warn_without_effect_text(association, f"{part} of a {local(association)}", context)
+        if is_input:
+            inputs.append(DataAssociation(data, names.get(inner) or context.data_names[data]))
+        else:
+            outputs.append(DataAssociation(data, names.get(inner)))
+    return tuple(inputs), tuple(outputs)
+
+
+def _own_data(element: etree._Element) -> Mapping[str, str]:
+    """Return the names of the data inputs and outputs of an activity or event, by id."""
+    specification = child(element, "ioSpecification")
+    parts = [element] if specification is None else [element, specification]
+    return {
+        each.get("id") or "": each.get("name") or ""
+        for part in parts
+        for each in children(part, "dataInput", "dataOutput")
+    }
+
+
+def check_quantities(element: etree._Element, context: Context) -> None:
+    """Refuse activities that need or make several tokens."""
+    for name in ("startQuantity", "completionQuantity"):
+        if (element.get(name) or "1").strip() != "1":
+            refuse(element, f'{name}="{element.get(name)}"', "use a parallel gateway", context.found)
+
+
+ACTIVITY_PARTS = frozenset(
+    {
+        *("incoming", "outgoing", "standardLoopCharacteristics", "multiInstanceLoopCharacteristics"),
+        *("dataInputAssociation", "dataOutputAssociation", "ioSpecification"),
+    }
+)
+TASKS = frozenset({Kind.TASK, Kind.USER_TASK, Kind.MANUAL_TASK, Kind.SERVICE_TASK, Kind.BUSINESS_RULE_TASK})

@@ -1,0 +1,90 @@
+"""Context: what the readers of nodes share while they read one process."""
+
+import re
+from dataclasses import dataclass, field
+
+from lxml import etree
+
+from handover.messages import message
+from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.notation.dialects.choice import Dialects
+from services.task_orchestrator.notation.document import local
+from services.task_orchestrator.notation.elements import Collaboration, Declarations
+from services.task_orchestrator.notation.faults import Findings
+
+_ID = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,63}", re.ASCII)
+
+
+def variable_of(element: str) -> str:
+    """Return the name of the process variable for the element with the id `element`."""
+    return element.replace("-", "_").replace(".", "_")
+
+
+@dataclass
+class Context:
+    """The file around a process, and the names that its elements use."""
+
+    dialects: Dialects
+    declared: Declarations
+    collaboration: Collaboration
+    found: Findings
+    ids: set[str]
+    """The ids of the file that are used."""
+    lanes: dict[str, str] = field(default_factory=dict)
+    data: dict[str, str] = field(default_factory=dict)
+    """Data object reference -> data object."""
+    data_names: dict[str, str] = field(default_factory=dict)
+    """Data object -> its name."""
+    variables: dict[str, str] = field(default_factory=dict)
+    """Variable -> the element whose results it has."""
+
+    def id(self, element: etree._Element) -> str:
+        """Return the id of an element; report it if it is invalid or used twice."""
+        found = element.get("id") or ""
+        if not _ID.fullmatch(found):
+            self.found.fault(
+                element,
+                message(
+                    "bpmn.wrong_id",
+                    "{element} needs an id of A-Z, a-z, 0-9, - _ . (at most 64 characters)",
+                    element=local(element),
+                ),
+            )
+        elif found in self.ids:
+            self.found.fault(element, message("bpmn.id_twice", 'the id "{id}" is used twice', id=found))
+        self.ids.add(found)
+        return found
+
+    def variable(self, element: etree._Element, name: str | None) -> str:
+        """Return the variable for the results of an element; report it if it cannot be one.
+
+        `name` is the one that the file gives. Ids such as `a-b` and `a.b` get different variables.
+        """
+        if name is not None:
+            return name
+        id_ = element.get("id") or ""
+        variable = base = variable_of(id_)
+        nth = 2
+        while self.variables.setdefault(variable, id_) != id_:
+            variable, nth = f"{base}_{nth}", nth + 1
+        if variable != base:
+            self.found.warn(
+                element,
+                message(
+                    "bpmn.variable_renamed",
+                    'its results are in the variable "{variable}", since "{base}" has those of "{other}"',
+                    variable=variable,
+                    base=base,
+                    other=self.variables[base],
+                ),
+            )
+        if not is_variable_name(variable):
+            self.found.fault(
+                element,
+                message(
+                    "bpmn.no_variable",
+                    '"{variable}" cannot be a variable; name its outputs or change the id',
+                    variable=variable,
+                ),
+            )
+        return variable

@@ -1,0 +1,203 @@
+"""Dialect: the interface to the extension elements of one vendor, in the terms of the model."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+from lxml import etree
+
+from handover.durations import Duration
+from handover.messages import text_of
+from services.task_orchestrator.languages import native
+from services.task_orchestrator.languages.base import Expression, ExpressionError, Json, Variables
+from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.model import Assignment, Call, EntityFilter, Place, ProcessParameter, Value
+from services.task_orchestrator.notation.faults import Findings
+
+Read = TypeVar("Read")
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What the extension elements of an activity say of its Task."""
+
+    definition: str | None = None
+    deadline: Duration | None = None
+    involves: tuple[Value, ...] = ()
+    happens_at: tuple[Place, ...] = ()
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    outputs: Mapping[str, str] = field(default_factory=dict)
+    variable: str | None = None
+    """The variable for all results; if None, a dialect that spreads them does so."""
+    handles_outcomes: bool = False
+    hints: Mapping[str, str] = field(default_factory=dict)
+    has_implementation: bool = False
+    """Whether somebody has to do it: a send task or message event is then a Task, not a message."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """Variables that an activity gets before its start and sets at its end."""
+
+    inputs: tuple[Assignment, ...] = ()
+    outputs: tuple[Assignment, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Items:
+    """What extension elements say of a multi-instance activity."""
+
+    collection: Value | None = None
+    item_variable: str | None = None
+    output_collection: str | None = None
+    output_item: Value | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """A script task: `assignments`, or a Task for somebody who can run the text."""
+
+    assignments: tuple[Assignment, ...] | None = None
+    format: str = ""
+    text: str = ""
+    variable: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Occurrence:
+    """What extension elements say of an event."""
+
+    on: EntityFilter | None = None
+    correlation: Value | None = None
+    code_variable: str | None = None
+    message_variable: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessExtension:
+    """What extension elements say of a process."""
+
+    label: str | None = None
+    parameters: Mapping[str, ProcessParameter] = field(default_factory=dict)
+
+
+class Dialect(Protocol):
+    """The extension elements and the expression language of a vendor.
+
+    The methods report faults and warnings at the elements, and return what can be read nevertheless.
+    """
+
+    spreads_outputs: bool
+    """Whether each result of a Task becomes a variable of its own name."""
+
+    lenient: bool
+    """Whether a gateway's only flow without a condition is its default, and times without zone are UTC."""
+
+    def expression(self, text: str) -> Expression:
+        """Return an expression; raise `ExpressionError` if it is invalid."""
+        ...
+
+    def value(self, text: str) -> Value:
+        """Return a literal text or an expression; raise `ExpressionError` if it is invalid."""
+        ...
+
+    def collection(self, text: str) -> Value:
+        """Return an expression or the variable of this name; raise `ExpressionError`."""
+        ...
+
+    def work(self, element: etree._Element, found: Findings) -> Work:
+        """Return what an activity, or a message event, says of its Task."""
+        ...
+
+    def mapped(self, element: etree._Element, found: Findings) -> Mapped:
+        """Return the variables that an activity or event gets and sets."""
+        ...
+
+    def call(self, element: etree._Element, found: Findings) -> Call | None:
+        """Return the process that a call activity runs; None, with a fault, if it names none."""
+        ...
+
+    def items(self, loop: etree._Element, found: Findings) -> Items:
+        """Return what a multi-instance loop runs over."""
+        ...
+
+    def script(self, element: etree._Element, found: Findings) -> Script:
+        """Return what a script task does."""
+        ...
+
+    def occurrence(
+        self, element: etree._Element, definition: etree._Element | None, found: Findings
+    ) -> Occurrence:
+        """Return what an event says beside BPMN; `definition` is its event definition."""
+        ...
+
+    def correlation(self, declared: etree._Element, found: Findings) -> Value | None:
+        """Return the correlation key of a declared message."""
+        ...
+
+    def process(self, element: etree._Element, found: Findings) -> ProcessExtension:
+        """Return what a process says."""
+        ...
+
+    def listeners(self, element: etree._Element) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
+        """Return the variables that listeners set before and after an element or sequence flow."""
+        ...
+
+    def check(self, element: etree._Element, found: Findings) -> None:
+        """Report extension elements and attributes that have no effect, and those that are refused."""
+        ...
+
+
+def attempt(element: etree._Element, reading: Callable[[], Read], otherwise: Read, found: Findings) -> Read:
+    """Return what `reading` returns; `otherwise`, with a fault at `element`, if it raises."""
+    try:
+        return reading()
+    except (ExpressionError, ValueError) as error:
+        found.fault(element, text_of(error))
+        return otherwise
+
+
+def native_variable(name: str) -> Value:
+    """Return the value of a variable; raise `ExpressionError` if `name` cannot be one."""
+    if not is_variable_name(name):
+        raise ExpressionError(f'"{name}" cannot be the name of a variable')
+    return Value(expression=native.read(name))
+
+
+def native_script(element: etree._Element, text: str, found: Findings) -> tuple[Assignment, ...]:
+    """Return the assignments of a script in our language; none, with a fault, if it is invalid."""
+    if not text.strip():
+        found.fault(element, "a scriptTask needs a script of lines `name = expression`")
+    nothing: tuple[tuple[str, Expression], ...] = ()
+    steps = attempt(element, lambda: native.read_script(text), nothing, found)
+    return tuple(Assignment(name, Value(expression=expression)) for name, expression in steps)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectExpression:
+    """An object of values, or, if it has keys from "0", a list of them."""
+
+    text: str
+    members: Mapping[str, Value]
+    is_list: bool = False
+
+    def value(self, variables: Variables) -> Json:
+        """Return the object or list."""
+        values = {name: member.value(variables) for name, member in self.members.items()}
+        return list(values.values()) if self.is_list else values
+
+    def names(self) -> frozenset[str]:
+        """Return the names of the variables that its values read."""
+        found: frozenset[str] = frozenset()
+        for member in self.members.values():
+            if member.expression is not None:
+                found |= member.expression.names()
+        return found
+
+
+def composed(text: str, members: Mapping[str, Value], *, is_list: bool = False) -> Value:
+    """Return an object or list of values; a literal if all of them are."""
+    expression = ObjectExpression(text, members, is_list)
+    if any(member.expression is not None for member in members.values()):
+        return Value(expression=expression)
+    return Value(literal=expression.value({}))

@@ -1,0 +1,465 @@
+"""Camunda 7: attributes and elements of its namespace, and those of its relatives with the same names.
+
+Where its engine calls Java code (`class`, `delegateExpression`, a topic, scripts in Groovy or JavaScript), a
+Task is created; its hints and the parameter `operation` name the code.
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+
+from lxml import etree
+
+from handover.messages import message
+from services.task_orchestrator.languages import native
+from services.task_orchestrator.languages.base import MAX_NUMBER, Expression, ExpressionError, Json
+from services.task_orchestrator.languages.juel import read_juel, read_set_variable, read_template
+from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.model import Assignment, Call, Value
+from services.task_orchestrator.notation.dialects.base import (
+    Items,
+    Mapped,
+    Occurrence,
+    ProcessExtension,
+    Script,
+    Work,
+    attempt,
+    composed,
+    native_script,
+    native_variable,
+)
+from services.task_orchestrator.notation.document import child_text, extensions, local, namespace, text
+from services.task_orchestrator.notation.elements import referenced
+from services.task_orchestrator.notation.faults import Findings
+
+NAMESPACES = (
+    "http://camunda.org/schema/1.0/bpmn",
+    "http://activiti.org/bpmn",
+    "http://flowable.org/bpmn",
+    "http://operaton.org/schema/1.0/bpmn",
+)
+
+_HINTS = (
+    *("assignee", "candidateUsers", "candidateGroups", "dueDate", "followUpDate", "priority", "formKey"),
+    *("formRef", "topic", "type", "class", "delegateExpression", "expression", "taskPriority", "owner"),
+)
+_IMPLEMENTATIONS = ("topic", "class", "delegateExpression", "expression", "type")
+_HARMLESS = frozenset(
+    {
+        *("historyTimeToLive", "isStartableInTasklist", "modelerTemplate", "modelerTemplateVersion"),
+        *("modelerTemplateIcon", "diagramRelationId", "versionTag", "formRefBinding", "formRefVersion"),
+        *("elementVariable", "collection", "resultVariable", "resource", "errorCodeVariable"),
+        *("errorMessageVariable", "escalationCodeVariable", "calledElementBinding", "calledElementVersion"),
+        *("calledElementVersionTag", "decisionRef", "errorCodeMessage", *_HINTS),
+    }
+)
+"""Attributes that are read, or that say nothing of the execution."""
+
+_READ = frozenset(
+    {
+        *("inputOutput", "formData", "in", "out", "failedJobRetryTimeCycle", "properties", "connector"),
+        *("potentialStarter", "executionListener", "taskListener", "formProperty"),
+    }
+)
+_FORM_TYPES: Mapping[str, Mapping[str, Json]] = {
+    "string": {"type": "string"},
+    "long": {"type": "integer"},
+    "double": {"type": "number"},
+    "boolean": {"type": "boolean"},
+    "date": {"type": "string", "format": "date"},
+}
+_LENGTHS = {"minlength": "minLength", "maxlength": "maxLength", "min": "minimum", "max": "maximum"}
+_DECISION = "businessRuleTask with decisionRef (a DMN decision)"
+
+
+class Camunda7:
+    """The dialect of Camunda 7."""
+
+    spreads_outputs = True
+    lenient = True
+
+    def expression(self, text: str) -> Expression:
+        """Return a JUEL expression; `true` and `false` may stand alone."""
+        return native.read(text) if text.strip() in {"true", "false"} else read_juel(text)
+
+    def value(self, text: str) -> Value:
+        """Return a text, which may contain JUEL expressions."""
+        return Value(expression=read_template(text)) if _has_expression(text) else Value(text)
+
+    def collection(self, text: str) -> Value:
+        """Return a JUEL expression or the variable of this name."""
+        return Value(expression=read_juel(text)) if _has_expression(text) else native_variable(text)
+
+    def work(self, element: etree._Element, found: Findings) -> Work:
+        """Return what attributes and extension elements say of the Task."""
+        attributes = _attributes(element)
+        hints = {name: attributes[name].strip() for name in _HINTS if attributes.get(name)}
+        if "type" in hints and "topic" not in hints:
+            hints.setdefault("topic", hints["type"])
+        implementation = {name: hints[name] for name in _IMPLEMENTATIONS if name in hints}
+        parameters: dict[str, Value] = {}
+        operation = _operation(implementation)
+        for extension in _ours(element):
+            match local(extension):
+                case "formData":
+                    parameters["form"] = Value(_form(extension, found))
+                case "failedJobRetryTimeCycle":
+                    hints["retry"] = text(extension)
+                case "connector":
+                    operation = hints["connector"] = _child_text(extension, "connectorId")
+                    inputs = _connector_io(extension, "inputParameter", found)
+                    parameters |= {each.target: each.value for each in inputs}
+        if operation and not local(element).startswith("userTask"):
+            parameters["operation"] = Value(operation)
+        parameters |= {each.target: each.value for each in self._inputs(element, found)}
+        return Work(
+            parameters=parameters,
+            variable=self._result_variable(element, found),
+            hints=hints,
+            has_implementation=bool(implementation) or "connector" in hints,
+        )
+
+    def mapped(self, element: etree._Element, found: Findings) -> Mapped:
+        """Return the variables of `inputOutput`."""
+        connectors = [each for each in _ours(element) if local(each) == "connector"]
+        outputs = [each for part in connectors for each in _connector_io(part, "outputParameter", found)]
+        outputs += _io(element, "outputParameter", found)
+        return Mapped(tuple(self._inputs(element, found)), tuple(outputs))
+
+    def _inputs(self, element: etree._Element, found: Findings) -> Iterator[Assignment]:
+        yield from _io(element, "inputParameter", found)
+
+    def call(self, element: etree._Element, found: Findings) -> Call | None:
+        """Return the called process with its binding, `in` and `out`."""
+        attributes = _attributes(element)
+        called = (element.get("calledElement") or "").strip()
+        if not called:
+            what = "callActivity with caseRef (CMMN)" if attributes.get("caseRef") else ""
+            found.fault(
+                element,
+                message(
+                    "bpmn.no_called_element",
+                    "the call activity names no process; set calledElement to the id of one",
+                )
+                if not what
+                else message(
+                    "bpmn.not_supported",
+                    "{what} is not supported yet; {way_out}",
+                    what=what,
+                    way_out="call a process instead",
+                ),
+            )
+            return None
+        if not _has_expression(called):
+            called = referenced(called)
+        inputs, all_inputs, key = self._passed(element, "in", found)
+        outputs, all_outputs, _ = self._passed(element, "out", found)
+        return Call(
+            attempt(element, lambda: self.value(called), Value(), found),
+            version=self._bound(element, "version", "calledElementVersion", found),
+            tag=self._bound(element, "versionTag", "calledElementVersionTag", found),
+            inputs=inputs,
+            outputs=outputs,
+            all_inputs=all_inputs,
+            all_outputs=all_outputs,
+            key=key,
+        )
+
+    def _bound(self, element: etree._Element, binding: str, attribute: str, found: Findings) -> Value | None:
+        attributes = _attributes(element)
+        if attributes.get("calledElementBinding") != binding:
+            return None
+        given = (attributes.get(attribute) or "").strip()
+        if not given:
+            found.fault(element, f'calledElementBinding="{binding}" needs {attribute}')
+            return None
+        if binding == "version" and given.isdecimal():
+            return Value(int(given[:9]))
+        return attempt(element, lambda: self.value(given), None, found)
+
+    def _passed(
+        self, element: etree._Element, direction: str, found: Findings
+    ) -> tuple[tuple[Assignment, ...], bool, Value | None]:
+        """Return the assignments, whether all variables are passed, and the business key."""
+        passed: list[Assignment] = []
+        everything = False
+        key: Value | None = None
+        for part in (each for each in _ours(element) if local(each) == direction):
+            business_key, source = part.get("businessKey"), part.get("source", "")
+            expression = part.get("sourceExpression")
+            if part.get("variables") == "all":
+                everything = True
+                continue
+            if business_key is not None:
+                key = attempt(part, partial(self.value, business_key), None, found)
+                continue
+            target = part.get("target") or ""
+            if not is_variable_name(target):
+                found.fault(part, f'target="{target}" cannot be the name of a variable')
+                continue
+            reading = (
+                partial(self.value, expression) if expression else partial(native_variable, source or "")
+            )
+            passed.append(Assignment(target, attempt(part, reading, Value(), found)))
+        return tuple(passed), everything, key
+
+    def items(self, loop: etree._Element, found: Findings) -> Items:
+        """Return `collection` and `elementVariable`."""
+        attributes = _attributes(loop)
+        collection, variable = attributes.get("collection"), attributes.get("elementVariable")
+        if variable is not None and not is_variable_name(variable):
+            found.fault(loop, f'elementVariable="{variable}" cannot be the name of a variable')
+        return Items(
+            None
+            if not collection
+            else attempt(loop, lambda: self.collection(collection.strip()), None, found),
+            variable,
+        )
+
+    def script(self, element: etree._Element, found: Findings) -> Script:
+        """Return a script of JUEL or of our language; any other is work for somebody."""
+        format_ = (element.get("scriptFormat") or "").strip()
+        source = child_text(element, "script")
+        variable = self._result_variable(element, found)
+        if format_.lower() == "juel" and source:
+            value = attempt(element, lambda: self.value(source), Value(), found)
+            return Script((Assignment(variable, value),) if variable else ())
+        resource = _attributes(element).get("resource")
+        if format_.lower() in {"", "handover"} and not resource:
+            return Script(native_script(element, source, found))
+        return Script(format=format_, text=source or resource or "", variable=variable)
+
+    def _result_variable(self, element: etree._Element, found: Findings) -> str | None:
+        name = _attributes(element).get("resultVariable")
+        if name and not is_variable_name(name):
+            found.fault(element, f'resultVariable="{name}" cannot be the name of a variable')
+        return name or None
+
+    def occurrence(
+        self, element: etree._Element, definition: etree._Element | None, found: Findings
+    ) -> Occurrence:
+        """Return the variables for code and message of a caught error or escalation."""
+        attributes = {} if definition is None else _attributes(definition)
+        code = attributes.get("errorCodeVariable") or attributes.get("escalationCodeVariable")
+        text_ = attributes.get("errorMessageVariable")
+        for name in (code, text_):
+            if name and not is_variable_name(name):
+                found.fault(element, f'"{name}" cannot be the name of a variable')
+        return Occurrence(code_variable=code or None, message_variable=text_ or None)
+
+    def correlation(self, declared: etree._Element, found: Findings) -> Value | None:  # noqa: ARG002
+        """Return None: messages are correlated by the business key and variables."""
+        return None
+
+    def process(self, element: etree._Element, found: Findings) -> ProcessExtension:  # noqa: ARG002
+        """Return the version tag."""
+        return ProcessExtension(_attributes(element).get("versionTag") or None)
+
+    def check(self, element: etree._Element, found: Findings) -> None:
+        """Report what has no effect, and decisions."""
+        attributes = _attributes(element)
+        if local(element) == "businessRuleTask" and attributes.get("decisionRef"):
+            found.fault(
+                element,
+                message(
+                    "bpmn.not_supported",
+                    "{what} is not supported yet; {way_out}",
+                    what=_DECISION,
+                    way_out="let a Task decide instead, with a topic or without any extension",
+                ),
+            )
+        for name in sorted(attributes.keys() - _HARMLESS):
+            _warn(element, f"camunda:{name}", found)
+        if attributes.get("calledElementBinding") == "deployment":
+            _warn(element, 'camunda:calledElementBinding="deployment"', found)
+        for extension in _ours(element):
+            name = local(extension)
+            is_start_form = name == "formData" and local(element) == "startEvent"
+            if (
+                name not in _READ
+                or is_start_form
+                or name == "potentialStarter"
+                or (name in {"executionListener", "taskListener"} and listener_assignment(extension) is None)
+            ):
+                _warn(extension, f"camunda:{name}", found)
+
+    def listeners(self, element: etree._Element) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
+        """Return the variables that listeners set before and after an element."""
+        before: list[Assignment] = []
+        after: list[Assignment] = []
+        for extension in _ours(element):
+            if local(extension) not in {"executionListener", "taskListener"}:
+                continue
+            assignment = listener_assignment(extension)
+            if assignment is not None:
+                is_start = extension.get("event", "start") in {"start", "create", "assignment"}
+                (before if is_start else after).append(assignment)
+        return tuple(before), tuple(after)
+
+
+def listener_assignment(listener: etree._Element) -> Assignment | None:
+    """Return the variable that a listener sets by `${execution.setVariable(…)}`; None for other listeners."""
+    expression = listener.get("expression")
+    if expression is None or listener.get("event") in {"delete", "timeout", "update"}:
+        return None
+    try:
+        found = read_set_variable(expression)
+    except ExpressionError:
+        return None
+    return None if found is None else Assignment(found[0], Value(expression=found[1]))
+
+
+def _warn(element: etree._Element, what: str, found: Findings) -> None:
+    found.warn(element, message("bpmn.no_effect", "{element} has no effect on the execution", element=what))
+
+
+def _has_expression(text: str) -> bool:
+    return "${" in text or "#{" in text
+
+
+def _attributes(element: etree._Element) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name, value in element.attrib.items():
+        qualified = etree.QName(name)
+        if qualified.namespace in NAMESPACES:
+            found[qualified.localname] = value
+    return found
+
+
+def _ours(element: etree._Element) -> Iterator[etree._Element]:
+    for extension in extensions(element):
+        if namespace(extension) in NAMESPACES:
+            yield extension
+
+
+def _named(element: etree._Element, name: str) -> Iterator[etree._Element]:
+    for part in element.iterchildren("{*}*"):
+        if local(part) == name and namespace(part) in NAMESPACES:
+            yield part
+
+
+def _child_text(element: etree._Element, name: str) -> str:
+    return next((text(part) for part in _named(element, name)), "")
+
+
+def _operation(implementation: Mapping[str, str]) -> str:
+    """Return the name of the operation: the topic, or the last part of a class or of an expression."""
+    for name in _IMPLEMENTATIONS:
+        if name in implementation:
+            given = implementation[name].strip()
+            if _has_expression(given):
+                return given.strip("#${} \t\r\n")
+            return given.rpartition(".")[2] if name == "class" else given
+    return ""
+
+
+def _io(element: etree._Element, name: str, found: Findings) -> Iterator[Assignment]:
+    for group in (each for each in _ours(element) if local(each) == "inputOutput"):
+        yield from _assignments(group, name, found)
+
+
+def _connector_io(connector: etree._Element, name: str, found: Findings) -> Iterator[Assignment]:
+    for group in _named(connector, "inputOutput"):
+        yield from _assignments(group, name, found)
+
+
+def _assignments(group: etree._Element, name: str, found: Findings) -> Iterator[Assignment]:
+    for part in _named(group, name):
+        target = part.get("name") or ""
+        if not is_variable_name(target):
+            found.fault(part, f'{name} "{target}" cannot be the name of a variable')
+            continue
+        value = _content(part, f"{name} {target}", found)
+        if value is not None:
+            yield Assignment(target, value)
+
+
+def _content(part: etree._Element, what: str, found: Findings) -> Value | None:
+    """Return the value of a parameter, entry or list item: text, list, map, or a script that nobody runs."""
+    for inner in part.iterchildren("{*}*"):
+        match local(inner):
+            case "list":
+                items = [_content(each, what, found) for each in inner.iterchildren("{*}*")]
+                members = {str(nth): item for nth, item in enumerate(items) if item is not None}
+                return composed(what, members, is_list=True)
+            case "map":
+                entries = {
+                    each.get("key") or "": _content(each, what, found) for each in _named(inner, "entry")
+                }
+                return composed(what, {key: value for key, value in entries.items() if value is not None})
+            case "script":
+                return _foreign_script(inner, what, found)
+    given = text(part)
+    if local(part) == "script":
+        return _foreign_script(part, what, found)
+    if not _has_expression(given):
+        return Value(given or None)
+    return attempt(part, lambda: Value(expression=read_template(given)), Value(), found)
+
+
+def _foreign_script(script: etree._Element, what: str, found: Findings) -> Value | None:
+    format_ = script.get("scriptFormat") or ""
+    given = text(script) or script.get("resource") or ""
+    if format_.lower() == "juel":
+        return attempt(script, lambda: Value(expression=read_template(given)), Value(), found)
+    found.warn(
+        script,
+        message(
+            "bpmn.foreign_value_script",
+            "the {format} script of {what} is not run here: its value is null; use an expression",
+            format=format_,
+            what=what,
+        ),
+    )
+    return Value(None)
+
+
+def _form(form: etree._Element, found: Findings) -> Json:
+    """Return the JSON Schema of a generated form."""
+    properties: dict[str, Json] = {}
+    required: list[str] = []
+    for each in _named(form, "formField"):
+        name = each.get("id") or ""
+        if not name:
+            found.fault(each, "a formField needs an id")
+            continue
+        schema: dict[str, Json] = dict(_FORM_TYPES.get(each.get("type") or "string", {"type": "string"}))
+        if each.get("label"):
+            schema["title"] = each.get("label")
+        if each.get("defaultValue") is not None:
+            schema["default"] = _default(schema["type"], each.get("defaultValue"))
+        choices = list(_named(each, "value"))
+        if choices:
+            schema["oneOf"] = [
+                {"const": choice.get("id"), "title": choice.get("name") or choice.get("id")}
+                for choice in choices
+            ]
+        for validation in _named(each, "validation"):
+            for constraint in _named(validation, "constraint"):
+                _constrain(schema, name, constraint, required)
+        properties[name] = schema
+    return {"type": "object", "properties": properties, **({"required": required} if required else {})}
+
+
+def _constrain(schema: dict[str, Json], name: str, constraint: etree._Element, required: list[str]) -> None:
+    rule, config = constraint.get("name") or "", constraint.get("config") or ""
+    if rule == "required" and config != "false":
+        required.append(name)
+    elif rule == "readonly" and config != "false":
+        schema["readOnly"] = True
+    elif rule in _LENGTHS:
+        number = _default("number", config)
+        if isinstance(number, int | float):
+            schema[_LENGTHS[rule]] = number
+
+
+def _default(type_: str, given: str) -> Json:
+    if type_ == "boolean":
+        return given.strip().lower() == "true"
+    if type_ in {"integer", "number"}:
+        try:
+            number = float(given)
+        except ValueError:
+            return given
+        if abs(number) <= MAX_NUMBER:
+            return int(number) if number == int(number) else number
+    return given

@@ -1,0 +1,61 @@
+"""Choice: the dialects that a file uses. A new dialect is a module and a line in `_DIALECTS`."""
+
+from collections.abc import Callable
+
+from lxml import etree
+
+from services.task_orchestrator.notation.dialects import camunda7, handover
+from services.task_orchestrator.notation.dialects.base import Dialect
+from services.task_orchestrator.notation.document import children, extensions, local, namespace
+from services.task_orchestrator.notation.elements import warn_unknown_extension
+from services.task_orchestrator.notation.faults import Findings
+
+_DIALECTS: tuple[tuple[tuple[str, ...], Callable[[], Dialect]], ...] = (
+    (camunda7.NAMESPACES, camunda7.Camunda7),
+)
+"""The namespaces of each dialect beside ours; the first one that a file uses has its expression language."""
+
+_KNOWN = frozenset({handover.NAMESPACE, *(each for namespaces, _ in _DIALECTS for each in namespaces)})
+
+
+class Dialects:
+    """The dialects of a file: `main` has the expression language; ours may be used beside it."""
+
+    def __init__(self, root: etree._Element) -> None:
+        used = _used_namespaces(root)
+        self.handover = handover.Handover()
+        self.main: Dialect = self.handover
+        for namespaces, dialect in _DIALECTS:
+            if used.intersection(namespaces):
+                self.main = dialect()
+                break
+
+    def of(self, element: etree._Element) -> Dialect:
+        """Return the dialect of an event: ours if it has our extension elements."""
+        parts = [part for part in children(element) if local(part).endswith("EventDefinition")]
+        ours = any(
+            namespace(extension) == handover.NAMESPACE
+            for each in (element, *parts)
+            for extension in extensions(each)
+        )
+        return self.handover if ours else self.main
+
+    def check(self, element: etree._Element, found: Findings) -> None:
+        """Report extension elements and attributes without effect, of unknown vendors too."""
+        self.handover.check(element, found)
+        if self.main is not self.handover:
+            self.main.check(element, found)
+        for extension in extensions(element):
+            if namespace(extension) not in _KNOWN:
+                warn_unknown_extension(extension, found)
+
+
+def _used_namespaces(root: etree._Element) -> set[str]:
+    """Return the namespaces of all elements and attributes of a file."""
+    names: set[str] = set()
+    for element in root.iter("{*}*"):
+        names.add(namespace(element))
+        for name in element.attrib:
+            if name[0] == "{":
+                names.add(name[1:].partition("}")[0])
+    return names

@@ -1,0 +1,322 @@
+"""Our extension elements: the attributes of the Task that an activity creates, and entities as events.
+
+<handover:task definition="pick" deadline="PT2M">
+  <handover:involves resource="Device:ur10-1"/>
+  <handover:parameter name="pose" expression="scan.pose"/>
+</handover:task>
+
+With handlesOutcomes="true" a Task with another outcome than `ok` is completed, and the process continues with
+the variable `outcome`; otherwise such a Task fails.
+
+<handover:on type="Alert" q='severity=="critical"' variable="alert" correlation="alert.alertSource"/>
+
+in a message, signal or conditional event: the creation or change of such an entity is the event.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+
+import orjson
+from lxml import etree
+
+from handover.durations import Duration, parse_duration
+from handover.messages import message
+from services.task_orchestrator.languages import native
+from services.task_orchestrator.languages.base import Expression, Json
+from services.task_orchestrator.languages.juel import read_juel
+from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.model import (
+    Assignment,
+    Call,
+    EntityFilter,
+    Place,
+    ProcessParameter,
+    Value,
+)
+from services.task_orchestrator.notation.dialects.base import (
+    Items,
+    Mapped,
+    Occurrence,
+    ProcessExtension,
+    Script,
+    Work,
+    attempt,
+    native_script,
+)
+from services.task_orchestrator.notation.document import child_text, extensions, local, namespace
+from services.task_orchestrator.notation.elements import referenced
+from services.task_orchestrator.notation.faults import Findings
+
+NAMESPACE = "urn:handover:bpmn"
+
+_SHORT = re.compile(r"[A-Z][A-Za-z0-9]*:[A-Za-z0-9_.-]+", re.ASCII)
+_URN = re.compile(r"urn:[a-z0-9][a-z0-9-]{0,31}:[^\s<>\"]+", re.ASCII)
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
+_TYPE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[a-z][a-z0-9+.-]*:[^\s<>\"]+", re.ASCII)
+
+_ATTRIBUTES: Mapping[str, frozenset[str]] = {
+    "task": frozenset({"definition", "deadline", "handlesOutcomes"}),
+    "involves": frozenset({"resource", "expression"}),
+    "happensAt": frozenset({"location", "expression", "function"}),
+    "parameter": frozenset({"name", "value", "expression"}),
+    "output": frozenset({"name", "from"}),
+    "process": frozenset({"version"}),
+    "on": frozenset({"type", "idPattern", "q", "variable", "correlation"}),
+}
+
+
+def is_reference(text: object) -> bool:
+    """Return whether `text` refers to an entity: `Device:glove-1` or a URN."""
+    return isinstance(text, str) and bool(_SHORT.fullmatch(text) or _URN.fullmatch(text))
+
+
+def has_task(element: etree._Element) -> bool:
+    """Return whether an activity has a `handover:task`."""
+    return any(extension.tag == f"{{{NAMESPACE}}}task" for extension in extensions(element))
+
+
+class Handover:
+    """The dialect of this project."""
+
+    spreads_outputs = False
+    lenient = False
+
+    def expression(self, text: str) -> Expression:
+        """Return an expression of our language, or of JUEL if it is written as `${…}`."""
+        return read_juel(text) if text.strip().startswith(("${", "#{")) else native.read(text)
+
+    def value(self, text: str) -> Value:
+        """Return the text, which is literal unless it is written as `${…}`."""
+        if text.strip().startswith(("${", "#{")):
+            return Value(expression=read_juel(text))
+        return Value(text)
+
+    def collection(self, text: str) -> Value:
+        """Return an expression."""
+        return Value(expression=self.expression(text))
+
+    def work(self, element: etree._Element, found: Findings) -> Work:
+        """Return what `handover:task` says."""
+        extension = _extension(element, "task", found)
+        if extension is None:
+            return Work()
+        definition = extension.get("definition") or ""
+        if not _NAME.fullmatch(definition):
+            found.fault(extension, f'definition="{definition}" is not a name; use A-Z, a-z, 0-9, - _ .')
+        parts = _parts(extension, {"involves", "happensAt", "parameter", "output"}, found)
+        return Work(
+            definition=definition,
+            deadline=_deadline(extension, found),
+            involves=tuple(_reference(part, "resource", found) for part in parts["involves"]),
+            happens_at=tuple(
+                Place(_reference(part, "location", found), part.get("function"))
+                for part in parts["happensAt"]
+            ),
+            parameters={part.get("name") or "": _value(part, found) for part in parts["parameter"]},
+            outputs=_outputs(parts["output"], found),
+            handles_outcomes=_handles_outcomes(extension, found),
+            has_implementation=True,
+        )
+
+    def mapped(self, element: etree._Element, found: Findings) -> Mapped:  # noqa: ARG002 - of the interface
+        """Return nothing: an activity of our dialect sees all variables."""
+        return Mapped()
+
+    def call(self, element: etree._Element, found: Findings) -> Call | None:
+        """Return the called process, which gets all variables and returns all."""
+        called = referenced(element.get("calledElement") or "")
+        if not called:
+            found.fault(element, _no_called_element())
+            return None
+        return Call(Value(called), all_inputs=True, all_outputs=True)
+
+    def items(self, loop: etree._Element, found: Findings) -> Items:  # noqa: ARG002 - of the interface
+        """Return nothing: BPMN's own elements name the collection."""
+        return Items()
+
+    def script(self, element: etree._Element, found: Findings) -> Script:
+        """Return the assignments of a script in our language, or the text of another one."""
+        text = child_text(element, "script")
+        format_ = (element.get("scriptFormat") or "").strip()
+        if format_.lower() not in {"", "handover"}:
+            return Script(format=format_, text=text)
+        return Script(native_script(element, text, found))
+
+    def occurrence(
+        self, element: etree._Element, definition: etree._Element | None, found: Findings
+    ) -> Occurrence:
+        """Return the entities and the correlation of `handover:on`."""
+        extension = _extension(element, "on", found)
+        if extension is None and definition is not None:
+            extension = _extension(definition, "on", found)
+        if extension is None:
+            return Occurrence()
+        type_ = extension.get("type") or ""
+        if not _TYPE.fullmatch(type_):
+            found.fault(extension, f'type="{type_}" names no entity type such as Alert or Task')
+        variable = extension.get("variable", "entity")
+        if not is_variable_name(variable):
+            found.fault(extension, f'"{variable}" cannot be the name of a variable')
+        pattern = extension.get("idPattern")
+        if pattern is not None:
+            attempt(extension, lambda: _pattern(pattern), None, found)
+        correlation = extension.get("correlation")
+        return Occurrence(
+            EntityFilter(type_, pattern, extension.get("q"), variable),
+            None
+            if correlation is None
+            else attempt(extension, lambda: Value(expression=native.read(correlation)), None, found),
+        )
+
+    def correlation(self, declared: etree._Element, found: Findings) -> Value | None:  # noqa: ARG002
+        """Return None: the correlation stands in `handover:on`."""
+        return None
+
+    def process(self, element: etree._Element, found: Findings) -> ProcessExtension:
+        """Return the version label and the parameters of `handover:process`."""
+        extension = _extension(element, "process", found)
+        if extension is None:
+            return ProcessExtension()
+        parameters: dict[str, ProcessParameter] = {}
+        for part in _parts(extension, {"parameter"}, found)["parameter"]:
+            name = part.get("name") or ""
+            if not is_variable_name(name):
+                found.fault(part, f'"{name}" cannot be the name of a variable')
+            if part.get("expression") is not None:
+                found.fault(part, "a parameter of the process has a value, not an expression")
+            default = part.get("value")
+            parameters[name] = ProcessParameter(
+                name, default is None, None if default is None else _json(default)
+            )
+        return ProcessExtension(extension.get("version"), parameters)
+
+    def listeners(
+        self,
+        element: etree._Element,  # noqa: ARG002 - of the interface
+    ) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
+        """Return nothing."""
+        return (), ()
+
+    def check(self, element: etree._Element, found: Findings) -> None:
+        """Report our extension elements that stand where they have no meaning."""
+        name = local(element)
+        allowed = {"process"} if name == "process" else {"on"} if _can_be_event(element) else set()
+        if name.endswith(("ask", "Event")):
+            allowed = allowed | {"task"}
+        for extension in extensions(element):
+            if namespace(extension) == NAMESPACE and local(extension) not in allowed:
+                known = " or ".join(f"handover:{each}" for each in sorted(allowed)) or "nothing of handover"
+                found.fault(
+                    extension,
+                    f"handover:{local(extension)} is unknown here; {known} is what may stand here",
+                )
+
+
+def _can_be_event(element: etree._Element) -> bool:
+    name = local(element)
+    return name.endswith(("Event", "EventDefinition")) or name == "receiveTask"
+
+
+def _no_called_element() -> str:
+    return message(
+        "bpmn.no_called_element", "the call activity names no process; set calledElement to the id of one"
+    )
+
+
+def _pattern(text: str) -> None:
+    try:
+        re.compile(text)
+    except (re.error, RecursionError, OverflowError):
+        raise ValueError(f'idPattern="{text[:100]}" is no regular expression') from None
+
+
+def _extension(element: etree._Element, name: str, found: Findings) -> etree._Element | None:
+    named = [each for each in extensions(element) if each.tag == f"{{{NAMESPACE}}}{name}"]
+    if len(named) > 1:
+        found.fault(named[1], f"one handover:{name} is enough")
+    if named:
+        _check_attributes(named[0], found)
+    return named[0] if named else None
+
+
+def _parts(extension: etree._Element, names: set[str], found: Findings) -> dict[str, list[etree._Element]]:
+    parts: dict[str, list[etree._Element]] = {name: [] for name in names}
+    for part in extension.iterchildren("{*}*"):
+        if namespace(part) == NAMESPACE and local(part) in names:
+            _check_attributes(part, found)
+            parts[local(part)].append(part)
+        else:
+            found.fault(part, f"{local(part)} is unknown here; known are {', '.join(sorted(names))}")
+    for name in ("parameter", "output"):
+        times = Counter(part.get("name") for part in parts.get(name, []))
+        for twice in (each for each, number in times.items() if number > 1):
+            found.fault(extension, f'the {name} "{twice}" is given twice')
+    return parts
+
+
+def _check_attributes(element: etree._Element, found: Findings) -> None:
+    known = _ATTRIBUTES[local(element)]
+    for name in element.attrib:
+        if name not in known:
+            found.fault(
+                element,
+                f'handover:{local(element)} has no attribute "{name}"; it has {", ".join(sorted(known))}',
+            )
+
+
+def _deadline(extension: etree._Element, found: Findings) -> Duration | None:
+    text = extension.get("deadline")
+    return None if text is None else attempt(extension, lambda: parse_duration(text.strip()), None, found)
+
+
+def _handles_outcomes(extension: etree._Element, found: Findings) -> bool:
+    text = extension.get("handlesOutcomes", "false")
+    if text not in {"true", "false"}:
+        found.fault(extension, f'handlesOutcomes="{text}" is neither true nor false')
+    return bool(text == "true")
+
+
+def _reference(part: etree._Element, attribute: str, found: Findings) -> Value:
+    literal, expression = part.get(attribute), part.get("expression")
+    if (literal is None) == (expression is None):
+        found.fault(part, f"handover:{local(part)} has either {attribute} or expression")
+        return Value()
+    if expression is not None:
+        return _expression(part, expression, found)
+    if not is_reference(literal):
+        found.fault(
+            part, f'{attribute}="{literal}" names no entity; write Type:id such as Device:glove-1, or a URN'
+        )
+    return Value(literal)
+
+
+def _value(part: etree._Element, found: Findings) -> Value:
+    value, expression = part.get("value"), part.get("expression")
+    if not part.get("name"):
+        found.fault(part, "a parameter needs a name")
+    if (value is None) == (expression is None):
+        found.fault(part, "a parameter has either value or expression")
+        return Value()
+    return _expression(part, expression, found) if expression is not None else Value(_json(value or ""))
+
+
+def _expression(part: etree._Element, text: str, found: Findings) -> Value:
+    return attempt(part, lambda: Value(expression=native.read(text)), Value(), found)
+
+
+def _outputs(parts: list[etree._Element], found: Findings) -> dict[str, str]:
+    outputs: dict[str, str] = {}
+    for part in parts:
+        name = part.get("name") or ""
+        if not is_variable_name(name):
+            found.fault(part, f'"{name}" cannot be the name of a variable')
+        outputs[name] = part.get("from") or name
+    return outputs
+
+
+def _json(text: str) -> Json:
+    try:
+        return orjson.loads(text)
+    except orjson.JSONDecodeError:
+        return text

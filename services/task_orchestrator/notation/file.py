@@ -1,0 +1,103 @@
+"""File: a BPMN file with all its executable processes."""
+
+from dataclasses import dataclass, replace
+
+from lxml import etree
+
+from handover.messages import message
+from services.task_orchestrator.model import Activity, Definition, Fault, Node, Scope
+from services.task_orchestrator.notation.context import Context
+from services.task_orchestrator.notation.dialects.choice import Dialects
+from services.task_orchestrator.notation.document import documentation, parse
+from services.task_orchestrator.notation.elements import (
+    Collaboration,
+    Declarations,
+    executable_processes,
+    lanes,
+)
+from services.task_orchestrator.notation.faults import BadBpmn, Findings
+from services.task_orchestrator.notation.rules import check_process
+from services.task_orchestrator.notation.scopes import collect_data, read_scope
+
+
+@dataclass(frozen=True, slots=True)
+class BpmnFile:
+    """The executable processes of a file, and what has no effect in it."""
+
+    definitions: tuple[Definition, ...]
+    warnings: tuple[Fault, ...] = ()
+
+
+def read_bpmn(xml: bytes) -> BpmnFile:
+    """Return the processes of a BPMN file; raise `BadBpmn` with all faults of all processes."""
+    root = parse(xml)
+    found = Findings()
+    declared = Declarations.of(root, found)
+    dialects = Dialects(root)
+    executable = executable_processes(root, found)
+    collaboration = Collaboration.of(root, executable, declared, found)
+    ids: set[str] = set()
+    definitions = []
+    beside = found.warnings
+    for process in executable:
+        own = Findings()
+        context = Context(dialects, declared, collaboration, own, ids)
+        definition = _definition(process, context, xml)
+        found.add(own.faults, own.warnings)
+        definitions.append(replace(definition, warnings=(*beside, *own.warnings)))
+    if found.faults:
+        raise BadBpmn(found.faults, found.warnings)
+    return BpmnFile(tuple(definitions), found.warnings)
+
+
+def _definition(process: etree._Element, context: Context, xml: bytes) -> Definition:
+    found = context.found
+    name = context.id(process)
+    if process.get("processType") not in {None, "", "None", "Public", "Private"}:
+        found.fault(process, message("bpmn.wrong_process_type", "processType is None, Public or Private"))
+    context.lanes = lanes(process)
+    collect_data(process, context)
+    context.dialects.check(process, found)
+    ours = context.dialects.handover.process(process, found)
+    label = ours.label or context.dialects.main.process(process, found).label
+    scope = read_scope(process, context)
+    checked = check_process(scope, process.sourceline or 0, found.broken)
+    found.add(checked.faults, checked.warnings)
+    if context.dialects.main.spreads_outputs and _mentions(scope, "outcome"):
+        scope = _handling_outcomes(scope)
+    title = process.get("name") or context.collaboration.titles.get(name) or name
+    return Definition(
+        name=name,
+        title=" ".join(title.split()),
+        label=label,
+        description=documentation(process),
+        parameters=ours.parameters,
+        scope=scope,
+        xml=xml,
+    )
+
+
+def _mentions(scope: Scope, name: str) -> bool:
+    """Return whether a condition of a process reads this variable."""
+    return any(
+        flow.condition is not None and name in flow.condition.names()
+        for each in scope.walk()
+        for flow in each.flows.values()
+    )
+
+
+def _handling_outcomes(scope: Scope) -> Scope:
+    """Let the activities of a process that reads `outcome` complete with every outcome."""
+
+    def handling(activity: Activity | None) -> Activity | None:
+        return (
+            replace(activity, handles_outcomes=True)
+            if activity is not None and activity.spreads_outputs
+            else activity
+        )
+
+    def changed(node: Node) -> Node:
+        inner = None if node.scope is None else _handling_outcomes(node.scope)
+        return replace(node, activity=handling(node.activity), scope=inner)
+
+    return replace(scope, nodes={name: changed(node) for name, node in scope.nodes.items()})

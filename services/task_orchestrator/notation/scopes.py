@@ -1,0 +1,490 @@
+"""Scopes: the nodes and flows of a process or subprocess, read into the model."""
+
+from dataclasses import replace
+
+from lxml import etree
+
+from handover.messages import message
+from services.task_orchestrator.languages.base import Expression
+from services.task_orchestrator.model import (
+    ACTIVITIES,
+    EVENTS,
+    GATEWAYS,
+    Activity,
+    Assignment,
+    CompensateEvent,
+    Flow,
+    Kind,
+    Node,
+    Scope,
+)
+from services.task_orchestrator.notation.activities import (
+    ACTIVITY_PARTS,
+    TASKS,
+    check_quantities,
+    read_activity,
+    read_data,
+    read_loop,
+    warn_foreign_script,
+)
+from services.task_orchestrator.notation.context import Context
+from services.task_orchestrator.notation.dialects.base import attempt
+from services.task_orchestrator.notation.dialects.handover import has_task
+from services.task_orchestrator.notation.document import (
+    child,
+    children,
+    flag,
+    is_bpmn,
+    local,
+    text,
+)
+from services.task_orchestrator.notation.elements import (
+    Contents,
+    check_other,
+    data_object_of,
+    referenced,
+    refuse,
+)
+from services.task_orchestrator.notation.events import definitions_of, read_event, read_message
+
+MAX_SCOPE_DEPTH = 20
+MAX_NODES = 3_000
+MAX_FLOWS = 6_000
+
+_EVENT_PARTS = frozenset(
+    {
+        *("incoming", "outgoing", "eventDefinitionRef", "dataInputAssociation", "dataOutputAssociation"),
+        *("dataInput", "dataOutput", "inputSet", "outputSet"),
+    }
+)
+_GATEWAY_PARTS = frozenset({"incoming", "outgoing"})
+_PLACEHOLDER = Kind.MANUAL_TASK
+"""The kind that stands for an element with faults, so that its flows have two ends."""
+
+
+def read_scope(
+    container: etree._Element, context: Context, depth: int = 0, *, in_event_subprocess: bool = False
+) -> Scope:
+    """Return the content of a process or subprocess; what cannot be read is a fault."""
+    contents = Contents.of(container, context.found)
+    name = container.get("id") or ""
+    flows = {flow.id: flow for flow in (_flow(each, context) for each in contents.flows)}
+    nodes: dict[str, Node] = {}
+    for element, kind in contents.nodes:
+        node = _node(element, kind, context, depth, in_event_subprocess=in_event_subprocess)
+        nodes[node.id] = node
+    for element in contents.refused:
+        id_ = context.id(element)
+        nodes[id_] = Node(id_, _PLACEHOLDER, id_, element.sourceline or 0)
+    nodes, flows = _with_listeners(container, contents, nodes, flows, context)
+    return Scope(
+        name,
+        _with_defaults(nodes, flows, context),
+        flows,
+        handlers=_handlers(contents, nodes),
+        data_objects={data: context.data_names.get(data, data) for data in contents.data_objects},
+    )
+
+
+def collect_data(process: etree._Element, context: Context) -> None:
+    """Collect the data objects of all scopes of a process: nodes refer to those of outer scopes."""
+    named: dict[str, str] = {}
+    for element in process.iter("{*}dataObject", "{*}dataObjectReference"):
+        if not is_bpmn(element):
+            continue
+        data = element.get("id") or ""
+        if local(element) == "dataObjectReference":
+            data = context.data[data] = data_object_of(element)
+        named[data] = named.get(data) or " ".join((element.get("name") or "").split())
+    context.data_names.update({data: name or data for data, name in named.items()})
+
+
+# Nodes
+
+
+def _node(
+    element: etree._Element, kind: Kind, context: Context, depth: int, *, in_event_subprocess: bool
+) -> Node:
+    id_ = context.id(element)
+    context.dialects.check(element, context.found)
+    node = Node(
+        id=id_,
+        kind=kind,
+        name=" ".join((element.get("name") or "").split()) or id_,
+        line=element.sourceline or 0,
+        default=referenced(element.get("default") or "") or None,
+    )
+    if kind in EVENTS:
+        return _event(element, node, context, in_event_subprocess=in_event_subprocess)
+    if kind in GATEWAYS:
+        return _gateway(element, node, context)
+    return _activity(element, node, context, depth)
+
+
+def _event(element: etree._Element, node: Node, context: Context, *, in_event_subprocess: bool) -> Node:
+    for part in children(element):
+        is_definition = is_bpmn(part) and local(part).endswith("EventDefinition")
+        if not is_definition and local(part) not in _EVENT_PARTS:
+            check_other(part, node.kind.value, context.found)
+    for definition in definitions_of(element, context):
+        context.dialects.check(definition, context.found)
+    if _is_work(element, node.kind, context):
+        _warn_message_not_thrown(element, context)
+        mapped = context.dialects.main.mapped(element, context.found)
+        return replace(
+            node,
+            kind=Kind.SEND_TASK,
+            activity=_work_of_event(element, context),
+            inputs=mapped.inputs,
+            outputs=mapped.outputs,
+        )
+    event = read_event(element, node.kind, context, in_event_subprocess=in_event_subprocess)
+    interrupting = "cancelActivity" if node.kind is Kind.BOUNDARY_EVENT else "isInterrupting"
+    mapped = context.dialects.main.mapped(element, context.found)
+    data_inputs, data_outputs = read_data(element, context)
+    return replace(
+        node,
+        event=event,
+        attached_to=referenced(element.get("attachedToRef") or "") or None
+        if node.kind is Kind.BOUNDARY_EVENT
+        else None,
+        interrupting=isinstance(event, CompensateEvent) or flag(element, interrupting, default=True),
+        inputs=mapped.inputs,
+        outputs=mapped.outputs,
+        data_inputs=data_inputs,
+        data_outputs=data_outputs,
+    )
+
+
+def _is_work(element: etree._Element, kind: Kind, context: Context) -> bool:
+    """Return whether somebody has to send the message of an event: it has an implementation."""
+    if kind not in {Kind.THROW_EVENT, Kind.END_EVENT}:
+        return False
+    definition = child(element, "messageEventDefinition")
+    if definition is None:
+        return False
+    return any(_has_implementation(part, context) for part in (element, definition))
+
+
+def _has_implementation(element: etree._Element, context: Context) -> bool:
+    return has_task(element) or context.dialects.main.work(element, context.found).has_implementation
+
+
+def _work_of_event(element: etree._Element, context: Context) -> Activity:
+    activity = read_activity(element, context)
+    definition = child(element, "messageEventDefinition")
+    if definition is None or has_task(element):
+        return activity
+    work = context.dialects.main.work(definition, context.found)
+    return replace(
+        activity,
+        parameters={**activity.parameters, **work.parameters},
+        hints={**activity.hints, **work.hints},
+    )
+
+
+def _warn_message_not_thrown(element: etree._Element, context: Context) -> None:
+    if element.get("id") in context.collaboration.connected:
+        context.found.warn(
+            element,
+            message(
+                "bpmn.message_sent_by_performer",
+                "the performer of its Task has to send the message along the message flow; "
+                "without an implementation it is sent here",
+            ),
+        )
+
+
+def _gateway(element: etree._Element, node: Node, context: Context) -> Node:
+    for part in children(element):
+        if local(part) not in _GATEWAY_PARTS:
+            check_other(part, node.kind.value, context.found)
+    if node.kind is Kind.EVENT_BASED:
+        if element.get("eventGatewayType") == "Parallel":
+            refuse(
+                element,
+                "a parallel eventBasedGateway",
+                "use a parallel gateway with one event a branch",
+                context.found,
+            )
+        if flag(element, "instantiate", default=False):
+            refuse(
+                element,
+                "an eventBasedGateway that starts the process",
+                "draw one start event for each event",
+                context.found,
+            )
+    return node
+
+
+def _activity(element: etree._Element, node: Node, context: Context, depth: int) -> Node:
+    main, found = context.dialects.main, context.found
+    is_scope = node.kind is Kind.SUB_PROCESS
+    if not is_scope:
+        for part in children(element):
+            is_script = local(part) == "script" and node.kind is Kind.SCRIPT_TASK
+            if local(part) not in ACTIVITY_PARTS and not is_script:
+                check_other(part, node.kind.value, found)
+    check_quantities(element, context)
+    for name in ("standardLoopCharacteristics", "multiInstanceLoopCharacteristics"):
+        loop = child(element, name)
+        if loop is not None:
+            context.dialects.check(loop, found)
+    mapped = main.mapped(element, found)
+    data_inputs, data_outputs = read_data(element, context)
+    node = replace(
+        node,
+        is_for_compensation=flag(element, "isForCompensation", default=False),
+        loop=read_loop(element, context),
+        inputs=mapped.inputs,
+        outputs=mapped.outputs,
+        data_inputs=data_inputs,
+        data_outputs=data_outputs,
+    )
+    if node.kind in TASKS:
+        return replace(node, activity=read_activity(element, context))
+    if node.kind is Kind.SCRIPT_TASK:
+        return _script_task(element, node, context)
+    if node.kind in {Kind.SEND_TASK, Kind.RECEIVE_TASK}:
+        return _message_task(element, node, context)
+    if node.kind is Kind.CALL_ACTIVITY:
+        return replace(node, call=main.call(element, found))
+    return _subprocess(element, node, context, depth)
+
+
+def _script_task(element: etree._Element, node: Node, context: Context) -> Node:
+    script = context.dialects.main.script(element, context.found)
+    if has_task(element):
+        return replace(node, activity=read_activity(element, context, script=script))
+    if script.assignments is not None:
+        return replace(node, script=script.assignments)
+    warn_foreign_script(element, script, context)
+    return replace(node, activity=read_activity(element, context, script=script))
+
+
+def _message_task(element: etree._Element, node: Node, context: Context) -> Node:
+    if flag(element, "instantiate", default=False):
+        refuse(
+            element,
+            "a receiveTask that starts the process",
+            "draw a message start event before it",
+            context.found,
+        )
+        return node
+    is_send = node.kind is Kind.SEND_TASK
+    if has_task(element) or (is_send and _has_implementation(element, context)):
+        if is_send:
+            _warn_message_not_thrown(element, context)
+        return replace(node, activity=read_activity(element, context))
+    has_message = element.get("messageRef") or element.get("id") in context.collaboration.names
+    if is_send and not has_message:
+        return replace(node, activity=read_activity(element, context))
+    dialect = context.dialects.of(element)
+    occurrence = dialect.occurrence(element, None, context.found)
+    return replace(node, event=read_message(element, occurrence, context))
+
+
+def _subprocess(element: etree._Element, node: Node, context: Context, depth: int) -> Node:
+    by_event = flag(element, "triggeredByEvent", default=False)
+    if depth >= MAX_SCOPE_DEPTH:
+        context.found.fault(
+            element,
+            message(
+                "bpmn.subprocesses_too_deep",
+                "subprocesses are nested at most {limit} deep; call a process instead",
+                limit=MAX_SCOPE_DEPTH,
+            ),
+        )
+        return node
+    scope = read_scope(element, context, depth + 1, in_event_subprocess=by_event)
+    return replace(node, scope=scope, triggered_by_event=by_event)
+
+
+# Flows
+
+
+def _flow(element: etree._Element, context: Context) -> Flow:
+    source = referenced(element.get("sourceRef") or "")
+    target = referenced(element.get("targetRef") or "")
+    id_ = element.get("id") or ""
+    if not id_:  # BPMN allows that; the ends name it
+        id_ = f"{source}_{target}"
+        while id_ in context.ids:
+            id_ += "_"
+        context.ids.add(id_)
+    else:
+        id_ = _flow_id(element, id_, context)
+    for part in children(element):
+        if local(part) != "conditionExpression":
+            check_other(part, "sequenceFlow", context.found)
+    context.dialects.check(element, context.found)
+    return Flow(
+        id=id_,
+        source=source,
+        target=target,
+        condition=_condition(element, context),
+        name=" ".join((element.get("name") or "").split()),
+        line=element.sourceline or 0,
+    )
+
+
+def _flow_id(element: etree._Element, id_: str, context: Context) -> str:
+    if id_ in context.ids:
+        context.found.fault(element, message("bpmn.id_twice", 'the id "{id}" is used twice', id=id_))
+    context.ids.add(id_)
+    return id_
+
+
+def _condition(element: etree._Element, context: Context) -> Expression | None:
+    condition = child(element, "conditionExpression")
+    if condition is None:
+        return None
+    language = (condition.get("language") or "").strip()
+    given = text(condition)
+    if _is_foreign(language):
+        refuse(
+            element,
+            f"a condition in {language}",
+            "write an expression without a language attribute",
+            context.found,
+        )
+        return None
+    if not given and context.dialects.main.lenient:
+        return None
+    return attempt(element, lambda: context.dialects.main.expression(given), None, context.found)
+
+
+def _is_foreign(language: str) -> bool:
+    name = language.lower()
+    return bool(name) and not any(known in name for known in ("juel", "feel", "handover", "xpath", "uel"))
+
+
+def _with_defaults(nodes: dict[str, Node], flows: dict[str, Flow], context: Context) -> dict[str, Node]:
+    """Make the only flow without a condition the default of an exclusive gateway, as Camunda does."""
+    if not context.dialects.main.lenient:
+        return nodes
+    without: dict[str, list[Flow]] = {}
+    leaving: dict[str, int] = {}
+    for flow in flows.values():
+        leaving[flow.source] = leaving.get(flow.source, 0) + 1
+        if flow.condition is None and flow.id not in context.found.broken:
+            without.setdefault(flow.source, []).append(flow)
+    changed = dict(nodes)
+    for node in nodes.values():
+        open_ = without.get(node.id, [])
+        if node.kind is not Kind.EXCLUSIVE or node.default is not None or leaving.get(node.id, 0) < 2:
+            continue
+        if len(open_) == 1:
+            changed[node.id] = replace(node, default=open_[0].id)
+    return changed
+
+
+def _handlers(contents: Contents, nodes: dict[str, Node]) -> dict[str, str]:
+    """Return the activity that each compensation boundary event is associated with."""
+    handlers: dict[str, str] = {}
+    for association in contents.associations:
+        ends = [referenced(association.get(end) or "") for end in ("sourceRef", "targetRef")]
+        for event, activity in (ends, ends[::-1]):
+            boundary, handler = nodes.get(event), nodes.get(activity)
+            if boundary is None or handler is None or boundary.kind is not Kind.BOUNDARY_EVENT:
+                continue
+            if isinstance(boundary.event, CompensateEvent) and handler.kind in ACTIVITIES:
+                handlers[event] = activity
+    return handlers
+
+
+# Listeners
+
+
+def _with_listeners(
+    container: etree._Element,
+    contents: Contents,
+    nodes: dict[str, Node],
+    flows: dict[str, Flow],
+    context: Context,
+) -> tuple[dict[str, Node], dict[str, Flow]]:
+    """Add a script before or after each element whose listeners set variables."""
+    listeners = _Listeners(nodes, flows, context)
+    dialect = context.dialects.main
+    for element, kind in contents.nodes:
+        before, after = dialect.listeners(element)
+        id_ = element.get("id") or ""
+        if kind is Kind.START_EVENT:
+            listeners.insert_after(id_, (*before, *after))
+        elif kind is Kind.END_EVENT or kind in GATEWAYS:
+            listeners.insert_before(id_, (*before, *after))
+        else:
+            listeners.insert_before(id_, before)
+            listeners.insert_after(id_, after)
+    for element in contents.flows:
+        before, after = dialect.listeners(element)
+        listeners.insert_into(element.get("id") or "", (*before, *after))
+    if local(container) == "process":
+        before, _ = dialect.listeners(container)
+        for node in [each for each in nodes.values() if each.kind is Kind.START_EVENT]:
+            listeners.insert_after(node.id, before)
+    return listeners.nodes, listeners.flows
+
+
+class _Listeners:
+    """Inserts script tasks, which set variables, into the flows of a scope."""
+
+    def __init__(self, nodes: dict[str, Node], flows: dict[str, Flow], context: Context) -> None:
+        self.nodes = dict(nodes)
+        self.flows = dict(flows)
+        self._context = context
+
+    def insert_before(self, id_: str, assignments: tuple[Assignment, ...]) -> None:
+        """Set variables before a token enters a node."""
+        arriving = [flow for flow in self.flows.values() if flow.target == id_]
+        if not assignments:
+            return
+        if not arriving or any(self._is_event_based(flow.source) for flow in arriving):
+            self.insert_after(id_, assignments)
+            return
+        script = self._script(id_, "before", assignments)
+        for flow in arriving:
+            self.flows[flow.id] = replace(flow, target=script.id)
+        self._connect(script.id, id_)
+
+    def insert_after(self, id_: str, assignments: tuple[Assignment, ...]) -> None:
+        """Set variables when a token has left a node."""
+        leaving = [flow for flow in self.flows.values() if flow.source == id_]
+        if not assignments or not leaving:
+            return
+        node = self.nodes[id_]
+        script = self._script(id_, "after", assignments)
+        for flow in leaving:
+            self.flows[flow.id] = replace(flow, source=script.id)
+        self.nodes[script.id] = replace(script, default=node.default)
+        self.nodes[id_] = replace(node, default=None)
+        self._connect(id_, script.id)
+
+    def insert_into(self, id_: str, assignments: tuple[Assignment, ...]) -> None:
+        """Set variables when a token takes a sequence flow."""
+        flow = self.flows.get(id_)
+        if not assignments or flow is None:
+            return
+        script = self._script(id_, "set", assignments)
+        self.flows[id_] = replace(flow, target=script.id)
+        self._connect(script.id, flow.target)
+
+    def _is_event_based(self, id_: str) -> bool:
+        node = self.nodes.get(id_)
+        return node is not None and node.kind is Kind.EVENT_BASED
+
+    def _script(self, id_: str, place: str, assignments: tuple[Assignment, ...]) -> Node:
+        owner = self.nodes.get(id_)
+        name = f"{id_}.{place}"
+        while name in self._context.ids:
+            name += "_"
+        self._context.ids.add(name)
+        line = owner.line if owner is not None else self.flows[id_].line
+        drawn = owner.name if owner is not None else self.flows[id_].name or id_
+        script = Node(name, Kind.SCRIPT_TASK, drawn, line, script=assignments)
+        self.nodes[name] = script
+        return script
+
+    def _connect(self, source: str, target: str) -> None:
+        name = f"{source}.to.{target}"
+        self.flows[name] = Flow(name, source, target)
