@@ -131,7 +131,7 @@ class Broker:
             tenant.federation.stop()
         await self.tenants.outbound.close()
         self.contexts.usage.write()
-        self.federation.stop()
+        await self.federation.stop()
         await self.retention.stop()
         await self.tenants.commits.stop()
         await asyncio.to_thread(self.journal.close)

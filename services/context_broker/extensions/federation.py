@@ -63,7 +63,7 @@ class Federation(Protocol):
     async def start(self, journal: Journal) -> None:
         """Start the background work; call it once everything is restored."""
 
-    def stop(self) -> None:
+    async def stop(self) -> None:
         """Stop the background work and close the connections to context sources."""
 
     async def refresh_context(self, tenant: Tenant, context_id: str) -> None:
@@ -94,7 +94,7 @@ class LocalOnly:
     async def start(self, journal: Journal) -> None:
         return
 
-    def stop(self) -> None:
+    async def stop(self) -> None:
         return
 
     async def refresh_context(self, tenant: Tenant, context_id: str) -> None:

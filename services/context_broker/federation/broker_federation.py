@@ -79,8 +79,8 @@ class BrokerFederation:
     async def start(self, journal: Journal) -> None:
         await self._subscription_forwarder.start(journal)
 
-    def stop(self) -> None:
-        self._subscription_forwarder.stop()
+    async def stop(self) -> None:
+        await self._subscription_forwarder.stop()
         self._forwarder.http_client.close()
 
     async def refresh_context(self, tenant: Tenant, context_id: str) -> None:

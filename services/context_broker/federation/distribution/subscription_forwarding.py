@@ -8,10 +8,13 @@ sources come in here and go to the subscriber through the outbox, as the broker'
 import asyncio
 import time
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any, Final
 from uuid import uuid4
 
+from handover.background_tasks import BackgroundTasks
 from handover.errors import Problem
+from handover.retry import Backoff
 from handover.telemetry import get_logger
 from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.delivery.notification import change_data, notification
@@ -65,8 +68,19 @@ log = get_logger(__name__)
 
 SETTLE_S: Final = 0.05
 """Pause after a change of registrations, so that several changes are handled together."""
-RETRY_S: Final = 10.0
-"""Pause before a failed forwarding or deletion is retried."""
+INITIAL_RETRY_S: Final = 5.0
+MAX_RETRY_S: Final = 60.0
+"""Limits of the pause before failed forwardings and deletions of a tenant are retried."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """A subscription that a source should have, as it is sent there, without the endpoint."""
+
+    subscription: Subscription
+    source: Registration
+    document: dict[str, Any]
+    digest: str
 
 
 class SubscriptionForwarder:
@@ -86,9 +100,12 @@ class SubscriptionForwarder:
         self._forwarded: dict[str, ForwardedSubscription] = {}
         self._refused: dict[tuple[str, str, str], str] = {}
         self._locks: dict[str, asyncio.Lock] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._aligning: set[str] = set()
-        self._retrying: set[str] = set()
+        self._tasks = BackgroundTasks("subscription forwarding")
+        self._scheduled: set[str] = set()
+        """Tenants that are aligned soon, because something changed."""
+        self._retries: set[str] = set()
+        """Tenants that are aligned again later, because something failed."""
+        self._backoffs: dict[str, Backoff] = {}
         self._base = ""
 
     def operations(self) -> tuple[Operation, ...]:
@@ -103,20 +120,20 @@ class SubscriptionForwarder:
         return dict.fromkeys(names, self._after_change)
 
     async def start(self, journal: Journal) -> None:
-        """Load the forwarded subscriptions and bring them in step."""
+        """Load the forwarded subscriptions, and align those of all tenants in the background."""
+        await self._tasks.__aenter__()
         self._base = self._contexts.base({})
-        for tenant, token, stored in journal.documents(DocumentKind.FORWARDED_SUBSCRIPTION):
-            await self._restore(tenant, token, stored)
+        for name, token, stored in journal.documents(DocumentKind.FORWARDED_SUBSCRIPTION):
+            await self._restore(name, token, stored)
         for forwarded in self._forwarded.values():
             self._base = self._public_url or forwarded.base
-        for one in self._tenants:
-            if not one.federation.is_empty or self._of(one):
-                self.schedule_alignment(one)
+        for tenant in self._tenants:
+            if not tenant.federation.is_empty or self._of(tenant):
+                self.schedule_alignment(tenant)
 
-    def stop(self) -> None:
+    async def stop(self) -> None:
         """Stop the background tasks; forwarded subscriptions stay."""
-        for task in self._tasks:
-            task.cancel()
+        await self._tasks.__aexit__()
 
     async def _restore(self, tenant: str, token: str, stored: bytes) -> None:
         """Load a forwarded subscription."""
@@ -127,33 +144,27 @@ class SubscriptionForwarder:
 
     def schedule_alignment(self, tenant: Tenant) -> None:
         """Schedule an alignment of a tenant; changes in a row share one."""
-        self._align_after(tenant, SETTLE_S, self._aligning)
+        if tenant.name not in self._scheduled:
+            self._scheduled.add(tenant.name)
+            self._tasks.start(self._align_after, tenant, SETTLE_S, self._scheduled)
 
-    def _align_after(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
-        if tenant.name in waiting:
-            return
-        waiting.add(tenant.name)
+    def _schedule_retry(self, tenant: Tenant) -> None:
+        if tenant.name not in self._retries:
+            self._retries.add(tenant.name)
+            backoff = self._backoffs.setdefault(tenant.name, Backoff(INITIAL_RETRY_S, MAX_RETRY_S))
+            self._tasks.start(self._align_after, tenant, backoff.next_delay_s(), self._retries)
 
-        async def later() -> None:
-            await asyncio.sleep(after_s)
-            waiting.discard(tenant.name)
-            await self.align(tenant)
-
-        task = asyncio.get_running_loop().create_task(later())
-        self._tasks.add(task)
-        task.add_done_callback(self._done)
-
-    def _done(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("subscription forwarding failed", exc_info=error)
+    async def _align_after(self, tenant: Tenant, delay_s: float, waiting: set[str]) -> None:
+        await asyncio.sleep(delay_s)
+        waiting.discard(tenant.name)  # before: a change meanwhile schedules another alignment
+        await self.align(tenant)
 
     async def _after_change(self, sources: Sources, request: RequestContext, perform: Perform) -> Response:
-        answer = await perform(request)
+        response = await perform(request)
         self._base = self._contexts.base(request.headers)
-        for why in await self.align(request.tenant):
-            sources.add_warning(SILENT, why)
-        return answer
+        for failure in await self.align(request.tenant):
+            sources.add_warning(SILENT, failure)
+        return response
 
     # Forwarding and deleting
 
@@ -161,113 +172,95 @@ class SubscriptionForwarder:
         """Forward missing subscriptions and delete obsolete ones at the sources; return the failures."""
         async with self._locks.setdefault(tenant.name, asyncio.Lock()):
             wanted = await self._wanted(tenant)
-            held = {one.key: one for one in self._of(tenant)}
-            gone = [
-                one
-                for key, one in held.items()
-                if key not in wanted or self._is_outdated(one, wanted[key][3])
-            ]
-            kept = [one for one in held.values() if one not in gone]
-            failed = [
-                why for why in await gather_all(*(self._delete_at_source(tenant, one) for one in gone)) if why
-            ]
-            fresh = [
-                self._forward(tenant, *wanted[key])
-                for key in wanted
-                if not any(one.key == key and one.is_confirmed for one in kept)
-            ]
-            failed += [why for why in await gather_all(*fresh) if why]
-        if failed:
-            self._retry_later(tenant)
-        return failed
-
-    def _retry_later(self, tenant: Tenant) -> None:
-        self._align_after(tenant, RETRY_S, self._retrying)
+            current = {forwarded.key: forwarded for forwarded in self._of(tenant)}
+            obsolete = {
+                key: forwarded
+                for key, forwarded in current.items()
+                if key not in wanted or self._is_outdated(forwarded, wanted[key].digest)
+            }
+            deletions = [self._delete_at_source(tenant, forwarded) for forwarded in obsolete.values()]
+            failures = [failure for failure in await gather_all(*deletions) if failure]
+            confirmed = {
+                key for key, forwarded in current.items() if key not in obsolete and forwarded.is_confirmed
+            }
+            missing = [self._forward(tenant, wanted[key]) for key in wanted if key not in confirmed]
+            failures += [failure for failure in await gather_all(*missing) if failure]
+        if failures:
+            self._schedule_retry(tenant)
+        else:
+            self._backoffs.pop(tenant.name, None)
+        return failures
 
     def _is_outdated(self, forwarded: ForwardedSubscription, document_digest: str) -> bool:
         return forwarded.document_digest != document_digest or (
             self._public_url is not None and forwarded.base != self._public_url
         )
 
-    async def _wanted(
-        self, tenant: Tenant
-    ) -> dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]]:
-        found: dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]] = {}
+    async def _wanted(self, tenant: Tenant) -> dict[tuple[str, str], _Wanted]:
+        wanted: dict[tuple[str, str], _Wanted] = {}
         if tenant.federation.is_empty:
-            return found
-        for one in tenant.notifier.all():
-            if not one.is_active(time.time()) or one.document.get("localOnly"):
+            return wanted
+        for subscription in tenant.notifier.all():
+            if not subscription.is_active(time.time()) or subscription.document.get("localOnly"):
                 continue
-            for source in self._sources_of(tenant, one):
+            for source in self._sources_of(tenant, subscription):
                 try:
-                    dialect = await self._forwarder.dialect(source, one.names, body=JSON)
+                    dialect = await self._forwarder.dialect(source, subscription.names, body=JSON)
                 except Problem as problem:
                     log.warning(
                         "@context of a source cannot be loaded", registration=source.id, why=problem.detail
                     )
                     continue
-                document = forwarded_document(one, source, dialect)
-                found[one.id, source.id] = (
-                    one,
-                    source,
-                    document,
-                    digest(document),
-                )
-        return found
+                document = forwarded_document(subscription, source, dialect)
+                wanted[subscription.id, source.id] = _Wanted(subscription, source, document, digest(document))
+        return wanted
 
-    def _sources_of(self, tenant: Tenant, one: Subscription) -> Iterable[Registration]:
+    def _sources_of(self, tenant: Tenant, subscription: Subscription) -> Iterable[Registration]:
         """Return the registrations to which a subscription is to be forwarded."""
-        coverage = CoverageQuery(one.places, one.scopes, None, one.view.datasets)
-        where = source_filter(one.document.get("csf"), one.names, coverage)
-        passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
-        found: dict[str, Registration] = {}
-        for target in questions(one):
+        coverage = CoverageQuery(subscription.places, subscription.scopes, None, subscription.view.datasets)
+        where = source_filter(subscription.document.get("csf"), subscription.names, coverage)
+        passed = frozenset(chain(_came_by(subscription)))
+        sources: dict[str, Registration] = {}
+        for target in questions(subscription):
             for match in federated(tenant).registry.matching("createSubscription", target, where):
                 source = match.registration
                 if self._forwarder.alias_of(source) not in passed and not self._forwarder.is_ourselves(
                     source, federated(tenant).registry, tenant.alias
                 ):
-                    found[source.id] = source
-        return found.values()
+                    sources[source.id] = source
+        return sources.values()
 
-    async def _forward(
-        self,
-        tenant: Tenant,
-        one: Subscription,
-        source: Registration,
-        document: dict[str, Any],
-        document_digest: str,
-    ) -> str | None:
+    async def _forward(self, tenant: Tenant, wanted: _Wanted) -> str | None:
         """Return why forwarding failed; None if it succeeded or the source will never take the
         subscription."""
-        refused = (tenant.name, one.id, source.id)
-        if self._refused.get(refused) == document_digest:
+        subscription, source = wanted.subscription, wanted.source
+        key = (subscription.id, source.id)
+        if self._refused.get((tenant.name, *key)) == wanted.digest:
             return None
-        held = next(
-            (forwarded for forwarded in self._of(tenant) if forwarded.key == (one.id, source.id)), None
-        )
-        made = held or ForwardedSubscription(
-            uuid4().hex, tenant.name, one.id, source, document_digest, self._base, is_confirmed=False
+        current = next((forwarded for forwarded in self._of(tenant) if forwarded.key == key), None)
+        forwarded = current or ForwardedSubscription(
+            uuid4().hex, tenant.name, subscription.id, source, wanted.digest, self._base, is_confirmed=False
         )
         try:
-            if held is None:
-                await self._store(tenant, made)
-            dialect = await self._forwarder.dialect(source, one.names, body=JSON)
-            body = with_endpoint(document, made.base, made.token)
+            if current is None:
+                await self._store(tenant, forwarded)
+            dialect = await self._forwarder.dialect(source, subscription.names, body=JSON)
+            body = with_endpoint(wanted.document, forwarded.base, forwarded.token)
             source_request = SourceRequest("POST", "subscriptions", dialect, (), body)
-            response, _ = await self._forwarder.send(source, source_request, self._origin_of(tenant, one))
+            origin = self._origin_of(tenant, subscription)
+            response, _ = await self._forwarder.send(source, source_request, origin)
         except SourceError as error:
             return error.why
         except (NotStored, Problem) as error:
             return str(error)
         if response.status in {201, 409}:  # 409: it exists, an earlier response was lost
-            await self._store(tenant, made.confirmed())
+            await self._store(tenant, forwarded.confirmed())
             return None
         if response.status >= 500 and response.status != 508:
             return f"{source.endpoint} returns {response.status} for a subscription"
         log.warning("source refused a subscription", registration=source.id, status=response.status)
-        self._refused[refused] = document_digest
-        await self._remove(tenant, made)
+        self._refused[(tenant.name, *key)] = wanted.digest
+        await self._remove(tenant, forwarded)
         return None if response.status == 508 else _refusal(source, response)
 
     async def _delete_at_source(self, tenant: Tenant, forwarded: ForwardedSubscription) -> str | None:
@@ -294,12 +287,12 @@ class SubscriptionForwarder:
             return str(error)
         return None
 
-    def _origin_of(self, tenant: Tenant, one: Subscription) -> RequestOrigin:
-        came_by = str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")
+    def _origin_of(self, tenant: Tenant, subscription: Subscription) -> RequestOrigin:
+        came_by = _came_by(subscription)
         return RequestOrigin({b"via": came_by} if came_by else {}, tenant.alias, federated(tenant).registry)
 
     def _of(self, tenant: Tenant) -> list[ForwardedSubscription]:
-        return [one for one in self._forwarded.values() if one.tenant == tenant.name]
+        return [forwarded for forwarded in self._forwarded.values() if forwarded.tenant == tenant.name]
 
     async def _store(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
         key = (DocumentKind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token)
@@ -324,27 +317,32 @@ class SubscriptionForwarder:
         if not isinstance(data, list):
             raise bad_request_data(f'a notification has "data", a list of entities, not {shown(data)}')
         tenant = self._tenants.kept(forwarded.tenant)
-        one = tenant.notifier.get(forwarded.subscription)
-        if one is None or not one.is_active(time.time()):
+        subscription = tenant.notifier.get(forwarded.subscription)
+        if subscription is None or not subscription.is_active(time.time()):
             return Response(200)
         entities = [
-            (entity_id, said)
-            for each in data
-            if (said := self._notification_entity(each, forwarded, one, tenant, context)) is not None
-            and (entity_id := str(each.get("id")))
+            (entity_id, body)
+            for entity in data
+            if (body := self._notification_entity(entity, forwarded, subscription, tenant, context))
+            is not None
+            and (entity_id := str(entity.get("id")))
         ]
-        notices = list(_notices(tenant.name, one, entities))
-        if notices:
+        notifications = list(_notifications(tenant.name, subscription, entities))
+        if notifications:
             try:
-                await tenant.commits.store(Entries(pending=notices))
+                await tenant.commits.store(Entries(pending=notifications))
             except NotStored as error:
                 raise not_stored(str(error)) from error
-            tenant.notifier.deliver(notices)
+            tenant.notifier.deliver(notifications)
         return Response(200)
 
     @staticmethod
     def _notification_entity(
-        given: Any, forwarded: ForwardedSubscription, one: Subscription, tenant: Tenant, context: Context
+        given: Any,
+        forwarded: ForwardedSubscription,
+        subscription: Subscription,
+        tenant: Tenant,
+        context: Context,
     ) -> bytes | None:
         """Return the entity for the subscriber's notification; None if the subscription does not match."""
         if not isinstance(given, dict):
@@ -352,22 +350,27 @@ class SubscriptionForwarder:
         entity_id = given.get("id")
         own = tenant.store.get(entity_id) if isinstance(entity_id, str) else None
         change = change_of_notification(given, forwarded.registration, own, context.terms)
-        if change is None or (change.after is not None and not one.selects(change.after)):
+        if change is None or (change.after is not None and not subscription.selects(change.after)):
             return None
-        return change_data(one, change)
+        return change_data(subscription, change)
 
 
 def _refusal(source: Registration, response: HttpResponse) -> str:
     return f"{source.endpoint} does not take the subscription ({response.status})"
 
 
-def _notices(
-    tenant: str, one: Subscription, entities: list[tuple[str, bytes]]
+def _came_by(subscription: Subscription) -> bytes:
+    """Return the Via header of the request that created a subscription."""
+    return str(subscription.document.get(CAME_BY, "")).encode("latin-1", "replace")
+
+
+def _notifications(
+    tenant: str, subscription: Subscription, entities: list[tuple[str, bytes]]
 ) -> Iterable[PendingNotification]:
     now_s = time.time()
-    if one.throttling_s:
-        for entity_id, said in entities:
-            yield PendingNotification(tenant, one.id, entity_id, now_s, b"[" + said + b"]")
+    if subscription.throttling_s:
+        for entity_id, body in entities:
+            yield PendingNotification(tenant, subscription.id, entity_id, now_s, b"[" + body + b"]")
     elif entities:
-        body = notification(one, [said for _, said in entities])
-        yield PendingNotification(tenant, one.id, entities[0][0], now_s, body)
+        document = notification(subscription, [body for _, body in entities])
+        yield PendingNotification(tenant, subscription.id, entities[0][0], now_s, document)
