@@ -17,9 +17,9 @@ from services.context_broker.federation.distribution.distributed_operations impo
 )
 from services.context_broker.federation.distribution.forwarding import Forwarder
 from services.context_broker.federation.distribution.subscription_forwarding import SubscriptionForwarder
-from services.context_broker.federation.entity_maps.operations import EntityMapOperations
-from services.context_broker.federation.registrations.registration_operations import RegistrationOperations
-from services.context_broker.federation.registrations.source_subscription_operations import (
+from services.context_broker.federation.operations.entity_map_operations import EntityMapOperations
+from services.context_broker.federation.operations.registration_operations import RegistrationOperations
+from services.context_broker.federation.operations.source_subscription_operations import (
     SourceSubscriptionOperations,
 )
 from services.context_broker.federation.tenant_state import FederatedTenant, federated

@@ -9,7 +9,7 @@ import orjson
 from services.context_broker.extensions.federation import MAP_HEADER, SINGLE_ENTITY_READS
 from services.context_broker.federation.entity_maps.entity_map import MAX_ENTITIES, OWN, EntityMap, Listed
 from services.context_broker.federation.entity_maps.mapped_request import listed_of, with_map
-from services.context_broker.federation.entity_maps.pages import (
+from services.context_broker.federation.operations.entity_map_pages import (
     SHAPING,
     Perform,
     for_the_query,

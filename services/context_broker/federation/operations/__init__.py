@@ -1,0 +1,1 @@
+"""The operations on registrations, on subscriptions to them and on entity maps."""
