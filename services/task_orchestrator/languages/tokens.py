@@ -24,6 +24,8 @@ def excerpt(text: str) -> str:
 class Tokens:
     """A cursor over a text; `kind`, `text` and `start` are those of the token at the cursor.
 
+    `count` is the number of tokens so far, `position` the end of the token.
+
     The pattern has a named group for each kind of token; white space and comments are the group `skip`.
     Kinds: `name`, `number`, `string`, `operator`, and `end` behind the last token.
     """
@@ -37,7 +39,7 @@ class Tokens:
         self.start = position
         self.position = position
         self._pattern = pattern
-        self._count = 0
+        self.count = 0
         self._depth = 0
 
     def advance(self) -> None:
@@ -47,8 +49,8 @@ class Tokens:
             self.position = match.end()
             match = self._pattern.match(self.source, self.position)
         self.start = self.position
-        self._count += 1
-        if self._count > MAX_TOKENS:
+        self.count += 1
+        if self.count > MAX_TOKENS:
             raise self.error(f"an expression has at most {MAX_TOKENS} parts")
         if match is not None:
             self.kind, self.text, self.position = str(match.lastgroup), match.group(), match.end()
