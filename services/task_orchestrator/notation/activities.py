@@ -125,7 +125,7 @@ def _standard_loop(element: etree._Element, loop: etree._Element, context: Conte
             message("bpmn.wrong_loop_maximum", 'loopMaximum="{given}" is no number', given=maximum[:64]),
         )
         maximum = ""
-    if not condition and not maximum:
+    elif not condition and not maximum:
         context.found.fault(
             element, message("bpmn.endless_loop", "a loop needs a loopCondition or loopMaximum")
         )

@@ -8,7 +8,6 @@ from lxml import etree
 from handover.messages import message
 from services.task_orchestrator.model import Kind
 from services.task_orchestrator.notation.document import (
-    child_text,
     children,
     flag,
     is_bpmn,
@@ -52,6 +51,7 @@ _DEFINITIONS = frozenset(
         *("documentation", "extensionElements"),
     }
 )
+_DIAGRAMS = frozenset({"http://www.omg.org/spec/BPMN/20100524/DI"})
 _COLLABORATION = HARMLESS | {"participant", "messageFlow"}
 
 
@@ -123,6 +123,8 @@ class Declarations:
                 tables[name][element.get("id") or ""] = element
             elif is_bpmn(element) and name.endswith("EventDefinition"):
                 declared.event_definitions[element.get("id") or ""] = element
+            elif not is_bpmn(element) and namespace(element) not in _DIAGRAMS:
+                warn_unknown_extension(element, found)
             elif is_bpmn(element) and name not in _DEFINITIONS:
                 check_other(element, "definitions", found)
         return declared
@@ -167,8 +169,11 @@ class Contents:
             elif name in REFUSED:
                 contents.refused.append(element)
                 refuse(element, name, REFUSED[name], found)
+            elif name in HARMLESS or name in WITHOUT_EFFECT:
+                check_other(element, local(container), found)
             elif name not in _NODE_PARTS:
-                _check_content(element, container, found)
+                contents.refused.append(element)
+                refuse(element, name, f"supported are {', '.join(KINDS)}", found)
         return contents
 
 
@@ -180,15 +185,6 @@ _NODE_PARTS = frozenset(
     }
 )
 """Children of a subprocess that belong to it as an activity."""
-
-
-def _check_content(element: etree._Element, container: etree._Element, found: Findings) -> None:
-    name = local(element)
-    if name in HARMLESS or name in WITHOUT_EFFECT:
-        check_other(element, local(container), found)
-    else:
-        supported = ", ".join(KINDS)
-        refuse(element, name, f"supported are {supported}", found)
 
 
 def data_object_of(reference: etree._Element) -> str:
@@ -342,8 +338,3 @@ def message_of(node: etree._Element, declared: Declarations) -> str | None:
         if found is not None and found.get("name"):
             return str(found.get("name"))
     return None
-
-
-def condition_text(element: etree._Element, name: str) -> str:
-    """Return the text of an expression element, such as `conditionExpression`."""
-    return child_text(element, name)

@@ -73,7 +73,7 @@ def read_scope(
     for element, kind in contents.nodes:
         node = _node(element, kind, context, depth, in_event_subprocess=in_event_subprocess)
         nodes[node.id] = node
-    for element in contents.refused:
+    for element in (each for each in contents.refused if each.get("id")):
         id_ = context.id(element)
         nodes[id_] = Node(id_, _PLACEHOLDER, id_, element.sourceline or 0)
     nodes, flows = _with_listeners(container, contents, nodes, flows, context)
@@ -94,7 +94,8 @@ def collect_data(process: etree._Element, context: Context) -> None:
             continue
         data = element.get("id") or ""
         if local(element) == "dataObjectReference":
-            data = context.data[data] = data_object_of(element)
+            context.data[data] = data_object_of(element)
+            data = context.data[data]
         named[data] = named.get(data) or " ".join((element.get("name") or "").split())
     context.data_names.update({data: name or data for data, name in named.items()})
 
