@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-from fastapi import FastAPI, WebSocket
+from fastapi import FastAPI, Response, WebSocket
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
@@ -13,6 +13,7 @@ from handover.messages import message, text_of
 from handover.service import create_app
 from handover.storage import storage_check
 from services.trajectory_tool.controller import Controller
+from services.trajectory_tool.device import description
 from services.trajectory_tool.joint_states import stream, written
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.settings import TrajectorySettings
@@ -56,7 +57,9 @@ def view_of(controller: Controller) -> RobotView:
         "id": controller.robot_name,
         "device": controller.device.id,
         "deviceState": controller.device.state.value,
-        "joints": written(cell.robot.state()),
+        "model": cell.model.name,
+        "revision": cell.model.revision,
+        "joints": written(cell.robot.state(), cell.model.joint_names),
         "toolPose": cell.tool_pose.written(),
         "gripper": {"closed": cell.robot.gripper_closed, "holds": cell.held},
         "task": None if work is None else work.task,
@@ -77,6 +80,21 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
         """Return the state of a robot: joints, tool pose, gripper, and its Task."""
         _require_known(controller, robot)
         return view_of(controller)
+
+    @app.get("/robots/{robot}/description", tags=["robots"])
+    async def describe(robot: str) -> dict[str, Any]:
+        """Return what the robot is: joints with limits, home, gripper, and the URDF that draws it.
+
+        It is constant while the tool runs; `revision` differs for every other description.
+        """
+        _require_known(controller, robot)
+        return {"id": controller.robot_name, **description(controller.cell)}
+
+    @app.get("/robots/{robot}/urdf", tags=["robots"], response_class=Response)
+    async def urdf(robot: str) -> Response:
+        """Return the URDF of the robot."""
+        _require_known(controller, robot)
+        return Response(controller.cell.model.urdf, media_type="application/xml")
 
     @app.get("/robots/{robot}/scene", tags=["robots"])
     async def scene(robot: str) -> dict[str, Any]:
@@ -123,7 +141,7 @@ def _add_stream(app: FastAPI, controller: Controller) -> None:
             await reader.accept()
             await reader.close(4000 + problem.status, problem.detail[:120])
             return
-        await stream(controller.cell.robot, reader, hz)
+        await stream(controller.cell.robot, controller.cell.model.joint_names, reader, hz)
 
 
 def _require_known(controller: Controller, robot: str) -> None:

@@ -7,11 +7,13 @@ from handover.broker import BrokerClient
 from handover.telemetry import get_logger
 from services.trajectory_tool.camera import Camera
 from services.trajectory_tool.contents import Contents, Lying, initial
+from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
 from services.trajectory_tool.memory import Act, Memory, MemoryFile
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, Robot
-from services.trajectory_tool.robots import ROBOTS, Clock, RobotContext, RobotFactory
-from services.trajectory_tool.scene import Scene
+from services.trajectory_tool.robot_model import RobotModel
+from services.trajectory_tool.robots import ROBOTS
+from services.trajectory_tool.scene import load
 from services.trajectory_tool.settings import TrajectorySettings
 
 log = get_logger(__name__)
@@ -21,22 +23,24 @@ class Cell:
     """One robot with its gripper, the camera, the scene around it and the parts in it.
 
     An asynchronous context manager while the robot is switched on. A robot behind ROS is reached through
-    `broker`. Raises `UsageError` when the stored state cannot be used.
+    `broker`. Raises `UsageError` when the robot, the scene or the stored state cannot be used.
     """
 
     def __init__(
         self,
         settings: TrajectorySettings,
-        scene: Scene,
         clock: Clock | None = None,
         *,
         broker: BrokerClient | None = None,
     ) -> None:
-        self.scene = scene
-        self.arm = scene.arm
-        self.file = MemoryFile(settings.data_dir / "trajectory_tool" / f"{settings.robot_name}.json")
+        self.model: RobotModel = ROBOTS.load(settings.robot_model)
+        self.limits = settings.limits_of(self.model.limits)
+        self.scene = scene = load(settings.scene_file, self.model)
+        self.home = scene.home_of(self.model)
+        self._digest = scene.digest(self.model.joint_names)
+        self.file = MemoryFile(settings.data_dir / "trajectory_tool" / f"{settings.robot_id}.json")
         self.camera = Camera(settings.detection_rate, settings.scan_seed)
-        known = self.file.load(scene.digest())
+        known = self.file.load(self._digest, len(self.model.joints))
         self.contents: Contents = known.contents if known else initial(scene)
         self.last_act: Act | None = known.last_act if known else None
         self.seen: str | None = known.seen if known else None
@@ -57,13 +61,13 @@ class Cell:
 
     @property
     def joints(self) -> Joints:
-        """Return the present joint angles in rad."""
+        """Return the present joint positions."""
         return self.robot.state().positions
 
     @property
     def tool_pose(self) -> Pose:
         """Return the present pose of the gripper's tips."""
-        return self.arm.tool_pose(self.joints)
+        return self.model.tool_pose(self.joints)
 
     @property
     def held(self) -> str | None:
@@ -73,7 +77,7 @@ class Cell:
     async def remember(self) -> None:
         """Store the state of the cell durably. Raises `OSError`."""
         memory = Memory(
-            scene=self.scene.digest(),
+            scene=self._digest,
             joints=self.joints,
             gripper_closed=self.robot.gripper_closed,
             contents=self.contents,
@@ -148,14 +152,16 @@ class Cell:
     ) -> Robot:
         context = RobotContext(
             settings=settings,
-            joints=known.joints if known else self.scene.home_rad,
+            model=self.model,
+            limits=self.limits,
+            joints=known.joints if known else self.home,
             gripper_closed=known.gripper_closed if known else False,
             gripper_s=self.scene.gripper.acts_in_s,
-            is_between_fingers=lambda joints: self._between_fingers(self.arm.tool_pose(joints)) is not None,
+            is_between_fingers=lambda joints: self._between_fingers(self.model.tool_pose(joints)) is not None,
             broker=broker,
             clock=clock,
         )
-        factory: RobotFactory = ROBOTS.load(settings.robot)
+        factory: RobotFactory = DRIVERS.load(settings.robot)
         return factory(context)
 
     def _between_fingers(self, tool: Pose) -> str | None:

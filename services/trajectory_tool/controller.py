@@ -13,7 +13,7 @@ from handover.broker import BrokerClient
 from handover.messages import message, text_of
 from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
 from handover.telemetry import get_logger
-from services.trajectory_tool import operations, parameters, scene
+from services.trajectory_tool import operations, parameters
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.device import RobotDevice
 from services.trajectory_tool.metrics import TASKS
@@ -27,18 +27,18 @@ PROGRESS_EVERY_S = 0.25
 
 
 class Controller(Performer):
-    """The performer of one robot. Raises `UsageError` when the scene or the stored state is invalid."""
+    """The performer of one robot. Raises `UsageError` when robot, scene or stored state is invalid."""
 
     def __init__(self, settings: TrajectorySettings, broker: BrokerClient) -> None:
         super().__init__(
-            f"trajectory-tool-{settings.robot_name}", settings, broker, notify_url=settings.notify_url
+            f"trajectory-tool-{settings.robot_id}", settings, broker, notify_url=settings.notify_url
         )
-        self.robot_name = settings.robot_name
-        self.cell = Cell(settings, scene.load(settings.scene_file), broker=broker)
+        self.robot_name = settings.robot_id
+        self.cell = Cell(settings, broker=broker)
         self.work: Work | None = None
         self._speed = settings.robot_speed
         self._on = AsyncExitStack()
-        self.device = RobotDevice(settings.entity_id("Device", settings.robot_name), self.cell, broker)
+        self.device = RobotDevice(settings, self.cell, broker)
 
     def mount(self, app: FastAPI) -> None:
         """Add the routes for notifications."""

@@ -1,6 +1,7 @@
-"""The Device entity of the robot: kept current in the broker without delaying a motion.
+"""The Device entity of the robot and its ResourceSpecification, kept current without delaying a motion.
 
-It is written when the state of the robot changes, with the joints at that time; not during a motion.
+The Device is written when the state of the robot changes, with the joints at that time; not during a motion.
+The specification is written at the start: joints with their limits, home, gripper and the URL of the URDF.
 """
 
 from datetime import UTC, datetime
@@ -12,13 +13,16 @@ from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.metrics import DEVICE_WRITES_REJECTED
+from services.trajectory_tool.settings import TrajectorySettings
 
 
 class RobotDevice:
-    """The Device `device_id`; an asynchronous context manager while it is written."""
+    """The Device of the robot; an asynchronous context manager while it is written."""
 
-    def __init__(self, device_id: str, cell: Cell, broker: BrokerClient) -> None:
-        self.id = device_id
+    def __init__(self, settings: TrajectorySettings, cell: Cell, broker: BrokerClient) -> None:
+        self.id = settings.entity_id("Device", settings.robot_id)
+        self.specification_id = settings.entity_id("ResourceSpecification", settings.robot_id)
+        self._urdf_url = f"{settings.service_url}/robots/{settings.robot_id}/urdf"
         self.state = DeviceState.IDLE
         self._cell = cell
         self._broker = broker
@@ -26,6 +30,8 @@ class RobotDevice:
 
     async def __aenter__(self) -> Self:
         await self._writer.__aenter__()
+        specification = self._specification()
+        self._writer.put(self.specification_id, lambda: self._broker.upsert([specification]))
         self.set_state(self.state)
         return self
 
@@ -53,4 +59,74 @@ class RobotDevice:
             "controlledProperty": {"type": "Property", "value": ["pose"]},
             "deviceState": {"type": "Property", "value": self.state.value, "observedAt": now},
             "value": {"type": "Property", "value": value, "observedAt": now},
+            "isSpecifiedBy": {
+                "type": "Property",
+                "value": [{"type": "Relationship", "object": self.specification_id}],
+            },
         }
+
+    def _specification(self) -> dict[str, Any]:
+        model = self._cell.model
+        parameters = {
+            "model": model.name,
+            "degreesOfFreedom": len(model.joints),
+            "joints": [
+                {name: value for name, value in joint.items() if name != "labels"}
+                for joint in described_joints(self._cell)
+            ],
+            "home": list(self._cell.home),
+            "gripper": bool(model.fingers),
+            "urdf": self._urdf_url,
+        }
+        return {
+            "id": self.specification_id,
+            "type": "ResourceSpecification",
+            "name": {"type": "Property", "value": model.name},
+            "resourceType": {"type": "Property", "value": "robot"},
+            "parameters": {"type": "Property", "value": parameters},
+        }
+
+
+def described_joints(cell: Cell) -> list[dict[str, Any]]:
+    """Return the joints of the robot with their limits as JSON: rad and s, for prismatic joints m and s.
+
+    `lower` and `upper` are null for a continuous joint. The limits of motion are those in force: of the
+    settings, or of the robot.
+    """
+    limits = cell.limits
+    return [
+        {
+            "name": joint.name,
+            "type": joint.kind,
+            "unit": joint.unit,
+            "lower": joint.lower,
+            "upper": joint.upper,
+            "maxVelocity": limits.velocity[number],
+            "maxAcceleration": limits.acceleration[number],
+            "maxJerk": limits.jerk[number],
+            "labels": dict(joint.labels),
+        }
+        for number, joint in enumerate(cell.model.joints)
+    ]
+
+
+def description(cell: Cell) -> dict[str, Any]:
+    """Return everything that a page needs to show the robot, as JSON."""
+    model = cell.model
+    return {
+        "model": model.name,
+        "revision": model.revision,
+        "joints": described_joints(cell),
+        "home": list(cell.home),
+        "tip": model.tip,
+        "fingers": [
+            {
+                "joint": finger.joint,
+                "opened": finger.opened,
+                "closed": finger.closed,
+                "holding": finger.holding,
+            }
+            for finger in model.fingers
+        ],
+        "urdf": model.urdf,
+    }

@@ -4,20 +4,21 @@ A slow client gets fewer states, always the latest; the robot never waits for a 
 """
 
 import asyncio
+from collections.abc import Sequence
 from typing import Any
 
 import orjson
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from services.trajectory_tool.metrics import DROPPED
-from services.trajectory_tool.robot import JOINT_NAMES, JointState, Robot
+from services.trajectory_tool.robot import JointState, Robot
 
 
-def written(state: JointState) -> dict[str, Any]:
-    """Return a joint state as JSON: `stamp` in s since 1970, rad, rad/s and Nm."""
+def written(state: JointState, names: Sequence[str]) -> dict[str, Any]:
+    """Return a joint state as JSON: `stamp` in s since 1970, rad, rad/s and Nm (m, m/s and N)."""
     message: dict[str, Any] = {
         "stamp": round(state.stamp_s, 6),
-        "name": JOINT_NAMES,
+        "name": names,
         "position": [round(value, 6) for value in state.positions],
         "velocity": [round(value, 6) for value in state.velocities],
     }
@@ -26,10 +27,10 @@ def written(state: JointState) -> dict[str, Any]:
     return message
 
 
-async def stream(robot: Robot, reader: WebSocket, hz: float) -> None:
+async def stream(robot: Robot, names: Sequence[str], reader: WebSocket, hz: float) -> None:
     """Send the joints `hz` times a second until the client disconnects."""
     await reader.accept()
-    sending = asyncio.create_task(_send(robot, reader, 1 / hz))
+    sending = asyncio.create_task(_send(robot, names, reader, 1 / hz))
     leaving = asyncio.create_task(_until_gone(reader))
     try:
         await asyncio.wait({sending, leaving}, return_when=asyncio.FIRST_COMPLETED)
@@ -42,11 +43,11 @@ async def stream(robot: Robot, reader: WebSocket, hz: float) -> None:
             raise end
 
 
-async def _send(robot: Robot, reader: WebSocket, period_s: float) -> None:
+async def _send(robot: Robot, names: Sequence[str], reader: WebSocket, period_s: float) -> None:
     clock = asyncio.get_running_loop().time
     due_s = clock()
     while True:
-        await reader.send_text(orjson.dumps(written(robot.state())).decode())
+        await reader.send_text(orjson.dumps(written(robot.state(), names)).decode())
         due_s += period_s
         missed = int((clock() - due_s) / period_s)
         if missed > 0:

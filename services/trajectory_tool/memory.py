@@ -15,7 +15,7 @@ from handover.errors import UsageError
 from handover.telemetry import get_logger
 from services.trajectory_tool.contents import Contents
 from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.robot import JOINT_NAMES, Joints
+from services.trajectory_tool.robot import Joints
 
 log = get_logger(__name__)
 
@@ -33,7 +33,7 @@ class Act:
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """The state of robot and cell; `seen` is the part of the last successful scan."""
+    """The state of the cell, which `scene` identifies; `seen` is the part of the last successful scan."""
 
     scene: str
     joints: Joints
@@ -52,8 +52,8 @@ class MemoryFile:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def load(self, scene: str) -> Memory | None:
-        """Return the memory of `scene`; None if there is none, or of another scene.
+    def load(self, scene: str, joint_count: int) -> Memory | None:
+        """Return the memory of `scene`; None if there is none, or of another scene or robot.
 
         Raises `UsageError` when the file cannot be read or is invalid.
         """
@@ -69,12 +69,15 @@ class MemoryFile:
             memory = _FORM.validate_json(written)
         except ValidationError:
             memory = None
-        if memory is None or len(memory.joints) != len(JOINT_NAMES):
+        is_of_this_cell = memory is not None and memory.scene == scene
+        if memory is None or (is_of_this_cell and len(memory.joints) != joint_count):
             raise UsageError(
                 f"the state of the cell, {self.path}, is damaged; delete it to start with the initial cell"
             )
-        if memory.scene != scene:
-            log.warning("scene changed, the cell starts with its initial contents", file=str(self.path))
+        if not is_of_this_cell:
+            log.warning(
+                "scene or robot changed, the cell starts with its initial contents", file=str(self.path)
+            )
             return None
         return memory
 

@@ -13,8 +13,7 @@ from handover.performer import TaskFailed
 from services.trajectory_tool import parameters as given
 from services.trajectory_tool.metrics import SCANS
 from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.robot import Joints
-from services.trajectory_tool.ur10_kinematics import Unreachable
+from services.trajectory_tool.robot import Joints, Unreachable
 from services.trajectory_tool.work import Work
 
 Result = dict[str, Any]
@@ -33,14 +32,14 @@ class Operation:
 
 async def home(work: Work, _: given.Home) -> Result:
     """Move to the home position."""
-    return await _move(work, work.cell.scene.home_rad)
+    return await _move(work, work.cell.home)
 
 
 async def move_to(work: Work, asked: given.MoveTo) -> Result:
     """Move to joint angles or to a pose of the tool."""
     if asked.joints is not None:
         try:
-            return await _move(work, work.cell.arm.allow(asked.joints))
+            return await _move(work, work.cell.model.allow(asked.joints))
         except Unreachable as why:
             raise TaskFailed(
                 message(
@@ -268,7 +267,7 @@ def _from_above(work: Work, spot: Pose, what: str) -> tuple[Joints, Joints]:
 
 def _reach(work: Work, pose: Pose, near: Joints, what: str) -> Joints:
     try:
-        return work.cell.arm.reach(pose, near)
+        return work.cell.model.reach(pose, near)
     except Unreachable as why:
         raise TaskFailed(
             message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))

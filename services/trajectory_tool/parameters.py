@@ -72,15 +72,17 @@ class Home(_Given):
 
 
 class MoveTo(Home):
-    """Move to joint angles in rad, or the tool to a pose."""
+    """Move to joint positions (rad, or m for prismatic joints), or the tool to a pose."""
 
-    joints: Annotated[tuple[Number, ...], Field(min_length=6, max_length=6)] | None = None
+    joints: Annotated[tuple[Number, ...], Field(min_length=1)] | None = None
     pose: GivenPose | None = None
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
         if (self.joints is None) == (self.pose is None):
-            raise ValueError('needs either "joints" (six angles in rad) or "pose", and not both')
+            raise ValueError(
+                'needs either "joints" (a position for each joint, in rad or m) or "pose", and not both'
+            )
         return self
 
 

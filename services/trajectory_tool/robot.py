@@ -1,4 +1,4 @@
-"""The interface of a robot: six joints and a gripper.
+"""The interface of a robot driver: joints and a gripper.
 
 A simulation, a physics engine or a vendor's driver implements it. A pause is a smooth stop, followed later by
 another motion to the same target.
@@ -14,28 +14,22 @@ from fastapi import FastAPI
 from handover.errors import HandoverError
 
 Joints = tuple[float, ...]
-"""Six joint angles in rad, in the order of `JOINT_NAMES`."""
-
-JOINT_NAMES = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-)
-"""The joint names of Universal Robots in ROS, from the base to the flange."""
+"""The joint positions of a robot from its base to its flange: rad, for prismatic joints m."""
 
 
 class RobotFault(HandoverError):
     """The robot cannot move; the message has the reason and the remedy."""
 
 
+class Unreachable(HandoverError):
+    """The robot cannot reach a pose or a joint position; the message has the distance or the limit."""
+
+
 @dataclass(frozen=True, slots=True)
 class JointState:
     """The joints at one time: `stamp_s` in s since 1970, positions in rad, velocities in rad/s.
 
-    `efforts` are torques in Nm, None for a robot that does not measure them.
+    `efforts` are torques in Nm, None for a robot that does not measure them. Prismatic joints: m, m/s, N.
     """
 
     stamp_s: float

@@ -22,11 +22,10 @@ from handover.messages import message
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
 from handover.telemetry import get_logger
+from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.metrics import MOTION_SECONDS
 from services.trajectory_tool.orders import Ended, Orders
-from services.trajectory_tool.robot import JOINT_NAMES, Joints, JointState, Robot, RobotFault
-from services.trajectory_tool.robots import RobotContext
-from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.robot import Joints, JointState, Robot, RobotFault
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
 log = get_logger(__name__)
@@ -57,31 +56,25 @@ class _Motion:
 
 
 class RosRobot(Robot):
-    """The arm with the Device `settings.ros_arm`; `joints` (rad) are used until the first report."""
+    """The arm with the Device `settings.ros_arm`; the stored joints are used until the first report."""
 
-    def __init__(
-        self,
-        joints: Joints,
-        settings: TrajectorySettings,
-        broker: BrokerClient,
-        *,
-        gripper_closed: bool = False,
-        gripper_s: float = 0.3,
-    ) -> None:
+    def __init__(self, context: RobotContext, broker: BrokerClient) -> None:
+        settings, joints = context.settings, context.joints
         self.arm = settings.entity_id("Device", settings.ros_arm)
-        self._limits: Limits = settings.limits
+        self._joint_names = context.model.joint_names
+        self._limits: Limits = context.limits
         self._broker = broker
         self._notify_url = (
             f"{settings.url_of(settings.trajectory_port, settings.trajectory_url)}{NOTIFIED_AT}"
         )
-        self._subscription_id = settings.entity_id("Subscription", f"{settings.robot_name}-arm")
-        self._receiver = NotificationReceiver(f"trajectory-tool-{settings.robot_name}-arm", settings, broker)
-        self._orders = Orders(settings.robot_name, self.arm, settings, broker)
+        self._subscription_id = settings.entity_id("Subscription", f"{settings.robot_id}-arm")
+        self._receiver = NotificationReceiver(f"trajectory-tool-{settings.robot_id}-arm", settings, broker)
+        self._orders = Orders(settings.robot_id, self.arm, settings, broker)
         self._state = JointState(time.time(), joints, (0.0,) * len(joints))
         self._stamp = ""
         self._reported_s: float | None = None
-        self._gripper_closed = gripper_closed
-        self._gripper_s = gripper_s
+        self._gripper_closed = context.gripper_closed
+        self._gripper_s = context.gripper_s
         self._resync = Resync(self._try_reconcile, settings.reconcile_s)
         self._resync_task: asyncio.Task[None] | None = None
         self._ready = asyncio.Event()
@@ -93,13 +86,7 @@ class RosRobot(Robot):
         """Return the robot of a cell; raise `UsageError` without a broker."""
         if context.broker is None:
             raise UsageError("a robot behind ROS is reached through the broker; start it with one")
-        return cls(
-            context.joints,
-            context.settings,
-            context.broker,
-            gripper_closed=context.gripper_closed,
-            gripper_s=context.gripper_s,
-        )
+        return cls(context, context.broker)
 
     def mount(self, app: FastAPI) -> None:
         """Add the route for notifications about the arm and orders."""
@@ -151,7 +138,7 @@ class RosRobot(Robot):
         if not may_go():
             return False
         order = await self._orders.give(
-            "followTrajectory", jointNames=list(JOINT_NAMES), points=points(course), durationS=planned_s
+            "followTrajectory", jointNames=list(self._joint_names), points=points(course), durationS=planned_s
         )
         began_s = time.monotonic()
         self._motion = _Motion(start, target, planned_s)
@@ -331,9 +318,9 @@ class RosRobot(Robot):
         if stamp <= self._stamp:
             return
         try:
-            reported = in_order(names, positions)
+            reported = in_order(self._joint_names, names, positions)
             velocities = _value(entity, "jointVelocities")
-            turning = in_order(names, velocities) if velocities else (0.0,) * len(reported)
+            turning = in_order(self._joint_names, names, velocities) if velocities else (0.0,) * len(reported)
         except RobotFault as fault:
             self._fault = str(fault)
             return
@@ -381,8 +368,8 @@ def points(course: Course) -> list[dict[str, Any]]:
     return made
 
 
-def in_order(names: Any, values: Any) -> Joints:
-    """Return the values of the arm's joints from values by name. Raises `RobotFault`.
+def in_order(joint_names: Sequence[str], names: Any, values: Any) -> Joints:
+    """Return the values of the joints `joint_names` from values by name. Raises `RobotFault`.
 
     Drivers report the joints of a gripper, or of a second arm, in the same message, in any order.
     """
@@ -396,7 +383,7 @@ def in_order(names: Any, values: Any) -> Joints:
             )
         )
     by_name = dict(zip(names, values, strict=True))
-    missing = [name for name in JOINT_NAMES if not isinstance(by_name.get(name), int | float)]
+    missing = [name for name in joint_names if not isinstance(by_name.get(name), int | float)]
     if missing:
         raise RobotFault(
             message(
@@ -406,7 +393,7 @@ def in_order(names: Any, values: Any) -> Joints:
                 given=", ".join(by_name),
             )
         )
-    return tuple(float(by_name[name]) for name in JOINT_NAMES)
+    return tuple(float(by_name[name]) for name in joint_names)
 
 
 def _value(entity: Mapping[str, Any], attribute: str) -> Any:

@@ -1,11 +1,12 @@
 """The scene: the layout of the cell with bins, fixtures and gripper, read from a YAML file.
 
-The present positions of parts are in `contents.py`.
+Each robot comes with a scene of its own, or with an empty one; `HANDOVER_SCENE_FILE` names another. The
+present positions of parts are in `contents.py`.
 """
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,11 +14,9 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
-from services.trajectory_tool.motion import Arm
 from services.trajectory_tool.poses import Pose, pointing_down
-from services.trajectory_tool.ur10_kinematics import Unreachable
-
-BUILT_IN = Path(__file__).parent / "scenes" / "bin_picking.yaml"
+from services.trajectory_tool.robot import Joints, Unreachable
+from services.trajectory_tool.robot_model import RobotModel
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
 Length = Annotated[FiniteFloat, Field(gt=0, le=1)]
@@ -40,12 +39,11 @@ class Spot(_Written):
 
 
 class Gripper(_Written):
-    """The gripper at the flange, and its approach to a part."""
+    """The simulated gripper, and its approach to a part."""
 
-    length_m: Length
-    opening_m: Length
+    opening_m: Length = 0.02
     acts_in_s: Annotated[FiniteFloat, Field(ge=0, le=10)] = 0.3
-    approach_m: Length
+    approach_m: Length = 0.15
 
 
 class Bin(_Written):
@@ -65,27 +63,31 @@ class Fixture(_Written):
 
 
 class Scene(_Written):
-    """The whole cell."""
+    """The whole cell; `home` (rad or m for each joint) takes the place of the robot's own."""
 
     name: str
-    home_rad: Annotated[tuple[FiniteFloat, ...], Field(min_length=6, max_length=6)]
-    gripper: Gripper
-    bins: dict[Name, Bin]
-    fixtures: dict[Name, Fixture]
+    home: tuple[FiniteFloat, ...] | None = None
+    gripper: Gripper = Gripper()
+    bins: dict[Name, Bin] = Field(default_factory=dict)
+    fixtures: dict[Name, Fixture] = Field(default_factory=dict)
 
-    @property
-    def arm(self) -> Arm:
-        """Return the arm with this gripper."""
-        return Arm(self.gripper.length_m)
+    def home_of(self, model: RobotModel) -> Joints:
+        """Return the home position of a robot in this cell."""
+        return model.home if self.home is None else self.home
 
-    def digest(self) -> str:
-        """Return a hash that identifies this scene."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+    def digest(self, joint_names: Sequence[str]) -> str:
+        """Return a hash that identifies this scene with a robot."""
+        return hashlib.sha256(f"{self.model_dump_json()}{joint_names}".encode()).hexdigest()[:16]
 
 
-def load(file: Path | None) -> Scene:
-    """Return the scene of `file`, or the built-in one. Raises `UsageError` with one line for each fault."""
-    path = file or BUILT_IN
+def load(file: Path | None, model: RobotModel) -> Scene:
+    """Return the scene of `file`, by default that of the robot, or an empty one without any.
+
+    Raises `UsageError` with one line for each fault; everything in a scene must be reachable.
+    """
+    path = file or model.scene
+    if path is None:
+        return Scene(name="empty cell")
     try:
         written = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -93,29 +95,29 @@ def load(file: Path | None) -> Scene:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UsageError(f"the scene file {path} is not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(written, Mapping):
-        raise UsageError(f"the scene file {path} must name home_rad, gripper, bins and fixtures")
+        raise UsageError(f"the scene file {path} must name the cell, its bins and fixtures")
     try:
         scene = Scene.model_validate(written)
     except ValidationError as error:
         shown = (f"scene file {path}: {_place(fault['loc'])}: {fault['msg']}" for fault in error.errors())
         raise UsageError("\n".join(shown)) from None
-    faults = [f"scene file {path}: {fault}" for fault in _faults(scene)]
+    faults = [f"scene file {path}: {fault}" for fault in _faults(scene, model)]
     if faults:
         raise UsageError("\n".join(faults))
     return scene
 
 
-def _faults(scene: Scene) -> Iterator[str]:
+def _faults(scene: Scene, model: RobotModel) -> Iterator[str]:
     for name in scene.bins.keys() & scene.fixtures.keys():
         yield f'"{name}" is a bin and a fixture; give one of them another name'
     try:
-        home = scene.arm.allow(scene.home_rad)
+        home = model.allow(scene.home_of(model))
     except Unreachable as why:
-        yield f"home_rad: {why}"
+        yield f"home: {why}"
         return
     for where, pose in _poses(scene):
         try:
-            scene.arm.reach(pose, home)
+            model.reach(pose, home)
         except Unreachable as why:
             yield f"{where}: {why}"
 

@@ -1,6 +1,8 @@
 """A browser for tests of the page: Debian's Chromium, and pages that fail a test on any error."""
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -18,6 +20,8 @@ from tests.kit.waiting import wait_for
 
 SCREENSHOTS = REPOSITORY / "build" / "screenshots"
 """Where the pictures of a run stay, to be looked at."""
+
+EXAMPLES = sorted(path.parent for path in (REPOSITORY / "examples").glob("*/pyproject.toml"))
 
 FLAGS = [
     "--disable-gpu",
@@ -172,3 +176,20 @@ def accessible() -> Callable[[Page], None]:
         assert not serious, "\n".join(serious)
 
     return check
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all examples installed."""
+    folder = tmp_path_factory.mktemp("installed")
+    install = [sys.executable, "-m", "uv", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
+    python = ["--python", sys.executable, "--target", str(folder)]
+    subprocess.run([*install, *python, *map(str, EXAMPLES)], check=True)
+    return folder
+
+
+@pytest.fixture
+def extended_cell(cell: Cell, installed: Path) -> Cell:
+    """A cell whose processes find the installed examples."""
+    cell.extra["PYTHONPATH"] = str(installed)
+    return cell

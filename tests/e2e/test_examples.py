@@ -6,14 +6,15 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import httpx
 import pytest
 
+from datamodels.entities import Device, ResourceSpecification
 from handover.broker import BrokerClient
+from tests.e2e.conftest import EXAMPLES
 from tests.kit.cell import Cell
 from tests.kit.gloves import BENT, STRAIGHT, TcpGlove
 from tests.kit.paths import REPOSITORY
@@ -21,25 +22,6 @@ from tests.kit.ports import next_free_port
 from tests.kit.waiting import scaled, wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
-
-EXAMPLES = sorted(path.parent for path in (REPOSITORY / "examples").glob("*/pyproject.toml"))
-
-
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with all examples installed."""
-    folder = tmp_path_factory.mktemp("installed")
-    install = [sys.executable, "-m", "uv", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
-    python = ["--python", sys.executable, "--target", str(folder)]
-    subprocess.run([*install, *python, *map(str, EXAMPLES)], check=True)
-    return folder
-
-
-@pytest.fixture
-def extended_cell(cell: Cell, installed: Path) -> Cell:
-    """A cell whose processes find the installed examples."""
-    cell.extra["PYTHONPATH"] = str(installed)
-    return cell
 
 
 def handover(cell: Cell, *words: str) -> subprocess.Popen[bytes]:
@@ -125,15 +107,45 @@ def test_glove_source_sends_datagrams_as_frames(extended_cell: Cell) -> None:
         bridge.communicate(timeout=20)
 
 
-async def test_robot_moves_for_a_task(extended_cell: Cell) -> None:
+@pytest.mark.parametrize("driver", ["simulated", "steady"])
+async def test_robot_moves_for_a_task(extended_cell: Cell, driver: str) -> None:
     cell = extended_cell
-    cell.extra["HANDOVER_ROBOT"] = "steady"
+    cell.extra["HANDOVER_ROBOT_MODEL"] = "rail"
+    cell.extra["HANDOVER_ROBOT"] = driver
     cell.start("context_broker", "trajectory_tool")
-    target = [0.1, -1.5, 1.5, -1.5, -1.5, 0.2]
-    task = await create_task(cell, "move", "ur10-1", operation="moveTo", joints=target)
+    target = [1.1, 0.3, -0.5, 1.2, 0.4, 0.5, 4.0]
+    task = await create_task(cell, "move", "rail-1", operation="moveTo", joints=target)
     assert await task_ends_as(cell, task) == "completed"
-    robot = httpx.get(f"{cell.url('trajectory_tool')}/robots/ur10-1").json()
+    robot = httpx.get(f"{cell.url('trajectory_tool')}/robots/rail-1").json()
     assert robot["joints"]["position"] == pytest.approx(target)
+    assert robot["joints"]["name"][0] == "rail"
+
+    beyond = await create_task(cell, "beyond", "rail-1", operation="moveTo", joints=[1.7, *target[1:]])
+    assert await task_ends_as(cell, beyond) == "failed"
+    async with BrokerClient(cell.settings) as broker:
+        failed = await broker.retrieve(beyond)
+        device = await broker.get("urn:ngsi-ld:Device:demo:rail-1", Device)
+        assert device.is_specified_by is not None
+        [specified_by] = device.is_specified_by
+        specification = await broker.get(specified_by.object, ResourceSpecification)
+    assert "rail cannot be at 1.700 m: it moves from 0.000 to 1.600 m" in str(failed["outputParameters"])
+    assert specification.name.value == "Rail arm"
+    assert specification.parameters is not None
+    parameters = specification.parameters.value
+    assert parameters["degreesOfFreedom"] == 7
+    assert parameters["joints"][0] == {
+        "name": "rail",
+        "type": "prismatic",
+        "unit": "m",
+        "lower": 0.0,
+        "upper": 1.6,
+        "maxVelocity": 1.2,
+        "maxAcceleration": 1.5,
+        "maxJerk": 60.0,
+    }
+    urdf = httpx.get(parameters["urdf"])
+    assert urdf.headers["content-type"].startswith("application/xml")
+    assert ET.fromstring(urdf.text).get("name") == "rail"
 
 
 def test_exporter_writes_the_history_of_a_process(extended_cell: Cell) -> None:
@@ -181,8 +193,17 @@ def test_settings_of_an_installed_service_are_listed(extended_cell: Cell) -> Non
     assert os.fspath(extended_cell.data_dir) in printed.decode()
 
 
-def test_unknown_robot_is_refused_with_the_names_there_are(extended_cell: Cell) -> None:
-    extended_cell.extra["HANDOVER_ROBOT"] = "stedy"
+@pytest.mark.parametrize(
+    ("setting", "complaint"),
+    [
+        ("HANDOVER_ROBOT_MODEL", 'there is no robot "stedy"; there are: ur10, rail'),
+        ("HANDOVER_ROBOT", 'there is no robot driver "stedy"; there are: simulated, ros, steady'),
+    ],
+)
+def test_unknown_robot_is_refused_with_the_names_there_are(
+    extended_cell: Cell, setting: str, complaint: str
+) -> None:
+    extended_cell.extra[setting] = "stedy"
     tool = subprocess.run(
         [sys.executable, "-m", "services.trajectory_tool"],
         env=extended_cell.environment,
@@ -193,4 +214,4 @@ def test_unknown_robot_is_refused_with_the_names_there_are(extended_cell: Cell) 
         timeout=60,
     )
     assert tool.returncode != 0
-    assert 'there is no robot "stedy"; there are: simulated, ros, steady' in tool.stderr
+    assert complaint in tool.stderr

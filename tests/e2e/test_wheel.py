@@ -57,7 +57,8 @@ def test_wheel_contains_page_processes_and_licences(wheel: Path) -> None:
     for needed in (
         "webui/page/index.html",
         "services/task_orchestrator/processes/bin_picking.bpmn",
-        "services/trajectory_tool/scenes/bin_picking.yaml",
+        "services/trajectory_tool/robots/ur10/bin_picking.yaml",
+        "services/trajectory_tool/robots/ur10/ur10.urdf",
         "datamodels/contexts/handover.jsonld",
         "ros_fiware_bridge/mappings/arm.yaml",
     ):

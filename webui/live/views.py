@@ -214,7 +214,7 @@ class GloveView(TypedDict):
 
 
 class JointState(TypedDict):
-    """Topic `robot/<id>/joints`, for subscribed pages, up to 30 times a second; rad and rad/s."""
+    """Topic `robot/<id>/joints`, for subscribed pages, up to 30 times a second; rad, rad/s (or m, m/s)."""
 
     stamp: float
     name: list[str]
@@ -237,10 +237,12 @@ class Gripper(TypedDict):
 
 
 class RobotView(TypedDict):
-    """Topic `robot/<id>`: a robot, from the trajectory tool."""
+    """Topic `robot/<id>`: a robot, from the trajectory tool; another `revision` has another description."""
 
     id: str
     device: str
+    model: str
+    revision: str
     deviceState: DeviceState
     joints: JointState
     toolPose: ToolPose

@@ -67,6 +67,15 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
     by_urn = httpx.get(f"{tool.url('trajectory_tool')}/robots/{robot['device']}")
     assert by_urn.json()["id"] == "ur10-1"
 
+    described = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/description").json()
+    assert [joint["name"] for joint in described["joints"]] == NAMES
+    assert described["revision"] == robot["revision"]
+    assert described["model"] == robot["model"] == "UR10"
+    assert described["home"] == robot["joints"]["position"]
+    urdf = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/urdf")
+    assert urdf.text == described["urdf"]
+    assert urdf.headers["content-type"].startswith("application/xml")
+
     scene = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/scene").json()
     assert [len(fixture["nests"]) for fixture in scene["fixtures"].values()] == [4]
     assert {part["place"] for part in scene["parts"]} == set(scene["bins"])
@@ -111,7 +120,8 @@ def test_an_invalid_request_is_refused_with_the_reason(tool: Cell) -> None:
     [
         ("HANDOVER_SCENE_FILE", "nowhere.yaml", "nowhere.yaml cannot be read"),
         ("HANDOVER_ROBOT_SPEED", "7", "HANDOVER_ROBOT_SPEED"),
-        ("HANDOVER_MAX_JOINT_SPEED_RAD_S", "[1, 2]", "HANDOVER_MAX_JOINT_SPEED_RAD_S"),
+        ("HANDOVER_MAX_JOINT_SPEED_RAD_S", "[1, 2]", "HANDOVER_MAX_JOINT_SPEED_RAD_S has 2 values"),
+        ("HANDOVER_MAX_JOINT_SPEED_RAD_S", "[1, -2]", "HANDOVER_MAX_JOINT_SPEED_RAD_S"),
     ],
 )
 def test_a_wrong_setting_is_one_readable_line(cell: Cell, setting: str, value: str, complaint: str) -> None:

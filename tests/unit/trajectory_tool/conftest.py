@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from services.trajectory_tool import operations, parameters, scene
+from services.trajectory_tool import operations, parameters
 from services.trajectory_tool.cell import Cell
-from services.trajectory_tool.robots import Clock
+from services.trajectory_tool.drivers import Clock
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.work import Work
 from tests.kit.waiting import until
@@ -49,7 +49,7 @@ class Worker:
     def __init__(self, settings: TrajectorySettings, time: JumpingTime) -> None:
         self.settings = settings
         self.time = time
-        self.cell = Cell(settings, scene.load(settings.scene_file), time.clock)
+        self.cell = Cell(settings, time.clock)
         self.work: Work | None = None
         self._tasks = 0
 

@@ -1,7 +1,8 @@
 from services.trajectory_tool.contents import initial
+from services.trajectory_tool.robots.ur10 import ROBOT
 from services.trajectory_tool.scene import load
 
-SCENE = load(None)
+SCENE = load(None, ROBOT)
 
 
 def test_the_parts_of_a_new_cell_lie_in_its_bin() -> None:

@@ -8,7 +8,8 @@ from prometheus_client import REGISTRY
 from starlette.websockets import WebSocket
 
 from services.trajectory_tool.joint_states import stream, written
-from services.trajectory_tool.robot import JOINT_NAMES, JointState
+from services.trajectory_tool.robot import JointState
+from services.trajectory_tool.robots.ur10 import ROBOT
 
 TARGET = (1.0, -1.2, 1.1, -1.4, -1.5, 0.3)
 
@@ -40,9 +41,9 @@ def dropped() -> float:
 
 
 def test_joints_are_written_as_ros_names_them() -> None:
-    message = written(JointState(1700000000.5, TARGET, (0.0,) * 6, (1.5,) * 6))
+    message = written(JointState(1700000000.5, TARGET, (0.0,) * 6, (1.5,) * 6), ROBOT.joint_names)
     assert message["stamp"] == 1700000000.5
-    assert message["name"] == JOINT_NAMES
+    assert message["name"] == ROBOT.joint_names
     assert message["position"] == list(TARGET)
     assert message["velocity"] == [0.0] * 6
     assert message["effort"] == (1.5,) * 6
@@ -50,7 +51,7 @@ def test_joints_are_written_as_ros_names_them() -> None:
 
 async def test_the_stream_ends_when_its_reader_leaves(worker: Any, eventually_true: Any) -> None:
     reader = Reader()
-    streaming = asyncio.create_task(stream(worker.cell.robot, reader.socket, 125.0))
+    streaming = asyncio.create_task(stream(worker.cell.robot, ROBOT.joint_names, reader.socket, 125.0))
     reader.says.put_nowait({"type": "websocket.receive", "bytes": b"\xff"})
     await eventually_true(lambda: len(reader.got) >= 3)
     reader.leave()
@@ -61,7 +62,7 @@ async def test_the_stream_ends_when_its_reader_leaves(worker: Any, eventually_tr
 async def test_a_slow_reader_gets_fewer_joints_and_the_newest(worker: Any, eventually_true: Any) -> None:
     reader = Reader(takes_s=0.1)
     before = dropped()
-    streaming = asyncio.create_task(stream(worker.cell.robot, reader.socket, 125.0))
+    streaming = asyncio.create_task(stream(worker.cell.robot, ROBOT.joint_names, reader.socket, 125.0))
     await eventually_true(lambda: reader.got)
     await worker.do("moveTo", joints=list(TARGET))
     after = len(reader.got)

@@ -35,7 +35,7 @@ async def test_home_and_joint_targets_are_reached(worker: Any) -> None:
     assert (await worker.do("moveTo", joints=target))["joints"] == target
     assert worker.cell.joints == tuple(target)
     await worker.do("home")
-    assert worker.cell.joints == worker.cell.scene.home_rad
+    assert worker.cell.joints == worker.cell.home
 
 
 async def test_a_pose_is_reached_with_the_tip_of_the_tool(worker: Any) -> None:
@@ -46,7 +46,7 @@ async def test_a_pose_is_reached_with_the_tip_of_the_tool(worker: Any) -> None:
 
 
 async def test_speed_scales_the_time_a_motion_takes(worker: Any) -> None:
-    there, back = [1.0, -1.2, 1.1, -1.4, -1.5, 0.3], list(worker.cell.scene.home_rad)
+    there, back = [1.0, -1.2, 1.1, -1.4, -1.5, 0.3], list(worker.cell.home)
     durations = []
     for speed in (1.0, 0.25):
         began_s = worker.time.time_s
@@ -154,11 +154,16 @@ async def test_a_full_fixture_is_emptied_by_the_next_station(worker: Any) -> Non
     assert len(worker.cell.parts_in("fixture-1")) == 1
 
 
-async def test_a_fixture_that_nobody_empties_is_full(worker: Any, tmp_path: Any) -> None:
-    from services.trajectory_tool.scene import BUILT_IN
+async def test_a_target_needs_a_position_for_each_joint(worker: Any) -> None:
+    with pytest.raises(TaskFailed, match=r"UR10 has 6 joints \(shoulder_pan_joint, .*\), and 7 positions"):
+        await worker.do("moveTo", joints=[0.0] * 7)
 
+
+async def test_a_fixture_that_nobody_empties_is_full(worker: Any, tmp_path: Any) -> None:
     own = tmp_path / "scene.yaml"
-    own.write_text(BUILT_IN.read_text(encoding="utf-8").replace("emptied: true", "emptied: false"))
+    own.write_text(
+        worker.cell.model.scene.read_text(encoding="utf-8").replace("emptied: true", "emptied: false")
+    )
     strict = type(worker)(
         worker.settings.model_copy(update={"scene_file": own, "robot_name": "ur10-2"}), worker.time
     )

@@ -1,12 +1,11 @@
-"""The poses that the page's UR10 is checked against are those of the arm here."""
+"""The poses that the 3D view of the page is checked against are those of the UR10's model."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from services.trajectory_tool.motion import Arm
-from services.trajectory_tool.robot import JOINT_NAMES
+from services.trajectory_tool.robots.ur10 import ROBOT
 
 KNOWN = json.loads(
     (Path(__file__).parents[3] / "webui/app/src/robot3d/ur10.poses.json").read_text(encoding="utf-8")
@@ -14,11 +13,11 @@ KNOWN = json.loads(
 
 
 def test_the_page_and_the_tool_name_the_joints_alike() -> None:
-    assert tuple(KNOWN["joint_names"]) == JOINT_NAMES
+    assert tuple(KNOWN["joint_names"]) == ROBOT.joint_names
 
 
 @pytest.mark.parametrize("known", KNOWN["poses"], ids=lambda known: known["name"])
 def test_the_page_has_the_tip_where_the_tool_has_it(known: dict[str, list[float]]) -> None:
-    pose = Arm(KNOWN["tool_m"]).tool_pose(tuple(known["joints"]))
+    pose = ROBOT.tool_pose(tuple(known["joints"]))
     assert pose.position == pytest.approx(known["position"], abs=2e-6)
     assert pose.orientation == pytest.approx(known["orientation"], abs=2e-6)

@@ -2,17 +2,18 @@
 
 import pytest
 
-from services.trajectory_tool.robot import JOINT_NAMES, RobotFault
+from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.robots.ur10 import ROBOT
 from services.trajectory_tool.ros_robot import MAX_POINTS, in_order, points
-from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.trajectory import Course
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+JOINT_NAMES = ROBOT.joint_names
 AWAY = (0.6, -1.2, 1.4, -1.5, -1.5, 0.2)
 
 
 def course(speed: float) -> Course:
-    limits = TrajectorySettings().limits
+    limits = ROBOT.limits
     return Course(HOME, AWAY, limits.slowed(speed), limits, began_s=0.0)
 
 
@@ -29,7 +30,7 @@ def test_a_trajectory_ends_at_rest_at_its_target_after_the_time_planned(speed: f
 
 
 def test_no_point_of_a_trajectory_is_faster_than_the_joints_may_turn() -> None:
-    limits = TrajectorySettings().limits
+    limits = ROBOT.limits
     for one in points(course(0.5)):
         for turns, may in zip(one["velocities"], limits.velocity, strict=True):
             assert abs(turns) <= 0.5 * may + 1e-6
@@ -37,7 +38,7 @@ def test_no_point_of_a_trajectory_is_faster_than_the_joints_may_turn() -> None:
 
 def test_joints_are_read_by_name_in_any_order_and_beside_other_joints() -> None:
     names = ["finger_joint", *reversed(JOINT_NAMES)]
-    assert in_order(names, [9.0, *reversed(AWAY)]) == AWAY
+    assert in_order(JOINT_NAMES, names, [9.0, *reversed(AWAY)]) == AWAY
 
 
 @pytest.mark.parametrize(
@@ -56,4 +57,4 @@ def test_joints_are_read_by_name_in_any_order_and_beside_other_joints() -> None:
 )
 def test_incomplete_joints_are_refused(names: object, values: object, why: str) -> None:
     with pytest.raises(RobotFault, match=why):
-        in_order(names, values)
+        in_order(JOINT_NAMES, names, values)

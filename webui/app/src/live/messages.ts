@@ -192,7 +192,7 @@ export interface Gripper {
   holds: string | null;
 }
 
-/** Topic `robot/<id>/joints`, for subscribed pages, up to 30 times a second; rad and rad/s. */
+/** Topic `robot/<id>/joints`, for subscribed pages, up to 30 times a second; rad, rad/s (or m, m/s). */
 export interface JointState {
   stamp: number;
   name: string[];
@@ -206,10 +206,12 @@ export interface ToolPose {
   orientation: number[];
 }
 
-/** Topic `robot/<id>`: a robot, from the trajectory tool. */
+/** Topic `robot/<id>`: a robot, from the trajectory tool; another `revision` has another description. */
 export interface RobotView {
   id: string;
   device: string;
+  model: string;
+  revision: string;
   deviceState: DeviceState;
   joints: JointState;
   toolPose: ToolPose;

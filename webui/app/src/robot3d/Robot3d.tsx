@@ -8,53 +8,48 @@ import { EmptyState } from "~/design/EmptyState";
 import { useLive } from "~/live/hooks";
 import type { JointState, RobotView } from "~/live/messages";
 import type { LiveStore } from "~/live/store";
+import type { DescriptionQuery } from "~/robot/description";
 import { useShownTheme } from "~/shell/theme";
-import { describedRobot, kindOf, NoDescription, release } from "./description";
 import type { CellScene } from "./furniture";
 import { type Palette, Stage } from "./stage";
+import { InvalidDescription } from "./urdf";
 import "./Robot3d.css";
 
 type Showing = "loading" | "shown" | "noDescription" | "noWebgl" | "failed";
 
-export default function Robot3d({ robot }: { robot: string }) {
+export default function Robot3d({ robot, description, failure }: { robot: string } & DescriptionQuery) {
   const { t } = useTranslation("system");
   const live = useLive();
   const theme = useShownTheme();
   const host = useRef<HTMLDivElement>(null);
   const stage = useRef<Stage | null>(null);
-  const [showing, setShowing] = useState<Showing>("loading");
+  const [drawn, setDrawn] = useState<"shown" | "noDescription" | "noWebgl" | null>(null);
+  const showing: Showing = drawn ?? (failure === null || description !== null ? "loading" : "failed");
 
   useEffect(() => {
     const place = host.current;
-    if (place === null) return;
-    const ended = new AbortController();
+    if (place === null || description === null) return;
     let stop: (() => void) | undefined;
-    void describedRobot(kindOf(robot), ended.signal)
-      .then((described) => {
-        if (ended.signal.aborted) {
-          release(described);
-          return;
-        }
-        try {
-          stage.current = new Stage(place, described, palette(place));
-        } catch {
-          release(described);
-          setShowing("noWebgl");
-          return;
-        }
-        stop = follow(live, robot, stage.current);
-        setShowing("shown");
-      })
-      .catch((error: unknown) => {
-        if (!ended.signal.aborted) setShowing(error instanceof NoDescription ? "noDescription" : "failed");
-      });
+    let isGone = false;
+    const draw = () => {
+      if (isGone) return;
+      try {
+        stage.current = new Stage(place, description, palette(place));
+      } catch (error) {
+        setDrawn(error instanceof InvalidDescription ? "noDescription" : "noWebgl");
+        return;
+      }
+      stop = follow(live, robot, stage.current);
+      setDrawn("shown");
+    };
+    queueMicrotask(draw);
     return () => {
-      ended.abort();
+      isGone = true;
       stop?.();
       stage.current?.dispose();
       stage.current = null;
     };
-  }, [live, robot]);
+  }, [live, robot, description]);
 
   useEffect(() => {
     if (host.current !== null) stage.current?.restyle(palette(host.current));
@@ -83,7 +78,7 @@ export default function Robot3d({ robot }: { robot: string }) {
           {showing === "loading" ? (
             <p className="quiet">{t("robot.loading3d")}</p>
           ) : (
-            <EmptyState title={t(`robot.${showing}.title`)}>{t(`robot.${showing}.means`, { kind: kindOf(robot) })}</EmptyState>
+            <EmptyState title={t(`robot.${showing}.title`)}>{t(`robot.${showing}.means`, { robot })}</EmptyState>
           )}
         </div>
       )}

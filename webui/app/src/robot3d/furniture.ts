@@ -40,20 +40,30 @@ const BIN_HEIGHT_M = 0.11;
 const ROOM_M = 0.075;
 const NEST: Triple = [0.05, 0.085, 0.008];
 
+/** The corners of the robot's foot on the table. */
+export type Footprint = readonly [least: readonly [x: number, y: number], most: readonly [x: number, y: number]];
+
+const SMALL_FOOT: Footprint = [[0, 0], [0, 0]];
+const AROUND_FOOT_M = 0.25;
+
 /** All that stands in a cell; without its scene only the table that the robot needs. */
-export function furnitureOf(scene: CellScene | null): Piece[] {
+export function furnitureOf(scene: CellScene | null, foot: Footprint = SMALL_FOOT): Piece[] {
   const bins = Object.entries(scene?.bins ?? {}).flatMap(([name, bin]) => binPieces(name, bin.parts));
   const fixtures = Object.entries(scene?.fixtures ?? {}).flatMap(([name, { nests }]) => fixturePieces(name, nests));
   const parts = (scene?.parts ?? []).map(
     ({ part, position, orientation }): Piece => ({ kind: "part", name: part, size: PART_SIZE, position, orientation }),
   );
   const standing = [...bins, ...fixtures];
-  return [table(standing), ...standing, ...parts];
+  return [table(standing, foot), ...standing, ...parts];
 }
 
 /** The table reaches under the robot and all that stands on it. */
-function table(standing: readonly Piece[]): Piece {
-  const [least, most] = extent([[-0.25, -0.25, 0], [0.25, 0.25, 0], ...standing.map((piece) => piece.position)], 0.28);
+function table(standing: readonly Piece[], [from, to]: Footprint): Piece {
+  const corners: Triple[] = [
+    [Math.min(from[0], -AROUND_FOOT_M), Math.min(from[1], -AROUND_FOOT_M), 0],
+    [Math.max(to[0], AROUND_FOOT_M), Math.max(to[1], AROUND_FOOT_M), 0],
+  ];
+  const [least, most] = extent([...corners, ...standing.map((piece) => piece.position)], 0.28);
   return {
     kind: "table",
     name: "table",

@@ -2,10 +2,11 @@
 import { readFileSync } from "node:fs";
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { describe, expect, test } from "vitest";
-import { bend, grip, kindOf, parsed, release } from "./description";
+import { bend, boxesOf, grip, InvalidDescription, parsed, release } from "./urdf";
 import known from "./ur10.poses.json";
 
-const urdf = readFileSync("public/robots/ur10.urdf", "utf8");
+const urdf = readFileSync("../../services/trajectory_tool/robots/ur10/ur10.urdf", "utf8")
+const fingers = ["left", "right"].map((side) => ({ joint: `finger_${side}_joint`, opened: 0.034, closed: 0, holding: 0.015 }));;
 
 /** Where the tip of the gripper is for joint angles in rad, seen from the base. */
 function tipOf(joints: number[]): { position: Vector3; orientation: Quaternion } {
@@ -46,11 +47,11 @@ describe("the UR10's description", () => {
       ));
       return left?.distanceTo(right ?? left) ?? NaN;
     };
-    grip(robot, false, false);
+    grip(robot, fingers, false, false);
     const open = between();
-    grip(robot, true, true);
+    grip(robot, fingers, true, true);
     const round = between();
-    grip(robot, true, false);
+    grip(robot, fingers, true, false);
     expect(open).toBeGreaterThan(round);
     expect(round).toBeCloseTo(0.03);
     expect(between()).toBe(0);
@@ -69,9 +70,41 @@ describe("the UR10's description", () => {
     release(robot);
     expect(kept.size).toBe(0);
   });
+});
 
-  test("is found by the robot's id", () => {
-    expect(kindOf("ur10-1")).toBe("ur10");
-    expect(kindOf("arm")).toBe("arm");
+describe("the description of any robot", () => {
+  const robotOf = (links: string) => parsed(`<robot name="any">${links}</robot>`);
+  const joint = (name: string, type: string, parent: string, child: string, xyz: string, axis: string) =>
+    `<joint name="${name}" type="${type}"><parent link="${parent}"/><child link="${child}"/><origin xyz="${xyz}"/>
+    <axis xyz="${axis}"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>`;
+  const chain = joint("slide", "prismatic", "base", "carriage", "0 0 0.5", "0 1 0") + joint("turn", "continuous", "carriage", "arm", "0 0 1", "0 0 1");
+
+  test("has prismatic and continuous joints", () => {
+    const robot = robotOf(`<link name="base"/><link name="carriage"/><link name="arm"/>${chain}`);
+    bend(robot, ["slide", "turn", "none"], [0.75, 9, 1]);
+    robot.updateMatrixWorld(true);
+    const arm = new Vector3().setFromMatrixPosition(robot.links["arm"]?.matrixWorld ?? new Matrix4());
+    expect(arm.toArray()).toEqual([0, 0.75, 1.5]);
+    expect(robot.joints["turn"]?.angle).toBe(9);
+  });
+
+  test("is drawn as rods where it has no shapes, or only mesh files", () => {
+    const mesh = '<visual><geometry><mesh filename="package://arm/base.dae"/></geometry></visual>';
+    const robot = robotOf(`<link name="base">${mesh}</link><link name="carriage"/><link name="arm"/>${chain}`);
+    const { robot: box } = boxesOf(robot, ["slide"], [0]);
+    expect(box.max.z).toBeGreaterThan(1.5);
+    expect(box.min.z).toBeLessThan(0.01);
+  });
+
+  test("is drawn as its collision shapes where it has no others", () => {
+    const shape = (kind: string, size: string) => `<${kind}><geometry><box size="${size}"/></geometry></${kind}>`;
+    const only = robotOf(`<link name="base">${shape("collision", "2 2 2")}</link>`);
+    expect(boxesOf(only, [], []).root.max.x).toBe(1);
+    const both = robotOf(`<link name="base">${shape("visual", "1 1 1")}${shape("collision", "2 2 2")}</link>`);
+    expect(boxesOf(both, [], []).root.max.x).toBe(0.5);
+  });
+
+  test("is refused if it is no URDF", () => {
+    expect(() => parsed("")).toThrow(InvalidDescription);
   });
 });

@@ -11,8 +11,13 @@ export interface Step {
   distance?: number;
 }
 
-export const MIN_DISTANCE_M = 0.6;
-export const MAX_DISTANCE_M = 6;
+/** How near and how far the camera may be; a large robot needs more. */
+export interface Distances {
+  least: number;
+  most: number;
+}
+
+export const DISTANCES: Distances = { least: 0.6, most: 6 };
 /** Neither straight from above nor from below the ground. */
 const LOWEST_RAD = -0.08;
 const HIGHEST_RAD = Math.PI / 2 - 0.05;
@@ -43,10 +48,10 @@ export function stepOf(key: string): Step | "reset" | null {
   }
 }
 
-export function stepped(camera: Point, target: Point, { right = 0, up = 0, distance = 1 }: Step): Point {
+export function stepped(camera: Point, target: Point, { right = 0, up = 0, distance = 1 }: Step, { least, most }: Distances = DISTANCES): Point {
   const [x, y, z] = [camera[0] - target[0], camera[1] - target[1], camera[2] - target[2]];
   const away = Math.hypot(x, y, z);
-  const reached = clamp(away * distance, MIN_DISTANCE_M, MAX_DISTANCE_M);
+  const reached = clamp(away * distance, least, most);
   const azimuth = Math.atan2(y, x) + right;
   const height = clamp(Math.asin(clamp(z / away, -1, 1)) + up, LOWEST_RAD, HIGHEST_RAD);
   return [

@@ -1,7 +1,7 @@
 import { describe, expect, test } from "vitest";
 import { type CellScene, furnitureOf, PART_SIZE, type PieceKind } from "./furniture";
 import { JointTrack } from "./joint_track";
-import { MAX_DISTANCE_M, MIN_DISTANCE_M, type Point, stepOf, stepped } from "./orbit";
+import { DISTANCES, type Point, stepOf, stepped } from "./orbit";
 
 describe("joints between two states", () => {
   test("begin where the robot is, without a sweep from zero", () => {
@@ -60,10 +60,10 @@ describe("the view turned with keys", () => {
     for (let step = 0; step < 100; step++) camera = stepped(camera, target, { up: 0.2, distance: 1.2 });
     expect(camera[2]).toBeGreaterThan(0);
     expect(Math.hypot(camera[0], camera[1])).toBeGreaterThan(0);
-    expect(away(camera)).toBeCloseTo(MAX_DISTANCE_M);
+    expect(away(camera)).toBeCloseTo(DISTANCES.most);
     for (let step = 0; step < 100; step++) camera = stepped(camera, target, { up: -0.2, distance: 0.8 });
     expect(camera[2]).toBeGreaterThan(-0.1);
-    expect(away(camera)).toBeCloseTo(MIN_DISTANCE_M);
+    expect(away(camera)).toBeCloseTo(DISTANCES.least);
   });
 
   test("leaves other keys alone", () => {
@@ -83,6 +83,12 @@ describe("what stands round the robot", () => {
 
   test("is a table without a scene", () => {
     expect(furnitureOf(null).map((piece) => piece.kind)).toEqual(["table"]);
+  });
+
+  test("is a table as long as the foot of the robot", () => {
+    const [table] = furnitureOf(null, [[-0.1, -0.2], [0.1, 1.8]]);
+    expect(table?.size[1]).toBeGreaterThan(2.05);
+    expect(table?.position[1]).toBeCloseTo(0.775);
   });
 
   test("is a bin round its parts, a fixture under its nests, and the parts themselves", () => {

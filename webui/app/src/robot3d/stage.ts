@@ -3,19 +3,24 @@
  * camera, the theme, the size, and not at all while nobody can see it.
  */
 import {
-  AmbientLight, BoxGeometry, type ColorRepresentation, DirectionalLight, EdgesGeometry, GridHelper, Group,
-  HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Vector3,
+  AmbientLight, Box3, BoxGeometry, type ColorRepresentation, DirectionalLight, EdgesGeometry, GridHelper, Group,
+  HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, Vector3,
   WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { URDFRobot } from "urdf-loader";
-import { bend, grip, release } from "./description";
-import { type CellScene, furnitureOf, PART_SIZE, type Piece, type PieceKind } from "./furniture";
+import type { RobotDescription } from "~/robot/description";
+import { bend, boxesOf, grip, parsed, release } from "./urdf";
+import { type CellScene, type Footprint, furnitureOf, PART_SIZE, type Piece, type PieceKind } from "./furniture";
 import { JointTrack } from "./joint_track";
-import { MAX_DISTANCE_M, MIN_DISTANCE_M, stepOf, stepped } from "./orbit";
+import { DISTANCES, type Distances, stepOf, stepped } from "./orbit";
 
-const CAMERA: [number, number, number] = [-2.05, -1.5, 1.25];
-const LOOKS_AT: [number, number, number] = [-0.3, -0.05, 0.27];
+/** From the middle of the cell to the camera. */
+const DIRECTION = new Vector3(-1.75, -1.45, 0.98).normalize();
+/** The sphere around a cell is larger than what is seen of it. */
+const FILLED = 0.78;
+/** A view from above shows more of the table below the middle. */
+const LOWERED = 0.12;
 /** Wider than high, the arm fits at any height; on a narrow screen the camera steps back. */
 const FITS_AT_ASPECT = 1.3;
 const MAX_PIXEL_RATIO = 2;
@@ -41,20 +46,32 @@ export class Stage {
   readonly #seen: IntersectionObserver;
   readonly #furniture = new Group();
   readonly #track = new JointTrack();
+  readonly #description: RobotDescription;
   readonly #robot: URDFRobot;
+  readonly #robotBox: Box3;
+  readonly #foot: Footprint;
+  readonly #sun = new DirectionalLight("#ffffff", 2.2);
   readonly #held: Mesh;
   #palette: Palette;
   #grid: GridHelper | null = null;
   #cell: CellScene | null = null;
+  #distances: Distances = DISTANCES;
+  /** The view follows the size of the cell until somebody turns it. */
+  #isTurned = false;
   #names: readonly string[] = [];
   #gripper = "";
   #frame = 0;
   #inView = true;
 
-  /** Throws when the browser has no WebGL. */
-  constructor(host: HTMLElement, robot: URDFRobot, palette: Palette) {
+  /** Throws when the browser has no WebGL or the description cannot be drawn. */
+  constructor(host: HTMLElement, description: RobotDescription, palette: Palette) {
     this.#host = host;
-    this.#robot = robot;
+    this.#description = description;
+    const robot = (this.#robot = parsed(description.urdf));
+    const boxes = boxesOf(robot, description.joints.map((joint) => joint.name), description.home);
+    this.#robotBox = boxes.robot;
+    const { min, max } = boxes.root.isEmpty() ? new Box3(new Vector3(), new Vector3()) : boxes.root;
+    this.#foot = [[min.x, min.y], [max.x, max.y]];
     this.#palette = palette;
     this.#renderer = new WebGLRenderer({ antialias: true, powerPreference: "low-power" });
     this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MAX_PIXEL_RATIO));
@@ -64,21 +81,20 @@ export class Stage {
 
     this.#camera.up.set(0, 0, 1);
     this.#controls = new OrbitControls(this.#camera, this.#renderer.domElement);
-    this.#controls.minDistance = MIN_DISTANCE_M;
-    this.#controls.maxDistance = MAX_DISTANCE_M;
     this.#controls.maxPolarAngle = Math.PI / 2 + 0.08;
     // The wheel scrolls the page until somebody takes the view in hand; a finger goes on to scroll up and down.
     this.#controls.enableZoom = false;
     this.#renderer.domElement.style.touchAction = "pan-y";
     this.#controls.addEventListener("change", this.draw);
+    this.#controls.addEventListener("start", () => (this.#isTurned = true));
 
     this.#held = new Mesh(new BoxGeometry(...PART_SIZE), new MeshStandardMaterial());
     this.#held.visible = false;
     this.#held.castShadow = true;
-    robot.links["tip"]?.add(this.#held);
-    this.#scene.add(robot, this.#furniture, ...lights());
+    robot.links[description.tip]?.add(this.#held);
+    this.#scene.add(robot, this.#furniture, this.#sun, this.#sun.target, ...ambientLights());
+    this.#shine();
     this.restyle(palette);
-    this.reset();
 
     this.#resized = new ResizeObserver(() => this.#fit());
     this.#resized.observe(host);
@@ -103,7 +119,7 @@ export class Stage {
     const state = `${closed} ${holds}`;
     if (state === this.#gripper) return;
     this.#gripper = state;
-    grip(this.#robot, closed, holds);
+    grip(this.#robot, this.#description.fingers, closed, holds);
     this.#held.visible = holds;
     this.draw();
   }
@@ -112,7 +128,8 @@ export class Stage {
   furnish(cell: CellScene | null): void {
     this.#cell = cell;
     for (const piece of [...this.#furniture.children]) release(piece);
-    for (const piece of furnitureOf(cell)) this.#furniture.add(this.#piece(piece));
+    for (const piece of furnitureOf(cell, this.#foot)) this.#furniture.add(this.#piece(piece));
+    if (!this.#isTurned) this.reset();
     this.draw();
   }
 
@@ -121,7 +138,8 @@ export class Stage {
     this.#renderer.setClearColor(palette.ground);
     (this.#held.material as MeshStandardMaterial).color.set(palette.part);
     this.#dropGrid();
-    this.#grid = new GridHelper(6, 24, palette.line, palette.line);
+    const size = Math.max(6, Math.ceil(4 * sphereOf(this.#robotBox).radius));
+    this.#grid = new GridHelper(size, 4 * size, palette.line, palette.line);
     this.#grid.rotateX(Math.PI / 2);
     this.#grid.position.z = GROUND_M;
     this.#scene.add(this.#grid);
@@ -135,20 +153,29 @@ export class Stage {
     if (step === "reset") {
       this.reset();
     } else {
+      this.#isTurned = true;
       const target = this.#controls.target;
-      this.#camera.position.set(...stepped(this.#camera.position.toArray(), target.toArray(), step));
+      this.#camera.position.set(...stepped(this.#camera.position.toArray(), target.toArray(), step, this.#distances));
       this.#controls.update();
     }
     this.draw();
     return true;
   }
 
-  /** Look at the cell as at first. */
+  /** Look at the whole cell as at first. */
   reset(): void {
+    const { center, radius } = sphereOf(new Box3().setFromObject(this.#furniture).union(this.#robotBox));
     const back = Math.max(1, FITS_AT_ASPECT / this.#camera.aspect);
-    const target = new Vector3(...LOOKS_AT);
-    this.#controls.target.copy(target);
-    this.#camera.position.set(...CAMERA).sub(target).multiplyScalar(back).add(target);
+    const distance = (FILLED * back * radius) / Math.sin((this.#camera.fov * Math.PI) / 360);
+    this.#distances = { least: Math.min(DISTANCES.least, distance / 3), most: Math.max(DISTANCES.most, 2 * distance) };
+    this.#controls.minDistance = this.#distances.least;
+    this.#controls.maxDistance = this.#distances.most;
+    this.#camera.far = 3 * this.#distances.most;
+    this.#camera.updateProjectionMatrix();
+    center.z -= LOWERED * radius;
+    this.#controls.target.copy(center);
+    this.#camera.position.copy(DIRECTION).multiplyScalar(distance).add(center);
+    this.#isTurned = false;
     this.#controls.update();
     this.draw();
   }
@@ -176,7 +203,7 @@ export class Stage {
     this.#dropGrid();
     for (const piece of [...this.#furniture.children]) release(piece);
     release(this.#robot);
-    for (const light of this.#scene.children) if (light instanceof DirectionalLight) light.dispose();
+    this.#sun.dispose();
     this.#renderer.dispose();
     // A browser gives out only some sixteen contexts; one that waits for the collector may be one too many.
     this.#renderer.forceContextLoss();
@@ -191,14 +218,26 @@ export class Stage {
     this.#controls.enableZoom = false;
   };
 
+  /** Put the sun over the robot; its shadows reach as far as the arm. */
+  #shine(): void {
+    const { center, radius } = sphereOf(this.#robotBox);
+    const reach = Math.max(1.6, 1.6 * radius);
+    this.#sun.position.set(-0.75, -1.13, 1.88).multiplyScalar(reach).add(center);
+    this.#sun.target.position.copy(center);
+    this.#sun.castShadow = true;
+    this.#sun.shadow.mapSize.set(1024, 1024);
+    Object.assign(this.#sun.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.3 * reach, far: 3.8 * reach });
+    this.#sun.shadow.bias = -0.0006;
+    this.#sun.shadow.normalBias = 0.02;
+  }
+
   #fit(): void {
     const { clientWidth: width, clientHeight: height } = this.#host;
     if (width === 0 || height === 0) return;
-    const first = this.#camera.aspect === 1;
     this.#renderer.setSize(width, height);
     this.#camera.aspect = width / height;
     this.#camera.updateProjectionMatrix();
-    if (first) this.reset();
+    if (!this.#isTurned) this.reset();
     this.draw();
   }
 
@@ -229,13 +268,10 @@ export class Stage {
   }
 }
 
-function lights(): (AmbientLight | HemisphereLight | DirectionalLight)[] {
-  const sun = new DirectionalLight("#ffffff", 2.2);
-  sun.position.set(-1.2, -1.8, 3);
-  sun.castShadow = true;
-  sun.shadow.mapSize.set(1024, 1024);
-  Object.assign(sun.shadow.camera, { left: -1.6, right: 1.6, top: 1.6, bottom: -1.6, near: 0.5, far: 6 });
-  sun.shadow.bias = -0.0006;
-  sun.shadow.normalBias = 0.02;
-  return [new HemisphereLight("#ffffff", "#8090a8", 1.3), new AmbientLight("#ffffff", 0.25), sun];
+function ambientLights(): (AmbientLight | HemisphereLight)[] {
+  return [new HemisphereLight("#ffffff", "#8090a8", 1.3), new AmbientLight("#ffffff", 0.25)];
+}
+
+function sphereOf(box: Box3): Sphere {
+  return box.getBoundingSphere(new Sphere());
 }

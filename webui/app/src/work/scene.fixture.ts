@@ -54,6 +54,8 @@ export function glove(part: Partial<GloveView> = {}): GloveView {
 export const robot: RobotView = {
   id: "ur10-1",
   device: "urn:ngsi-ld:Device:demo:ur10-1",
+  model: "UR10",
+  revision: "1",
   deviceState: "idle",
   joints: { stamp: 0, name: [], position: [], velocity: [] },
   toolPose: { position: [0, 0, 0], orientation: [0, 0, 0, 1] },

@@ -1,13 +1,15 @@
-/** The joints in degrees, and where the tip of the tool is: the robot in numbers, with or without a picture. */
+/** The joints with their ranges, and where the tip of the tool is: the robot in numbers, with or without a picture. */
 import { useTranslation } from "react-i18next";
 import { useTopic } from "~/live/hooks";
-import { degrees, metres } from "./angles";
+import { type JointDescription, labelOf, positionText, rangeText, type RobotDescription, speedText } from "~/robot/description";
+import { metres } from "~/robot/units";
 
-export function JointTable({ robot }: { robot: string }) {
+export function JointTable({ robot, description }: { robot: string; description: RobotDescription | null }) {
   const { t, i18n } = useTranslation("system");
   const view = useTopic(`robot/${robot}`);
   if (view === undefined) return null;
   const { name, position, velocity } = view.joints;
+  const described = (joint: string) => description?.joints.find((one) => one.name === joint) ?? undescribed(joint);
   return (
     <section className="joints">
       <table>
@@ -15,16 +17,18 @@ export function JointTable({ robot }: { robot: string }) {
         <thead>
           <tr>
             <th scope="col">{t("joint.name")}</th>
-            <th scope="col">{t("joint.angle")}</th>
+            <th scope="col">{t("joint.position")}</th>
             <th scope="col">{t("joint.speed")}</th>
+            <th scope="col">{t("joint.range")}</th>
           </tr>
         </thead>
         <tbody>
-          {name.map((joint, number) => (
-            <tr key={joint}>
-              <th scope="row">{t(`joint.of.${joint}`, { defaultValue: joint })}</th>
-              <td>{degrees(position[number] ?? NaN, i18n.language)} °</td>
-              <td>{degrees(velocity[number] ?? NaN, i18n.language)} °/s</td>
+          {name.map(described).map((joint, number) => (
+            <tr key={joint.name}>
+              <th scope="row">{labelOf(joint, i18n.language)}</th>
+              <td>{positionText(joint, position[number] ?? NaN, i18n.language)}</td>
+              <td>{speedText(joint, velocity[number] ?? NaN, i18n.language)}</td>
+              <td className="joints__range quiet">{description !== null && rangeText(joint, i18n.language)}</td>
             </tr>
           ))}
         </tbody>
@@ -39,4 +43,9 @@ export function JointTable({ robot }: { robot: string }) {
       </p>
     </section>
   );
+}
+
+/** A joint whose description has not arrived. */
+function undescribed(name: string): JointDescription {
+  return { name, type: "revolute", unit: "rad", lower: null, upper: null, maxVelocity: 0, labels: {} };
 }

@@ -7,6 +7,7 @@ import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone } from "~/design/states";
 import { duration } from "~/design/times";
 import { useTopicSelector, useTopic } from "~/live/hooks";
+import { useRobotDescription } from "~/robot/description";
 import { Gripper } from "./Gripper";
 import { JointTable } from "./JointTable";
 
@@ -15,22 +16,25 @@ const Robot3d = lazy(() => import("~/robot3d/Robot3d"));
 export function RobotCard({ robot }: { robot: string }) {
   const { t } = useTranslation(["system", "common"]);
   const state = useTopicSelector(`robot/${robot}`, (view) => view?.deviceState);
+  const model = useTopicSelector(`robot/${robot}`, (view) => view?.model);
+  const revision = useTopicSelector(`robot/${robot}`, (view) => view?.revision) ?? "";
+  const query = useRobotDescription(robot, revision);
   return (
     <Card
       className="robot"
-      title={robot}
+      title={model === undefined ? robot : `${robot} (${model})`}
       aside={state !== undefined && <StatusBadge tone={deviceTone[state]}>{t(`common:deviceState.${state}`)}</StatusBadge>}
     >
       <div className="robot__body">
         <div className="robot__view">
           <Suspense fallback={<p className="robot__loading quiet">{t("robot.loading3d")}</p>}>
-            <Robot3d robot={robot} />
+            <Robot3d key={query.description?.revision} robot={robot} {...query} />
           </Suspense>
         </div>
         <div className="robot__facts">
           <Doing robot={robot} />
           <Gripper robot={robot} />
-          <JointTable robot={robot} />
+          <JointTable robot={robot} description={query.description} />
         </div>
       </div>
     </Card>

@@ -1,23 +1,23 @@
-"""A robot whose joints turn at a constant speed: the smallest complete driver."""
+"""A driver whose joints move at a constant speed: the smallest complete driver."""
 
 import asyncio
 import time
 from collections.abc import Callable
 from typing import Self
 
+from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.robot import Joints, JointState, Robot
-from services.trajectory_tool.robots import RobotContext
 
 CYCLE_S = 0.02
 
 
 class SteadyRobot(Robot):
-    """Simulated joints; `context` has the stored state and the limits of the settings."""
+    """Simulated joints of any robot model; `context` has the model, the stored state and the limits."""
 
     def __init__(self, context: RobotContext) -> None:
         self._positions = context.joints
         self._velocities = (0.0,) * len(context.joints)
-        self._max_speeds = context.settings.limits.velocity
+        self._max_speeds = context.limits.velocity
         self._is_closed = context.gripper_closed
         self._is_between_fingers = context.is_between_fingers
         self._remaining_s = 0.0
@@ -52,7 +52,7 @@ class SteadyRobot(Robot):
         return self._positions == target
 
     def _step(self, target: Joints, share: float) -> None:
-        """Turn every joint by `share` of what is left; a driver sends the positions to the robot here."""
+        """Move every joint by `share` of what is left; a driver sends the positions to the robot here."""
         before = self._positions
         self._positions = (
             target
@@ -73,8 +73,3 @@ class SteadyRobot(Robot):
     @property
     def gripper_closed(self) -> bool:
         return self._is_closed
-
-
-def make_robot(context: RobotContext) -> Robot:
-    """Return the robot of a cell."""
-    return SteadyRobot(context)

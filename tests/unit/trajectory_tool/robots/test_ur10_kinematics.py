@@ -5,10 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.trajectory_tool.poses import Frame, Pose, pointing_down
-from services.trajectory_tool.robot import Joints
-from services.trajectory_tool.ur10_kinematics import (
+from services.trajectory_tool.robot import Joints, Unreachable
+from services.trajectory_tool.robots.ur10 import ROBOT
+from services.trajectory_tool.robots.ur10.kinematics import (
     JOINT_LIMIT_RAD,
-    Unreachable,
     forward,
     inverse,
     nearest,
@@ -43,6 +43,12 @@ def test_the_stretched_arm_is_where_the_data_sheet_says() -> None:
 def test_the_upright_arm_is_where_the_data_sheet_says() -> None:
     flange = forward((0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0))
     assert flange.position == pytest.approx((0.0, -0.163941 - 0.0922, 0.1273 + 0.612 + 0.5723 + 0.1157))
+
+
+@unhurried
+@given(wide_joints)
+def test_the_description_has_the_flange_where_the_kinematics_has_it(held: Joints) -> None:
+    assert difference(ROBOT.flange(held), forward(held)) < 1e-9
 
 
 @unhurried

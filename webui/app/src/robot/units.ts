@@ -7,6 +7,11 @@ export function degrees(rad: number, language: string): string {
   return signed(number(rounded, language, { minimumFractionDigits: 1, maximumFractionDigits: 1 }));
 }
 
+/** "−90" for an angle in rad. */
+export function wholeDegrees(rad: number, language: string): string {
+  return signed(number(Math.round((rad * 180) / Math.PI) + 0, language, { maximumFractionDigits: 0 }));
+}
+
 /** "0.497" for a length in m, to the millimetre. */
 export function metres(metres: number, language: string): string {
   const rounded = Math.round(metres * 1000) / 1000 + 0;

@@ -1,9 +1,10 @@
-"""Robots by name: what `HANDOVER_ROBOT` chooses, ours and those of other packages.
+"""Robot drivers by name: what `HANDOVER_ROBOT` chooses, ours and those of other packages.
 
-A package registers a factory, which makes a `Robot` from a `RobotContext`:
+A driver moves the joints of any robot model. A package registers a factory, which makes a `Robot` from a
+`RobotContext`:
 
-    [project.entry-points."handover.robots"]
-    my-arm = "my_arm:make_robot"
+    [project.entry-points."handover.robot_drivers"]
+    my-controller = "my_controller:make_robot"
 """
 
 import time
@@ -13,13 +14,15 @@ from dataclasses import dataclass
 from handover.broker import BrokerClient
 from handover.extensions import ExtensionPoint
 from services.trajectory_tool.robot import Joints, Robot
+from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.trajectory import Limits
 
-ROBOTS = ExtensionPoint(
-    "robot",
-    "handover.robots",
+DRIVERS = ExtensionPoint(
+    "robot driver",
+    "handover.robot_drivers",
     {
-        "simulated": "services.trajectory_tool.simulated_ur10:SimulatedUR10.from_context",
+        "simulated": "services.trajectory_tool.simulated_robot:SimulatedRobot.from_context",
         "ros": "services.trajectory_tool.ros_robot:RosRobot.from_context",
     },
 )
@@ -37,12 +40,15 @@ class Clock:
 class RobotContext:
     """What a robot is made from.
 
-    `joints` (rad) and `gripper_closed` are the state that was stored last, or home. `gripper_s` is how long
-    the gripper of the scene takes. `is_between_fingers` says for joint angles whether a simulated gripper
-    closes on a part. `broker` is None where a cell is tried without one.
+    `limits` are those of the model, or of the settings. `joints` and `gripper_closed` are the state that was
+    stored last, or home. `gripper_s` is how long the gripper of the scene takes. `is_between_fingers` says
+    for joint positions whether a simulated gripper closes on a part. `broker` is None where a cell is tried
+    without one.
     """
 
     settings: TrajectorySettings
+    model: RobotModel
+    limits: Limits
     joints: Joints
     gripper_closed: bool
     gripper_s: float

@@ -8,10 +8,9 @@ and dynamics", UR10 (CB3).
 import math
 from collections.abc import Iterator
 
-from handover.errors import HandoverError
 from handover.messages import Message, message
 from services.trajectory_tool.poses import Frame
-from services.trajectory_tool.robot import Joints
+from services.trajectory_tool.robot import Joints, Unreachable
 
 D1, D4, D5, D6 = 0.1273, 0.163941, 0.1157, 0.0922
 A2, A3 = -0.612, -0.5723
@@ -32,10 +31,6 @@ _ROUNDING = 1e-9
 _ALIGNED = 1e-6
 """Below this sine of joint 5 the axes of joints 4 and 6 are parallel, but for a microradian, and joint 6 is
 free."""
-
-
-class Unreachable(HandoverError):
-    """The flange cannot reach the pose; the message has the distance."""
 
 
 def forward(joints: Joints) -> Frame:

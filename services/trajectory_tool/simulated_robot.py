@@ -1,4 +1,4 @@
-"""A simulated UR10: kinematic, its joints follow the trajectory 125 times a second.
+"""A simulated robot: kinematic, its joints follow the trajectory 125 times a second.
 
 The control cycles run in a separate thread, so that HTTP requests do not delay them.
 """
@@ -11,16 +11,16 @@ from threading import Event
 from typing import Self, TypeVar
 
 from handover.messages import message
+from services.trajectory_tool.drivers import Clock, RobotContext
 from services.trajectory_tool.metrics import MOTION_SECONDS, OVERRUNS
 from services.trajectory_tool.robot import Joints, JointState, Robot, RobotFault
-from services.trajectory_tool.robots import Clock, RobotContext
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
 T = TypeVar("T")
 
 
-class SimulatedUR10(Robot):
-    """Joints that start at rest at `joints` (rad) and a gripper that takes `gripper_s` for an action.
+class SimulatedRobot(Robot):
+    """Joints that start at rest at `joints` and a gripper that takes `gripper_s` for an action.
 
     `something_there` returns whether a gripper that closes at given joints grips an object.
     """
@@ -45,14 +45,14 @@ class SimulatedUR10(Robot):
         self._setpoint = Setpoint.at_rest(joints)
         self._course: Course | None = None
         self._switched_off = Event()
-        self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="ur10-control")
+        self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="robot-control")
 
     @classmethod
     def from_context(cls, context: RobotContext) -> Self:
         """Return the robot of a cell."""
         return cls(
             context.joints,
-            context.settings.limits,
+            context.limits,
             something_there=context.is_between_fingers,
             gripper_closed=context.gripper_closed,
             gripper_s=context.gripper_s,

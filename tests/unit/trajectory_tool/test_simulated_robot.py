@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 from prometheus_client import REGISTRY
 
+from services.trajectory_tool.drivers import Clock
 from services.trajectory_tool.robot import RobotFault
-from services.trajectory_tool.robots import Clock
-from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.simulated_ur10 import SimulatedUR10
+from services.trajectory_tool.robots.ur10 import ROBOT
+from services.trajectory_tool.simulated_robot import SimulatedRobot
 from tests.kit.waiting import Bound
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 FAR = (3.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
-LIMITS = TrajectorySettings.model_construct().limits
+LIMITS = ROBOT.limits
 CYCLE_S = 0.008
 
 
@@ -26,19 +26,19 @@ def overruns() -> float:
     return REGISTRY.get_sample_value("handover_trajectory_tool_cycle_overruns_total") or 0.0
 
 
-def a_robot(clock: Clock | None = None, gripper_s: float = 0.3) -> SimulatedUR10:
-    return SimulatedUR10(
+def a_robot(clock: Clock | None = None, gripper_s: float = 0.3) -> SimulatedRobot:
+    return SimulatedRobot(
         HOME, LIMITS, something_there=lambda joints: joints == FAR, gripper_s=gripper_s, clock=clock
     )
 
 
 @pytest.fixture
-async def robot(time: Any) -> AsyncIterator[SimulatedUR10]:
+async def robot(time: Any) -> AsyncIterator[SimulatedRobot]:
     async with a_robot(time.clock) as made:
         yield made
 
 
-async def test_a_motion_is_followed_at_125_cycles_a_second(robot: SimulatedUR10, time: Any) -> None:
+async def test_a_motion_is_followed_at_125_cycles_a_second(robot: SimulatedRobot, time: Any) -> None:
     waits: list[float] = []
     time.on_wait = waits.append
     assert await robot.move(FAR, 0.5, lambda: True)
@@ -48,7 +48,7 @@ async def test_a_motion_is_followed_at_125_cycles_a_second(robot: SimulatedUR10,
     assert len(waits) == pytest.approx(robot.estimate_s(HOME, FAR, 0.5) / CYCLE_S, abs=1)
 
 
-async def test_a_pause_begins_to_slow_the_joints_within_100_ms(robot: SimulatedUR10, time: Any) -> None:
+async def test_a_pause_begins_to_slow_the_joints_within_100_ms(robot: SimulatedRobot, time: Any) -> None:
     asked_s = time.time_s + 1.0
     seen: list[tuple[float, float]] = []
     time.on_wait = lambda now_s: seen.append((now_s, robot.state().velocities[0]))
@@ -63,12 +63,12 @@ async def test_a_pause_begins_to_slow_the_joints_within_100_ms(robot: SimulatedU
     assert robot.state().positions == FAR
 
 
-async def test_a_motion_that_may_not_begin_moves_nothing(robot: SimulatedUR10) -> None:
+async def test_a_motion_that_may_not_begin_moves_nothing(robot: SimulatedRobot) -> None:
     assert not await robot.move(FAR, 1.0, lambda: False)
     assert robot.state().positions == HOME
 
 
-async def test_remaining_time_counts_down_to_nothing(robot: SimulatedUR10, time: Any) -> None:
+async def test_remaining_time_counts_down_to_nothing(robot: SimulatedRobot, time: Any) -> None:
     remaining: list[float] = []
     time.on_wait = lambda now_s: remaining.append(robot.remaining_s())
     await robot.move(FAR, 1.0, lambda: True)
@@ -77,7 +77,7 @@ async def test_remaining_time_counts_down_to_nothing(robot: SimulatedUR10, time:
     assert robot.remaining_s() == 0.0
 
 
-async def test_the_gripper_takes_time_and_detects_an_object(robot: SimulatedUR10, time: Any) -> None:
+async def test_the_gripper_takes_time_and_detects_an_object(robot: SimulatedRobot, time: Any) -> None:
     began_s = time.time_s
     assert not await robot.close_gripper()
     assert robot.gripper_closed
@@ -132,7 +132,7 @@ async def test_switching_off_brings_the_joints_to_rest(eventually_true: Any) -> 
         await robot.move(FAR, 1.0, lambda: True)
     with pytest.raises(RobotFault, match="switched off"):
         await robot.close_gripper()
-    assert not any(thread.name.startswith("ur10-control") for thread in threading.enumerate())
+    assert not any(thread.name.startswith("robot-control") for thread in threading.enumerate())
 
 
 async def test_a_busy_event_loop_does_not_hold_the_motion_up() -> None:

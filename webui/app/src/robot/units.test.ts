@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { degrees, metres } from "./angles";
+import { degrees, metres } from "./units";
 
 test("angles are shown in degrees with one digit, in the language of the page", () => {
   expect(degrees(-Math.PI / 2, "en")).toBe("−90.0");

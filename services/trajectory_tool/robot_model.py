@@ -1,0 +1,400 @@
+"""The model of a robot: joints with limits, kinematics and gripper, read from its URDF.
+
+Everything that the trajectory tool and the web page know of a robot comes from its model. The kinematic chain
+leads from the root link of the URDF to the tip of the tool. The movable joints on it are the joints of the
+robot, in this order; joints beside it, such as fingers, are not planned.
+"""
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from lxml import etree
+
+from handover.errors import UsageError
+from handover.messages import message, text_of
+from services.trajectory_tool.poses import Frame, Pose, Vector
+from services.trajectory_tool.robot import Joints, Unreachable
+from services.trajectory_tool.trajectory import Limits
+
+JointKind = Literal["revolute", "continuous", "prismatic"]
+
+InverseKinematics = Callable[[Frame, Joints], Joints]
+"""Returns the joints nearest to given ones with the flange at a frame. Raises `Unreachable`."""
+
+MAX_URDF_BYTES = 4 * 1024 * 1024
+IDENTITY = Frame(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A movable joint; units are rad and s, for a prismatic joint m and s.
+
+    `lower` and `upper` are None for a continuous joint. `labels` are names for people, by language.
+    """
+
+    name: str
+    kind: JointKind
+    lower: float | None
+    upper: float | None
+    max_velocity: float
+    max_acceleration: float
+    max_jerk: float
+    labels: Mapping[str, str]
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of the position."""
+        return "m" if self.kind == "prismatic" else "rad"
+
+
+@dataclass(frozen=True, slots=True)
+class Finger:
+    """A joint of the gripper, for display: its positions when opened, closed, and closed around a part."""
+
+    joint: str
+    opened: float
+    closed: float
+    holding: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """A joint of the chain: its fixed origin, its axis, and its number if it is movable."""
+
+    origin: Frame
+    axis: Vector
+    kind: str
+    number: int | None
+
+    def frame(self, joints: Joints) -> Frame:
+        if self.number is None:
+            return self.origin
+        return self.origin @ _motion(self.kind, self.axis, joints[self.number])
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """A robot: what it is, not what it does now. Made by `read_model`."""
+
+    name: str
+    urdf: str
+    joints: tuple[Joint, ...]
+    home: Joints
+    tip: str
+    fingers: tuple[Finger, ...]
+    inverse: InverseKinematics | None
+    scene: Path | None
+    _to_flange: tuple[_Segment, ...] = field(repr=False)
+    _tool: Frame = field(repr=False)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Return the names of the joints, from the base to the flange."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def limits(self) -> Limits:
+        """Return the limits of velocity, acceleration and jerk."""
+        return Limits(
+            tuple(joint.max_velocity for joint in self.joints),
+            tuple(joint.max_acceleration for joint in self.joints),
+            tuple(joint.max_jerk for joint in self.joints),
+        )
+
+    @cached_property
+    def revision(self) -> str:
+        """Return a hash that differs between descriptions that are drawn or moved differently."""
+        described = (self.name, self.home, self.joints, self.tip, self.fingers, self.urdf)
+        return hashlib.sha256(repr(described).encode()).hexdigest()[:16]
+
+    def flange(self, joints: Joints) -> Frame:
+        """Return the frame of the flange, seen from the base."""
+        reached = IDENTITY
+        for segment in self._to_flange:
+            reached = reached @ segment.frame(joints)
+        return reached
+
+    def tool_pose(self, joints: Joints) -> Pose:
+        """Return the pose of the tool's tip."""
+        return Pose.of(self.flange(joints) @ self._tool)
+
+    def reach(self, pose: Pose, near: Joints) -> Joints:
+        """Return the joints nearest to `near` with the tip of the tool at `pose`. Raises `Unreachable`."""
+        if self.inverse is None:
+            raise Unreachable(
+                message(
+                    "robot.no_inverse_kinematics",
+                    '{robot} has no inverse kinematics; give "joints" instead of a pose',
+                    robot=self.name,
+                )
+            )
+        try:
+            return self.allow(self.inverse(pose.frame() @ self._tool.inverse(), near))
+        except Unreachable as why:
+            where = ", ".join(f"{value:.3f}" for value in pose.position)
+            raise Unreachable(
+                message(
+                    "robot.tool_unreachable",
+                    "the tool cannot be at ({position}) m: {why}",
+                    position=where,
+                    why=text_of(why),
+                )
+            ) from None
+
+    def allow(self, joints: Joints) -> Joints:
+        """Return `joints` if there is one for each joint, within its limits. Raises `Unreachable`."""
+        if len(joints) != len(self.joints):
+            raise Unreachable(
+                message(
+                    "robot.wrong_joint_count",
+                    "{robot} has {count} joints ({names}), and {given} positions are given",
+                    robot=self.name,
+                    count=len(self.joints),
+                    names=", ".join(self.joint_names),
+                    given=len(joints),
+                )
+            )
+        for joint, position in zip(self.joints, joints, strict=True):
+            if joint.lower is None or joint.upper is None or joint.lower <= position <= joint.upper:
+                continue
+            raise Unreachable(
+                message(
+                    "robot.joint_limit",
+                    "{joint} cannot be at {position} {unit}: it moves from {lower} to {upper} {unit}; "
+                    "choose a position in between",
+                    joint=joint.name,
+                    position=f"{position:.3f}",
+                    lower=f"{joint.lower:.3f}",
+                    upper=f"{joint.upper:.3f}",
+                    unit=joint.unit,
+                )
+            )
+        return joints
+
+
+def read_model(
+    urdf: Path,
+    *,
+    name: str,
+    tip: str,
+    max_acceleration: float | Mapping[str, float],
+    max_jerk: float | Mapping[str, float],
+    flange: str | None = None,
+    home: Mapping[str, float] | None = None,
+    labels: Mapping[str, Mapping[str, str]] | None = None,
+    fingers: tuple[Finger, ...] = (),
+    inverse: InverseKinematics | None = None,
+    scene: Path | None = None,
+) -> RobotModel:
+    """Return the model of the robot in a URDF file.
+
+    `tip` and `flange` are links; `inverse` solves for the flange, by default the tip. A URDF has no limits of
+    acceleration and jerk: give one for all joints, or one for each by name. Joints that `home` does not name
+    are at 0. Raises `UsageError` that names the file and the fault.
+    """
+    try:
+        if urdf.stat().st_size > MAX_URDF_BYTES:
+            raise UsageError(f"the robot description {urdf} has more than {MAX_URDF_BYTES >> 20} MB")
+        text = urdf.read_text(encoding="utf-8")
+        return _model(
+            text,
+            name=name,
+            flange=flange or tip,
+            tip=tip,
+            home=dict(home or {}),
+            given=(max_acceleration, max_jerk),
+            labels=labels or {},
+            fingers=fingers,
+            inverse=inverse,
+            scene=scene,
+        )
+    except OSError as error:
+        raise UsageError(f"the robot description {urdf} cannot be read: {error.strerror}") from None
+    except (etree.XMLSyntaxError, UnicodeDecodeError) as error:
+        raise UsageError(f"the robot description {urdf} is not XML: {error}") from None
+    except _InvalidUrdf as fault:
+        raise UsageError(f"the robot description {urdf}: {fault}") from None
+
+
+class _InvalidUrdf(ValueError):
+    """The fault of a URDF, without the name of its file."""
+
+
+def _model(
+    text: str,
+    *,
+    name: str,
+    flange: str,
+    tip: str,
+    home: dict[str, float],
+    given: tuple[float | Mapping[str, float], float | Mapping[str, float]],
+    labels: Mapping[str, Mapping[str, str]],
+    fingers: tuple[Finger, ...],
+    inverse: InverseKinematics | None,
+    scene: Path | None,
+) -> RobotModel:
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True)
+    root = etree.fromstring(text.encode(), parser)
+    if root.tag != "robot":
+        raise _InvalidUrdf(f"its root element is <{root.tag}>, not <robot>")
+    elements = _chain(root, tip)
+    joints: list[Joint] = []
+    segments: list[_Segment] = []
+    flange_at = 0
+    for number, element in enumerate(elements, 1):
+        kind = element.get("type")
+        movable = kind != "fixed"
+        segments.append(_Segment(_origin(element), _axis(element), kind, len(joints) if movable else None))
+        if movable:
+            joints.append(_joint(element, given, labels))
+        if element.find("child").get("link") == flange:
+            flange_at = number
+    if not joints:
+        raise _InvalidUrdf(f'there is no movable joint between its root and "{tip}"')
+    if flange_at == 0 or any(segment.number is not None for segment in segments[flange_at:]):
+        raise _InvalidUrdf(f'the flange "{flange}" must be a link that "{tip}" is fixed to')
+    names = [joint.name for joint in joints]
+    unknown = [one for one in home if one not in names]
+    if unknown:
+        raise _InvalidUrdf(f"home names {', '.join(unknown)}; the joints are {', '.join(names)}")
+    _require_joints(root, fingers)
+    tool = IDENTITY
+    for segment in segments[flange_at:]:
+        tool = tool @ segment.origin
+    model = RobotModel(
+        name=name,
+        urdf=text,
+        joints=tuple(joints),
+        home=tuple(home.get(one, 0.0) for one in names),
+        tip=tip,
+        fingers=fingers,
+        inverse=inverse,
+        scene=scene,
+        _to_flange=tuple(segments[:flange_at]),
+        _tool=tool,
+    )
+    try:
+        model.allow(model.home)
+    except Unreachable as why:
+        raise _InvalidUrdf(f"home: {why}") from None
+    return model
+
+
+def _chain(root: Any, tip: str) -> list[Any]:
+    """Return the joint elements from the root link to the link `tip`."""
+    above: dict[str, Any] = {}
+    for joint in root.findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is None or child is None:
+            raise _InvalidUrdf(f'the joint "{joint.get("name")}" needs a parent and a child')
+        link = child.get("link")
+        if link in above:
+            raise _InvalidUrdf(f'the link "{link}" has two parents; a robot description is a tree')
+        above[link] = joint
+    if tip not in {link.get("name") for link in root.findall("link")}:
+        raise _InvalidUrdf(f'there is no link "{tip}"')
+    chain: list[Any] = []
+    while tip in above:
+        if len(chain) > len(above):
+            raise _InvalidUrdf(f'its joints form a loop at "{tip}"; a robot description is a tree')
+        chain.insert(0, above[tip])
+        tip = above[tip].find("parent").get("link")
+    return chain
+
+
+def _joint(
+    element: Any,
+    given: tuple[float | Mapping[str, float], float | Mapping[str, float]],
+    labels: Mapping[str, Mapping[str, str]],
+) -> Joint:
+    name, kind = element.get("name"), element.get("type")
+    if kind not in {"revolute", "continuous", "prismatic"}:
+        raise _InvalidUrdf(
+            f'the joint "{name}" is {kind}; between base and tip a joint is revolute, '
+            "continuous, prismatic or fixed"
+        )
+    if element.find("mimic") is not None:
+        raise _InvalidUrdf(f'the joint "{name}" mimics another one; between base and tip none may')
+    limit = element.find("limit")
+    velocity = _number(limit, "velocity", name) if limit is not None else 0.0
+    if not velocity > 0:
+        raise _InvalidUrdf(f'the joint "{name}" needs a velocity limit: <limit velocity="…"/> above 0')
+    lower = upper = None
+    if kind != "continuous":
+        lower, upper = (_number(limit, side, name) for side in ("lower", "upper"))
+        if not lower < upper:
+            raise _InvalidUrdf(f'the joint "{name}" has the lower limit {lower}, which is not below {upper}')
+    acceleration, jerk = (
+        limits.get(name, 0.0) if isinstance(limits, Mapping) else limits for limits in given
+    )
+    if not (0 < acceleration < math.inf and 0 < jerk < math.inf):
+        raise _InvalidUrdf(f'the joint "{name}" needs limits of acceleration and jerk above 0')
+    return Joint(name, kind, lower, upper, velocity, acceleration, jerk, dict(labels.get(name, {})))
+
+
+def _require_joints(root: Any, fingers: tuple[Finger, ...]) -> None:
+    names = {joint.get("name") for joint in root.findall("joint")}
+    for finger in fingers:
+        if finger.joint not in names:
+            raise _InvalidUrdf(f'there is no joint "{finger.joint}" for a finger')
+
+
+def _number(element: Any, attribute: str, joint: str) -> float:
+    try:
+        number = float(element.get(attribute, "0"))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise _InvalidUrdf(f'the joint "{joint}" has an invalid {attribute}: "{element.get(attribute)}"')
+    return number
+
+
+def _vector(element: Any, attribute: str, default: str) -> Vector:
+    text = element.get(attribute, default) if element is not None else default
+    try:
+        x, y, z = (float(part) for part in text.split())
+    except ValueError:
+        x = y = z = math.nan
+    if not all(map(math.isfinite, (x, y, z))):
+        raise _InvalidUrdf(f'{attribute}="{text}" must be three numbers')
+    return (x, y, z)
+
+
+def _origin(joint: Any) -> Frame:
+    origin = joint.find("origin")
+    position = _vector(origin, "xyz", "0 0 0")
+    roll, pitch, yaw = _vector(origin, "rpy", "0 0 0")
+    turned = IDENTITY
+    for axis, angle in (((0.0, 0.0, 1.0), yaw), ((0.0, 1.0, 0.0), pitch), ((1.0, 0.0, 0.0), roll)):
+        turned = turned @ _motion("revolute", axis, angle)
+    return Frame(turned.rotation, position)
+
+
+def _axis(joint: Any) -> Vector:
+    x, y, z = _vector(joint.find("axis"), "xyz", "1 0 0")
+    length = math.hypot(x, y, z)
+    if length < 1e-6:
+        raise _InvalidUrdf(f'the joint "{joint.get("name")}" has no axis')
+    return (x / length, y / length, z / length)
+
+
+def _motion(kind: str, axis: Vector, position: float) -> Frame:
+    """Return the frame of a joint that has moved by `position` from 0."""
+    x, y, z = axis
+    if kind == "prismatic":
+        return Frame(IDENTITY.rotation, (x * position, y * position, z * position))
+    c, s = math.cos(position), math.sin(position)
+    d = 1 - c
+    return Frame(
+        (
+            (c + x * x * d, x * y * d - z * s, x * z * d + y * s),
+            (y * x * d + z * s, c + y * y * d, y * z * d - x * s),
+            (z * x * d - y * s, z * y * d + x * s, c + z * z * d),
+        ),
+        (0.0, 0.0, 0.0),
+    )
