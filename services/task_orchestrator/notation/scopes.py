@@ -259,6 +259,8 @@ def _script_task(element: etree._Element, node: Node, context: Context) -> Node:
         return replace(node, activity=read_activity(element, context, script=script))
     if script.assignments is not None:
         return replace(node, script=script.assignments)
+    if not script.text and not script.format:  # a job without a script
+        return replace(node, activity=read_activity(element, context))
     warn_foreign_script(element, script, context)
     return replace(node, activity=read_activity(element, context, script=script))
 

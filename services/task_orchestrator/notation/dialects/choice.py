@@ -4,13 +4,14 @@ from collections.abc import Callable
 
 from lxml import etree
 
-from services.task_orchestrator.notation.dialects import camunda7, handover
+from services.task_orchestrator.notation.dialects import camunda7, handover, zeebe
 from services.task_orchestrator.notation.dialects.base import Dialect
 from services.task_orchestrator.notation.document import children, extensions, local, namespace
 from services.task_orchestrator.notation.elements import warn_unknown_extension
 from services.task_orchestrator.notation.faults import Findings
 
 _DIALECTS: tuple[tuple[tuple[str, ...], Callable[[], Dialect]], ...] = (
+    ((zeebe.NAMESPACE,), zeebe.Zeebe),
     (camunda7.NAMESPACES, camunda7.Camunda7),
 )
 """The namespaces of each dialect beside ours; the first one that a file uses has its expression language."""

@@ -1,0 +1,405 @@
+"""Camunda 7: attributes, extension elements, listeners, scripts, calls and JUEL."""
+
+import pytest
+
+from services.task_orchestrator.model import (
+    ErrorEvent,
+    EscalationEvent,
+    Kind,
+    MultiInstance,
+    Node,
+    TimerEvent,
+)
+from services.task_orchestrator.notation.dialects import camunda7
+from services.task_orchestrator.notation.file import read_bpmn
+from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, end, flow, gateway, path, start, timer
+from tests.unit.task_orchestrator.notation.reading import (
+    between,
+    extended,
+    faults,
+    file,
+    node,
+    read,
+    warnings,
+)
+
+CAMUNDA = 'camunda:versionTag="7"'
+
+
+def test_a_user_task_has_assignee_candidates_dates_and_form() -> None:
+    attributes = (
+        'camunda:assignee="${initiator}" camunda:candidateUsers="ann, bob" camunda:candidateGroups="cell" '
+        'camunda:dueDate="2026-05-01T08:00:00" camunda:followUpDate="P1D" camunda:priority="50" '
+        'camunda:formKey="embedded:app:forms/check.html"'
+    )
+    work = node(f'<bpmn:userTask id="x" {attributes}/>').activity
+    assert work is not None
+    assert work.hints == {
+        "assignee": "${initiator}",
+        "candidateUsers": "ann, bob",
+        "candidateGroups": "cell",
+        "dueDate": "2026-05-01T08:00:00",
+        "followUpDate": "P1D",
+        "priority": "50",
+        "formKey": "embedded:app:forms/check.html",
+    }
+    assert not work.parameters
+    assert work.results({"approved": True}) == {"approved": True}
+
+
+@pytest.mark.parametrize(
+    ("attribute", "hints", "operation"),
+    [
+        ('camunda:type="external" camunda:topic="pick"', {"type": "external", "topic": "pick"}, "pick"),
+        ('camunda:class="org.cell.PickPart"', {"class": "org.cell.PickPart"}, "PickPart"),
+        (
+            'camunda:delegateExpression="${pickPart}"',
+            {"delegateExpression": "${pickPart}"},
+            "pickPart",
+        ),
+        (
+            'camunda:expression="#{robot.pick(part)}"',
+            {"expression": "#{robot.pick(part)}"},
+            "robot.pick(part)",
+        ),
+    ],
+)
+def test_an_implementation_is_the_name_of_an_operation(
+    attribute: str, hints: dict[str, str], operation: str
+) -> None:
+    for kind in ("serviceTask", "sendTask", "businessRuleTask"):
+        work = node(f'<bpmn:{kind} id="x" {attribute}/>').activity
+        assert work is not None
+        assert work.hints == hints
+        assert work.parameters["operation"].value({}) == operation
+
+
+def test_the_result_of_a_task_goes_to_the_result_variable() -> None:
+    work = node('<bpmn:serviceTask id="x" camunda:class="A" camunda:resultVariable="weight"/>').activity
+    assert work is not None
+    assert work.results({"value": 3}) == {"weight": {"value": 3}}
+
+
+def test_input_and_output_parameters_are_texts_expressions_lists_and_maps() -> None:
+    found = node(
+        extended(
+            "serviceTask",
+            "<camunda:inputOutput>"
+            '<camunda:inputParameter name="a">text</camunda:inputParameter>'
+            '<camunda:inputParameter name="b">${n + 1}</camunda:inputParameter>'
+            '<camunda:inputParameter name="c">part ${n}</camunda:inputParameter>'
+            '<camunda:inputParameter name="d"><camunda:list><camunda:value>1</camunda:value>'
+            "<camunda:value>${n}</camunda:value></camunda:list></camunda:inputParameter>"
+            '<camunda:inputParameter name="e"><camunda:map><camunda:entry key="k">${n}</camunda:entry>'
+            '<camunda:entry key="l">x</camunda:entry></camunda:map></camunda:inputParameter>'
+            '<camunda:inputParameter name="f"/>'
+            '<camunda:outputParameter name="out">${result.weight}</camunda:outputParameter>'
+            "</camunda:inputOutput>",
+            attributes='camunda:topic="pick"',
+        )
+    )
+    values = {each.target: each.value.value({"n": 2}) for each in found.inputs}
+    assert values == {
+        "a": "text",
+        "b": 3,
+        "c": "part 2",
+        "d": ["1", 2],
+        "e": {"k": 2, "l": "x"},
+        "f": None,
+    }
+    assert found.activity is not None
+    parameters = {name: value.value({"n": 2}) for name, value in found.activity.parameters.items()}
+    assert parameters == {**values, "operation": "pick"}
+    assert [(each.target, each.value.value({"result": {"weight": 4}})) for each in found.outputs] == [
+        ("out", 4)
+    ]
+
+
+def test_a_script_as_a_value_is_a_warning() -> None:
+    element = extended(
+        "userTask",
+        '<camunda:inputOutput><camunda:inputParameter name="a"><camunda:script scriptFormat="groovy">1'
+        "</camunda:script></camunda:inputParameter></camunda:inputOutput>",
+    )
+    assert "the groovy script of inputParameter a is not run here" in warnings(between(element))[0]
+
+
+def test_a_generated_form_is_a_json_schema() -> None:
+    form = (
+        '<camunda:formData><camunda:formField id="approved" label="Approved?" type="boolean" '
+        'defaultValue="true"/><camunda:formField id="amount" type="long" defaultValue="7">'
+        '<camunda:validation><camunda:constraint name="required"/>'
+        '<camunda:constraint name="max" config="10"/>'
+        '</camunda:validation></camunda:formField><camunda:formField id="size" type="enum">'
+        '<camunda:value id="s" name="Small"/><camunda:value id="l"/></camunda:formField>'
+        '<camunda:formField id="due" type="date"/></camunda:formData>'
+    )
+    work = node(extended("userTask", form)).activity
+    assert work is not None
+    assert work.parameters["form"].literal == {
+        "type": "object",
+        "properties": {
+            "approved": {"type": "boolean", "title": "Approved?", "default": True},
+            "amount": {"type": "integer", "default": 7, "maximum": 10},
+            "size": {
+                "type": "string",
+                "oneOf": [{"const": "s", "title": "Small"}, {"const": "l", "title": "l"}],
+            },
+            "due": {"type": "string", "format": "date"},
+        },
+        "required": ["amount"],
+    }
+
+
+def test_a_call_activity_maps_variables_and_binds_a_version() -> None:
+    parts = (
+        '<camunda:in source="part" target="item"/><camunda:in sourceExpression="${n + 1}" target="m"/>'
+        '<camunda:in businessKey="#{orderId}"/><camunda:out source="box" target="packed"/>'
+    )
+    attributes = (
+        'calledElement="${name}" camunda:calledElementBinding="version" camunda:calledElementVersion="3"'
+    )
+    call = node(extended("callActivity", parts, attributes=attributes)).call
+    assert call is not None
+    variables = {"name": "pack", "part": 1, "n": 1, "orderId": "o", "box": 5}
+    assert call.process.value(variables) == "pack"
+    assert call.version is not None
+    assert call.version.value({}) == 3
+    assert call.key is not None
+    assert call.key.value(variables) == "o"
+    assert [(each.target, each.value.value(variables)) for each in call.inputs] == [("item", 1), ("m", 2)]
+    assert [(each.target, each.value.value(variables)) for each in call.outputs] == [("packed", 5)]
+    assert not call.all_inputs
+
+
+def test_a_call_activity_passes_all_variables_and_binds_a_tag() -> None:
+    parts = '<camunda:in variables="all"/><camunda:out variables="all"/>'
+    attributes = (
+        'calledElement="pack" camunda:calledElementBinding="versionTag" camunda:calledElementVersionTag="v2"'
+    )
+    call = node(extended("callActivity", parts, attributes=attributes)).call
+    assert call is not None
+    assert call.all_inputs
+    assert call.all_outputs
+    assert call.tag is not None
+    assert call.tag.value({}) == "v2"
+
+
+def test_caught_errors_and_escalations_set_variables() -> None:
+    declared = '<bpmn:error id="e" errorCode="E1"/>'
+    for kind, attributes in (
+        ("error", 'errorRef="e" camunda:errorCodeVariable="code" camunda:errorMessageVariable="text"'),
+        ("escalation", 'camunda:escalationCodeVariable="code"'),
+    ):
+        event = f"<bpmn:{kind}EventDefinition {attributes}/>"
+        body = ONE_STEP + f'<bpmn:boundaryEvent id="x" attachedToRef="work">{event}</bpmn:boundaryEvent>'
+        found = read(body + flow("x", "end"), beside=declared).scope.nodes["x"].event
+        assert found in {ErrorEvent("E1", "code", "text"), EscalationEvent(None, "code")}
+
+
+def test_a_loop_runs_over_a_variable_or_an_expression() -> None:
+    for collection in ("parts", "${parts}"):
+        inner = (
+            f'<bpmn:multiInstanceLoopCharacteristics camunda:collection="{collection}" '
+            'camunda:elementVariable="part"/>'
+        )
+        loop = node(f'<bpmn:task id="x">{inner}</bpmn:task>').loop
+        assert isinstance(loop, MultiInstance)
+        assert loop.collection is not None
+        assert loop.collection.value({"parts": [1]}) == [1]
+        assert loop.item_variable == "part"
+
+
+def choice(condition: str) -> str:
+    body = start() + '<bpmn:task id="x"/>' + gateway("g") + end() + end("o")
+    return body + path("start", "x", "g") + flow("g", "o", condition) + path("g", "end")
+
+
+def test_conditions_are_juel_and_the_flow_without_one_is_the_default() -> None:
+    definition = read(choice("${!approved and amount &gt; 3}"), attributes=f'isExecutable="true" {CAMUNDA}')
+    assert definition.label == "7"
+    condition = definition.scope.flows["g_o"].condition
+    assert condition is not None
+    assert condition.value({"approved": False, "amount": 4}) is True
+    assert definition.scope.nodes["g"].default == "g_end"
+
+
+def test_a_file_of_no_dialect_may_use_juel_too() -> None:
+    body = choice("${approved}").replace('id="g"', 'id="g" default="g_end"')
+    condition = read(body).scope.flows["g_o"].condition
+    assert condition is not None
+    assert condition.value({"approved": True}) is True
+
+
+def test_an_activity_that_a_condition_asks_for_its_outcome_handles_it() -> None:
+    definition = read(choice("${outcome == 'bad'}"), attributes=f'isExecutable="true" {CAMUNDA}')
+    assert definition.activities()["x"].handles_outcomes
+    definition = read(choice("${approved}"), attributes=f'isExecutable="true" {CAMUNDA}')
+    assert not definition.activities()["x"].handles_outcomes
+
+
+def test_our_task_in_a_file_of_camunda_keeps_its_meaning() -> None:
+    body = (
+        start() + activity("a") + '<bpmn:userTask id="b" camunda:assignee="ann"/>' + path("start", "a", "b")
+    )
+    activities = read(body).activities()
+    assert activities["a"].results({"x": 1}) == {"a": {"x": 1}}
+    assert activities["b"].results({"x": 1}) == {"x": 1}
+
+
+def listener(event: str, name: str = "n", tag: str = "executionListener") -> str:
+    expression = f"${{execution.setVariable('{name}', {name} + 1)}}"
+    return f'<camunda:{tag} event="{event}" expression="{expression}"/>'
+
+
+def names(body: str) -> tuple[list[tuple[str, str]], dict[str, Node]]:
+    scope = read(body).scope
+    return [(each.source, each.target) for each in scope.flows.values()], dict(scope.nodes)
+
+
+def test_listeners_that_set_variables_are_scripts_before_and_after() -> None:
+    flows, nodes = names(between(extended("task", listener("start") + listener("end", "m"))))
+    assert set(flows) == {
+        ("start", "x.before"),
+        ("x.before", "x"),
+        ("x", "x.after"),
+        ("x.after", "end"),
+    }
+    script = nodes["x.before"].script
+    assert nodes["x.before"].kind is Kind.SCRIPT_TASK
+    assert script is not None
+    assert [(each.target, each.value.value({"n": 1})) for each in script] == [("n", 2)]
+    assert warnings(between(extended("task", listener("start")))) == []
+
+
+def test_a_listener_of_a_sequence_flow_sets_variables_when_it_is_taken() -> None:
+    group = f"<bpmn:extensionElements>{listener('take')}</bpmn:extensionElements>"
+    body = start() + '<bpmn:task id="x"/>'
+    body += f'<bpmn:sequenceFlow id="f" sourceRef="start" targetRef="x">{group}</bpmn:sequenceFlow>'
+    flows, _ = names(body)
+    assert set(flows) == {("start", "f.set"), ("f.set", "x")}
+
+
+def test_a_listener_of_the_process_or_a_start_event_sets_variables_at_the_start() -> None:
+    group = f"<bpmn:extensionElements>{listener('start')}</bpmn:extensionElements>"
+    flows, _ = names(group + between('<bpmn:task id="x"/>'))
+    assert set(flows) == {("start", "start.after"), ("start.after", "x"), ("x", "end")}
+
+
+def test_other_listeners_are_warnings() -> None:
+    for attributes in ('class="org.A"', 'delegateExpression="${a}"', 'expression="${log.print()}"'):
+        element = extended("userTask", f'<camunda:taskListener event="create" {attributes}/>')
+        assert warnings(between(element)) == [
+            'line 1, "x": camunda:taskListener has no effect on the execution'
+        ]
+
+
+def test_a_script_of_juel_runs_and_any_other_is_a_task() -> None:
+    element = (
+        '<bpmn:scriptTask id="x" scriptFormat="{}" camunda:resultVariable="y"><bpmn:script>${{n + 1}}'
+        "</bpmn:script></bpmn:scriptTask>"
+    )
+    script = node(element.format("juel")).script
+    assert script is not None
+    assert [(each.target, each.value.value({"n": 1})) for each in script] == [("y", 2)]
+    work = node(element.format("javascript")).activity
+    assert work is not None
+    assert work.variable == "y"
+    assert work.parameters["scriptFormat"].literal == "javascript"
+
+
+def test_a_message_event_with_an_implementation_is_a_task() -> None:
+    definition = '<bpmn:messageEventDefinition camunda:type="external" camunda:topic="mail"/>'
+    body = between(f'<bpmn:intermediateThrowEvent id="x">{definition}</bpmn:intermediateThrowEvent>')
+    found = read(body).scope.nodes["x"]
+    assert found.kind is Kind.SEND_TASK
+    assert found.activity is not None
+    assert found.activity.hints == {"type": "external", "topic": "mail"}
+    assert found.activity.parameters["operation"].literal == "mail"
+
+
+def test_a_connector_is_an_operation_with_its_inputs_and_outputs() -> None:
+    found = node(
+        extended(
+            "serviceTask",
+            "<camunda:connector><camunda:inputOutput>"
+            '<camunda:inputParameter name="url">http://host</camunda:inputParameter>'
+            '<camunda:outputParameter name="body">${response}</camunda:outputParameter>'
+            "</camunda:inputOutput><camunda:connectorId>http-connector</camunda:connectorId>"
+            "</camunda:connector>",
+        )
+    )
+    work = found.activity
+    assert work is not None
+    assert work.hints == {"connector": "http-connector"}
+    assert {name: value.literal for name, value in work.parameters.items()} == {
+        "operation": "http-connector",
+        "url": "http://host",
+    }
+    assert [each.target for each in found.outputs] == ["body"]
+
+
+def test_a_time_without_zone_is_utc() -> None:
+    event = f'<bpmn:intermediateCatchEvent id="x" {CAMUNDA}>{timer("2026-05-01T08:00:00")}'
+    found = node(event + "</bpmn:intermediateCatchEvent>").event
+    assert isinstance(found, TimerEvent)
+    assert found.value.literal == "2026-05-01T08:00:00Z"
+    assert "is read as UTC" in warnings(between(event + "</bpmn:intermediateCatchEvent>"))[0]
+
+
+@pytest.mark.parametrize("namespace", camunda7.NAMESPACES)
+def test_the_relatives_of_camunda_have_the_same_attributes(namespace: str) -> None:
+    xml = file(between('<bpmn:userTask id="x" camunda:assignee="ann"/>'))
+    xml = xml.replace(camunda7.NAMESPACES[0].encode(), namespace.encode())
+    assert read_bpmn(xml).definitions[0].activities()["x"].hints == {"assignee": "ann"}
+
+
+@pytest.mark.parametrize("attribute", ["asyncBefore", "asyncAfter", "exclusive", "jobPriority", "unknown"])
+def test_attributes_without_effect_are_warnings(attribute: str) -> None:
+    element = f'<bpmn:task id="x" camunda:{attribute}="true"/>'
+    assert warnings(between(element)) == [f'line 1, "x": camunda:{attribute} has no effect on the execution']
+
+
+@pytest.mark.parametrize(
+    ("element", "reason"),
+    [
+        (
+            '<bpmn:businessRuleTask id="x" camunda:decisionRef="d"/>',
+            "businessRuleTask with decisionRef (a DMN decision) is not supported yet; let a Task decide",
+        ),
+        ('<bpmn:callActivity id="x" camunda:caseRef="c"/>', "callActivity with caseRef (CMMN)"),
+        (
+            extended("callActivity", '<camunda:in source="a b" target="c"/>', attributes='calledElement="p"'),
+            '"a b" cannot be the name of a variable',
+        ),
+        (
+            '<bpmn:callActivity id="x" calledElement="p" camunda:calledElementBinding="version"/>',
+            'calledElementBinding="version" needs calledElementVersion',
+        ),
+        (
+            extended(
+                "task",
+                '<camunda:inputOutput><camunda:inputParameter name="a">${1 +}</camunda:inputParameter>'
+                "</camunda:inputOutput>",
+            ),
+            "${1 +}",
+        ),
+        (
+            '<bpmn:task id="x"><bpmn:multiInstanceLoopCharacteristics camunda:collection="${"/></bpmn:task>',
+            "${",
+        ),
+        (
+            f'<bpmn:intermediateCatchEvent id="x" {CAMUNDA}>{timer("soon")}</bpmn:intermediateCatchEvent>',
+            '"soon" is no timeDuration; write it like PT5M',
+        ),
+    ],
+)
+def test_a_wrong_extension_is_one_fault(element: str, reason: str) -> None:
+    found = faults(between(element))
+    assert len(found) == 1, found
+    assert reason in found[0]
+
+
+def test_a_condition_of_our_language_in_a_file_of_camunda_is_a_fault() -> None:
+    body = choice("amount > 3").replace('id="x"', f'id="x" {CAMUNDA}')
+    assert faults(body)[0].startswith('line 1, "g_o"')
