@@ -101,8 +101,7 @@ def _ordered(holds: Callable[[Any, Any], bool]) -> Operator:
     def compare(left: FeelValue, right: FeelValue, budget: Budget) -> bool | None:
         if type(left) is int and type(right) is int:
             return holds(left, right)
-        del budget
-        found = order(left, right)
+        found = order(left, right, budget)
         return None if found is None else holds(found, 0)
 
     return compare
@@ -134,10 +133,11 @@ class FeelExpression:
     def value(self, variables: Variables) -> Json:
         """Return the value; raise `ExpressionError` only if a limit is exceeded."""
         try:
-            value = self._node(Scope(variables, None, Budget()))
-            return (
-                value if value is None or value is True or value is False else within_limits(to_json(value))
-            )
+            budget = Budget()
+            value = self._node(Scope(variables, None, budget))
+            if value is None or value is True or value is False:
+                return value
+            return within_limits(to_json(value, budget))
         except ExpressionError as error:
             raise ExpressionError(f"{excerpt(self.text)}: {error}") from None
         except RecursionError:
@@ -270,7 +270,7 @@ class _Parser:
             start = self._sum()
             self.tokens.expect("and")
             limits = _make_range(start, self._sum())
-            return lambda scope: limits(scope).includes(left(scope))
+            return lambda scope: limits(scope).includes(left(scope), scope.budget)
         if sign == "in":
             tests = self._tests()
             return lambda scope: _any_test(tests, left(scope), scope)
@@ -627,17 +627,18 @@ def _membership(operand: Node) -> Test:
         if value is _ITSELF:
             return found
         if isinstance(found, Range):
-            return found.includes(value)
+            return found.includes(value, scope.budget)
         if isinstance(found, list) and not isinstance(value, list):
             scope.budget.spend(len(found))
-            return any(
-                (item.includes(value) if isinstance(item, Range) else is_same(value, item, scope.budget))
-                is True
-                for item in found
-            )
+            return any(_is_member(value, item, scope.budget) for item in found)
         return is_same(value, found, scope.budget)
 
     return test
+
+
+def _is_member(value: FeelValue, item: FeelValue, budget: Budget) -> bool:
+    found = item.includes(value, budget) if isinstance(item, Range) else is_same(value, item, budget)
+    return found is True
 
 
 def _any_test(tests: tuple[Test, ...], value: FeelValue, scope: Scope) -> bool | None:

@@ -116,7 +116,7 @@ def _string_join(budget: Budget, items: list[FeelValue], separator: str = "") ->
 def _string(budget: Budget, value: FeelValue) -> FeelValue:
     if value is None or isinstance(value, str):
         return value
-    plain = to_json(value)
+    plain = to_json(value, budget)
     return text(plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False), budget)
 
 
@@ -156,12 +156,12 @@ def _mean(budget: Budget, items: list[FeelValue]) -> FeelValue:
 
 
 def _extreme(sign: int) -> Callable[[Budget, list[FeelValue]], FeelValue]:
-    def extreme(_: Budget, items: list[FeelValue]) -> FeelValue:
+    def extreme(budget: Budget, items: list[FeelValue]) -> FeelValue:
         if not items:
             return None
         best = items[0]
         for item in items:
-            found = order(item, best)
+            found = order(item, best, budget)
             if found is None:
                 return None
             best = item if found == sign else best

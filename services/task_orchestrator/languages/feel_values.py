@@ -54,9 +54,9 @@ class Range:
     has_start: bool = True
     has_end: bool = True
 
-    def includes(self, value: FeelValue) -> bool | None:
+    def includes(self, value: FeelValue, budget: Budget) -> bool | None:
         """Return whether `value` is within the range; None if they cannot be compared."""
-        above, below = order(value, self.start), order(value, self.end)
+        above, below = order(value, self.start, budget), order(value, self.end, budget)
         if above is None or below is None:
             return None
         return (above >= 0 if self.has_start else above > 0) and (below <= 0 if self.has_end else below < 0)
@@ -86,10 +86,12 @@ def text(value: str, budget: Budget) -> str:
     return value
 
 
-def order(left: FeelValue, right: FeelValue) -> int | None:
+def order(left: FeelValue, right: FeelValue, budget: Budget) -> int | None:
     """Return -1, 0 or 1 as `left` is before, equal to or after `right`; None if they cannot be compared."""
     if is_number(left) and is_number(right):
         pass
+    elif isinstance(left, str) and isinstance(right, str):
+        budget.spend(len(left) >> 8)
     elif isinstance(left, Duration) and isinstance(right, Duration):
         if bool(left.months) is bool(right.months) or not (left.microseconds or right.microseconds):
             left, right = (left.months, left.microseconds), (right.months, right.microseconds)
@@ -98,7 +100,7 @@ def order(left: FeelValue, right: FeelValue) -> int | None:
     elif isinstance(left, datetime) and isinstance(right, datetime):
         if (left.tzinfo is None) is not (right.tzinfo is None):
             return None
-    elif type(left) is not type(right) or not isinstance(left, str | date):
+    elif type(left) is not type(right) or not isinstance(left, date):
         return None
     return int(left > right) - int(left < right)
 
@@ -146,14 +148,13 @@ def add(left: FeelValue, right: FeelValue, budget: Budget) -> FeelValue:
 
 def subtract(left: FeelValue, right: FeelValue, budget: Budget) -> FeelValue:
     """Return a difference of numbers or durations, the time between dates, or an earlier date; else null."""
-    del budget
     if is_number(left) and is_number(right):
         return number(left - right)
     if isinstance(left, Duration) and isinstance(right, Duration):
         return Duration(left.months - right.months, left.microseconds - right.microseconds)
     if isinstance(left, date) and isinstance(right, Duration):
         return _moved(left, right, -1)
-    if order(left, right) is not None and isinstance(left, date):
+    if order(left, right, budget) is not None and isinstance(left, date):
         return days_between(right, left)
     return None
 
@@ -248,14 +249,19 @@ def to_duration(value: FeelValue) -> Duration | None:
     return read_duration(value) if isinstance(value, str) else None
 
 
-def to_json(value: FeelValue) -> Json:  # noqa: PLR0911 - one return a type
+def to_json(value: FeelValue, budget: Budget) -> Json:  # noqa: PLR0911 - one return a type
     """Return `value` with dates and durations as ISO 8601 texts; a range is an object."""
-    if value is None or isinstance(value, str | int | float):
+    if isinstance(value, str):
+        budget.spend(len(value) >> 6)
+        return value
+    if value is None or isinstance(value, int | float):
         return value
     if isinstance(value, list):
-        return [to_json(item) for item in value]
+        budget.spend(len(value))
+        return [to_json(item, budget) for item in value]
     if isinstance(value, dict):
-        return {key: to_json(item) for key, item in value.items()}
+        budget.spend(len(value))
+        return {key: to_json(item, budget) for key, item in value.items()}
     if isinstance(value, datetime):
         return write_moment(value)
     if isinstance(value, date):
@@ -263,7 +269,7 @@ def to_json(value: FeelValue) -> Json:  # noqa: PLR0911 - one return a type
     if isinstance(value, Duration):
         return write_duration(value)
     if isinstance(value, Range):
-        return {"start": to_json(value.start), "end": to_json(value.end)}
+        return {"start": to_json(value.start, budget), "end": to_json(value.end, budget)}
     raise ExpressionError(f"{type(value).__name__} is no JSON value")
 
 

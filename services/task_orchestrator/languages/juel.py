@@ -27,6 +27,7 @@ from services.task_orchestrator.languages.juel_methods import (
 )
 from services.task_orchestrator.languages.juel_values import (
     add,
+    check_string,
     coerce_to_boolean,
     coerce_to_string,
     compare,
@@ -190,9 +191,12 @@ def _mix(parts: list[str | Node]) -> Node:
     pieces = tuple(parts)
 
     def mixed(variables: Variables) -> Json:
-        return "".join(
-            piece if isinstance(piece, str) else coerce_to_string(piece(variables)) for piece in pieces
-        )
+        text = ""
+        for piece in pieces:
+            text = check_string(
+                text + (piece if isinstance(piece, str) else coerce_to_string(piece(variables)))
+            )
+        return text
 
     return mixed
 

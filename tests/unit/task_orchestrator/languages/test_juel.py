@@ -229,7 +229,7 @@ def test_an_assignment_is_read_as_name_and_value() -> None:
 
 def test_a_text_that_grows_beyond_the_limit_is_refused() -> None:
     long = "x" * 600_000
-    for text in ("${a += a}", "${a.concat(a)}", "${a.replace('x', a)}"):
+    for text in ("${a += a}", "${a} ${a}", "${a.concat(a)}", "${a.replace('x', a)}"):
         with pytest.raises(ExpressionError, match="characters"):
             read_juel(text).value({"a": long})
 
