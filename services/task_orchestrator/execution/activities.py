@@ -1,13 +1,20 @@
 """Activities: they begin, repeat, end, and pass their results on."""
 
+from collections import ChainMap
 from collections.abc import Mapping
 from typing import Any
 
-from handover.messages import message
-from services.task_orchestrator.execution.compensation import record_completion, report
+from handover.errors import Problem
+from handover.messages import Message, message
+from services.task_orchestrator.execution.compensation import record_completion
 from services.task_orchestrator.execution.graph import Graph, Plan
-from services.task_orchestrator.execution.machine import MAX_CALLS, Machine, ThrownMessage
-from services.task_orchestrator.execution.navigation import leave
+from services.task_orchestrator.execution.machine import (
+    MAX_CALLS,
+    Machine,
+    ThrownMessage,
+    has_output_collection,
+)
+from services.task_orchestrator.execution.navigation import take_flows
 from services.task_orchestrator.execution.propagation import register_event_subprocesses
 from services.task_orchestrator.execution.state import Frame, Loop, Token, TokenState
 from services.task_orchestrator.execution.waits import add_wait
@@ -30,44 +37,52 @@ def enter_activity(machine: Machine, token: Token, node: Node) -> None:
     if token.body is not None:
         _begin(machine, token, node)
         return
-    with machine.failures(token):
-        for boundary in machine.frame_of(token).graph.boundaries.get(node.id, ()):
-            add_wait(machine, token, boundary)
+    boundaries = machine.frame_of(token).graph.boundaries.get(node.id)
+    if boundaries:
+        with machine.failures(token):
+            for boundary in boundaries:
+                add_wait(machine, token, boundary)
     if node.loop is None:
         _begin(machine, token, node)
     else:
-        token.state = TokenState.LOOP
+        machine.change_state(token, TokenState.LOOP)
         _start_loop(machine, token, node)
 
 
 def finish(machine: Machine, token: Token, node: Node) -> None:
-    """Pass the results of an activity or event on, and leave it; raise `RunFailed` if that is impossible."""
+    """Pass the results of a node on and leave it; raise `RunFailed` if that is impossible."""
     if token.loop is not None:
         _finish_loop(machine, token, node)
     else:
         _pass_results(machine, token, node)
+        if token.compensates is None:
+            record_completion(machine.frame_of(token), token)
+    token.state = TokenState.LEAVING
+    leave(machine, token, node)
+
+
+def leave(machine: Machine, token: Token, node: Node) -> None:
+    """Continue after a node whose results are passed on; raise `RunFailed` if that is impossible."""
     if token.body is not None:
         _finish_instance(machine, machine.state.tokens[token.body], token, node)
-        return
-    machine.clear_waits(token)
-    if token.compensates is not None:
-        report(machine, token)
-        return
-    record_completion(machine.frame_of(token), token)
-    leave(machine, token)
+    elif token.compensates is not None:
+        machine.remove(token)
+    else:
+        machine.state.clear_waits(token)
+        take_flows(machine, token)
 
 
 # Begin
 
 
 def _begin(machine: Machine, token: Token, node: Node) -> None:
-    frame = machine.frame_of(token)
-    with machine.failures(token):
-        token.local.update(_evaluated(node.inputs, machine.variables(token)))
+    if node.inputs:
+        with machine.failures(token):
+            token.local.update(_evaluated(node.inputs, machine.variables(token)))
     if node.activity is not None:
         open_work(machine, token)
     elif node.scope is not None:
-        _enter_scope(machine, token, frame.graph.inner[node.id])
+        _enter_scope(machine, token, machine.frame_of(token).graph.inner[node.id])
     elif node.call is not None:
         _call(machine, token, node.call)
     elif node.script is not None:
@@ -75,7 +90,7 @@ def _begin(machine: Machine, token: Token, node: Node) -> None:
     elif isinstance(node.event, MessageEvent):
         _exchange_message(machine, token, node, node.event)
     else:
-        machine.change_state(token, TokenState.FINISHING)
+        token.state = TokenState.FINISHING
 
 
 def open_work(machine: Machine, token: Token) -> None:
@@ -91,6 +106,8 @@ def _enter_scope(machine: Machine, token: Token, graph: Graph) -> None:
 
 
 def _start_frame(machine: Machine, token: Token, frame: Frame) -> None:
+    if frame.graph.needs_event:
+        raise machine.failure(token, no_plain_start(frame.scope))
     with machine.failures(token):
         register_event_subprocesses(machine, frame)
     starts = frame.graph.starts
@@ -98,12 +115,20 @@ def _start_frame(machine: Machine, token: Token, frame: Frame) -> None:
         machine.add_token(frame, start.id)
     if not starts:
         machine.discard_frame(frame)
-        machine.change_state(token, TokenState.FINISHING)
+        token.state = TokenState.FINISHING
+
+
+def no_plain_start(name: str) -> Message:
+    """Return why the process or subprocess `name` cannot be started without an event."""
+    return message(
+        "process.no_plain_start",
+        '"{definition}" starts with an event, so it cannot be started without it',
+        definition=name,
+    )
 
 
 def _call(machine: Machine, token: Token, call: Call) -> None:
-    variables = machine.variables(token)
-    if machine.frame_of(token).prefix.count(".") >= MAX_CALLS:
+    if _call_depth(machine, token) >= MAX_CALLS:
         raise machine.failure(
             token,
             message(
@@ -112,30 +137,60 @@ def _call(machine: Machine, token: Token, call: Call) -> None:
                 limit=MAX_CALLS,
             ),
         )
-    with machine.failures(token):
-        given: dict[str, Any] = dict(variables) if call.all_inputs else {}
-        given.update(_evaluated(call.inputs, variables))
-        plan = _called(machine, call, variables)
-        given = plan.definition.arguments(given)
+    variables = machine.variables(token)
+    try:
+        with machine.failures(token):
+            plan = _called(machine, call, variables)
+            parameters = plan.definition.parameters
+            given: dict[str, Any] = {}
+            if call.all_inputs:
+                given = {name: variables[name] for name in variables if not parameters or name in parameters}
+            given.update(_evaluated(call.inputs, variables))
+            given = plan.definition.arguments(given)
+    except Problem as problem:
+        raise machine.failure(token, problem.detail) from problem
     frame = machine.add_frame(plan.graph, token, plan=plan, variables=given)
     _start_frame(machine, token, frame)
 
 
+def _call_depth(machine: Machine, token: Token) -> int:
+    """Return how many call activities enclose a token."""
+    depth = 0
+    frame = machine.frame_of(token)
+    while (host := machine.host(frame)) is not None:
+        depth += frame.process is not None
+        frame = machine.frame_of(host)
+    return depth
+
+
 def _called(machine: Machine, call: Call, variables: Variables) -> Plan:
     name = call.process.value(variables)
-    version = None if call.version is None else int(call.version.value(variables))
+    version = None if call.version is None else _whole_number(call.version.value(variables))
+    if call.version is not None and version is None:
+        raise ValueError("the version of a called process is a number")
     tag = None if call.tag is None else str(call.tag.value(variables))
     return machine.library.find(str(name), version, tag)
+
+
+def _whole_number(value: Json) -> int | None:
+    if isinstance(value, str) and value.strip().isdecimal():
+        return int(value)
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value if isinstance(value, int) and not isinstance(value, bool) else None
 
 
 def _run_script(machine: Machine, token: Token, script: tuple[Assignment, ...]) -> None:
     """Evaluate the assignments one after the other; each sees the variables that those before it set."""
     values: dict[str, Any] = {}
+    variables = machine.variables(token)
+    if len(script) > 1:
+        variables = ChainMap(values, variables)
     with machine.failures(token):
         for line in script:
-            values[line.target] = line.value.value({**machine.variables(token), **values})
+            values[line.target] = line.value.value(variables)
     token.results = values
-    machine.change_state(token, TokenState.FINISHING)
+    token.state = TokenState.FINISHING
 
 
 def _exchange_message(machine: Machine, token: Token, node: Node, event: MessageEvent) -> None:
@@ -146,7 +201,7 @@ def _exchange_message(machine: Machine, token: Token, node: Node, event: Message
         token.state = TokenState.WAITING
         return
     throw_message(machine, token, event)
-    machine.change_state(token, TokenState.FINISHING)
+    token.state = TokenState.FINISHING
 
 
 def throw_message(machine: Machine, token: Token, event: MessageEvent) -> None:
@@ -166,25 +221,32 @@ def _evaluated(assignments: tuple[Assignment, ...], variables: Variables) -> dic
 
 
 def _pass_results(machine: Machine, token: Token, node: Node) -> None:
-    frame = machine.frame_of(token)
-    results = token.results or {}
-    if node.call is not None and token.results is not None:
+    results = token.results
+    if results is None and not node.outputs and not node.data_outputs:
+        return
+    results = results or {}
+    if node.call is not None:
         with machine.failures(token):
             mapped = _evaluated(node.call.outputs, results)
         results = {**results, **mapped} if node.call.all_outputs else mapped
     values = results
     if node.outputs:
         with machine.failures(token):
-            values = _evaluated(node.outputs, {**machine.variables(token), **results})
+            values = _evaluated(node.outputs, ChainMap(results, machine.variables(token)))
+    set_results(machine, token, node, values)
+    frame = machine.frame_of(token)
     for association in node.data_outputs:
         owner = machine.data_owner(frame, association.data)
         owner[association.data] = results if association.name is None else results.get(association.name)
-    token.results = None  # so that a retry does not overwrite what was mended meanwhile
-    loop = node.loop
-    if token.body is not None and isinstance(loop, MultiInstance) and loop.output_collection is not None:
+    token.results = None
+
+
+def set_results(machine: Machine, token: Token, node: Node, values: Mapping[str, Any]) -> None:
+    """Set the variables that an activity yields."""
+    if token.body is not None and has_output_collection(node):
         token.local.update(values)
     else:
-        machine.set_variables(frame, values)
+        machine.set_variables(machine.frame_of(token), values)
 
 
 # Loops
@@ -193,8 +255,8 @@ def _pass_results(machine: Machine, token: Token, node: Node) -> None:
 def _start_loop(machine: Machine, token: Token, node: Node) -> None:
     if isinstance(node.loop, StandardLoop):
         token.loop = Loop(total=None)
-        if node.loop.test_before and not _goes_on(machine, token, node.loop):
-            machine.change_state(token, TokenState.FINISHING)
+        if node.loop.test_before and not _is_continued(machine, token, node.loop):
+            token.state = TokenState.FINISHING
             return
         _start_instance(machine, token, {})
         return
@@ -205,8 +267,10 @@ def _start_loop(machine: Machine, token: Token, node: Node) -> None:
         token.loop.outputs = [None] * len(items)
     _count_instances(token)
     if not items:
-        machine.change_state(token, TokenState.FINISHING)
+        token.state = TokenState.FINISHING
         return
+    if not node.loop.sequential:
+        machine.check_steps(token, len(machine.queue) + len(items))
     for _ in items[:1] if node.loop.sequential else items:
         _start_next(machine, token, node.loop)
     if not node.loop.sequential:
@@ -230,13 +294,10 @@ def _items(machine: Machine, token: Token, loop: MultiInstance) -> list[Json]:
 
 def _count(cardinality: Value, variables: Mapping[str, Json]) -> int:
     found = cardinality.value(variables)
-    if isinstance(found, str) and found.strip().isdecimal():
-        found = int(found)
-    if isinstance(found, float) and found.is_integer():
-        found = int(found)
-    if isinstance(found, bool) or not isinstance(found, int) or not 0 <= found <= MAX_INSTANCES:
+    count = _whole_number(found)
+    if count is None or not 0 <= count <= MAX_INSTANCES:
         raise ValueError(f"the number of instances is 0 to {MAX_INSTANCES}, not {found!r:.80}")
-    return found
+    return count
 
 
 def _start_next(machine: Machine, body: Token, loop: MultiInstance) -> None:
@@ -251,7 +312,7 @@ def _start_instance(machine: Machine, body: Token, local: dict[str, Json]) -> No
     instance = machine.add_token(machine.frame_of(body), body.node)
     instance.body, instance.index = body.id, body.loop.started
     instance.local = {**local, "loopCounter": body.loop.started}
-    body.inner.append(instance.id)
+    body.inner[instance.id] = None
     body.loop.started += 1
 
 
@@ -266,9 +327,9 @@ def _count_instances(body: Token) -> None:
 
 def _finish_instance(machine: Machine, body: Token, instance: Token, node: Node) -> None:
     if isinstance(node.loop, StandardLoop):
-        goes_on = _goes_on(machine, instance, node.loop)
+        is_continued = _is_continued(machine, instance, node.loop)
         machine.remove(instance)
-        if goes_on:
+        if is_continued:
             _start_instance(machine, body, {})
         else:
             machine.change_state(body, TokenState.FINISHING)
@@ -276,26 +337,47 @@ def _finish_instance(machine: Machine, body: Token, instance: Token, node: Node)
     loop = body.loop
     assert loop is not None and isinstance(node.loop, MultiInstance)  # noqa: S101, PT018 - the other kind
     completed = loop.completed + 1
-    counts = {"nrOfActiveInstances": len(body.inner) - 1, "nrOfCompletedInstances": completed}
-    with machine.failures(instance):
-        variables = machine.variables(instance)
-        output = None if node.loop.output_item is None else node.loop.output_item.value(variables)
-        condition = node.loop.completion
-        is_enough = condition is not None and bool(condition.value({**variables, **counts}))
+    output, is_enough = None, False
+    if node.loop.output_item is not None or node.loop.completion is not None:
+        counts = {"nrOfActiveInstances": len(body.inner) - 1, "nrOfCompletedInstances": completed}
+        with machine.failures(instance):
+            variables = machine.variables(instance)
+            if node.loop.output_item is not None:
+                output = node.loop.output_item.value(variables)
+            if node.loop.completion is not None:
+                is_enough = bool(node.loop.completion.value(ChainMap(counts, variables)))
     if loop.outputs is not None:
         loop.outputs[instance.index] = output
     loop.completed = completed
     machine.remove(instance)
+    _continue_multi_instance(machine, body, node.loop, is_enough=is_enough)
+
+
+def _continue_multi_instance(machine: Machine, body: Token, loop: MultiInstance, *, is_enough: bool) -> None:
+    assert body.loop is not None  # noqa: S101 - as `_start_loop` set
     _count_instances(body)
-    if is_enough or completed == loop.total:
+    if is_enough:
         for other in list(body.inner):
             machine.remove(machine.state.tokens[other])
+    elif loop.sequential and body.loop.started != body.loop.total:
+        _start_next(machine, body, loop)
+    if not body.inner:
         machine.change_state(body, TokenState.FINISHING)
-    elif node.loop.sequential:
-        _start_next(machine, body, node.loop)
 
 
-def _goes_on(machine: Machine, token: Token, loop: StandardLoop) -> bool:
+def cancel_instance(machine: Machine, instance: Token) -> None:
+    """Cancel an instance of a loop; a multi-instance activity continues with the others."""
+    assert instance.body is not None  # noqa: S101 - only called for an instance
+    body, loop = machine.state.tokens[instance.body], machine.node(instance).loop
+    machine.remove(instance)
+    if isinstance(loop, MultiInstance):
+        _continue_multi_instance(machine, body, loop, is_enough=False)
+    else:
+        machine.change_state(body, TokenState.FINISHING)
+
+
+def _is_continued(machine: Machine, token: Token, loop: StandardLoop) -> bool:
+    """Return whether another iteration follows; `loopCounter` is the number of those before it."""
     body = token if token.body is None else machine.state.tokens[token.body]
     started = 0 if body.loop is None else body.loop.started
     if loop.maximum is not None and started >= loop.maximum:
@@ -303,10 +385,11 @@ def _goes_on(machine: Machine, token: Token, loop: StandardLoop) -> bool:
     if loop.condition is None:
         return loop.maximum is not None
     with machine.failures(token):
-        return bool(loop.condition.value(machine.variables(token)))
+        variables = ChainMap({"loopCounter": started}, machine.variables(token))
+        return bool(loop.condition.value(variables))
 
 
 def _finish_loop(machine: Machine, token: Token, node: Node) -> None:
     loop = token.loop
-    if isinstance(node.loop, MultiInstance) and node.loop.output_collection is not None and loop is not None:
+    if loop is not None and isinstance(node.loop, MultiInstance) and node.loop.output_collection is not None:
         machine.set_variables(machine.frame_of(token), {node.loop.output_collection: loop.outputs or []})

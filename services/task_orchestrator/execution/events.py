@@ -6,7 +6,7 @@ from handover.messages import message
 from services.task_orchestrator.execution.activities import enter_activity, throw_message
 from services.task_orchestrator.execution.compensation import start_compensation
 from services.task_orchestrator.execution.machine import Machine, ThrownSignal
-from services.task_orchestrator.execution.navigation import await_join, choose_event, join
+from services.task_orchestrator.execution.navigation import arrive, choose_event
 from services.task_orchestrator.execution.propagation import (
     start_boundary,
     start_event_subprocess,
@@ -14,7 +14,7 @@ from services.task_orchestrator.execution.propagation import (
     throw_escalation,
 )
 from services.task_orchestrator.execution.state import Frame, Token, TokenState, Wait, WaitType
-from services.task_orchestrator.execution.waits import add_wait, remove_wait, repeat
+from services.task_orchestrator.execution.waits import add_wait, repeat
 from services.task_orchestrator.model import (
     ACTIVITIES,
     CompensateEvent,
@@ -39,40 +39,36 @@ def enter(machine: Machine, token: Token, node: Node) -> None:
             _enter_catch(machine, token, node)
         case Kind.THROW_EVENT | Kind.END_EVENT:
             _throw(machine, token, node)
-        case Kind.PARALLEL | Kind.INCLUSIVE:
-            _enter_join(machine, token, node)
+        case Kind.PARALLEL | Kind.INCLUSIVE if len(machine.frame_of(token).graph.incoming[node.id]) > 1:
+            arrive(machine, token, node)
         case Kind.EVENT_BASED:
-            with machine.failures(token):
-                for event in choose_event(machine, token):
-                    add_wait(machine, token, event)
+            for event in choose_event(machine, token):
+                _await(machine, token, event)
             token.state = TokenState.WAITING
         case _:
-            machine.change_state(token, TokenState.FINISHING)
+            token.state = TokenState.FINISHING
 
 
 def _enter_catch(machine: Machine, token: Token, node: Node) -> None:
     if node.event is None or isinstance(node.event, LinkEvent):
-        machine.change_state(token, TokenState.FINISHING)
+        token.state = TokenState.FINISHING
         return
-    with machine.failures(token):
-        add_wait(machine, token, node)
+    _await(machine, token, node)
     token.state = TokenState.WAITING
 
 
-def _enter_join(machine: Machine, token: Token, node: Node) -> None:
-    incoming = machine.frame_of(token).graph.incoming[node.id]
-    if len(incoming) < 2:
-        machine.change_state(token, TokenState.FINISHING)
-    elif node.kind is Kind.PARALLEL:
-        join(machine, token, incoming)
-    else:
-        await_join(machine, token)
+def _await(machine: Machine, token: Token, event: Node) -> None:
+    with machine.failures(token):
+        is_awaited = add_wait(machine, token, event)
+    if not is_awaited:
+        raise machine.failure(token, f'"{event.id}" is no event that a process can wait for')
 
 
 def _throw(machine: Machine, token: Token, node: Node) -> None:
-    with machine.failures(token):
-        variables = machine.variables(token)
-        token.local.update({each.target: each.value.value(variables) for each in node.inputs})
+    if node.inputs:
+        with machine.failures(token):
+            variables = machine.variables(token)
+            token.local.update({each.target: each.value.value(variables) for each in node.inputs})
     match node.event:
         case MessageEvent() as event:
             throw_message(machine, token, event)
@@ -94,12 +90,15 @@ def _throw(machine: Machine, token: Token, node: Node) -> None:
             machine.cancel_others(machine.frame_of(token), but=token)
         case LinkEvent() as event:
             frame = machine.frame_of(token)
-            machine.add_token(frame, frame.graph.links[event.name].id, state=TokenState.FINISHING)
+            target = frame.graph.links.get(event.name)
+            if target is None:
+                raise machine.failure(token, f'no event catches the link "{event.name}"')
+            machine.add_token(frame, target.id, state=TokenState.FINISHING)
             machine.remove(token)
             return
         case _:
             pass
-    machine.change_state(token, TokenState.FINISHING)
+    token.state = TokenState.FINISHING
 
 
 def _throw_error(machine: Machine, token: Token, node: Node, event: ErrorEvent) -> None:
@@ -122,7 +121,7 @@ def trigger(machine: Machine, wait: Wait, results: dict[str, Any]) -> None:
             _keep_or_remove(machine, wait)
         start_boundary(machine, token, event, results, interrupting=event.interrupting)
     elif token.node == wait.node:
-        machine.clear_waits(token)
+        machine.state.clear_waits(token)
         token.results = results
         machine.change_state(token, TokenState.FINISHING)
     else:  # an event-based gateway
@@ -142,4 +141,4 @@ def _trigger_subprocess(machine: Machine, frame: Frame, wait: Wait, results: dic
 def _keep_or_remove(machine: Machine, wait: Wait) -> None:
     """Keep the wait of an event that does not interrupt, unless it is a timer that is not due again."""
     if wait.type is WaitType.TIMER and not repeat(machine, wait):
-        remove_wait(machine, wait)
+        machine.state.remove_wait(wait)

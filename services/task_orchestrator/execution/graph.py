@@ -18,6 +18,11 @@ class Graph:
         for flow in scope.flows.values():
             self.outgoing[flow.source].append(flow)
             self.incoming[flow.target].append(flow)
+        self.inclusive_joins = tuple(
+            node.id
+            for node in scope.nodes.values()
+            if node.kind is Kind.INCLUSIVE and len(self.incoming[node.id]) > 1
+        )
         self.boundaries: dict[str, list[Node]] = defaultdict(list)
         self.event_subprocesses: list[tuple[Node, Node]] = []
         """Event subprocesses of this scope, each with its start event."""
@@ -58,6 +63,11 @@ class Graph:
         is_link = node.kind is Kind.CATCH_EVENT and isinstance(node.event, LinkEvent)
         return not (node.triggered_by_event or node.is_for_compensation or is_link)
 
+    @property
+    def needs_event(self) -> bool:
+        """Return whether tokens can start here only by an event."""
+        return not self.starts and any(node.kind is Kind.START_EVENT for node in self.nodes.values())
+
     @cached_property
     def compensation_subprocess(self) -> Node | None:
         """Return the event subprocess that compensates this scope as a whole, if it has one."""
@@ -65,13 +75,6 @@ class Graph:
             if isinstance(start.event, CompensateEvent):
                 return node
         return None
-
-    @property
-    def can_be_compensated(self) -> bool:
-        """Return whether something within this scope has a compensation handler."""
-        if self.handlers or self.compensation_subprocess is not None:
-            return True
-        return any(inner.can_be_compensated for inner in self.inner.values())
 
     @cached_property
     def upstream(self) -> dict[str, dict[str, frozenset[str]]]:
@@ -91,9 +94,8 @@ class Graph:
                 if target is not None:
                     sources[target.id].append(node.id)
         return {
-            node.id: {flow.id: _reaching(flow.source, node.id, sources) for flow in self.incoming[node.id]}
-            for node in self.nodes.values()
-            if node.kind is Kind.INCLUSIVE and len(self.incoming[node.id]) > 1
+            join: {flow.id: _reaching(flow.source, join, sources) for flow in self.incoming[join]}
+            for join in self.inclusive_joins
         }
 
 

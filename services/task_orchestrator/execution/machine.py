@@ -1,7 +1,7 @@
 """Machine: creates, moves and cancels tokens and frames, and reads and sets their variables."""
 
 from collections import ChainMap, deque
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -17,12 +17,14 @@ from services.task_orchestrator.execution.state import (
     State,
     Token,
     TokenState,
+    prefix_within,
 )
 from services.task_orchestrator.languages.base import ExpressionError
-from services.task_orchestrator.model import Kind, Node
+from services.task_orchestrator.model import MultiInstance, Node
 
-MAX_STEPS = 10_000
-"""Nodes that the tokens of a process may enter without waiting for anything; more are an endless loop."""
+MAX_STEPS = 25_000
+"""Nodes that tokens may enter in one step of the process; more are an endless loop."""
+ACTIVE = frozenset({TokenState.READY, TokenState.FINISHING, TokenState.LEAVING})
 MAX_CALLS = 20
 """Called processes within each other; more are a cycle."""
 
@@ -65,11 +67,13 @@ class Machine:
     library: Library
     now: datetime
     queue: deque[int] = field(default_factory=deque)
-    """The tokens that are ready or finishing."""
+    """The tokens that are about to do something."""
     steps: int = 0
     effects: list[Effect] = field(default_factory=list)
     variables_changed: bool = False
     joins_to_check: dict[tuple[int, str], None] = field(default_factory=dict)
+    left_frames: dict[int, None] = field(default_factory=dict)
+    """The frames that a token has left, or in which one waits at a join."""
 
     # Lookup
 
@@ -100,18 +104,19 @@ class Machine:
         state: TokenState = TokenState.READY,
         results: dict[str, Any] | None = None,
     ) -> Token:
-        """Create a token at `node`; one that is ready or finishing is put into the queue."""
-        token = Token(self.state.new_id(), frame.id, node, state, via=via, results=results)
+        """Create a token at `node`; one that is about to do something is put into the queue."""
+        token = Token(self.state.new_id(), frame.id, node, state, via, results=results)
         self.state.tokens[token.id] = token
         frame.tokens[token.id] = token
-        if state in {TokenState.READY, TokenState.FINISHING}:
+        if state in ACTIVE:
             self.queue.append(token.id)
         return token
 
     def change_state(self, token: Token, state: TokenState) -> None:
-        """Set the state of a token; one that is ready or finishing is put into the queue."""
+        """Set the state of a token, which ends its incident; an active one is put into the queue."""
         token.state = state
-        if state in {TokenState.READY, TokenState.FINISHING}:
+        token.incident = None
+        if state in ACTIVE:
             self.queue.append(token.id)
 
     def remove(self, token: Token) -> None:
@@ -122,28 +127,24 @@ class Machine:
             self._complete(frame)
 
     def _discard(self, token: Token) -> None:
+        tokens = self.state.tokens
         for inner in list(token.inner):
-            self._discard(self.state.tokens[inner])
+            self._discard(tokens[inner])
         if token.child is not None:
             self.discard_frame(self.state.frames[token.child])
-        self.clear_waits(token)
-        if token.body is not None and token.body in self.state.tokens:
-            self.state.tokens[token.body].inner.remove(token.id)
-        del self.frame_of(token).tokens[token.id]
-        del self.state.tokens[token.id]
-        self._check_joins(token.frame)
-
-    def clear_waits(self, owner: Token | Frame) -> None:
-        """Remove the waits of a token, or those of a frame for its event subprocesses."""
-        for wait in owner.waits:
-            self.state.waits.pop(wait, None)
-        owner.waits.clear()
-
-    def _check_joins(self, frame: int) -> None:
-        """Check inclusive joins of a frame again, since a token that they waited for may have gone."""
-        graph = self.state.frames[frame].graph
-        for join in graph.upstream:
-            self.joins_to_check[frame, join] = None
+        if token.waits:
+            self.state.clear_waits(token)
+        frame = self.state.frames[token.frame]
+        del frame.tokens[token.id]
+        del tokens[token.id]
+        if token.body is not None:
+            del tokens[token.body].inner[token.id]
+            return
+        if token.compensates is not None and token.compensates in tokens:
+            self.queue.append(token.compensates)
+        self.left_frames[frame.id] = None
+        for join in frame.graph.inclusive_joins:  # it may have waited for this token
+            self.joins_to_check[frame.id, join] = None
 
     # Frames
 
@@ -153,8 +154,7 @@ class Machine:
         """Create a frame; `plan` is that of its process, if the frame is one."""
         prefix = ""
         if host is not None:
-            outer = self.frame_of(host)
-            prefix = f"{outer.prefix}{host.node}." if plan is not None else outer.prefix
+            prefix = prefix_within(self.frame_of(host), host, is_call=plan is not None)
         frame = Frame(
             self.state.new_id(),
             graph.scope.id,
@@ -167,15 +167,13 @@ class Machine:
         self.state.frames[frame.id] = frame
         if host is not None:
             host.child = frame.id
-            host.state = TokenState.SCOPE
+            self.change_state(host, TokenState.SCOPE)
         return frame
 
     def discard_frame(self, frame: Frame) -> None:
         """Remove a frame with all its tokens and waits; its host does not continue."""
-        for token in list(frame.tokens.values()):
-            if token.id in frame.tokens:  # not removed with another one
-                self._discard(token)
-        self.clear_waits(frame)
+        self._discard_all(frame.tokens.values())
+        self.state.clear_waits(frame)
         host = self.host(frame)
         if host is not None:
             host.child = None
@@ -185,71 +183,87 @@ class Machine:
         """Continue the host of a frame whose last token has ended."""
         host = self.host(frame)
         if host is None:
-            self.clear_waits(frame)
+            self.state.clear_waits(frame)
             self.state.completed = True
             return
-        if host.state is not TokenState.SCOPE:
+        if host.state is not TokenState.SCOPE:  # it compensates
             return
         if frame.process is not None:
-            host.results = dict(frame.variables)
-        elif self._leaves_compensations(frame, host):
+            host.results = frame.variables
+        elif self._leaves_completions(frame, host):
             host.inside = {
+                "local": host.local,
                 "variables": frame.variables,
                 "data": frame.data,
-                "compensations": frame.compensations,
+                "completions": frame.completions,
             }
         self.discard_frame(frame)
         self.change_state(host, TokenState.FINISHING)
 
-    def _leaves_compensations(self, frame: Frame, host: Token) -> bool:
+    def _leaves_completions(self, frame: Frame, host: Token) -> bool:
         if self.node(host).triggered_by_event:
             return False
-        return bool(frame.compensations) or frame.graph.compensation_subprocess is not None
+        return bool(frame.completions) or frame.graph.compensation_subprocess is not None
 
     def cancel_others(self, frame: Frame, but: Token) -> None:
         """Cancel all tokens of a frame but one."""
-        for token in list(frame.tokens.values()):
-            if token is not but and token.id in frame.tokens:
-                self._discard(token)
+        self._discard_all(token for token in frame.tokens.values() if token is not but)
 
     # Variables
 
-    def variables(self, token: Token) -> Mapping[str, Any]:
-        """Return the variables that a token sees: its own, those of its frame and of the enclosing ones."""
-        return ChainMap(*self._layers(token))
+    def variables(self, token: Token) -> MutableMapping[str, Any]:
+        """Return the variables that a token sees: its own, those of its frame and of the enclosing ones.
 
-    def frame_variables(self, frame: Frame) -> Mapping[str, Any]:
+        The mapping changes with the state and must not be changed.
+        """
+        frame = self.state.frames[token.frame]
+        if frame.process is not None and not token.local and token.body is None:
+            return frame.variables
+        return ChainMap(*self._own_layers(token), *self._layers(frame))
+
+    def frame_variables(self, frame: Frame) -> MutableMapping[str, Any]:
         """Return the variables that are visible in a frame."""
-        return ChainMap(*self._frame_layers(frame))
+        return ChainMap(*self._layers(frame))
 
-    def _layers(self, token: Token) -> Iterator[MutableMapping[str, Any]]:
+    def _own_layers(self, token: Token) -> Iterator[dict[str, Any]]:
         if token.local:
             yield token.local
         if token.body is not None:
             yield self.state.tokens[token.body].local
-        yield from self._frame_layers(self.frame_of(token))
 
-    def _frame_layers(self, frame: Frame) -> Iterator[MutableMapping[str, Any]]:
+    def _layers(self, frame: Frame) -> Iterator[dict[str, Any]]:
+        """Yield the variables of a frame and of the enclosing ones up to the process."""
         yield frame.variables
-        host = self.host(frame)
-        while host is not None and frame.process is None:
-            if host.local:
-                yield host.local
-            if host.body is not None:
-                yield self.state.tokens[host.body].local
-            frame = self.frame_of(host)
+        while frame.process is None and frame.host is not None:
+            host = self.state.tokens[frame.host]
+            yield from self._own_layers(host)
+            frame = self.state.frames[host.frame]
             yield frame.variables
-            host = self.host(frame)
 
-    def set_variables(self, frame: Frame, values: Mapping[str, Any]) -> None:
-        """Set variables where the nearest enclosing scope has them, else in the process."""
+    def set_variables(self, frame: Frame, values: Mapping[str, Any], *, token: Token | None = None) -> None:
+        """Set variables where the nearest enclosing scope has them.
+
+        Others become variables of the process, or of the instance if the frame is within an activity whose
+        instances have an output collection. With a token its local variables are scopes as well.
+        """
         if not values:
             return
-        layers = list(self._frame_layers(frame))
-        for name, value in values.items():
-            owner = next((layer for layer in layers if name in layer), layers[-1])
-            owner[name] = value
         self.variables_changed = True
+        if frame.process is not None and token is None:
+            frame.variables.update(values)
+            return
+        layers = [*(() if token is None else self._own_layers(token)), *self._layers(frame)]
+        default = self._default_layer(frame)
+        for name, value in values.items():
+            next((layer for layer in layers if name in layer), default)[name] = value
+
+    def _default_layer(self, frame: Frame) -> dict[str, Any]:
+        while frame.process is None and frame.host is not None:
+            host = self.state.tokens[frame.host]
+            if host.body is not None and has_output_collection(self.node(host)):
+                return host.local
+            frame = self.state.frames[host.frame]
+        return frame.variables
 
     def data_owner(self, frame: Frame, data: str) -> dict[str, Any]:
         """Return the data objects, by id, of the scope that has the data object `data`."""
@@ -262,30 +276,41 @@ class Machine:
     def raise_incident(
         self, token: Token, reason: str, details: dict[str, Any] | None = None, *, stage: TokenState
     ) -> None:
-        """Stop a token until somebody retries, skips, moves or cancels it."""
+        """Stop a token until an engineer retries, skips, moves or cancels it."""
         if stage is TokenState.READY:
             self.undo_entry(token)
         token.incident = Incident(stage, reason, self.now, details or {})
         token.state = TokenState.INCIDENT
 
+    def report_incident(self, token: Token, reason: str) -> None:
+        """Raise an incident at a token in whose node something runs or waits, which continues."""
+        token.incident = Incident(token.state, reason, self.now)
+
     def undo_entry(self, token: Token) -> None:
         """Remove what a token has begun in its node, so that it can enter again."""
-        self.clear_waits(token)
+        self.state.clear_waits(token)
         for inner in list(token.inner):
             self._discard(self.state.tokens[inner])
         if token.child is not None:
             self.discard_frame(self.state.frames[token.child])
+        if token.compensation is not None:
+            token.compensation = None
+            self._discard_all(each for each in self.state.tokens.values() if each.compensates == token.id)
         token.loop = None
         if token.body is None:
             token.local.clear()
 
+    def _discard_all(self, tokens: Iterable[Token]) -> None:
+        """Discard tokens, of which one may be within another."""
+        for token in list(tokens):
+            if token.id in self.state.tokens:
+                self._discard(token)
+
     def fail_process(self, reason: str) -> None:
         """End the process: nothing has caught an error."""
         root = self.state.root
-        for token in list(root.tokens.values()):
-            if token.id in root.tokens:
-                self._discard(token)
-        self.clear_waits(root)
+        self._discard_all(root.tokens.values())
+        self.state.clear_waits(root)
         self.state.failure = reason
 
     @contextmanager
@@ -296,6 +321,18 @@ class Machine:
         except (ExpressionError, ValueError, OverflowError) as error:
             raise self.failure(token, text_of(error)) from error
 
+    def check_steps(self, token: Token, following: int = 0) -> None:
+        """Raise `RunFailed` if the tokens have entered too many nodes, with those that certainly follow."""
+        if self.steps + following > MAX_STEPS:
+            raise RunFailed(
+                message(
+                    "process.endless_loop",
+                    'at "{element}": {limit} steps without waiting for anything',
+                    element=self.node(token).name or self.element(token),
+                    limit=MAX_STEPS,
+                )
+            )
+
     def failure(self, token: Token, why: str) -> RunFailed:
         """Return the error that the token cannot continue; it names the node as it is drawn."""
         node = self.node(token)
@@ -305,6 +342,6 @@ class Machine:
         )
 
 
-def is_activity(node: Node) -> bool:
-    """Return whether a node is an activity, which may have boundary events and loops."""
-    return node.kind.value.endswith(("Task", "task")) or node.kind in {Kind.SUB_PROCESS, Kind.CALL_ACTIVITY}
+def has_output_collection(node: Node) -> bool:
+    """Return whether the results of each instance of an activity stay local, for its output collection."""
+    return isinstance(node.loop, MultiInstance) and node.loop.output_collection is not None

@@ -1,13 +1,13 @@
 """Navigation: tokens take sequence flows, are split and joined by gateways, and end."""
 
-from handover.messages import message
+from handover.messages import message, text_of
 from services.task_orchestrator.execution.machine import Machine
-from services.task_orchestrator.execution.state import Frame, RunFailed, Token, TokenState
+from services.task_orchestrator.execution.state import Frame, Token, TokenState
 from services.task_orchestrator.languages.base import Variables
 from services.task_orchestrator.model import Flow, Kind, Node
 
 
-def leave(machine: Machine, token: Token) -> None:
+def take_flows(machine: Machine, token: Token) -> None:
     """Move a token from its node along the sequence flows to be taken; without any it ends.
 
     Raises `RunFailed`, without a change, if there are flows but none can be taken.
@@ -59,19 +59,21 @@ def _no_match(flows: list[Flow]) -> str:
     )
 
 
-def join(machine: Machine, token: Token, incoming: list[Flow]) -> None:
-    """Let a token that has arrived at a parallel gateway wait for, or continue with, the other branches."""
-    token.state = TokenState.JOINED
+def arrive(machine: Machine, token: Token, node: Node) -> None:
+    """Let a token wait at a joining gateway, or continue with those that it was waiting for."""
     frame = machine.frame_of(token)
-    arrived = _arrived(frame, token.node)
-    if all(flow.id in arrived for flow in incoming):
+    incoming = frame.graph.incoming[node.id]
+    arrived = _arrived(frame, node.id)
+    if token.via is None or all(flow.id != token.via for flow in incoming):  # it was moved here
+        token.via = next((flow.id for flow in incoming if flow.id not in arrived), incoming[0].id)
+    machine.change_state(token, TokenState.JOINED)
+    machine.left_frames[frame.id] = None
+    if node.kind is Kind.INCLUSIVE:
+        machine.joins_to_check[frame.id, node.id] = None
+        return
+    arrived.setdefault(token.via, token)
+    if len(arrived) == len(incoming):
         _merge(machine, [arrived[flow.id] for flow in incoming])
-
-
-def await_join(machine: Machine, token: Token) -> None:
-    """Let a token wait at an inclusive gateway until no other token can arrive there."""
-    token.state = TokenState.JOINED
-    machine.joins_to_check[token.frame, token.node] = None
 
 
 def check_joins(machine: Machine) -> bool:
@@ -114,31 +116,32 @@ def _is_complete(frame: Frame, join: str, arrived: dict[str, Token]) -> bool:
 
 def _merge(machine: Machine, tokens: list[Token]) -> None:
     first, *others = tokens
-    first.state = TokenState.WAITING  # no longer counted as arrived
+    machine.change_state(first, TokenState.LEAVING)
     for other in others:
         machine.remove(other)
-    machine.change_state(first, TokenState.FINISHING)
 
 
 def find_stalled(machine: Machine) -> None:
     """Raise incidents at joins that wait for branches from which no token can come any more."""
-    for frame in machine.state.frames.values():
-        if not frame.tokens or frame.waits:
-            continue
-        if any(token.state is not TokenState.JOINED for token in frame.tokens.values()):
+    for frame_id in machine.left_frames:
+        frame = machine.state.frames.get(frame_id)
+        if frame is None or any(each.state is not TokenState.JOINED for each in frame.tokens.values()):
             continue
         for token in frame.tokens.values():
-            arrived = _arrived(frame, token.node)
-            missing = [flow for flow in frame.graph.incoming[token.node] if flow.id not in arrived]
-            failure = machine.failure(
-                token,
-                message(
-                    "process.join_never_complete",
-                    "the join waits for {flows}, and no token can come from there any more",
-                    flows=", ".join(flow.name or flow.id for flow in missing),
-                ),
-            )
-            machine.raise_incident(token, failure.args[0], stage=TokenState.JOINED)
+            if token.incident is None:
+                machine.report_incident(token, _never_complete(machine, frame, token))
+    machine.left_frames.clear()
+
+
+def _never_complete(machine: Machine, frame: Frame, token: Token) -> str:
+    arrived = _arrived(frame, token.node)
+    missing = [flow for flow in frame.graph.incoming[token.node] if flow.id not in arrived]
+    why = message(
+        "process.join_never_complete",
+        "the join waits for {flows}, and no token can come from there any more",
+        flows=", ".join(flow.name or flow.id for flow in missing),
+    )
+    return text_of(machine.failure(token, why))
 
 
 def choose_event(machine: Machine, token: Token) -> list[Node]:
@@ -146,5 +149,5 @@ def choose_event(machine: Machine, token: Token) -> list[Node]:
     graph = machine.frame_of(token).graph
     events = [graph.nodes[flow.target] for flow in graph.outgoing[token.node]]
     if not events:
-        raise RunFailed(f'at "{token.node}": no event follows the gateway')
+        raise machine.failure(token, "no event follows the gateway")
     return events

@@ -121,14 +121,13 @@ def start_event_subprocess(
     host = machine.add_token(frame, subprocess.id, state=TokenState.SCOPE)
     if interrupting:
         machine.cancel_others(frame, but=host)
-        machine.clear_waits(frame)
+        machine.state.clear_waits(frame)
     inner = machine.add_frame(frame.graph.inner[subprocess.id], host, variables={})
     machine.add_token(inner, start.id, state=TokenState.FINISHING, results=results)
     try:
         register_event_subprocesses(machine, inner)
     except (ExpressionError, ValueError) as error:
-        failure = machine.failure(host, text_of(error))
-        machine.raise_incident(host, text_of(failure), stage=TokenState.SCOPE)
+        machine.report_incident(host, machine.failure(host, text_of(error)).args[0])
 
 
 def register_event_subprocesses(machine: Machine, frame: Frame) -> None:

@@ -4,18 +4,26 @@ Every change happens at a moment that the caller gives. A step that fails unexpe
 incident at the token that caused it: the state before the step is restored from its snapshot.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
 from handover.messages import message, text_of
 from handover.telemetry import get_logger
-from services.task_orchestrator.execution.activities import finish, open_work
+from services.task_orchestrator.execution.activities import (
+    cancel_instance,
+    finish,
+    leave,
+    no_plain_start,
+    open_work,
+    set_results,
+)
+from services.task_orchestrator.execution.compensation import continue_compensation
 from services.task_orchestrator.execution.events import enter, trigger
 from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.machine import MAX_STEPS, Effect, Machine
-from services.task_orchestrator.execution.navigation import check_joins, find_stalled
+from services.task_orchestrator.execution.machine import ACTIVE, MAX_STEPS, Effect, Machine
+from services.task_orchestrator.execution.navigation import arrive, check_joins, find_stalled
 from services.task_orchestrator.execution.propagation import (
     register_event_subprocesses,
     throw_error,
@@ -25,24 +33,24 @@ from services.task_orchestrator.execution.state import (
     Frame,
     Incident,
     Library,
+    NotStorable,
     RunFailed,
     State,
     Token,
     TokenState,
+    Wait,
     WaitType,
     read_snapshot,
 )
 from services.task_orchestrator.execution.waits import conditions_that_became_true
 from services.task_orchestrator.languages.base import ExpressionError
-from services.task_orchestrator.model import Activity, Kind, Node
+from services.task_orchestrator.model import Activity, Kind
 
 log = get_logger(__name__)
 
 STEP_FAILURES = (RunFailed, ExpressionError)
-
-
-class _StepFailed(Exception):
-    """A step that began without a token of its own has failed."""
+_NEVER = datetime.min.replace(tzinfo=UTC)
+"""The moment of a machine that only reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +78,8 @@ class OpenIncident:
     since: datetime
     stage: TokenState
     details: Mapping[str, Any]
+    visit: int
+    """The visit of its activity, as in the Task; 0 if it has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +102,8 @@ class Run:
         """Messages, signals and escalations that the process has thrown; the caller takes them away."""
         self._state = state
         self._library = library
-        self._saved: bytes | None = None
+        self._saved: bytes = b""
+        """The snapshot of the state after the last change."""
 
     @classmethod
     def start(
@@ -119,24 +130,27 @@ class Run:
             graph=plan.graph,
         )
         run._state.frames[root.id] = root
+        if at is not None and at not in plan.graph.nodes:
+            raise RunFailed(f'there is no event "{at}" in "{plan.definition.name}"')
         starts = plan.graph.starts if at is None else [plan.graph.nodes[at]]
         if not starts:
-            raise RunFailed(
-                message(
-                    "process.no_plain_start",
-                    '"{definition}" starts with an event, so it cannot be started without it',
-                    definition=plan.definition.name,
-                )
-            )
+            raise RunFailed(no_plain_start(plan.definition.name))
         machine = run._machine(now)
         try:
             register_event_subprocesses(machine, root)
         except (ExpressionError, ValueError) as error:
             raise RunFailed(text_of(error)) from error
-        for start in starts:
-            state = TokenState.READY if at is None else TokenState.FINISHING
-            machine.add_token(root, start.id, state=state, results=dict(results or {}) or None)
-        run._settle(machine)
+        stage = TokenState.READY if at is None else TokenState.FINISHING
+        tokens = [
+            machine.add_token(root, start.id, state=stage, results=dict(results or {}) or None).id
+            for start in starts
+        ]
+        run._saved = run._state.snapshot()
+        run._change(
+            lambda machine: machine.queue.extend(tokens),
+            now,
+            lambda state, error: _stop(state.tokens[tokens[0]], stage, _reason(error), now),
+        )
         return run
 
     @classmethod
@@ -164,18 +178,30 @@ class Run:
 
     def open(self) -> tuple[OpenActivity, ...]:
         """Return the activities that performers work on, in the order in which they were reached."""
-        machine = self._machine(datetime.min)  # noqa: DTZ901 - not used for reading
+        machine = self._machine(_NEVER)
         working = (token for token in self._state.tokens.values() if token.state is TokenState.WORK)
         return tuple(_open_activity(machine, token) for token in working)
 
-    def is_open(self, token: str) -> bool:
-        """Return whether a performer works on the activity of `token`."""
-        found = self._state.tokens.get(int(token))
-        return found is not None and found.state is TokenState.WORK
+    def visit(self, token: str) -> int | None:
+        """Return the visit of the activity of `token` that a performer works on; None if there is none."""
+        found = self._find(token)
+        return found.visit if found is not None and found.state is TokenState.WORK else None
+
+    def activity(self, token: str) -> Activity:
+        """Return the activity of an open `token`; raise `RunFailed` if it is not open."""
+        found = self._working(token)
+        activity = self._state.frames[found.frame].graph.nodes[found.node].activity
+        assert activity is not None  # noqa: S101 - only such a token is open
+        return activity
+
+    def element(self, token: str) -> str | None:
+        """Return the id of the element at which `token` is; None if there is no such token."""
+        found = self._find(token)
+        return None if found is None else self._state.frames[found.frame].prefix + found.node
 
     def incidents(self) -> tuple[OpenIncident, ...]:
         """Return the tokens that cannot continue."""
-        machine = self._machine(datetime.min)  # noqa: DTZ901 - not used for reading
+        machine = self._machine(_NEVER)
         return tuple(
             OpenIncident(
                 str(token.id),
@@ -185,6 +211,7 @@ class Run:
                 token.incident.since,
                 token.incident.stage,
                 token.incident.details,
+                token.visit,
             )
             for token in self._state.tokens.values()
             if token.incident is not None
@@ -210,37 +237,44 @@ class Run:
                 self._state.frames[wait.frame].prefix + wait.node,
             )
             for wait in self._state.waits.values()
-            if wait.type in {WaitType.MESSAGE, WaitType.SIGNAL}
+            if wait.type in {WaitType.MESSAGE, WaitType.SIGNAL} and wait.stopped is None
         )
 
     def next_due(self) -> datetime | None:
         """Return when the next timer is due; None without one."""
-        return min((wait.due for wait in self._state.waits.values() if wait.due is not None), default=None)
+        return min((due for due, _ in self._timers()), default=None)
+
+    def _timers(self) -> Iterator[tuple[datetime, int]]:
+        for wait in self._state.waits.values():
+            if wait.due is not None and wait.stopped is None:
+                yield wait.due, wait.id
 
     def snapshot(self) -> bytes:
-        """Return the serialized run; raise `RunFailed` if its variables are too large or no JSON."""
-        self._saved = self._state.snapshot()
+        """Return the serialized run."""
         return self._saved
 
     # Changes
 
     def complete(self, token: str, results: Mapping[str, Any], now: datetime) -> None:
-        """Complete the activity of `token`, with its `results` as process variables."""
+        """Complete the open activity of `token`, with its `results` as process variables."""
 
         def act(machine: Machine) -> None:
-            activity = self._token(token)
+            activity = self._working(token)
             activity.results = dict(results)
             machine.change_state(activity, TokenState.FINISHING)
 
-        def blame(state: State, reason: str) -> Token:
+        def blame(state: State, error: Exception) -> None:
             activity = state.tokens[int(token)]
+            if isinstance(error, NotStorable):
+                _stop(activity, TokenState.WORK, _reason(error), now)
+                return
             activity.results = dict(results)
-            return _stop(activity, TokenState.FINISHING, reason, now)
+            _stop(activity, TokenState.FINISHING, _reason(error), now)
 
         self._change(act, now, blame)
 
     def fail(self, token: str, code: str | None, reason: str, now: datetime) -> bool:
-        """Continue at the event that catches the error `code` of an activity, else raise an incident.
+        """Continue at the event that catches the error `code` of an open activity, else raise an incident.
 
         Returns whether an event has caught it. The variable `error` then has `activity`, `code` and `reason`.
         """
@@ -248,19 +282,30 @@ class Run:
 
         def act(machine: Machine) -> None:
             nonlocal caught
-            activity = self._token(token)
+            activity = self._working(token)
             details = {"activity": activity.node, "reason": str(reason), "code": code}
             caught = throw_error(machine, activity, code, details)
             if not caught:
                 machine.raise_incident(activity, reason, {"code": code}, stage=TokenState.WORK)
 
-        self._change(act, now, lambda state, why: _stop(state.tokens[int(token)], TokenState.WORK, why, now))
+        def blame(state: State, error: Exception) -> None:
+            nonlocal caught
+            caught = False
+            _stop(state.tokens[int(token)], TokenState.WORK, _reason(error), now)
+
+        self._change(act, now, blame)
         return caught
+
+    def refuse(self, token: str, reason: str, now: datetime) -> None:
+        """Raise an incident at an open activity whose Task cannot be created."""
+        self._change(
+            lambda machine: machine.raise_incident(self._working(token), reason, stage=TokenState.WORK), now
+        )
 
     def escalate(self, token: str, code: str | None, details: Mapping[str, Any], now: datetime) -> None:
         """Throw an escalation from an open activity, which continues unless the catching event interrupts."""
         self._change(
-            lambda machine: throw_escalation(machine, self._token(token), code, dict(details)), now, None
+            lambda machine: throw_escalation(machine, self._working(token), code, dict(details)), now
         )
 
     def deliver(self, wait: int, variables: Mapping[str, Any], now: datetime) -> None:
@@ -271,42 +316,30 @@ class Run:
     def advance(self, now: datetime) -> None:
         """Process the timers that are due at `now`, in the order of their moments."""
         for _ in range(MAX_STEPS):
-            due = [
-                (wait.due, wait.id)
-                for wait in self._state.waits.values()
-                if wait.due is not None and wait.due <= now
-            ]
-            if not due:
+            due = min((timer for timer in self._timers() if timer[0] <= now), default=None)
+            if due is None:
                 return
-            self._trigger(min(due)[1], {}, now)
+            self._trigger(due[1], {}, now)
 
     def _trigger(self, wait: int, variables: dict[str, Any], now: datetime) -> None:
-        """Let the event of a wait occur; if that fails, its token or scope gets an incident."""
+        """Let the event of a wait occur; if that fails, the wait stops, with an incident."""
 
-        def blame(state: State, reason: str) -> Token:
-            failed = state.waits.pop(wait)
-            frame = state.frames[failed.frame]
-            owner: Token | Frame = frame if failed.token is None else state.tokens[failed.token]
-            owner.waits.remove(wait)
-            token = next(iter(frame.tokens.values())) if failed.token is None else state.tokens[failed.token]
-            return _stop(token, token.state if token.incident is None else token.incident.stage, reason, now)
+        def blame(state: State, error: Exception) -> None:
+            if isinstance(error, NotStorable) and variables:
+                raise error
+            _stop_wait(state, state.waits[wait], variables, _reason(error), now)
 
-        def act(machine: Machine) -> None:
-            try:
-                trigger(machine, self._state.waits[wait], variables)
-            except (*STEP_FAILURES, ValueError) as failure:
-                raise _StepFailed(text_of(failure)) from failure
-
-        self._change(act, now, blame)
+        self._change(lambda machine: trigger(machine, self._state.waits[wait], variables), now, blame)
 
     def set_variables(self, values: Mapping[str, Any], now: datetime, *, token: str | None = None) -> None:
         """Set variables of the process, or those that a token sees where the nearest scope has them."""
 
         def act(machine: Machine) -> None:
-            frame = self._state.root if token is None else machine.frame_of(self._token(token))
-            machine.set_variables(frame, values)
+            found = None if token is None else self._token(token)
+            frame = self._state.root if found is None else machine.frame_of(found)
+            machine.set_variables(frame, values, token=found)
 
-        self._change(act, now, None)
+        self._change(act, now)
 
     # What an engineer does
 
@@ -315,35 +348,56 @@ class Run:
 
         def act(machine: Machine) -> None:
             found = self._token(token)
-            if found.incident is None:
+            incident = found.incident
+            if incident is None:
                 raise RunFailed(f"the token {token} has no incident")
-            stage, found.incident = found.incident.stage, None
-            if stage is TokenState.WORK:
+            found.incident = None
+            if found.state is TokenState.JOINED:
+                arrive(machine, found, machine.node(found))
+            elif found.state is not TokenState.INCIDENT:
+                self._retry_events(machine, found)
+            elif incident.stage is TokenState.WORK:
                 open_work(machine, found)
-            elif stage is TokenState.SCOPE and found.child is not None:
-                found.state = stage
-                frame = self._state.frames[found.child]
-                machine.clear_waits(frame)
-                with machine.failures(found):
-                    register_event_subprocesses(machine, frame)
             else:
-                machine.change_state(found, stage)
+                machine.change_state(found, incident.stage)
 
-        self._change(act, now, None)
+        self._change(act, now)
+
+    def _retry_events(self, machine: Machine, token: Token) -> None:
+        """Process the failed events of a token again, or wait again for those of its event subprocesses."""
+        owners: list[Token | Frame] = [token, machine.frame_of(token)]
+        child = None if token.child is None else self._state.frames[token.child]
+        if child is not None:
+            owners.append(child)
+        stopped = [
+            wait
+            for owner in owners
+            for wait in (self._state.waits[wait] for wait in owner.waits)
+            if wait.stopped is not None
+        ]
+        if not stopped and child is not None:
+            self._state.clear_waits(child)
+            with machine.failures(token):
+                register_event_subprocesses(machine, child)
+        for wait in stopped:
+            if wait.id in self._state.waits:
+                payload, wait.stopped = wait.stopped or {}, None
+                trigger(machine, wait, payload)
 
     def skip(self, token: str, results: Mapping[str, Any], now: datetime) -> None:
-        """Let a token leave its node with `results`, without doing what the node asks for."""
+        """Let a token leave its node without doing what the node asks for; `results` become variables."""
 
         def act(machine: Machine) -> None:
             found = self._token(token)
-            if found.state in {TokenState.READY, TokenState.FINISHING}:
-                raise RunFailed(f"the token {token} is on its way")
-            found.incident = None
+            node = machine.node(found)
+            if node.kind is Kind.EVENT_BASED:
+                raise machine.failure(found, "an event-based gateway cannot be skipped, only moved")
             machine.undo_entry(found)
-            found.results = dict(results) or None
-            machine.change_state(found, TokenState.FINISHING)
+            found.results = None
+            set_results(machine, found, node, results)
+            machine.change_state(found, TokenState.LEAVING)
 
-        self._change(act, now, None)
+        self._change(act, now)
 
     def move(self, token: str, node: str, now: datetime) -> None:
         """Move a token to another node of its scope; what it does in its present node is cancelled."""
@@ -366,88 +420,118 @@ class Run:
             machine.add_token(frame, node)
             machine.remove(found)
 
-        self._change(act, now, None)
+        self._change(act, now)
 
     def cancel_token(self, token: str, now: datetime) -> None:
-        """End a token where it is; its scope ends if it was the last one."""
-        self._change(lambda machine: machine.remove(self._token(token)), now, None)
+        """End a token where it is; its scope or loop ends if it was the last one."""
+
+        def act(machine: Machine) -> None:
+            found = self._token(token)
+            if found.body is None:
+                machine.remove(found)
+            else:
+                cancel_instance(machine, found)
+
+        self._change(act, now)
 
     # Steps
 
     def _machine(self, now: datetime) -> Machine:
         return Machine(self._state, self._library, now)
 
+    def _find(self, token: str) -> Token | None:
+        return self._state.tokens.get(int(token)) if token.isdecimal() else None
+
     def _token(self, token: str) -> Token:
-        found = self._state.tokens.get(int(token)) if token.isdecimal() else None
+        found = self._find(token)
         if found is None:
             raise RunFailed(message("process.no_such_token", 'there is no token "{token}"', token=token))
+        return found
+
+    def _working(self, token: str) -> Token:
+        found = self._token(token)
+        if found.state is not TokenState.WORK:
+            raise RunFailed(
+                message(
+                    "process.token_not_open", 'nobody works on the activity of token "{token}"', token=token
+                )
+            )
         return found
 
     def _change(
         self,
         act: Callable[[Machine], object],
         now: datetime,
-        blame: Callable[[State, str], Token] | None,
+        blame: Callable[[State, Exception], None] | None = None,
     ) -> None:
-        """Apply `act` and advance; after an unexpected failure restore the state, with an incident."""
+        """Apply `act`, advance and take a snapshot.
+
+        After an unexpected failure the state before is restored, and `blame` raises an incident. Without
+        `blame`, and if `act` itself is impossible, nothing changes and the failure is raised as `RunFailed`.
+        """
         machine = self._machine(now)
         try:
             act(machine)
             self._settle(machine)
-        except RunFailed:
-            self._restore()
-            raise
+            self._saved = self._state.snapshot()
         except Exception as error:
             self._restore()
-            reason = message(
-                "process.engine_failed",
-                "the engine failed: {error}",
-                error=f"{type(error).__name__}: {error}",
-            )
-            if blame is None or self._saved is None:
-                raise RunFailed(reason) from error
-            log.exception("step of a process failed", definition=self.plan.definition.name)
-            blame(self._state, reason)
+            if isinstance(error, RunFailed) and (blame is None or not isinstance(error, NotStorable)):
+                raise
+            if blame is None:
+                raise RunFailed(_reason(error)) from error
+            if not isinstance(error, RunFailed):
+                log.exception("step of a process failed", definition=self.plan.definition.name)
+            blame(self._state, error)
+            self._saved = self._state.snapshot()
+        else:
+            self.effects += machine.effects
 
     def _restore(self) -> None:
-        if self._saved is not None:
-            self._state = read_snapshot(self._saved, self._library)
+        self._state = read_snapshot(self._saved, self._library)
 
     def _settle(self, machine: Machine) -> None:
         """Advance every token as far as possible."""
-        self._process(machine)
-        if not self._state.completed:
-            find_stalled(machine)
-        self.effects += machine.effects
-
-    def _process(self, machine: Machine) -> None:
         while True:
             while machine.queue:
                 self._process_token(machine, machine.queue.popleft())
             if check_joins(machine):
                 continue
             if not machine.variables_changed:
-                return
+                break
             machine.variables_changed = False
             for wait in conditions_that_became_true(machine):
                 if wait.id in self._state.waits:
                     trigger(machine, wait, {})
+        if not self._state.completed:
+            find_stalled(machine)
 
     def _process_token(self, machine: Machine, token_id: int) -> None:
         token = self._state.tokens.get(token_id)
-        if token is None or token.state not in {TokenState.READY, TokenState.FINISHING}:
+        if token is None:
+            return
+        if token.state is TokenState.COMPENSATING:
+            continue_compensation(machine, token)
+            return
+        if token.state not in ACTIVE:
             return
         stage = token.state
         node = machine.node(token)
         try:
+            if stage is TokenState.READY:
+                machine.steps += 1
+                machine.check_steps(token)
+                enter(machine, token, node)
+                if token.state is not TokenState.FINISHING:
+                    return
+                stage = TokenState.FINISHING
             if stage is TokenState.FINISHING:
                 finish(machine, token, node)
-                return
-            machine.steps += token.body is None  # the number of instances has a limit of its own
-            if machine.steps > MAX_STEPS:
-                raise _endless(machine, token, node)
-            enter(machine, token, node)
+            else:
+                leave(machine, token, node)
         except STEP_FAILURES as failure:
+            if token.state is TokenState.LEAVING:
+                stage = TokenState.LEAVING
             machine.raise_incident(token, text_of(failure), stage=stage)
 
 
@@ -463,18 +547,24 @@ def _open_activity(machine: Machine, token: Token) -> OpenActivity:
     return OpenActivity(str(token.id), machine.element(token), token.visit, node.activity, variables, data)
 
 
-def _endless(machine: Machine, token: Token, node: Node) -> RunFailed:
-    return RunFailed(
-        message(
-            "process.endless_loop",
-            'at "{element}": {limit} steps without waiting for anything',
-            element=node.name or machine.element(token),
-            limit=MAX_STEPS,
-        )
+def _reason(error: Exception) -> str:
+    if isinstance(error, RunFailed):
+        return text_of(error)
+    return message(
+        "process.engine_failed", "the engine failed: {error}", error=f"{type(error).__name__}: {error}"
     )
 
 
-def _stop(token: Token, stage: TokenState, reason: str, now: datetime) -> Token:
+def _stop(token: Token, stage: TokenState, reason: str, now: datetime) -> None:
     token.incident = Incident(stage, reason, now)
     token.state = TokenState.INCIDENT
-    return token
+
+
+def _stop_wait(state: State, wait: Wait, payload: dict[str, Any], reason: str, now: datetime) -> None:
+    """Stop a wait whose event could not be processed, with an incident at its token or scope."""
+    wait.stopped = payload
+    frame = state.frames[wait.frame]
+    owner = frame.host if wait.token is None else wait.token
+    token = next(iter(frame.tokens.values())) if owner is None else state.tokens[owner]
+    if token.incident is None:
+        token.incident = Incident(token.state, reason, now)

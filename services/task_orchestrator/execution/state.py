@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypedDict
 
 import orjson
 
@@ -23,6 +23,10 @@ MAX_SNAPSHOT_BYTES = 4 * 1024 * 1024
 
 class RunFailed(HandoverError):
     """The engine cannot do what is asked of it; the text names the element and the reason."""
+
+
+class NotStorable(RunFailed):
+    """The variables cannot be part of a snapshot: they are too large, or no JSON."""
 
 
 class TokenState(StrEnum):
@@ -43,14 +47,21 @@ class TokenState(StrEnum):
     COMPENSATING = "compensating"
     """It waits for compensation handlers."""
     FINISHING = "finishing"
-    """It is about to leave the node."""
+    """It is about to pass its results on and to leave the node."""
+    LEAVING = "leaving"
+    """Its results are passed on; it is about to leave the node."""
     INCIDENT = "incident"
-    """It cannot continue until somebody mends what is wrong."""
+    """It cannot continue until an engineer resolves its incident."""
 
 
 @dataclass(slots=True)
 class Incident:
-    """Why a token cannot continue; `stage` is the state in which it stopped."""
+    """Why a token cannot continue; `stage` is the state in which it stopped.
+
+    A token that fails in `READY`, `WORK`, `FINISHING` or `LEAVING` stops: its state becomes `INCIDENT`. In
+    any other stage it keeps its state, because what runs or waits in its node continues; one of its events
+    or its join has failed.
+    """
 
     stage: TokenState
     reason: str
@@ -70,12 +81,29 @@ class Loop:
     outputs: list[Any] | None = None
 
 
+class Content(TypedDict):
+    """What a completed subprocess leaves behind for its compensation."""
+
+    local: dict[str, Any]
+    variables: dict[str, Any]
+    data: dict[str, Any]
+    completions: "list[Completion]"
+
+
+class Completion(TypedDict, total=False):
+    """A completed activity that can be compensated; `inside` if it is a subprocess without a handler."""
+
+    activity: str
+    local: dict[str, Any]
+    """The local variables of an instance of a loop."""
+    inside: Content
+
+
 @dataclass(slots=True)
 class Compensation:
-    """The compensations that a token still has to run in the frame `frame`, the next one last."""
+    """What a token still has to compensate: frames and completed activities of them, the next one last."""
 
-    frame: int
-    entries: list[dict[str, Any]]
+    entries: list[tuple[int, Completion]]
 
 
 @dataclass(slots=True)
@@ -101,10 +129,10 @@ class Token:
     compensation: Compensation | None = None
     compensates: int | None = None
     """The token that waits until this one has compensated."""
-    inside: dict[str, Any] | None = None
-    """What a completed subprocess leaves behind for its compensation."""
+    inside: Content | None = None
     waits: list[int] = field(default_factory=list)
-    inner: list[int] = field(default_factory=list)
+    inner: dict[int, None] = field(default_factory=dict)
+    """The instances of a loop, in their order."""
     child: int | None = None
     """The frame that runs in its node."""
 
@@ -121,8 +149,8 @@ class Frame:
     variables: dict[str, Any] = field(default_factory=dict)
     data: dict[str, Any] = field(default_factory=dict)
     """Data objects by id."""
-    compensations: list[dict[str, Any]] = field(default_factory=list)
-    """Completed activities that have a compensation handler, in the order of their completion."""
+    completions: list[Completion] = field(default_factory=list)
+    """Completed activities that can be compensated, in the order of their completion."""
     waits: list[int] = field(default_factory=list)
     tokens: dict[int, Token] = field(default_factory=dict)
     graph: Graph = field(default=None, repr=False)  # type: ignore[assignment]  # set before the first use
@@ -157,16 +185,17 @@ class Wait:
     """The text of a repeating timer, or the name of a message or signal."""
     count: int = 0
     """How often the repeating timer was due."""
-    since: datetime | None = None
     key: Any = None
     """The correlation key of a message."""
     holds: bool = False
     """Whether the condition was true when it was last evaluated."""
+    stopped: dict[str, Any] | None = None
+    """The payload of the event, if processing it has failed; the wait is inactive until a retry."""
 
 
 @dataclass(slots=True)
 class State:
-    """The state of one process."""
+    """The state of one process. The root is the first frame; a frame comes after that of its host."""
 
     next_id: int = 1
     frames: dict[int, Frame] = field(default_factory=dict)
@@ -176,6 +205,8 @@ class State:
     completed: bool = False
     failure: str | None = None
     """Why the process has ended by an error that nothing caught."""
+    conditions: dict[int, None] = field(default_factory=dict)
+    """The waits for conditions."""
 
     def new_id(self) -> int:
         """Return an id that no token, frame or wait of this process ever had."""
@@ -187,8 +218,31 @@ class State:
         """Return the frame of the process itself."""
         return next(iter(self.frames.values()))
 
+    def add_wait(self, wait: Wait) -> None:
+        """Add a wait to its token or frame."""
+        self.waits[wait.id] = wait
+        self._owner(wait).waits.append(wait.id)
+        if wait.type is WaitType.CONDITION:
+            self.conditions[wait.id] = None
+
+    def remove_wait(self, wait: Wait) -> None:
+        """Remove a wait from its token or frame."""
+        del self.waits[wait.id]
+        self._owner(wait).waits.remove(wait.id)
+        self.conditions.pop(wait.id, None)
+
+    def clear_waits(self, owner: Token | Frame) -> None:
+        """Remove the waits of a token, or those of a frame for its event subprocesses."""
+        for wait in owner.waits:
+            del self.waits[wait]
+            self.conditions.pop(wait, None)
+        owner.waits.clear()
+
+    def _owner(self, wait: Wait) -> Token | Frame:
+        return self.frames[wait.frame] if wait.token is None else self.tokens[wait.token]
+
     def snapshot(self) -> bytes:
-        """Return the serialized state; raise `RunFailed` if its variables are too large or no JSON."""
+        """Return the serialized state; raise `NotStorable` if its variables are too large or no JSON."""
         content = {
             "version": SNAPSHOT_VERSION,
             "next": self.next_id,
@@ -202,7 +256,7 @@ class State:
         try:
             written = orjson.dumps(content)
         except TypeError as error:
-            raise RunFailed(
+            raise NotStorable(
                 message(
                     "process.variable_not_json",
                     "a process variable is no JSON: {error}",
@@ -210,7 +264,7 @@ class State:
                 )
             ) from error
         if len(written) > MAX_SNAPSHOT_BYTES:
-            raise RunFailed(
+            raise NotStorable(
                 message(
                     "process.variables_too_large",
                     "the process variables take more than {limit} bytes",
@@ -220,18 +274,21 @@ class State:
         return written
 
 
-_DERIVED = frozenset({"tokens", "graph", "inner", "child"})
+_DERIVED = frozenset({"tokens", "graph", "prefix", "waits", "inner", "child"})
 _FRAME_FIELDS = tuple(each.name for each in fields(Frame) if each.name not in _DERIVED)
 _WAIT_FIELDS = tuple(each.name for each in fields(Wait))
-_TOKEN_FIELDS = tuple(
-    each.name for each in fields(Token) if each.name not in {*_DERIVED, "incident", "loop", "compensation"}
-)
+_TOKEN_FIELDS = tuple(each.name for each in fields(Token) if each.name not in {*_DERIVED, "incident"})
+_NULLABLE = frozenset({"key", "results", "stopped"})
+"""Fields whose empty value is not the same as none."""
 
 
 def _values(record: Any, names: Iterable[str]) -> dict[str, Any]:
-    """Return the members of `record` that differ from their defaults, all of which are false."""
-    values = {name: getattr(record, name) for name in names}
-    return {name: value for name, value in values.items() if value or (name == "key" and value is not None)}
+    """Return the members of `record` that differ from their defaults, which are all false."""
+    return {
+        name: value
+        for name in names
+        if (value := getattr(record, name)) or (value is not None and name in _NULLABLE)
+    }
 
 
 def _token_values(token: Token) -> dict[str, Any]:
@@ -243,13 +300,6 @@ def _token_values(token: Token) -> dict[str, Any]:
             "since": incident.since,
             "details": incident.details,
             **with_code("reason", incident.reason),
-        }
-    if token.loop is not None:
-        values["loop"] = {each.name: getattr(token.loop, each.name) for each in fields(Loop)}
-    if token.compensation is not None:
-        values["compensation"] = {
-            "frame": token.compensation.frame,
-            "entries": token.compensation.entries,
         }
     return values
 
@@ -283,17 +333,17 @@ def read_snapshot(snapshot: bytes, library: Library) -> State:
         completed=content["completed"],
         failure=message_in(content, "failure"),
     )
-    for values in content["tokens"]:
-        token = _read_token(values)
-        state.tokens[token.id] = token
     for values in content["frames"]:
         process = values.pop("process", None)
         frame = Frame(**values, process=None if process is None else (process[0], process[1]))
         state.frames[frame.id] = frame
+    for values in content["tokens"]:
+        token = _read_token(values)
+        state.tokens[token.id] = token
     for values in content["waits"]:
         wait = Wait(**{**values, "type": WaitType(values["type"])})
-        wait.due, wait.since = _moment(wait.due), _moment(wait.since)
-        state.waits[wait.id] = wait
+        wait.due = _moment(wait.due)
+        state.add_wait(wait)
     _link(state, library)
     return state
 
@@ -301,31 +351,41 @@ def read_snapshot(snapshot: bytes, library: Library) -> State:
 def _read_token(values: dict[str, Any]) -> Token:
     incident, loop = values.pop("incident", None), values.pop("loop", None)
     compensation = values.pop("compensation", None)
-    token = Token(**{**values, "state": TokenState(values.get("state", TokenState.READY))})
+    token = Token(**values)
+    token.state = TokenState(token.state)
     if incident is not None:
         since = _moment(incident["since"])
         assert since is not None  # noqa: S101 - written by `_token_values`
         reason = message_in(incident, "reason") or ""
         token.incident = Incident(TokenState(incident["stage"]), reason, since, incident["details"])
-    token.loop = None if loop is None else Loop(**loop)
-    token.compensation = None if compensation is None else Compensation(**compensation)
+    if loop is not None:
+        token.loop = Loop(**loop)
+    if compensation is not None:
+        token.compensation = Compensation([(frame, entry) for frame, entry in compensation["entries"]])
     return token
 
 
 def _link(state: State, library: Library) -> None:
-    """Restore what is derived: the graphs and tokens of frames, the inner tokens and frames of tokens."""
+    """Restore what is derived: graphs, prefixes and tokens of frames, inner tokens and frames of tokens."""
     for frame in state.frames.values():
         host = None if frame.host is None else state.tokens[frame.host]
         if frame.process is not None:
             frame.graph = library.plan(*frame.process).graph
-        elif host is not None:
-            frame.graph = state.frames[host.frame].graph.inner[frame.scope]
         if host is not None:
+            outer = state.frames[host.frame]
+            if frame.process is None:
+                frame.graph = outer.graph.inner[frame.scope]
+            frame.prefix = prefix_within(outer, host, is_call=frame.process is not None)
             host.child = frame.id
     for token in state.tokens.values():
         state.frames[token.frame].tokens[token.id] = token
         if token.body is not None:
-            state.tokens[token.body].inner.append(token.id)
+            state.tokens[token.body].inner[token.id] = None
+
+
+def prefix_within(outer: Frame, host: Token, *, is_call: bool) -> str:
+    """Return the prefix of the frame that runs in the node of `host`."""
+    return f"{outer.prefix}{host.node}." if is_call else outer.prefix
 
 
 def _moment(value: Any) -> datetime | None:

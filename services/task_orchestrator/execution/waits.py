@@ -18,12 +18,14 @@ from services.task_orchestrator.timers import due_at, parse_cycle
 Owner = Token | Frame
 
 
-def add_wait(machine: Machine, owner: Owner, event: Node) -> None:
-    """Wait for the event `event`, if it is one that is waited for.
+def add_wait(machine: Machine, owner: Owner, event: Node) -> bool:
+    """Wait for the event `event`; return False if it is none that is waited for.
 
     The owner is the token that continues at the event or whose activity the event is attached to, or the
     frame of an event subprocess. Raises `ExpressionError` or `ValueError` for values that are invalid.
     """
+    if not isinstance(event.event, TimerEvent | MessageEvent | SignalEvent | ConditionalEvent):
+        return False
     if isinstance(owner, Token):
         variables = machine.variables(owner)
         wait = Wait(0, WaitType.TIMER, owner.frame, event.id, owner.id)
@@ -44,18 +46,16 @@ def add_wait(machine: Machine, owner: Owner, event: Node) -> None:
         case ConditionalEvent():
             wait.type = WaitType.CONDITION
             machine.variables_changed = True  # so that it is evaluated at the end of this step
-        case _:
-            return
     wait.id = machine.state.new_id()
-    machine.state.waits[wait.id] = wait
-    owner.waits.append(wait.id)
+    machine.state.add_wait(wait)
+    return True
 
 
 def _set_due(machine: Machine, wait: Wait, timer: TimerEvent, value: object) -> None:
     if not isinstance(value, str):
-        raise ExpressionError(f"a timer needs a text such as PT5M, not {value!r}")
+        raise ExpressionError(f"a timer needs a text such as PT5M, not {value!r:.80}")
     if timer.type is TimerType.CYCLE:
-        wait.text, wait.since = value, machine.now
+        wait.text = value
         wait.due = parse_cycle(value).first(machine.now)
     else:
         wait.due = due_at(value, machine.now)
@@ -78,21 +78,12 @@ def repeat(machine: Machine, wait: Wait) -> bool:
     return following is not None
 
 
-def remove_wait(machine: Machine, wait: Wait) -> None:
-    """Remove one wait."""
-    machine.state.waits.pop(wait.id, None)
-    owner: Owner | None = machine.state.frames.get(wait.frame)
-    if wait.token is not None:
-        owner = machine.state.tokens.get(wait.token)
-    if owner is not None and wait.id in owner.waits:
-        owner.waits.remove(wait.id)
-
-
 def conditions_that_became_true(machine: Machine) -> list[Wait]:
     """Return the waits whose conditions are true now and were not at the last evaluation."""
     found = []
-    for wait in list(machine.state.waits.values()):
-        if wait.type is not WaitType.CONDITION:
+    for wait_id in machine.state.conditions:
+        wait = machine.state.waits[wait_id]
+        if wait.stopped is not None:
             continue
         frame = machine.state.frames[wait.frame]
         event = frame.graph.nodes.get(wait.node) or _start_of(frame, wait.node)
