@@ -544,7 +544,9 @@ def _open_activity(machine: Machine, token: Token) -> OpenActivity:
         for each in node.data_inputs
     }
     variables = machine.variables(token)
-    return OpenActivity(str(token.id), machine.element(token), token.visit, node.activity, variables, data)
+    return OpenActivity(
+        str(token.id), machine.element(token), token.visit, node.activity, dict(variables), data
+    )
 
 
 def _reason(error: Exception) -> str:
