@@ -50,11 +50,11 @@ def definition_name(element: etree._Element) -> str:
 def read_activity(element: etree._Element, context: Context, *, script: Script | None = None) -> Activity:
     """Return the activity for whose Task nothing but the element itself is needed."""
     found = context.found
-    main = context.dialects.main
+    main, handover = context.dialects.main, context.dialects.handover
     work = main.work(element, found)
     spreads = main.spreads_outputs
-    if has_task(element):
-        ours = context.dialects.handover.work(element, found)
+    if main is not handover and has_task(element):
+        ours = handover.work(element, found)
         hints = {**work.hints, **ours.hints}
         work, spreads = ours, False
     else:

@@ -37,6 +37,8 @@ class Context:
     """Data object -> its name."""
     variables: dict[str, str] = field(default_factory=dict)
     """Variable -> the element whose results it has."""
+    _times: dict[str, int] = field(default_factory=dict)
+    """How many elements have wanted a variable."""
 
     def id(self, element: etree._Element) -> str:
         """Return the id of an element; report it if it is invalid or used twice."""
@@ -64,9 +66,9 @@ class Context:
             return name
         id_ = element.get("id") or ""
         variable = base = variable_of(id_)
-        nth = 2
         while self.variables.setdefault(variable, id_) != id_:
-            variable, nth = f"{base}_{nth}", nth + 1
+            self._times[base] = self._times.get(base, 1) + 1
+            variable = f"{base}_{self._times[base]}"
         if variable != base:
             self.found.warn(
                 element,

@@ -277,13 +277,14 @@ class Collaboration:
         declared: Declarations,
         found: Findings,
     ) -> None:
-        """Give both ends of connected message flows one message name."""
-        groups: dict[str, list[tuple[etree._Element, list[str]]]] = {}
-        group_of: dict[str, str] = {}
-        for flow in flows:
-            ends = [referenced(flow.get(end) or "") for end in ("sourceRef", "targetRef")]
-            inside = [end for end in ends if end in running]
-            if len(inside) < 2:
+        """Give the ends of message flows that are connected with each other one message name."""
+        ends_of = [(flow, [end for end in map(referenced, _ends(flow)) if end in running]) for flow in flows]
+        groups = _Groups()
+        for flow, inside in ends_of:
+            if len(inside) == 2:
+                self.connected.update(inside)
+                groups.join(*inside)
+            else:
                 found.warn(
                     flow,
                     message(
@@ -291,17 +292,12 @@ class Collaboration:
                         "the message flow has no effect, since one of its ends is not run here",
                     ),
                 )
-            if not inside:
-                continue
-            self.connected.update(inside if len(inside) == 2 else ())
-            group = group_of.setdefault(inside[0], inside[0])
-            other = group_of.setdefault(inside[-1], group)
-            if other != group:
-                groups.setdefault(group, []).extend(groups.pop(other, []))
-                group_of.update({end: group for end, of in group_of.items() if of == other})
-            groups.setdefault(group, []).append((flow, inside))
-        for members in groups.values():
-            self._name(members, running, declared, found)
+        members: dict[str, list[tuple[etree._Element, list[str]]]] = {}
+        for flow, inside in ends_of:
+            if inside:
+                members.setdefault(groups.of(inside[0]), []).append((flow, inside))
+        for each in members.values():
+            self._name(each, running, declared, found)
 
     def _name(
         self,
@@ -327,6 +323,27 @@ class Collaboration:
                 ),
             )
         self.names.update({end: name or chosen for end, name in own.items()})
+
+
+def _ends(flow: etree._Element) -> list[str]:
+    return [flow.get("sourceRef") or "", flow.get("targetRef") or ""]
+
+
+class _Groups:
+    """Sets of nodes that are joined (union-find with path halving)."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, str] = {}
+
+    def of(self, name: str) -> str:
+        """Return the representative of the set of `name`."""
+        while (parent := self._parents.get(name, name)) != name:
+            self._parents[name] = name = self._parents.get(parent, parent)
+        return name
+
+    def join(self, one: str, other: str) -> None:
+        """Join the sets of two nodes."""
+        self._parents[self.of(one)] = self.of(other)
 
 
 def message_of(node: etree._Element, declared: Declarations) -> str | None:

@@ -8,15 +8,17 @@ from handover.messages import message
 from services.task_orchestrator.model import Activity, Definition, Fault, Node, Scope
 from services.task_orchestrator.notation.context import Context
 from services.task_orchestrator.notation.dialects.choice import Dialects
-from services.task_orchestrator.notation.document import documentation, parse
+from services.task_orchestrator.notation.document import BPMN, documentation, local, parse
 from services.task_orchestrator.notation.elements import (
+    KINDS,
+    REFUSED,
     Collaboration,
     Declarations,
     executable_processes,
     lanes,
 )
 from services.task_orchestrator.notation.faults import BadBpmn, Findings
-from services.task_orchestrator.notation.rules import check_process
+from services.task_orchestrator.notation.rules import check_process, fault_of_size
 from services.task_orchestrator.notation.scopes import collect_data, read_scope
 
 
@@ -60,9 +62,13 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
     context.dialects.check(process, found)
     ours = context.dialects.handover.process(process, found)
     label = ours.label or context.dialects.main.process(process, found).label
-    scope = read_scope(process, context)
-    checked = check_process(scope, process.sourceline or 0, found.broken)
-    found.add(checked.faults, checked.warnings)
+    too_large = _fault_of_size(process)
+    scope = Scope(name, {}, {}) if too_large is not None else read_scope(process, context)
+    if too_large is not None:
+        found.add([too_large])
+    else:
+        checked = check_process(scope, process.sourceline or 0, found.broken)
+        found.add(checked.faults, checked.warnings)
     if context.dialects.main.spreads_outputs and _mentions(scope, "outcome"):
         scope = _handling_outcomes(scope)
     title = process.get("name") or context.collaboration.titles.get(name) or name
@@ -75,6 +81,12 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
         scope=scope,
         xml=xml,
     )
+
+
+def _fault_of_size(process: etree._Element) -> Fault | None:
+    names = [local(element) for element in process.iter(f"{{{BPMN}}}*")]
+    nodes = sum(name in KINDS or name in REFUSED for name in names)
+    return fault_of_size(process.get("id") or "", process.sourceline or 0, nodes, names.count("sequenceFlow"))
 
 
 def _mentions(scope: Scope, name: str) -> bool:

@@ -26,6 +26,7 @@ from services.task_orchestrator.model import (
     SignalEvent,
     TimerEvent,
 )
+from services.task_orchestrator.notation.paths import Dominators, dominators
 
 MAX_NODES = 3_000
 MAX_FLOWS = 6_000
@@ -43,12 +44,8 @@ class Checked:
     warnings: list[Fault] = field(default_factory=list)
 
 
-def check_process(scope: Scope, line: int, broken: Set[str]) -> Checked:
-    """Return the faults and warnings of a process, which begins in `line`, with all its scopes."""
-    scopes = list(scope.walk())
-    nodes = sum(len(each.nodes) for each in scopes)
-    flows = sum(len(each.flows) for each in scopes)
-    checked = Checked()
+def fault_of_size(process: str, line: int, nodes: int, flows: int) -> Fault | None:
+    """Return the fault of a process that has too many nodes or flows to be read."""
     if nodes > MAX_NODES:
         text = message(
             "bpmn.too_many_nodes",
@@ -56,8 +53,7 @@ def check_process(scope: Scope, line: int, broken: Set[str]) -> Checked:
             limit=MAX_NODES,
             nodes=nodes,
         )
-        checked.faults.append(Fault(scope.id, line, text))
-        return checked
+        return Fault(process, line, text)
     if flows > MAX_FLOWS:
         text = message(
             "bpmn.too_many_flows",
@@ -65,8 +61,14 @@ def check_process(scope: Scope, line: int, broken: Set[str]) -> Checked:
             limit=MAX_FLOWS,
             flows=flows,
         )
-        checked.faults.append(Fault(scope.id, line, text))
-        return checked
+        return Fault(process, line, text)
+    return None
+
+
+def check_process(scope: Scope, line: int, broken: Set[str]) -> Checked:
+    """Return the faults and warnings of a process, which begins in `line`, with all its scopes."""
+    scopes = list(scope.walk())
+    checked = Checked()
     everywhere = {node for each in scopes for node in each.nodes}
     hosts = {node.scope.id: node for each in scopes for node in each.nodes.values() if node.scope is not None}
     for each in scopes:
@@ -339,25 +341,25 @@ class _Rules:
         if isinstance(node.event, CompensateEvent):
             yield from self._of_compensation_boundary(node)
         elif isinstance(node.event, ErrorEvent | EscalationEvent):
-            twins = [other for other in self.scope.nodes.values() if self._catches_the_same(node, other)]
-            if twins and twins[0] is not node:
+            first = self._catchers[node.attached_to, type(node.event), node.event.code]
+            if first is not node:
                 yield _fault(
                     node,
                     message(
                         "bpmn.error_caught_twice",
                         '"{name}" catches the same error of the same task already',
-                        name=twins[0].name,
+                        name=first.name,
                     ),
                 )
 
-    def _catches_the_same(self, node: Node, other: Node) -> bool:
-        if other.kind is not Kind.BOUNDARY_EVENT or other.attached_to != node.attached_to:
-            return False
-        if isinstance(node.event, ErrorEvent):
-            return isinstance(other.event, ErrorEvent) and other.event.code == node.event.code
-        if isinstance(node.event, EscalationEvent):
-            return isinstance(other.event, EscalationEvent) and other.event.code == node.event.code
-        return False
+    @cached_property
+    def _catchers(self) -> Mapping[tuple[str | None, type, str | None], Node]:
+        """Return the first boundary event that catches an error or escalation of an activity."""
+        catchers: dict[tuple[str | None, type, str | None], Node] = {}
+        for node in self.scope.nodes.values():
+            if node.kind is Kind.BOUNDARY_EVENT and isinstance(node.event, ErrorEvent | EscalationEvent):
+                catchers.setdefault((node.attached_to, type(node.event), node.event.code), node)
+        return catchers
 
     def _of_compensation_boundary(self, node: Node) -> Iterator[Fault]:
         handler = self.scope.nodes.get(self.scope.handlers.get(node.id, ""))
@@ -482,15 +484,16 @@ class _Rules:
             self.warnings.append(_fault(node, text))
 
     def _waiting_for_themselves(self) -> Iterator[Fault]:
-        for node in self.scope.nodes.values():
-            if node.kind is not Kind.PARALLEL or len(self.incoming[node.id]) < 2:
-                continue
-            everywhere = self._reached()
-            if node.id not in everywhere:
-                continue
-            reached = self._reached(without=node.id)
+        """Yield the parallel joins that wait for a token that only comes after them."""
+        joins = [
+            node
+            for node in self.scope.nodes.values()
+            if node.kind is Kind.PARALLEL and len(self.incoming[node.id]) > 1
+        ]
+        dominated = dominators(self._successors, self._start_nodes()) if joins else Dominators({}, {})
+        for node in joins:
             for flow in self.incoming[node.id]:
-                if flow.source in everywhere and flow.source not in reached:
+                if dominated.dominates(node.id, flow.source):
                     rule = "comes only after the gateway itself, so the gateway would never continue"
                     way_out = "put an exclusive gateway before it, where the loop returns"
                     yield _fault(
@@ -504,21 +507,25 @@ class _Rules:
                         ),
                     )
 
-    def _reached(self, *, without: str | None = None) -> Set[str]:
-        """Return the nodes that a token can reach from the start events without passing `without`."""
-        reached: set[str] = set()
+    def _start_nodes(self) -> list[str]:
         starts = [node.id for node in self.scope.nodes.values() if node.kind is Kind.START_EVENT]
-        stack = starts or [node.id for node in self.scope.nodes.values() if self._can_start(node)]
+        return starts or [node.id for node in self.scope.nodes.values() if self._can_start(node)]
+
+    def _successors(self, id_: str) -> list[str]:
+        """Return the nodes that a token can reach from a node in one step."""
+        event = self.scope.nodes[id_].event
+        links = self._link_targets.get(event.name, []) if isinstance(event, LinkEvent) else []
+        return [*(flow.target for flow in self.outgoing[id_]), *self._attached.get(id_, []), *links]
+
+    def _reached(self) -> Set[str]:
+        """Return the nodes that a token can reach from the start events."""
+        reached: set[str] = set()
+        stack = self._start_nodes()
         while stack:
             here = stack.pop()
-            if here in reached or here == without:
-                continue
-            reached.add(here)
-            stack += [flow.target for flow in self.outgoing[here]]
-            stack += self._attached.get(here, ())
-            event = self.scope.nodes[here].event
-            if isinstance(event, LinkEvent):
-                stack += self._link_targets.get(event.name, ())
+            if here not in reached:
+                reached.add(here)
+                stack += self._successors(here)
         return reached
 
     @cached_property

@@ -11,7 +11,6 @@ from services.task_orchestrator.model import (
     EVENTS,
     GATEWAYS,
     Activity,
-    Assignment,
     CompensateEvent,
     Flow,
     Kind,
@@ -46,10 +45,9 @@ from services.task_orchestrator.notation.elements import (
     refuse,
 )
 from services.task_orchestrator.notation.events import definitions_of, read_event, read_message
+from services.task_orchestrator.notation.listeners import with_listeners
 
 MAX_SCOPE_DEPTH = 20
-MAX_NODES = 3_000
-MAX_FLOWS = 6_000
 
 _EVENT_PARTS = frozenset(
     {
@@ -76,7 +74,7 @@ def read_scope(
     for element in (each for each in contents.refused if each.get("id")):
         id_ = context.id(element)
         nodes[id_] = Node(id_, _PLACEHOLDER, id_, element.sourceline or 0)
-    nodes, flows = _with_listeners(container, contents, nodes, flows, context)
+    nodes, flows = with_listeners(container, contents, nodes, flows, context)
     return Scope(
         name,
         _with_defaults(nodes, flows, context),
@@ -394,100 +392,3 @@ def _handlers(contents: Contents, nodes: dict[str, Node]) -> dict[str, str]:
             if isinstance(boundary.event, CompensateEvent) and handler.kind in ACTIVITIES:
                 handlers[event] = activity
     return handlers
-
-
-# Listeners
-
-
-def _with_listeners(
-    container: etree._Element,
-    contents: Contents,
-    nodes: dict[str, Node],
-    flows: dict[str, Flow],
-    context: Context,
-) -> tuple[dict[str, Node], dict[str, Flow]]:
-    """Add a script before or after each element whose listeners set variables."""
-    listeners = _Listeners(nodes, flows, context)
-    dialect = context.dialects.main
-    for element, kind in contents.nodes:
-        before, after = dialect.listeners(element)
-        id_ = element.get("id") or ""
-        if kind is Kind.START_EVENT:
-            listeners.insert_after(id_, (*before, *after))
-        elif kind is Kind.END_EVENT or kind in GATEWAYS:
-            listeners.insert_before(id_, (*before, *after))
-        else:
-            listeners.insert_before(id_, before)
-            listeners.insert_after(id_, after)
-    for element in contents.flows:
-        before, after = dialect.listeners(element)
-        listeners.insert_into(element.get("id") or "", (*before, *after))
-    if local(container) == "process":
-        before, _ = dialect.listeners(container)
-        for node in [each for each in nodes.values() if each.kind is Kind.START_EVENT]:
-            listeners.insert_after(node.id, before)
-    return listeners.nodes, listeners.flows
-
-
-class _Listeners:
-    """Inserts script tasks, which set variables, into the flows of a scope."""
-
-    def __init__(self, nodes: dict[str, Node], flows: dict[str, Flow], context: Context) -> None:
-        self.nodes = dict(nodes)
-        self.flows = dict(flows)
-        self._context = context
-
-    def insert_before(self, id_: str, assignments: tuple[Assignment, ...]) -> None:
-        """Set variables before a token enters a node."""
-        arriving = [flow for flow in self.flows.values() if flow.target == id_]
-        if not assignments:
-            return
-        if not arriving or any(self._is_event_based(flow.source) for flow in arriving):
-            self.insert_after(id_, assignments)
-            return
-        script = self._script(id_, "before", assignments)
-        for flow in arriving:
-            self.flows[flow.id] = replace(flow, target=script.id)
-        self._connect(script.id, id_)
-
-    def insert_after(self, id_: str, assignments: tuple[Assignment, ...]) -> None:
-        """Set variables when a token has left a node."""
-        leaving = [flow for flow in self.flows.values() if flow.source == id_]
-        if not assignments or not leaving:
-            return
-        node = self.nodes[id_]
-        script = self._script(id_, "after", assignments)
-        for flow in leaving:
-            self.flows[flow.id] = replace(flow, source=script.id)
-        self.nodes[script.id] = replace(script, default=node.default)
-        self.nodes[id_] = replace(node, default=None)
-        self._connect(id_, script.id)
-
-    def insert_into(self, id_: str, assignments: tuple[Assignment, ...]) -> None:
-        """Set variables when a token takes a sequence flow."""
-        flow = self.flows.get(id_)
-        if not assignments or flow is None:
-            return
-        script = self._script(id_, "set", assignments)
-        self.flows[id_] = replace(flow, target=script.id)
-        self._connect(script.id, flow.target)
-
-    def _is_event_based(self, id_: str) -> bool:
-        node = self.nodes.get(id_)
-        return node is not None and node.kind is Kind.EVENT_BASED
-
-    def _script(self, id_: str, place: str, assignments: tuple[Assignment, ...]) -> Node:
-        owner = self.nodes.get(id_)
-        name = f"{id_}.{place}"
-        while name in self._context.ids:
-            name += "_"
-        self._context.ids.add(name)
-        line = owner.line if owner is not None else self.flows[id_].line
-        drawn = owner.name if owner is not None else self.flows[id_].name or id_
-        script = Node(name, Kind.SCRIPT_TASK, drawn, line, script=assignments)
-        self.nodes[name] = script
-        return script
-
-    def _connect(self, source: str, target: str) -> None:
-        name = f"{source}.to.{target}"
-        self.flows[name] = Flow(name, source, target)
