@@ -22,11 +22,13 @@ from services.task_orchestrator.languages.base import (
 )
 from services.task_orchestrator.languages.feel_functions import FUNCTIONS, Function
 from services.task_orchestrator.languages.feel_values import (
+    TYPES,
     Budget,
     FeelValue,
     Range,
     add,
     divide,
+    has_type,
     is_number,
     is_same,
     multiply,
@@ -86,6 +88,7 @@ _CALL = re.compile(
     + "|".join(name.replace(" ", r"\s+") for name in sorted({*FUNCTIONS, *_CLOCK}, key=len, reverse=True))
     + r")\s*\("
 )
+_TYPE = re.compile(r"of\s+(" + "|".join(name.replace(" ", r"\s+") for name in TYPES) + r")\b")
 _WORDS = frozenset(
     {
         *("and", "or", "between", "in", "if", "then", "else", "for", "return", "some", "every", "satisfies"),
@@ -263,6 +266,8 @@ class _Parser:
 
     def _comparison(self) -> Node:
         left = self._sum()
+        if self.tokens.accept("instance"):
+            return self._instance(left)
         sign = self.tokens.accept(*_COMPARISONS, "between", "in")
         if sign is None:
             return left
@@ -277,6 +282,16 @@ class _Parser:
         if self.tokens.text in _COMPARISONS and self.tokens.kind == "operator":
             raise self.tokens.error(f"expected a value instead of {self.tokens.found()}")
         return _binary(_COMPARISONS[sign], left, self._sum())
+
+    def _instance(self, value: Node) -> Node:
+        tokens = self.tokens
+        found = _TYPE.match(tokens.source, tokens.start) if tokens.text == "of" else None
+        if found is None:
+            raise tokens.error(f"expected `of` and a type; types are: {', '.join(TYPES)}")
+        tokens.position = found.end()
+        tokens.advance()
+        name = " ".join(found.group(1).split())
+        return lambda scope: has_type(value(scope), name)
 
     def _tests(self) -> tuple[Test, ...]:
         """Read the right side of `in`: a test, or tests in parentheses."""

@@ -22,6 +22,7 @@ from services.task_orchestrator.languages.feel_values import (
     to_duration,
     to_json,
 )
+from services.task_orchestrator.languages.patterns import is_match
 
 
 class Function(NamedTuple):
@@ -133,6 +134,12 @@ def _number(_: Budget, value: FeelValue) -> FeelValue:
         return number(int(digits) if digits.lstrip("+-").isdigit() else parsed)
     except (ValueError, OverflowError):
         return None
+
+
+def _matches(budget: Budget, value: str, pattern: str) -> FeelValue:
+    found = is_match(value, pattern, is_whole=False)
+    budget.spend(len(value))
+    return found
 
 
 # Lists and contexts
@@ -346,6 +353,7 @@ FUNCTIONS: Mapping[str, Function] = {
     "contains": _typed(str, str)(lambda _, value, part: part in value),
     "starts with": _typed(str, str)(lambda _, value, part: value.startswith(part)),
     "ends with": _typed(str, str)(lambda _, value, part: value.endswith(part)),
+    "matches": _typed(str, str)(_matches),
     "upper case": _typed(str)(lambda budget, value: text(value.upper(), budget)),
     "lower case": _typed(str)(lambda budget, value: text(value.lower(), budget)),
     "trim": _typed(str)(lambda _, value: value.strip()),

@@ -4,6 +4,7 @@ Values are those of JSON and, within an expression, dates (`date`, `datetime`), 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time
 from typing import Any, TypeAlias
@@ -284,3 +285,24 @@ def _scaled(duration: Duration, factor: float) -> Duration:
     if not (abs(months) < MAX_NUMBER and abs(microseconds) < 1000 * MAX_NUMBER):
         raise ExpressionError("a duration grew too large")
     return Duration(int(months), round(microseconds))
+
+
+def has_type(value: FeelValue, name: str) -> bool:
+    """Return whether `value` is an instance of the FEEL type `name`; null has the type `null` only."""
+    return _TYPES[name](value)
+
+
+_TYPES: dict[str, Callable[[FeelValue], bool]] = {
+    "Any": lambda value: value is not None,
+    "null": lambda value: value is None,
+    "number": is_number,
+    "string": lambda value: isinstance(value, str),
+    "boolean": lambda value: isinstance(value, bool),
+    "list": lambda value: isinstance(value, list),
+    "context": lambda value: isinstance(value, dict),
+    "date and time": lambda value: isinstance(value, datetime),
+    "date": lambda value: isinstance(value, date) and not isinstance(value, datetime),
+    "days and time duration": lambda value: isinstance(value, Duration) and not value.months,
+    "years and months duration": lambda value: isinstance(value, Duration) and not value.microseconds,
+}
+TYPES = tuple(_TYPES)

@@ -25,6 +25,7 @@ from services.task_orchestrator.languages.juel_values import (
     coerce_to_string,
     read_property,
 )
+from services.task_orchestrator.languages.patterns import is_match
 from services.task_orchestrator.languages.times import read_datetime, read_now, shift, write_moment
 
 EXECUTION_PROPERTIES = frozenset(
@@ -214,6 +215,7 @@ _STRING: Mapping[str, _Method] = {
     "trim": _Method(str.strip),
     "substring": _Method(_substring, 1, 2),
     "charAt": _Method(_character, 1, 1),
+    "matches": _Method(lambda text, pattern: is_match(text, _text(pattern), is_whole=True), 1, 1),
     "indexOf": _Method(lambda text, part: text.find(_text(part)), 1, 1),
     "lastIndexOf": _Method(lambda text, part: text.rfind(_text(part)), 1, 1),
     "concat": _Method(lambda text, part: check_string(text + _text(part)), 1, 1),

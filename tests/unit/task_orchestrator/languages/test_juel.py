@@ -79,6 +79,7 @@ ORDER = {
         ("${name.substring(1)}", "da"),
         ("${name.substring(0, 2)}", "Ad"),
         ("${name.charAt(0)}", "A"),
+        ("${name.matches('A.') || name.matches('(A|d|a)+')}", True),
         ("${name.indexOf('a')}", 2),
         ("${name.replace('a', 'o').concat('!')}", "Ado!"),
         ("${'a.b'.split('\\\\.')}", ["a", "b"]),
