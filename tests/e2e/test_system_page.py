@@ -83,8 +83,7 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
     accessible(page)
     keep(page, "system-alert")
 
-    cell.kill("webui")
-    cell.start("webui")
+    cell.restart("webui")
     page.goto("/system?tab=alerts")
     page.get_by_role("row", name="Process failed").first.click()
     expect(alert).to_contain_text("Acknowledged by Aino")

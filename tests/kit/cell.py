@@ -114,6 +114,11 @@ class Cell:
             return
         processes.kill(self.processes.pop(service))
 
+    def restart(self, service: str) -> None:
+        """End a service as a power cut would, and start it again."""
+        self.kill(service)
+        self.start(service)
+
     def stop(self) -> None:
         """End every service; kill those that do not end in time."""
         for process in self.processes.values():

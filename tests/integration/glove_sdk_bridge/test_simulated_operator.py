@@ -84,8 +84,7 @@ def test_tasks_are_completed_with_the_gestures_they_ask_for_mistakes_and_a_resta
         assert outputs["by"] == "gesture"
         assert outputs["heldMs"] >= 1500
         if number == 2:
-            cell.kill("gesture_controller")
-            cell.start("gesture_controller")
+            cell.restart("gesture_controller")
     operator.terminate()
     assert operator.wait(timeout=120) == 0
     complaints = operator.stderr.read().decode()

@@ -12,7 +12,7 @@ class Lamp(Performer):
         steps = int(job.parameters.get("steps", 10))
         for step in range(steps):
             await asyncio.sleep(0.05)  # a real lamp would glow
-            await job.progress((step + 1) / steps)
+            job.report_progress((step + 1) / steps)
             await job.checkpoint()  # rests here while paused; ends here when cancelled
         return {"lit": True}
 

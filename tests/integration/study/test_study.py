@@ -3,6 +3,7 @@
 from typing import Any
 
 from services.study.questionnaires import TLX_PAIRS, TLX_SCALES
+from tests.kit.waiting import until
 
 
 class Participant:
@@ -42,6 +43,25 @@ class Participant:
         return {"preferred": "personal"} if step == "preference" else {}
 
 
+PERSONAL = {"3": "Horns", "8": None}
+"""The commands of a person who gives one of them with another gesture."""
+
+
+def add_person(bench: Any, name: str, commands: dict[str, str | None] | None = None) -> None:
+    bench.screen.put(f"/people/{name}", json={}).raise_for_status()
+    if commands is not None:
+        bench.screen.put(f"/people/{name}/commands", json=commands).raise_for_status()
+
+
+async def complete_task(bench: Any, name: str, glove: str = "glove-1", **parameters: Any) -> str:
+    """Put a Task for a glove and complete it; return the gesture of its prompt."""
+    await bench.put(name, f"urn:ngsi-ld:Device:demo:{glove}", **parameters)
+    task = await until(lambda: bench.view(glove)["task"])
+    bench.press("complete", glove, by="test").raise_for_status()
+    await until(lambda: bench.view(glove)["task"] is None)
+    return str(task["gesture"])
+
+
 async def test_participants_go_through_the_study_and_what_they_said_is_analysed(bench: Any) -> None:
     for nth in range(2):
         participant = Participant(bench, language="de")
@@ -66,8 +86,7 @@ async def test_a_session_continues_after_the_service_was_killed(bench: Any) -> N
     participant = Participant(bench, pseudonym="Lumi")
     participant.go_to("tlx1")
     before = participant.seen()
-    bench.cell.kill("study")
-    bench.cell.start("study")
+    bench.cell.restart("study")
     assert participant.seen() == before
     participant.go_to("finished")
     assert len(participant.seen()["answers"]) == 9
@@ -117,78 +136,59 @@ async def test_the_wording_is_there_in_three_languages(bench: Any) -> None:
     assert bench.study.get("/wording", params={"language": "sv"}).status_code == 422
 
 
-async def test_the_glove_is_asked_for_the_gestures_that_the_step_is_about(
-    bench: Any, put_on: Any, eventually: Any
-) -> None:
+async def test_the_glove_is_asked_for_the_gestures_that_the_step_is_about(bench: Any, put_on: Any) -> None:
     put_on()
     screen = bench.screen
-    screen.put("/people/P01", json={}).raise_for_status()
-    screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).raise_for_status()
+    add_person(bench, "P01", PERSONAL)
     screen.put("/gloves/glove-1/person", json={"person": "P01"}).raise_for_status()
     participant = Participant(bench, glove="glove-1", person="P01")
-    asked = {}
+    prompted = {}
     for step in ("interaction1", "interaction2"):
         participant.go_to(step)
         if step == "interaction2":
-            bench.cell.kill("gesture_controller")
-            bench.cell.start("gesture_controller")
-        await bench.put(step, commandId=3)
-        eventually(lambda: bench.view()["task"] is not None)
-        asked[participant.seen()["condition"]] = bench.view()["task"]["gesture"]
-        bench.press("complete", by="test").raise_for_status()
-        eventually(lambda: bench.view()["task"] is None)
-    assert asked == {"personal": "Horns", "predefined": "Thumbs up"}
+            bench.cell.restart("gesture_controller")
+        prompted[participant.seen()["condition"]] = await complete_task(bench, step, commandId=3)
+    assert prompted == {"personal": "Horns", "predefined": "Thumbs up"}
 
 
 async def test_a_shipped_task_that_names_its_gesture_is_asked_in_the_gestures_of_the_condition(
-    bench: Any, put_on: Any, eventually: Any
+    bench: Any, put_on: Any
 ) -> None:
     put_on()
-    screen = bench.screen
-    screen.put("/people/P01", json={}).raise_for_status()
-    screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).raise_for_status()
+    add_person(bench, "P01", PERSONAL)
     participant = Participant(bench, glove="glove-1", person="P01")
     assert bench.view()["person"] == "P01", "who takes part wears the glove of the session"
-    asked: dict[str, list[str]] = {}
+    prompted: dict[str, list[str]] = {}
     for step in ("interaction1", "interaction2"):
         participant.go_to(step)
         condition = participant.seen()["condition"]
         named = {"both": {"commandId": 3, "gesture": "Thumbs up"}, "gesture": {"gesture": "Thumbs up"}}
         for nth, parameters in named.items():
-            await bench.put(f"{step}-{nth}", **parameters)
-            eventually(lambda: bench.view()["task"] is not None)
-            asked.setdefault(condition, []).append(bench.view()["task"]["gesture"])
-            bench.press("complete", by="test").raise_for_status()
-            eventually(lambda: bench.view()["task"] is None)
-    assert asked == {"personal": ["Horns"] * 2, "predefined": ["Thumbs up"] * 2}
+            prompted.setdefault(condition, []).append(
+                await complete_task(bench, f"{step}-{nth}", **parameters)
+            )
+    assert prompted == {"personal": ["Horns"] * 2, "predefined": ["Thumbs up"] * 2}
 
 
-async def test_a_condition_holds_for_the_person_whatever_glove_they_wear(
-    bench: Any, put_on: Any, eventually: Any
-) -> None:
+async def test_a_condition_holds_for_the_person_whatever_glove_they_wear(bench: Any, put_on: Any) -> None:
     put_on()
     screen = bench.screen
-    screen.put("/people/P01", json={}).raise_for_status()
-    screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).raise_for_status()
+    add_person(bench, "P01", PERSONAL)
     left = {"hand": "left", "person": "P01"}
     screen.put("/gloves/left-1", json=left).raise_for_status()
     participant = Participant(bench, glove="glove-1", person="P01")
     for step in ("interaction1", "interaction2"):
         participant.go_to(step)
-        await bench.put(step, "urn:ngsi-ld:Device:demo:left-1", commandId=3)
-        eventually(lambda: bench.view("left-1")["task"] is not None)
-        wanted = {"personal": "Horns", "predefined": "Thumbs up"}[participant.seen()["condition"]]
-        assert bench.view("left-1")["task"]["gesture"] == wanted
-        bench.press("complete", "left-1", by="test").raise_for_status()
-        eventually(lambda: bench.view("left-1")["task"] is None)
+        expected = {"personal": "Horns", "predefined": "Thumbs up"}[participant.seen()["condition"]]
+        assert await complete_task(bench, step, glove="left-1", commandId=3) == expected
 
 
 async def test_conditions_cannot_be_changed_while_they_are_tried(bench: Any) -> None:
     screen = bench.screen
-    screen.put("/people/P01", json={}).raise_for_status()
-    screen.put("/people/P02", json={}).raise_for_status()
+    add_person(bench, "P01")
+    add_person(bench, "P02")
     participant = Participant(bench, glove="glove-1", person="P01")
-    assert screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).status_code == 200
+    assert screen.put("/people/P01/commands", json=PERSONAL).status_code == 200
     participant.go_to("interaction1")
     changes = [
         screen.put("/people/P01/commands", json={}),
@@ -201,40 +201,32 @@ async def test_conditions_cannot_be_changed_while_they_are_tried(bench: Any) -> 
     ]
     assert [one.status_code for one in changes] == [409] * len(changes)
     assert "P01 tries gestures in a study" in changes[0].json()["detail"]
-    assert screen.put("/people/P02/commands", json={"3": "Horns", "8": None}).status_code == 200
+    assert screen.put("/people/P02/commands", json=PERSONAL).status_code == 200
     assert bench.study.delete(participant.path).status_code == 204
     assert screen.put("/people/P01/commands", json={}).status_code == 200
 
 
 async def test_a_session_that_was_left_does_not_decide_for_the_next_participant(
-    bench: Any, put_on: Any, eventually: Any
+    bench: Any, put_on: Any
 ) -> None:
     put_on()
-    screen = bench.screen
     for name in ("P01", "P02"):
-        screen.put(f"/people/{name}", json={}).raise_for_status()
-        screen.put(f"/people/{name}/commands", json={"3": "Horns", "8": None}).raise_for_status()
+        add_person(bench, name, PERSONAL)
     left = Participant(bench, glove="glove-1", person="P01")
     while left.seen()["condition"] != "predefined":
         left.go_to("interaction1" if left.seen()["step"] == "consent" else "interaction2")
     Participant(bench, glove="glove-1", person="P02")
     for lifetime in range(2):
-        await bench.put(f"t{lifetime}", commandId=3)
-        eventually(lambda: bench.view()["task"] is not None)
-        assert bench.view()["task"]["gesture"] == "Horns"
-        bench.press("complete", by="test").raise_for_status()
-        eventually(lambda: bench.view()["task"] is None)
-        bench.cell.kill("gesture_controller")
-        bench.cell.start("gesture_controller")
+        assert await complete_task(bench, f"t{lifetime}", commandId=3) == "Horns"
+        bench.cell.restart("gesture_controller")
 
 
 async def test_a_session_that_was_left_does_not_put_the_glove_on_again_after_a_restart(bench: Any) -> None:
     screen = bench.screen
     for name in ("P01", "Anna"):
-        screen.put(f"/people/{name}", json={}).raise_for_status()
+        add_person(bench, name)
     Participant(bench, glove="glove-1", person="P01").go_to("introduction")
     assert bench.view()["person"] == "P01"
     screen.put("/gloves/glove-1/person", json={"person": "Anna"}).raise_for_status()
-    bench.cell.kill("gesture_controller")
-    bench.cell.start("gesture_controller")
+    bench.cell.restart("gesture_controller")
     assert bench.view()["person"] == "Anna"

@@ -14,6 +14,7 @@ from datamodels.entities import Device, DeviceState, Task, TaskStatus
 from handover.broker import BrokerClient, NotFound
 from handover.settings import Settings
 from tests.kit.cell import Cell
+from tests.kit.waiting import until
 
 pytestmark = pytest.mark.slow
 
@@ -55,10 +56,13 @@ class Shop:
 
     async def comes_to(self, task_id: str, status: TaskStatus, within_s: float = 30.0) -> dict[str, Any]:
         """Wait until a Task is in `status`; return its outputParameters."""
-        async with asyncio.timeout(120 + within_s):
-            while (task := await self.broker.get(task_id, Task)).status.value is not status:
-                await asyncio.sleep(0.02)
-        return dict(task.output_parameters.value) if task.output_parameters else {}
+
+        async def in_status() -> Task | None:
+            task = await self.broker.get(task_id, Task)
+            return task if task.status.value is status else None
+
+        reached: Task = await until(in_status, within_s, f"{task_id} is not {status}")
+        return dict(reached.output_parameters.value) if reached.output_parameters else {}
 
     async def done(self, operation: str, **parameters: Any) -> dict[str, Any]:
         return await self.comes_to(await self.ask(operation, **parameters), TaskStatus.COMPLETED)
@@ -68,28 +72,27 @@ class Shop:
         return str(failed["reason"])
 
     async def device_is(self, state: DeviceState) -> Device:
-        async with asyncio.timeout(120):
-            while True:
-                try:
-                    device = await self.broker.get(ROBOT, Device)
-                except (NotFound, ValueError):
-                    await asyncio.sleep(0.02)
-                    continue
-                if device.device_state is not None and device.device_state.value is state:
-                    return device
-                await asyncio.sleep(0.02)
+        async def in_state() -> Device | None:
+            try:
+                device = await self.broker.get(ROBOT, Device)
+            except (NotFound, ValueError):
+                return None
+            return device if device.device_state is not None and device.device_state.value is state else None
+
+        reached: Device = await until(in_state, why=f"{ROBOT} is not {state}")
+        return reached
 
     def robot(self) -> dict[str, Any]:
         answer = httpx.get(f"{self.cell.url('trajectory_tool')}/robots/ur10-1")
         return dict(answer.raise_for_status().json())
 
     async def in_motion(self) -> dict[str, Any]:
-        async with asyncio.timeout(120):
-            while True:
-                seen = self.robot()
-                if max(map(abs, seen["joints"]["velocity"])) > 0.3:
-                    return seen
-                await asyncio.sleep(0.01)
+        def moving() -> dict[str, Any] | None:
+            robot = self.robot()
+            return robot if max(map(abs, robot["joints"]["velocity"])) > 0.3 else None
+
+        seen: dict[str, Any] = await until(moving, why="the robot does not move")
+        return seen
 
 
 def _now() -> str:
@@ -220,20 +223,15 @@ async def test_a_task_that_cannot_be_done_fails_with_the_reason(shop: Shop) -> N
 async def test_a_motion_is_repeated_after_a_power_cut(shop: Shop) -> None:
     task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
     await shop.in_motion()
-    shop.cell.kill("trajectory_tool")
-    shop.cell.start("trajectory_tool")
+    shop.cell.restart("trajectory_tool")
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
 
 
 async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(new_shop: Shop) -> None:
     task = await new_shop.ask("pick", bin="bin-1", speed=0.5)
-    async with asyncio.timeout(120):
-        while new_shop.robot()["gripper"]["holds"] is None:
-            await asyncio.sleep(0.01)
+    await until(lambda: new_shop.robot()["gripper"]["holds"] is not None)
     memory = new_shop.cell.data_dir / "trajectory_tool" / "ur10-1.json"
-    async with asyncio.timeout(120):
-        while '"held":"part-1"' not in memory.read_text():
-            await asyncio.sleep(0.01)
+    await until(lambda: '"held":"part-1"' in memory.read_text())
     new_shop.cell.kill("trajectory_tool")
     assert (await new_shop.broker.get(task, Task)).status.value is TaskStatus.IN_PROGRESS
     new_shop.cell.start("trajectory_tool")
@@ -246,8 +244,7 @@ async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(new_shop: Sh
 
 async def test_the_device_is_written_again_after_the_broker_was_unavailable(shop: Shop) -> None:
     await shop.device_is(DeviceState.IDLE)
-    shop.cell.kill("context_broker")
-    shop.cell.start("context_broker")
+    shop.cell.restart("context_broker")
     shop.cell.wait_ready("trajectory_tool")
     task = await shop.ask("moveTo", joints=AWAY)
     await shop.comes_to(task, TaskStatus.COMPLETED)
@@ -265,7 +262,10 @@ async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(new_shop
     assert refused.status_code == 409
     assert task in refused.json()["detail"]
     await new_shop.comes_to(task, TaskStatus.COMPLETED)
-    async with asyncio.timeout(120):
-        while (freed := httpx.post(url)).status_code != 200:
-            await asyncio.sleep(0.02)
+
+    def free() -> httpx.Response | None:
+        freed = httpx.post(url)
+        return freed if freed.status_code == 200 else None
+
+    freed = await until(free, why="the gripper is not freed")
     assert freed.json()["gripper"] == {"closed": False, "holds": None}

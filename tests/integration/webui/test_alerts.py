@@ -165,8 +165,7 @@ async def test_shelving_ends_by_itself_also_after_a_restart(
         shelve([first, second], 0.05)
         shelve([third], 600)
         viewer.read_until(lambda: viewer.topics[topic_of(3)]["state"] == "shelved")
-        cell.kill("webui")
-        cell.start("webui")
+        cell.restart("webui")
         viewer = look()
         viewer.read_until(
             lambda: (

@@ -32,8 +32,7 @@ def test_archived_processes_are_shown(cell: Cell, look: Any) -> None:
         first.read_until(lambda: first.process().get("status") == "completed")
         wait_for(lambda: orchestrator.get(f"/processes/{process}").json()["archivedAt"])
         wait_for(lambda: broker.get(f"/{task}").status_code == 404)
-    cell.kill("webui")
-    cell.start("webui")
+    cell.restart("webui")
     second = look()
     second.read_until(lambda: second.process().get("archivedAt"))
     assert second.process()["id"] == process

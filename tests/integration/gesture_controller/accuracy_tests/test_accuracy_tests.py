@@ -110,8 +110,7 @@ async def test_a_test_survives_the_death_of_the_service(
 ) -> None:
     participant = begin(rounds=2, breaks=False)
     participant.answer(most=3)
-    bench.cell.kill("gesture_controller")
-    bench.cell.start("gesture_controller")
+    bench.cell.restart("gesture_controller")
     test = participant.seen()
     assert (test["phase"], test["live"]) == ("interrupted", None)
     assert bench.view()["testing"] is False, "nobody may stand before a glove that tests by itself"

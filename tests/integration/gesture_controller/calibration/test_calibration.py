@@ -1,6 +1,5 @@
 """Calibration with the real controller: guided by the hand's own frames, chosen, kept through `kill -9`."""
 
-import asyncio
 import sqlite3
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -12,8 +11,12 @@ import pytest
 
 from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
 from services.gesture_controller.calibration.drift_persistence import MIN_SAVED_CHANGE
+from tests.kit.waiting import until
 
 POINT: Posture = (0.0, 1.0, 0.0, 0.0, 0.0)
+LEVELS = {"fist": [[300.0] * 5] * 50, "open": [[700.0] * 5] * 50}
+"""Frames of a calibration in which every finger spans 300 to 700."""
+APPLIED = {"applied": True, "problem": None, "doubts": []}
 
 
 class SimulatedWearer:
@@ -47,6 +50,10 @@ def wearer(put_on: Callable[..., Any], bench: Any) -> SimulatedWearer:
     return worn
 
 
+def calibrate(bench: Any, frames: dict[str, Any]) -> None:
+    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
+
+
 def guide(bench: Any, **new: Any) -> dict[str, Any]:
     answer = bench.screen.post("/gloves/glove-1/calibration/guide", json=new)
     assert answer.status_code == 201, answer.text
@@ -73,15 +80,14 @@ async def test_a_hand_is_guided_and_read_by_what_it_showed_after_a_crash_too(
     eventually(lambda: bench.view()["calibration"]["step"] == "open")
     wearer.show(OPEN_HAND, 5)
     eventually(lambda: outcome(bench) is not None)
-    assert outcome(bench) == {"applied": True, "problem": None, "doubts": []}
+    assert outcome(bench) == APPLIED
     view = bench.view()
     assert not view["testing"]
     assert 480 < view["thresholds"]["index"]["lower"] < view["thresholds"]["index"]["upper"] < 720
     chosen = bench.screen.put("/gloves/glove-1/recognizer", json={"name": "personal"})
     assert chosen.json()["missing"] is None
 
-    running_cell.kill("gesture_controller")
-    running_cell.start("gesture_controller")
+    running_cell.restart("gesture_controller")
     again = SimulatedWearer(put_on())
     again.show(POINT, 1.5)
     eventually(lambda: bench.view()["gesture"] == "Point with index")
@@ -98,8 +104,7 @@ async def test_a_drift_that_was_followed_outlives_a_crash_and_ends_with_the_next
     running_cell: Any,
     eventually: Callable[..., None],
 ) -> None:
-    frames = {"fist": [[300.0] * 5] * 50, "open": [[700.0] * 5] * 50}
-    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
+    calibrate(bench, LEVELS)
     wearer.send([[300.0, 636, 636, 300, 300]] * 4000)  # 84 % of the span, where it should be 92 %
     eventually(lambda: bench.view()["frames"] > 4000)
     followed = bench.view()["drift"]
@@ -109,15 +114,13 @@ async def test_a_drift_that_was_followed_outlives_a_crash_and_ends_with_the_next
     eventually(lambda: kept_drift(database) == followed_to)
     kept = kept_drift(database)
 
-    running_cell.kill("gesture_controller")
-    running_cell.start("gesture_controller")
+    running_cell.restart("gesture_controller")
     assert list(bench.view()["drift"].values()) == pytest.approx(kept, abs=0.01)
     again = SimulatedWearer(put_on())
     again.send([[300.0, 636, 636, 300, 300]] * 10)
     eventually(lambda: bench.view()["gesture"] == "Index and middle straight")
-    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
-    running_cell.kill("gesture_controller")
-    running_cell.start("gesture_controller")
+    calibrate(bench, LEVELS)
+    running_cell.restart("gesture_controller")
     assert set(bench.view()["drift"].values()) == {0.0}, "it belonged to the calibration before"
 
 
@@ -132,8 +135,7 @@ async def test_an_interrupted_calibration_is_reported_until_the_next_one_begins(
     guide(bench)
     wearer.show(FIST, 4.5)
     eventually(lambda: bench.view()["calibration"]["step"] == "open")
-    running_cell.kill("gesture_controller")
-    running_cell.start("gesture_controller")
+    running_cell.restart("gesture_controller")
     view = bench.view()
     assert view["calibration"]["phase"] == "interrupted"
     assert "nothing was changed, begin again" in view["calibration"]["outcome"]["problem"]
@@ -144,9 +146,8 @@ async def test_an_interrupted_calibration_is_reported_until_the_next_one_begins(
     guide(bench, countdownMs=0)
     again.show(FIST, 2)
     again.show(OPEN_HAND, 3)
-    eventually(lambda: outcome(bench) == {"applied": True, "problem": None, "doubts": []})
-    running_cell.kill("gesture_controller")
-    running_cell.start("gesture_controller")
+    eventually(lambda: outcome(bench) == APPLIED)
+    running_cell.restart("gesture_controller")
     assert bench.view()["calibration"] is None
 
 
@@ -185,8 +186,7 @@ async def test_a_sample_is_shown_and_forgotten(
     fist = [hand.read() for _ in range(50)]
     hand = SimulatedHand(9, posture=OPEN_HAND)
     open_hand = [hand.read() for _ in range(50)]
-    frames = {"fist": fist, "open": open_hand}
-    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
+    calibrate(bench, {"fist": fist, "open": open_hand})
     guide(bench, gesture="point with index", countdownMs=0)
     wearer.show(POINT, 3)
     eventually(lambda: outcome(bench) is not None)
@@ -201,24 +201,20 @@ async def test_a_sample_is_shown_and_forgotten(
 async def test_a_level_that_jumps_raises_an_alert_until_the_next_calibration(
     bench: Any, wearer: SimulatedWearer, eventually: Callable[..., None]
 ) -> None:
-    fist, open_hand = [[300.0] * 5] * 50, [[700.0] * 5] * 50
-    bench.screen.post("/gloves/glove-1/calibration", json={"fist": fist, "open": open_hand})
-    wearer.send(open_hand)
+    calibrate(bench, LEVELS)
+    wearer.send(LEVELS["open"])
     wearer.send([[700.0, 700, 700, 860, 700]] * 100)
     eventually(lambda: bench.view()["calibrationNeeded"])
     assert "ring jumped" in bench.view()["calibrationNeeded"]
 
-    async def standing() -> list[str]:
+    async def is_raised() -> bool:
         alerts = [one for one in await bench.alerts() if one["subCategory"]["value"] == "calibrationNeeded"]
-        return [one["id"] for one in alerts if "validTo" not in one]
+        return any("validTo" not in one for one in alerts)
 
-    await _until(standing, 1)
-    bench.screen.post("/gloves/glove-1/calibration", json={"fist": fist, "open": open_hand})
+    async def is_cleared() -> bool:
+        return not await is_raised()
+
+    await until(is_raised)
+    calibrate(bench, LEVELS)
     assert bench.view()["calibrationNeeded"] is None
-    await _until(standing, 0)
-
-
-async def _until(listed: Callable[[], Any], count: int) -> None:
-    async with asyncio.timeout(120):
-        while len(await listed()) != count:
-            await asyncio.sleep(0.05)
+    await until(is_cleared)

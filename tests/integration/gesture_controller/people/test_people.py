@@ -52,8 +52,7 @@ async def test_a_task_shows_the_gesture_of_who_does_it_and_it_survives_a_power_c
     glove = put_on()
     glove.show(UP, 1.6)
     await ends(bench, first, "completed")
-    bench.cell.kill("gesture_controller")
-    bench.cell.start("gesture_controller")
+    bench.cell.restart("gesture_controller")
     assert bench.view()["person"] == "anna"
     second = await bench.put("t2", commandId=3)
     task = await asked(bench, second)
@@ -157,6 +156,5 @@ async def test_a_profile_goes_out_and_comes_in_under_another_name(bench: Any) ->
     assert bench.screen.delete("/people/anna").status_code == 204
     assert bench.view()["person"] is None
     assert get("/people/anna").status_code == 404
-    bench.cell.kill("gesture_controller")
-    bench.cell.start("gesture_controller")
+    bench.cell.restart("gesture_controller")
     assert [one["name"] for one in get("/people").json()] == ["ben", "operator-1"]

@@ -289,8 +289,7 @@ async def test_a_killed_controller_takes_its_task_up_again(bench: Any, put_on: P
     await asked(bench, task)
     thresholds = {"thumb": {"upper": 900, "lower": 700}}
     bench.screen.put("/gloves/glove-1/thresholds", json=thresholds).raise_for_status()
-    bench.cell.kill("gesture_controller")
-    bench.cell.start("gesture_controller")
+    bench.cell.restart("gesture_controller")
     await asked(bench, task)
     assert bench.view()["thresholds"]["thumb"] == {"upper": 900, "lower": 700}
     put_on().show(UP, 1.6)
