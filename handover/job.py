@@ -114,10 +114,10 @@ class Job:
         if self.requested_action is RequestedAction.CANCEL:
             raise TaskCancelled("cancelled")
 
-    async def progress(self, fraction: float, **outputs: Any) -> None:
+    def report_progress(self, fraction: float, **outputs: Any) -> None:
         """Report the progress, from 0 to 1, with other outputParameters that are known.
 
-        Returns at once. At most two reports a second are written; the latest value wins.
+        At most two reports a second are written, in the background; the latest value wins.
         """
         self._outputs = {**self._outputs, **outputs, "progress": round(min(max(fraction, 0.0), 1.0), 3)}
         idle = self._progress_writer is None or self._progress_writer.done()

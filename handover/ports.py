@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handover.errors import UsageError
+from handover.retry import Backoff
 
 UNSEEN_TIMEOUT_S = 75.0
 """Waiting time if the system does not show the connection (TIME_WAIT: 60 s on Linux)."""
@@ -128,8 +129,8 @@ def reserved_ports() -> set[int]:
 
 def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.socket | float]:
     """Try to reserve the port: yield the delay before each further attempt, finally the socket."""
-    began_s = time.monotonic()
-    say_at_s, wait_s = began_s, INITIAL_DELAY_S
+    began_s = say_at_s = time.monotonic()
+    backoff = Backoff(INITIAL_DELAY_S, MAX_DELAY_S, jitter=0.0)
     while True:
         try:
             yield hold(host, port, setting)
@@ -144,8 +145,7 @@ def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.s
                     f"reserve it; {setting} sets another"
                 )
                 say_at_s = now_s + SAY_AGAIN_S
-            yield wait_s
-            wait_s = min(1.5 * wait_s, MAX_DELAY_S)
+            yield backoff.next_delay_s()
         else:
             return
 

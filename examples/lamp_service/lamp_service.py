@@ -25,7 +25,7 @@ class Lamp(Performer):
         steps = int(job.parameters.get("steps", 10))
         for step in range(steps):
             await asyncio.sleep(0.1)  # a real lamp would shine
-            await job.progress((step + 1) / steps)
+            job.report_progress((step + 1) / steps)
             await job.checkpoint()  # waits here while the Task is paused; ends here when it is cancelled
         return {"lit": True}
 

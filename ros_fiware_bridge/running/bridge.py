@@ -2,12 +2,13 @@
 
 import asyncio
 import hashlib
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Any, Self
 
 from handover.alert_catalogue import ROS_PROBLEM
+from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.messages import message
@@ -90,7 +91,7 @@ class Bridge:
         self._served: dict[str, ServedService] = {}
         self._problems: dict[str, int] = {}
         """The number of consecutive checks in which each problem of the graph was seen."""
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks = BackgroundTasks("ROS bridge")
         self._on = AsyncExitStack()
 
     async def __aenter__(self) -> Self:
@@ -108,17 +109,15 @@ class Bridge:
                 listener.enabled = False
         if any(True for _ in self.tasks.resources()):
             await self._on.enter_async_context(self.tasks)
-        self._start_task(self.listeners.run())
-        self._start_task(self.alerts.run())
-        self._start_task(self._supervise())
+        await self._tasks.__aenter__()
+        for loop in (self.listeners.run, self.alerts.run, self._supervise):
+            self._tasks.start(loop)
         for change in self._changes.values():
-            self._start_task(change.run())
+            self._tasks.start(change.run)
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._tasks.__aexit__()
         for name in self.stats:
             with suppress(GraphError):
                 await self._stop(name)
@@ -283,12 +282,3 @@ class Bridge:
         severity = ROS_PROBLEM.severity.value
         state = AlertState(key, source, active, ROS_PROBLEM.category, description, severity=severity)
         self.alerts.publish(self.name, state)
-
-    def _start_task(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.create_task(work)
-        task.add_done_callback(self._log_failure)
-        self._tasks.append(task)
-
-    def _log_failure(self, task: asyncio.Task[None]) -> None:
-        if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("background task of the bridge failed", exc_info=error)

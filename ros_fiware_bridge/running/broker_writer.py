@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Self
 
+from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.retry import Backoff
 from handover.telemetry import get_logger
@@ -51,25 +52,23 @@ class BrokerWriter:
         self._on_dropped = on_dropped
         self._has_pending = asyncio.Event()
         self._emptied = asyncio.Event()
-        self._requests: set[asyncio.Task[None]] = set()
+        self._requests_in_flight = 0
         self._backoff = Backoff()
-        self._worker: asyncio.Task[None] | None = None
+        self._tasks = BackgroundTasks("broker writer")
 
     async def __aenter__(self) -> Self:
-        self._worker = asyncio.create_task(self._work())
+        await self._tasks.__aenter__()
+        self._tasks.start(self._work)
         return self
 
     async def __aexit__(self, *_: object) -> None:
         """Wait for pending updates for at most `SHUTDOWN_TIMEOUT_S`, then stop."""
-        if self.away_since_s is None and (len(self.outbox) or self._requests):
+        if self.away_since_s is None and (len(self.outbox) or self._requests_in_flight):
             self._emptied.clear()
             with suppress(TimeoutError):
                 async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
                     await self._emptied.wait()
-        tasks = [*self._requests, *([self._worker] if self._worker else [])]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._tasks.__aexit__()
         if left := len(self.outbox):
             log.warning("updates lost at shutdown", updates=left)
 
@@ -87,27 +86,24 @@ class BrokerWriter:
                 await asyncio.sleep(wait_s)
             self._has_pending.clear()
             limit = 1 if self.away_since_s is not None else MAX_REQUESTS_IN_FLIGHT
-            if len(self._requests) < limit and (batches := self.outbox.take()):
+            if self._requests_in_flight < limit and (batches := self.outbox.take()):
                 sent_at_s = clock()
-                request = asyncio.create_task(self._send(batches))
-                self._requests.add(request)
-                request.add_done_callback(self._done)
+                self._requests_in_flight += 1
+                self._tasks.start(self._send, batches).add_done_callback(self._request_done)
                 self._has_pending.set()  # there may be more than one request can carry
             PENDING_UPDATES.set(len(self.outbox))
 
-    def _done(self, request: asyncio.Task[None]) -> None:
-        self._requests.discard(request)
-        if not request.cancelled() and (error := request.exception()) is not None:
-            log.error("writing to the broker failed", exc_info=error)
+    def _request_done(self, _: asyncio.Task[None]) -> None:
+        self._requests_in_flight -= 1
         if len(self.outbox):
             self._has_pending.set()
-        elif not self._requests:
+        elif not self._requests_in_flight:
             self._emptied.set()
 
     async def _send(self, batches: Sequence[Batch]) -> None:
-        made = [batch for batch in batches if batch.create]
-        if made:
-            await self._deliver(made)
+        upserted = [batch for batch in batches if batch.create]
+        if upserted:
+            await self._deliver(upserted)
         for batch in batches:
             if not batch.create:
                 await self._deliver([batch])

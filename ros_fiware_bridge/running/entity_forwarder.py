@@ -2,8 +2,10 @@
 
 import asyncio
 from collections.abc import Mapping
+from contextlib import AsyncExitStack
 from typing import Any
 
+from handover.background_tasks import BackgroundTasks
 from handover.errors import HandoverError
 from handover.telemetry import get_logger
 from ros_fiware_bridge.graph.port import Publisher, RosGraph
@@ -34,7 +36,8 @@ class EntityForwarder:
         self._filter = UpdateFilter(every_s=planned.rule.every_ms / 1000)
         self._held: dict[str, Scope] = {}
         self._timers: dict[str, asyncio.TimerHandle] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = BackgroundTasks(f"rule {planned.name}")
+        self._running = AsyncExitStack()
         self.listener = Listener(
             planned.name,
             planned.selector,
@@ -48,6 +51,7 @@ class EntityForwarder:
     async def start(self) -> None:
         """Create the publisher, if the topic does not depend on the entity. Raises `GraphError`."""
         self.listener.enabled = True
+        await self._running.enter_async_context(self._tasks)
         if self._topic.constant is not None:
             await self._publisher(self._topic.constant)
 
@@ -56,10 +60,9 @@ class EntityForwarder:
         self.listener.enabled = False
         for timer in self._timers.values():
             timer.cancel()
-        for task in self._tasks:
-            task.cancel()
         self._timers.clear()
         self._held.clear()
+        await self._running.aclose()
         publishers, self.publishers = self.publishers, {}
         for publisher in publishers.values():
             await publisher.close()
@@ -93,9 +96,7 @@ class EntityForwarder:
             if (publisher := self.publishers.get(topic)) is not None:
                 self._publish(publisher, message)
                 return
-            task = asyncio.get_running_loop().create_task(self._publish_on_new(topic, message))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._tasks.start(self._publish_on_new, topic, message)
 
     async def _publish_on_new(self, topic: str, message: dict[str, Any]) -> None:
         try:

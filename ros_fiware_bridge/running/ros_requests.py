@@ -13,6 +13,7 @@ from handover.errors import HandoverError
 from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed
 from handover.messages import message, text_of
 from handover.performer import Performer
+from handover.retry import Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from ros_fiware_bridge.graph.port import Goal, GoalStatus, Message, RosGraph
@@ -31,6 +32,7 @@ log = get_logger(__name__)
 OnFeedback = Callable[[Mapping[str, Any]], None]
 MAX_QUEUED = 16
 CANCEL_TIMEOUT_S = 5.0
+CANCEL_RETRY_S = 1.0
 
 
 class RequestFailed(HandoverError):
@@ -134,13 +136,14 @@ async def _cancel_with_task(job: Job, goal: Goal) -> None:
     """Cancel the goal when the Task is cancelled; repeat the request until the goal has ended."""
     while job.requested_action is not RequestedAction.CANCEL:
         await job.changed()
+    backoff = Backoff(CANCEL_RETRY_S, CANCEL_RETRY_S)
     while True:
         try:
             if await goal.cancel(CANCEL_TIMEOUT_S):
                 return
         except HandoverError as error:
             log.warning("cancelling a goal failed, retrying", task=job.task.id, error=str(error))
-        await asyncio.sleep(1.0)
+        await backoff.wait()
 
 
 def _reason(message: str) -> str:
@@ -193,14 +196,10 @@ class RosTaskPerformer(Performer):
                     action=rule.action,
                 )
             )
-        loop = asyncio.get_running_loop()
-        tasks: set[asyncio.Task[None]] = set()
 
         def on_feedback(feedback: Mapping[str, Any]) -> None:
             others = {name: value for name, value in feedback.items() if name != "progress"}
-            task = loop.create_task(job.progress(_fraction(feedback.get("progress")), **others))
-            tasks.add(task)
-            task.add_done_callback(tasks.discard)
+            job.report_progress(_fraction(feedback.get("progress")), **others)
 
         await job.checkpoint()
         scope = Scope({**job.parameters, "taskId": job.task.id, "id": job.task.id.rsplit(":", 1)[-1]})

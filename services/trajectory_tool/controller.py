@@ -3,12 +3,13 @@
 import asyncio
 import time
 from collections.abc import AsyncIterator, Iterator, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from typing import Any, Self
 
 from fastapi import FastAPI
 
 from datamodels.entities import DeviceState
+from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.messages import message, text_of
 from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
@@ -122,16 +123,12 @@ def _operation_of(job: Job) -> str:
 async def _progress_reports(job: Job, work: Work) -> AsyncIterator[None]:
     async def report() -> None:
         while True:
-            await job.progress(work.progress())
+            job.report_progress(work.progress())
             await asyncio.sleep(PROGRESS_EVERY_S)
 
-    reporting = asyncio.create_task(report())
-    try:
+    async with BackgroundTasks("progress reports") as tasks:
+        tasks.start(report)
         yield
-    finally:
-        reporting.cancel()
-        with suppress(asyncio.CancelledError):
-            await reporting
 
 
 @contextmanager

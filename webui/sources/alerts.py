@@ -21,6 +21,7 @@ from handover.alerts import PRIORITIES
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.errors import Problem
 from handover.messages import message
+from handover.retry import Backoff
 from handover.telemetry import get_logger
 from webui.live.event_log import Event, EventLog, Level, normalized_timestamp
 from webui.live.live_state import LiveState
@@ -38,7 +39,7 @@ MAX_CONCURRENT_WRITES: Final = 16
 QUERY_BATCH_SIZE: Final = 40
 MAX_WAIT_S: Final = 3600.0
 MIN_INTERVAL_S: Final = 0.05
-RETRY_S: Final = 2.0
+INITIAL_RETRY_S, MAX_RETRY_S = 0.5, 2.0
 
 LEVELS: Final[Mapping[Severity, Level]] = {
     Severity.INFORMATIONAL: "info",
@@ -95,12 +96,17 @@ class Alerts(EntityHandler, Source):
 
     async def run(self) -> None:
         """Publish Alerts when their shelving or their validity ends."""
+        backoff = Backoff(INITIAL_RETRY_S, MAX_RETRY_S)
         while True:
             self._due_changed.clear()
             now = datetime.now(UTC)
             due = [alert_id for alert_id, timestamp in self._due.items() if timestamp <= now]
             if due:
-                await asyncio.sleep(MIN_INTERVAL_S if await self._end_shelvings(due) else RETRY_S)
+                if await self._end_shelvings(due):
+                    backoff.reset()
+                    await asyncio.sleep(MIN_INTERVAL_S)
+                else:
+                    await backoff.wait()
                 continue
             try:
                 async with asyncio.timeout(self._seconds_to_next(now)):

@@ -1,19 +1,12 @@
 """Gloves: the gesture controller's view of each, streamed while a page is open."""
 
-import asyncio
-from contextlib import suppress
 from typing import Any, Final
 from urllib.parse import quote
 
-import orjson
-from websockets.exceptions import WebSocketException
-
-from handover.retry import Backoff
 from webui.settings import CONTROLLER
-from webui.sources.on_demand import OnDemandSource, SourceContext, open_socket
+from webui.sources.on_demand import OnDemandSource, SourceContext, Streams
 
 POLL_INTERVAL_S: Final = 1.0
-INITIAL_RETRY_S, MAX_RETRY_S = 0.2, 2.0
 
 
 class Gloves(OnDemandSource):
@@ -23,20 +16,22 @@ class Gloves(OnDemandSource):
 
     def __init__(self, context: SourceContext) -> None:
         super().__init__(context)
-        self._streams: dict[str, asyncio.Task[None]] = {}
         self._streaming: set[str] = set()
+        self._streams = Streams(
+            lambda name: self._socket_url(f"/gloves/{quote(name, safe='')}/live"),
+            self._publish_streamed,
+            on_end=self._streaming.discard,
+        )
 
     async def run(self) -> None:
         """Poll the list of gloves and stream each, while a page is open."""
-        try:
+        async with self._streams:
             while True:
                 await self._viewers.wait_until(lambda: bool(self._viewers))
                 while self._viewers:
                     await self.refresh()
                     await self._viewers.wait_until(lambda: not self._viewers, POLL_INTERVAL_S)
-                await self._stream_only(set())
-        finally:
-            await self._stream_only(set())
+                await self._streams.follow(set())
 
     async def refresh(self) -> None:
         """Fetch the gloves and publish those that are not streamed."""
@@ -51,28 +46,11 @@ class Gloves(OnDemandSource):
             if topic.partition("/")[2] not in names:
                 self._state.remove(topic)
         if self._viewers:
-            await self._stream_only(names)
+            await self._streams.follow(names)
 
-    async def _stream_only(self, names: set[str]) -> None:
-        left = [self._streams.pop(name) for name in self._streams.keys() - names]
-        for task in left:
-            task.cancel()
-        await asyncio.gather(*left, return_exceptions=True)
-        for name in names - self._streams.keys():
-            self._streams[name] = asyncio.create_task(self._stream(name))
-
-    async def _stream(self, name: str) -> None:
-        url = f"ws{self._url.removeprefix('http')}/gloves/{quote(name, safe='')}/live"
-        backoff = Backoff(INITIAL_RETRY_S, MAX_RETRY_S)
-        while True:
-            with suppress(OSError, TimeoutError, WebSocketException):
-                async with open_socket(url) as socket:
-                    async for text in socket:
-                        self._publish(orjson.loads(text))
-                        self._streaming.add(name)
-                        backoff.reset()
-            self._streaming.discard(name)
-            await backoff.wait()
+    def _publish_streamed(self, name: str, view: dict[str, Any]) -> None:
+        self._publish(view)
+        self._streaming.add(name)
 
     def _publish(self, view: dict[str, Any]) -> None:
         self._state.publish(f"glove/{view['glove']}", view)

@@ -2,13 +2,18 @@
 
 import asyncio
 from abc import abstractmethod
+from collections.abc import Callable, Set
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import httpx
+import orjson
 from websockets.asyncio.client import connect
+from websockets.exceptions import WebSocketException
 
+from handover.background_tasks import BackgroundTasks
 from handover.telemetry import get_logger
 from webui.live.live_state import LiveState
 from webui.live.viewers import Viewers
@@ -20,8 +25,7 @@ log = get_logger(__name__)
 
 REQUEST_TIMEOUT_S: Final = 3.0
 
-open_socket: Final = partial(connect, proxy=None, open_timeout=REQUEST_TIMEOUT_S, compression=None)
-"""Connect to a WebSocket of a service."""
+_connect: Final = partial(connect, proxy=None, open_timeout=REQUEST_TIMEOUT_S, compression=None)
 
 View = dict[str, Any]
 
@@ -55,6 +59,9 @@ class OnDemandSource(Source):
     async def refresh(self) -> None:
         """Fetch the resources and publish them."""
 
+    def _socket_url(self, path: str) -> str:
+        return f"ws{self._url.removeprefix('http')}{path}"
+
     async def _fetch(self) -> list[View] | None:
         """Return the resources; on an error return None and have the service checked."""
         try:
@@ -65,3 +72,59 @@ class OnDemandSource(Source):
             self._services.check_now()
             return None
         return views
+
+
+class Streams:
+    """One WebSocket for each followed resource, connected again with backoff.
+
+    An asynchronous context manager. `on_message` is called with the name of the resource and each message,
+    `on_end` with the name whenever its connection has ended.
+    """
+
+    def __init__(
+        self,
+        url_of: Callable[[str], str],
+        on_message: Callable[[str, Any], object],
+        on_end: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._url_of = url_of
+        self._on_message = on_message
+        self._on_end = on_end
+        self._background = BackgroundTasks("streams")
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+
+    @property
+    def names(self) -> Set[str]:
+        """Return the names of the followed resources."""
+        return self._tasks.keys()
+
+    async def __aenter__(self) -> Self:
+        await self._background.__aenter__()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._background.__aexit__()
+
+    async def follow(self, names: Set[str]) -> None:
+        """Follow exactly the resources `names`; return when the other streams have ended."""
+        ended = [self._tasks[name] for name in self._tasks.keys() - names]
+        for task in ended:
+            task.cancel()
+        if ended:
+            await asyncio.wait(ended)
+        for name in names - self._tasks.keys():
+            task = self._tasks[name] = self._background.start_restarting(self._stream, name)
+            task.add_done_callback(partial(self._forget, name))
+
+    def _forget(self, name: str, task: asyncio.Task[None]) -> None:
+        if self._tasks.get(name) is task:
+            del self._tasks[name]
+
+    async def _stream(self, name: str) -> None:
+        try:
+            with suppress(OSError, TimeoutError, WebSocketException):
+                async with _connect(self._url_of(name)) as socket:
+                    async for text in socket:
+                        self._on_message(name, orjson.loads(text))
+        finally:
+            self._on_end(name)

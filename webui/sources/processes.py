@@ -5,7 +5,6 @@ so the process is read once more after each hint. All processes are read periodi
 """
 
 import asyncio
-import random
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 from urllib.parse import quote
@@ -14,6 +13,7 @@ import httpx
 
 from datamodels.entities import TaskStatus
 from handover.messages import message_in, with_code
+from handover.retry import Backoff, with_jitter
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from webui.live.event_log import Event, EventLog, Level, normalized_timestamp
@@ -32,7 +32,7 @@ MIN_INTERVAL_S: Final = 0.05
 MAX_CONCURRENT_READS: Final = 8
 REFRESH_BATCH_SIZE: Final = 10
 """Running processes that each round reads without a hint."""
-RETRY_S: Final = 0.5
+INITIAL_RETRY_S, MAX_RETRY_S = 0.5, 2.0
 REQUEST_TIMEOUT_S: Final = 10.0
 
 LEVELS: Final[Mapping[str, Level]] = {"failed": "stop", "paused": "attention"}
@@ -84,20 +84,22 @@ class Processes(Source):
         """Read changed processes at once, and all of them every `reconcile_s`."""
         due_s = 0.0
         clock = asyncio.get_running_loop().time
+        backoff = Backoff(INITIAL_RETRY_S, MAX_RETRY_S)
         while True:
             self._hint.clear()
             try:
                 if self._is_list_stale or clock() >= due_s:
                     self._is_list_stale = False
                     await self._read_all()
-                    due_s = clock() + self._settings.reconcile_s * random.uniform(0.8, 1.2)  # noqa: S311
+                    due_s = clock() + with_jitter(self._settings.reconcile_s)
                 hinted, self._hinted = self._hinted, set()
                 await self._read_many(hinted)
                 wait_s = max(due_s - clock(), 0.0)
+                backoff.reset()
             except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
                 log.debug("orchestrator request failed", error=str(error))
                 self._services.check_now()
-                self._is_list_stale, wait_s = True, RETRY_S
+                self._is_list_stale, wait_s = True, backoff.next_delay_s()
                 self._hint.clear()
             await asyncio.sleep(MIN_INTERVAL_S)
             try:

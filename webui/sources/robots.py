@@ -1,20 +1,14 @@
 """Robots: the trajectory tool's view of each, and the joints as a stream for pages that draw them."""
 
-import asyncio
-from contextlib import suppress
 from typing import Final
 from urllib.parse import quote
 
-import orjson
-from websockets.exceptions import WebSocketException
-
 from webui.settings import TRAJECTORY
-from webui.sources.on_demand import OnDemandSource, SourceContext, open_socket
+from webui.sources.on_demand import OnDemandSource, SourceContext, Streams
 
 BUSY_POLL_INTERVAL_S: Final = 0.2
 IDLE_POLL_INTERVAL_S: Final = 0.5
 JOINTS_HZ: Final = 30
-RETRY_S: Final = 0.5
 
 
 class Robots(OnDemandSource):
@@ -24,11 +18,14 @@ class Robots(OnDemandSource):
 
     def __init__(self, context: SourceContext) -> None:
         super().__init__(context)
-        self._streams: dict[str, asyncio.Task[None]] = {}
+        self._streams = Streams(
+            lambda name: self._socket_url(f"/robots/{quote(name, safe='')}/joint_states?hz={JOINTS_HZ}"),
+            lambda name, joints: self._state.publish(f"robot/{name}/joints", joints),
+        )
 
     async def run(self) -> None:
         """Poll the robots, and stream the joints that pages subscribe to."""
-        try:
+        async with self._streams:
             while True:
                 await self._viewers.wait_until(lambda: bool(self._viewers))
                 while self._viewers:
@@ -36,8 +33,6 @@ class Robots(OnDemandSource):
                     await self._viewers.wait_until(self._must_update_streams, pause_s)
                     await self._update_streams()
                 await self._update_streams()
-        finally:
-            await self._stream_only(set())
 
     async def refresh(self) -> None:
         """Fetch the robots and publish them."""
@@ -65,25 +60,11 @@ class Robots(OnDemandSource):
         return {name for name in robots if self._viewers.is_subscribed(f"robot/{name}/joints")}
 
     def _must_update_streams(self) -> bool:
-        return not self._viewers or self._subscribed() != self._streams.keys()
+        return not self._viewers or self._subscribed() != self._streams.names
 
     async def _update_streams(self) -> None:
-        await self._stream_only(self._subscribed())
-
-    async def _stream_only(self, names: set[str]) -> None:
-        for name in self._streams.keys() - names:
-            task = self._streams.pop(name)
-            task.cancel()
-            await asyncio.wait({task})
+        subscribed = self._subscribed()
+        ended = self._streams.names - subscribed
+        await self._streams.follow(subscribed)
+        for name in ended:
             self._state.remove(f"robot/{name}/joints")
-        for name in names - self._streams.keys():
-            self._streams[name] = asyncio.create_task(self._stream(name))
-
-    async def _stream(self, name: str) -> None:
-        url = f"ws{self._url.removeprefix('http')}/robots/{quote(name, safe='')}/joint_states?hz={JOINTS_HZ}"
-        while True:
-            with suppress(OSError, TimeoutError, WebSocketException):
-                async with open_socket(url) as socket:
-                    async for text in socket:
-                        self._state.publish(f"robot/{name}/joints", orjson.loads(text))
-            await asyncio.sleep(RETRY_S)

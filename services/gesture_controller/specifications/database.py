@@ -16,6 +16,7 @@ from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from handover.database import connect
 from handover.errors import UsageError
+from handover.retry import Backoff
 from handover.telemetry import get_logger
 from services.gesture_controller.specifications import table
 from services.gesture_controller.specifications.definition import Definition
@@ -24,7 +25,7 @@ log = get_logger(__name__)
 
 SETTING = "HANDOVER_SPECIFICATION_URL"
 QUERY_TIMEOUT_S = 3.0
-RETRY_S = 0.5
+INITIAL_RETRY_S, MAX_RETRY_S = 0.5, 2.0
 UNAVAILABLE_BACKOFF_S = 5.0
 """Tasks that do not need the database skip it for this time after a failure."""
 
@@ -64,6 +65,7 @@ class SpecificationDatabase:
         until_s = clock() + timeout_s
         if timeout_s == 0 and clock() - self._away_s < UNAVAILABLE_BACKOFF_S:
             return Definition()
+        backoff = Backoff(INITIAL_RETRY_S, MAX_RETRY_S)
         while True:
             found = await asyncio.to_thread(self._find, (definition, definition.rsplit(":", 1)[-1]))
             if isinstance(found, Definition):
@@ -73,7 +75,7 @@ class SpecificationDatabase:
             if found.name != "away" or clock() >= until_s:
                 return Definition()
             self._away_s = clock()
-            await asyncio.sleep(RETRY_S)
+            await backoff.wait()
 
     def _find(self, ids: tuple[str, ...]) -> Definition | DatabaseState:
         try:
