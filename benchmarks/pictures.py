@@ -301,7 +301,7 @@ def test(product: Product) -> None:
     )
     trials = 0
     previous = None
-    while (run := product.glove().get("examination")) is not None:
+    while (run := product.glove().get("accuracyTest")) is not None:
         asked = run["asked"]
         if asked is not None and (asked["gesture"], run["done"]) != previous:
             previous = (asked["gesture"], run["done"])

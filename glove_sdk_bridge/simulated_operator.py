@@ -230,7 +230,7 @@ def _asked(shown: Mapping[str, Any]) -> tuple[str | None, str]:
         guide = _mapping(shown["calibration"])
         return f"calibration {guide.get('step')}", str(guide.get("code", ""))
     if _is_tried(shown):
-        test = _mapping(shown["examination"])
+        test = _mapping(shown["accuracyTest"])
         return f"test {test.get('id')} {test.get('done')}", str(_mapping(test.get("asked")).get("code", ""))
     task = _mapping(shown.get("task"))
     if not task.get("id"):
@@ -247,7 +247,7 @@ def _is_guided(shown: Mapping[str, Any]) -> bool:
 
 def _is_tried(shown: Mapping[str, Any]) -> bool:
     """Return True if a calibration or an accuracy test asks for a gesture in testing mode."""
-    return _is_guided(shown) or bool(_mapping(_mapping(shown.get("examination")).get("asked")))
+    return _is_guided(shown) or bool(_mapping(_mapping(shown.get("accuracyTest")).get("asked")))
 
 
 def _is_code(code: str) -> bool:

@@ -93,7 +93,7 @@ def test_invalid_thresholds_are_not_sent(cell: Cell, open_page: OpenPage) -> Non
     assert thresholds(cell) == before
 
 
-def test_a_guided_calibration_names_the_doubtful_finger(
+def test_a_guided_calibration_names_the_unreliable_finger(
     glove_screen: Cell,
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],
@@ -112,10 +112,10 @@ def test_a_guided_calibration_names_the_doubtful_finger(
         return guide["outcome"] is not None
 
     wait_for(is_led)
-    doubted = page.locator(".guided__outcome li").filter(has_text="ring finger")
-    expect(doubted).to_contain_text("always shows the same value")
+    warning = page.locator(".guided__outcome li").filter(has_text="ring finger")
+    expect(warning).to_contain_text("always shows the same value")
     accessible(page)
-    keep(page, "calibrate-doubt")
+    keep(page, "calibrate-sensor-warning")
     glove.close()
 
 

@@ -63,15 +63,15 @@ def test_an_accuracy_test_ends_with_a_report(
     controller = httpx.Client(base_url=cell.url("gesture_controller"), timeout=120, trust_env=False)
 
     def seen() -> dict[str, object] | None:
-        return controller.get("/gloves/glove-1").json()["examination"]  # type: ignore[no-any-return]  # JSON
+        return controller.get("/gloves/glove-1").json()["accuracyTest"]  # type: ignore[no-any-return]  # JSON
 
     met: set[str] = set()
 
     def moves() -> bool:
-        examination = seen()
-        if examination is None:
+        test = seen()
+        if test is None:
             return True
-        asked = examination["asked"]
+        asked = test["asked"]
         if isinstance(asked, dict):
             is_new = asked["gesture"] not in met
             met.add(asked["gesture"])

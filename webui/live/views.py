@@ -116,7 +116,7 @@ class Recognizer(TypedDict):
     missing: str | None
 
 
-class FingerDoubt(TypedDict):
+class SensorWarning(TypedDict):
     """A finger with an unreliable sensor."""
 
     finger: Finger
@@ -129,7 +129,7 @@ class CalibrationOutcome(TypedDict):
 
     applied: bool
     problem: str | None
-    doubts: list[FingerDoubt]
+    sensorWarnings: list[SensorWarning]
 
 
 class GuideView(TypedDict):
@@ -162,7 +162,7 @@ class LastTrial(TypedDict):
     recognizedMs: float | None
 
 
-class Examination(TypedDict):
+class AccuracyTest(TypedDict):
     """A running accuracy test; `round` counts from 1."""
 
     id: str
@@ -206,7 +206,7 @@ class GloveView(TypedDict):
     recognizer: NotRequired[Recognizer]
     calibrationNeeded: NotRequired[str | None]
     calibration: NotRequired[GuideView | None]
-    examination: NotRequired[Examination | None]
+    accuracyTest: NotRequired[AccuracyTest | None]
     frames: int
     dropped: int
     droppedBy: dict[str, int]

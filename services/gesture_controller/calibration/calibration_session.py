@@ -61,7 +61,7 @@ class CalibrationSession:
         self.person = glove.person
         self.was_testing = glove.modes.testing
         self.outcome: dict[str, Any] | None = None
-        """Once it is over: whether it was `applied`, or the `problem`; and `doubts` about sensors."""
+        """Once it is over: whether it was `applied`, or the `problem`; and `sensorWarnings`."""
         self.watcher: Callable[[bool], None] | None = None
 
     def view(self) -> dict[str, Any]:
@@ -224,7 +224,9 @@ class CalibrationSessions:
             "previous": fit.previous.as_dict() if fit.previous else None,
             "levels": calibration.as_dict() if calibration else None,
             "samples": learnt_from(calibration)[SAMPLES] if calibration else {},
-            "doubts": [fault.as_dict() for fault in find_lasting_faults(calibration)] if calibration else [],
+            "sensorWarnings": [fault.as_dict() for fault in find_lasting_faults(calibration)]
+            if calibration
+            else [],
             "offered": OFFERED in fit.learnt,
             "changedAt": fit.changed_at or None,
         }
@@ -246,7 +248,7 @@ class CalibrationSessions:
         try:
             session.outcome = await self._outcome(session)
         except Problem as problem:
-            session.outcome = {"applied": False, "problem": problem.detail, "doubts": []}
+            session.outcome = {"applied": False, "problem": problem.detail, "sensorWarnings": []}
         finally:
             session.release()
         await self._store_end(session)
@@ -302,7 +304,7 @@ class CalibrationSessions:
             )
         if session.gesture is not None:
             await self.add_sample(glove, session.gesture, wizard.captured[0])
-            return {"applied": True, "problem": None, "doubts": []}
+            return {"applied": True, "problem": None, "sensorWarnings": []}
         fist, open_hand = wizard.hand()
         faults = find_sensor_faults(fist, open_hand)
         try:
@@ -362,7 +364,7 @@ def _calibration_of(glove: Glove) -> Calibration:
 
 
 def _result(applied: bool, problem: str | None, faults: Sequence[SensorFault]) -> dict[str, Any]:
-    return {"applied": applied, "problem": problem, "doubts": [fault.as_dict() for fault in faults]}
+    return {"applied": applied, "problem": problem, "sensorWarnings": [fault.as_dict() for fault in faults]}
 
 
 _CODES = {Step.FIST: BENT * len(FINGERS), Step.OPEN: STRAIGHT * len(FINGERS)}

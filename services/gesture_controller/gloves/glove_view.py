@@ -36,7 +36,7 @@ def view_of(glove: Glove, now_s: float) -> dict[str, Any]:
         "testing": modes.testing,
         "filtering": modes.filtering,
         "warning": None if modes.filtering else messages.unfiltered().as_dict(),
-        "examination": observers.accuracy_test() if observers.accuracy_test is not None else None,
+        "accuracyTest": observers.accuracy_test() if observers.accuracy_test is not None else None,
         "paused": modes.paused or is_paused_by_task,
         "lost": connection.is_lost,
         "thresholds": reader.config.thresholds.as_dict(),

@@ -22,7 +22,7 @@ def differing_fingers(glove: Glove) -> list[str]:
         return []
     due, seen = responder.due, state.recognition
     differing = messages.differing(state.states, due.code if due else responder.prompt.spec.code)
-    return differing or list(seen.doubtful if seen is not None else ())
+    return differing or list(seen.unclear_fingers if seen is not None else ())
 
 
 def message_for(glove: Glove, now_s: float) -> OperatorMessage:

@@ -71,8 +71,8 @@ class Rejection:
     other: Neighbour | None = None
 
 
-def find_rejection(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> Rejection | None:
-    """Return why a gesture with `code` is rejected, if it is; `doubtful` names unreliable fingers."""
+def find_rejection(code: str, near: Collection[Neighbour], unreliable: Collection[str]) -> Rejection | None:
+    """Return why a gesture with `code` is rejected, if it is; `unreliable` names unreliable fingers."""
     if code in RESTING:
         return Rejection(
             message(
@@ -94,10 +94,10 @@ def find_rejection(code: str, near: Collection[Neighbour], doubtful: Collection[
                 ),
                 one,
             )
-        if one.distance == 1 and one.fingers[0] in doubtful:
+        if one.distance == 1 and one.fingers[0] in unreliable:
             return Rejection(
                 message(
-                    "gesture.near_by_a_doubtful_finger",
+                    "gesture.near_by_an_unreliable_finger",
                     'it is too near "{other}" (code {code}, {distance}): the sensor of the {finger} hardly '
                     "separates bent from straight; calibrate it, or use a gesture that differs elsewhere",
                     other=one.name,

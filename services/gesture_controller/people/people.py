@@ -133,15 +133,15 @@ class People:
         gesture: str,
         own: OwnGesture,
         thresholds: Thresholds | None = None,
-        doubtful: Collection[str] = (),
+        unreliable: Collection[str] = (),
     ) -> tuple[bool, Neighbour | None]:
         """Store an own gesture of a person; return True if it is new, and its nearest neighbour.
 
-        `thresholds` are those of the recording; `doubtful` names fingers with unreliable sensors. Raises
+        `thresholds` are those of the recording; `unreliable` names fingers with unreliable sensors. Raises
         `Problem` 409 if it is too near another gesture, 422 if it is invalid.
         """
         async with self.changing:
-            return await self._define(self.named(name), gesture, own, thresholds, doubtful)
+            return await self._define(self.named(name), gesture, own, thresholds, unreliable)
 
     async def _define(
         self,
@@ -149,7 +149,7 @@ class People:
         gesture: str,
         own: OwnGesture,
         thresholds: Thresholds | None,
-        doubtful: Collection[str],
+        unreliable: Collection[str],
     ) -> tuple[bool, Neighbour | None]:
         name = person.name
         _require_gesture_name(gesture)
@@ -178,7 +178,7 @@ class People:
             }
             near = neighbours(own.shape.code, known.codes, own.sample, thresholds, samples)
             nearest = near[0] if near else None
-            rejection = find_rejection(own.shape.code, near, doubtful)
+            rejection = find_rejection(own.shape.code, near, unreliable)
             if rejection is not None:
                 extra = {"nearest": neighbour_view(rejection.other)} if rejection.other else None
                 raise Problem(

@@ -214,8 +214,8 @@ def _add_gestures(app: FastAPI, site: _Site) -> None:
         glove = None if given.glove is None else site.gloves.named(given.glove)
         own = await _own(given, glove)
         thresholds = glove.reader.config.thresholds if glove and own.sample else None
-        doubtful = list(_doubtful([glove] if glove else site.gloves.worn_by(person)))
-        is_new, nearest = await site.people.define(person, gesture, own, thresholds, doubtful)
+        unreliable = list(_unreliable_fingers([glove] if glove else site.gloves.worn_by(person)))
+        is_new, nearest = await site.people.define(person, gesture, own, thresholds, unreliable)
         response.status_code = 201 if is_new else 200
         return {"person": person, "name": gesture, **own.as_dict(), "nearest": neighbour_view(nearest)}
 
@@ -346,7 +346,7 @@ async def _recorded(glove: Glove, for_ms: int) -> list[list[float]]:
     return frames
 
 
-def _doubtful(worn: list[Glove]) -> Iterator[str]:
+def _unreliable_fingers(worn: list[Glove]) -> Iterator[str]:
     for glove in worn:
         if glove.reader.config.calibration is not None:
             yield from (fault.finger for fault in find_lasting_faults(glove.reader.config.calibration))

@@ -116,7 +116,7 @@ def _settled_states(state: PipelineState) -> str | None:
     seen = state.recognition
     if seen is None or seen.at_s - state.states_since_s < MIN_SETTLED_S or BETWEEN in seen.states:
         return None
-    if seen.doubtful:
+    if seen.unclear_fingers:
         return None  # following drift here would make the fingers clearer than the person shows them
     return seen.states if seen.certainty > 0.5 else None
 

@@ -30,7 +30,8 @@ class Recognition:
 
     `states` are the five fingers, thumb first (0 straight, 1 between, 2 bent). `gesture` is None for no
     gesture or in doubt. `certainty` (0 to 1) is that of this result. `memory` is private to the recognizer.
-    `doubtful` names the fingers that prevent the gesture of these states and should be shown more clearly.
+    `unclear_fingers` are the fingers that prevent the gesture of these states; the person should show them
+    more clearly.
     """
 
     states: str
@@ -38,7 +39,7 @@ class Recognition:
     certainty: float
     at_s: float
     memory: Any = field(default=None, repr=False, compare=False)
-    doubtful: tuple[str, ...] = ()
+    unclear_fingers: tuple[str, ...] = ()
 
 
 class Recognizer(Protocol[FrameT_contra]):

@@ -36,7 +36,7 @@ Human Grasp Types, IEEE Trans. Human-Machine Systems 46, 2016.)
 """
 
 SHORT = 0.2
-"""A finger that is this far from the open hand, or from the fist, makes such a hand doubtful."""
+"""A finger that is this far from the open hand, or from the fist, makes the states of a hand unclear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +82,8 @@ class ThresholdRecognizer:
         memory = _Steadied(code, since_s, frame.bend, close_since_s)
         if before is not None and before.gesture == gesture and frame.t_s - close_since_s < STEADY_S:
             return Recognition(states, gesture, 1.0, frame.t_s, memory)
-        doubtful = self._short_fingers(code, frame.bend)
-        return Recognition(states, None, 1.0, frame.t_s, memory, doubtful)
+        unclear_fingers = self._short_fingers(code, frame.bend)
+        return Recognition(states, None, 1.0, frame.t_s, memory, unclear_fingers)
 
     def odds(self, seen: Recognition) -> Mapping[str, float]:
         """Return for each gesture the position of its worst finger between the thresholds, from 0 to 1."""

@@ -292,6 +292,6 @@ def test_of_two_gestures_in_turn_the_second_is_shown_when_the_first_was_seen() -
 
 def test_an_accuracy_test_is_answered_though_the_glove_is_tried_out() -> None:
     asked = {"id": 4, "done": 2, "asked": {"gesture": "Horns", "code": "20220"}}
-    view = View.of({"testing": True, "examination": asked})
+    view = View.of({"testing": True, "accuracyTest": asked})
     assert (view.task, view.code, view.waits, view.keeps_still) == ("test 4 2", "20220", False, False)
-    assert View.of({"testing": True, "examination": {**asked, "asked": None}}).task is None
+    assert View.of({"testing": True, "accuracyTest": {**asked, "asked": None}}).task is None

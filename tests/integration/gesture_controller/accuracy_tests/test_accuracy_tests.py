@@ -74,7 +74,7 @@ async def test_a_whole_test_ends_with_table_3_and_leaves_the_glove_as_it_was(
     }
     assert report["overall"]["medianMs"] >= 500
     view = bench.view()
-    assert (view["testing"], view["examination"]) == (False, None)
+    assert (view["testing"], view["accuracyTest"]) == (False, None)
 
 
 async def test_what_was_taken_for_another_is_in_matrix_and_table_files(

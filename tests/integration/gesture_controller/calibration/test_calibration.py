@@ -16,7 +16,7 @@ from tests.kit.waiting import until
 POINT: Posture = (0.0, 1.0, 0.0, 0.0, 0.0)
 LEVELS = {"fist": [[300.0] * 5] * 50, "open": [[700.0] * 5] * 50}
 """Frames of a calibration in which every finger spans 300 to 700."""
-APPLIED = {"applied": True, "problem": None, "doubts": []}
+APPLIED = {"applied": True, "problem": None, "sensorWarnings": []}
 
 
 class SimulatedWearer:

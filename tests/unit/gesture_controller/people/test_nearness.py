@@ -15,9 +15,9 @@ THRESHOLDS = Thresholds((Threshold(600, 400),) * 5)
 CODES = st.text("02", min_size=5, max_size=5)
 
 
-def why_too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> str | None:
-    doubted = find_rejection(code, near, doubtful)
-    return None if doubted is None else doubted.why
+def why_too_near(code: str, near: Collection[Neighbour], unreliable: Collection[str]) -> str | None:
+    rejection = find_rejection(code, near, unreliable)
+    return None if rejection is None else rejection.why
 
 
 def sampled(*levels: float, noise: float = 5.0) -> Sample:
@@ -41,7 +41,7 @@ def test_the_same_code_is_the_other_gesture() -> None:
     assert why.startswith('it is "Horns" (code 20220, no finger differs)')
 
 
-def test_one_finger_is_enough_unless_its_sensor_is_doubtful() -> None:
+def test_one_finger_is_enough_unless_its_sensor_is_unreliable_fingers() -> None:
     near = neighbours("20000", {"Middle, ring and little straight": "22000", "Horns": "20220"})
     assert why_too_near("20000", near, ()) is None
     assert why_too_near("20000", near, {"ring"}) is None

@@ -80,7 +80,7 @@ async def test_a_gesture_too_near_another_is_refused_with_its_name_and_distance(
     assert nearest is not None
     assert nearest.distance == 1
     assert (await people.define("anna", "Mine", OwnGesture(Shape("02200"))))[0] is False
-    problem = await refused(people.define("anna", "Other", MINE, doubtful=["index", "thumb", "ring"]))
+    problem = await refused(people.define("anna", "Other", MINE, unreliable=["index", "thumb", "ring"]))
     assert "hardly separates bent from straight" in problem.detail
 
 

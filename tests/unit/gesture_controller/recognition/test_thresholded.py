@@ -128,12 +128,12 @@ def test_a_hand_that_holds_something_shows_no_gesture_and_it_says_why(
 ) -> None:
     seen = stand(held)[-1]
     assert seen.gesture is None
-    assert 1 <= len(seen.doubtful) <= 2
+    assert 1 <= len(seen.unclear_fingers) <= 2
     assert f"{looks_like}, but as in a hand that holds something" in CALIBRATED.why(seen)
     assert f"must stand {GRIP_APART:.0%} above them" in CALIBRATED.why(seen)
     clear = [1.0 if share > 0.6 else 0.1 for share in held]
     assert stand(clear)[-1].gesture == looks_like
-    assert stand(clear)[-1].doubtful == ()
+    assert stand(clear)[-1].unclear_fingers == ()
 
 
 def test_a_tremble_towards_a_grip_does_not_break_a_hold_but_a_grip_ends_it() -> None:

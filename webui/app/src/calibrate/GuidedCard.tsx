@@ -101,9 +101,9 @@ function Outcome({ outcome }: { outcome: NonNullable<GuideView["outcome"]> }) {
     <div className="guided__outcome">
       {outcome.problem === null ? <StatusBadge tone="ok">{t("guided.fits")}</StatusBadge> : <ErrorMessage>{outcome.problem}</ErrorMessage>}
       <ul>
-        {outcome.doubts.map(({ finger, why }) => (
+        {outcome.sensorWarnings.map(({ finger, why }) => (
           <li key={finger}>
-            <StatusBadge tone="attention">{t(`hand:finger.${finger}`)}</StatusBadge> {t(`guided.doubt.${why}`)}
+            <StatusBadge tone="attention">{t(`hand:finger.${finger}`)}</StatusBadge> {t(`guided.sensorWarning.${why}`)}
           </li>
         ))}
       </ul>

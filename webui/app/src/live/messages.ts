@@ -30,22 +30,8 @@ export interface ServiceHealth {
   lastMessage: LastMessage | null;
 }
 
-/** An answer other than `ok`; `gesture` is null if only the screen offers it. */
-export interface AnswerOption {
-  outcome: Outcome;
-  gesture: string | null;
-  code: string | null;
-}
-
-/** How a guided calibration ended. */
-export interface CalibrationOutcome {
-  applied: boolean;
-  problem: string | null;
-  doubts: FingerDoubt[];
-}
-
 /** A running accuracy test; `round` counts from 1. */
-export interface Examination {
+export interface AccuracyTest {
   id: string;
   phase: "break" | "rest" | "asked" | "noted" | "interrupted" | "stopped" | "finished";
   reason: string;
@@ -61,11 +47,18 @@ export interface Examination {
   last: LastTrial | null;
 }
 
-/** A finger with an unreliable sensor. */
-export interface FingerDoubt {
-  finger: Finger;
-  why: "dead" | "saturated" | "wrongWay" | "smallSpan" | "noisy";
-  advice: string;
+/** An answer other than `ok`; `gesture` is null if only the screen offers it. */
+export interface AnswerOption {
+  outcome: Outcome;
+  gesture: string | null;
+  code: string | null;
+}
+
+/** How a guided calibration ended. */
+export interface CalibrationOutcome {
+  applied: boolean;
+  problem: string | null;
+  sensorWarnings: SensorWarning[];
 }
 
 /** A part of a composed gesture; `hand` is null if one hand shows the parts in sequence. */
@@ -148,6 +141,13 @@ export interface RequestedGesture {
   code: string;
 }
 
+/** A finger with an unreliable sensor. */
+export interface SensorWarning {
+  finger: Finger;
+  why: "dead" | "saturated" | "wrongWay" | "smallSpan" | "noisy";
+  advice: string;
+}
+
 /** The thresholds of a finger: straight above `upper`, bent below `lower`. */
 export interface Threshold {
   upper: number;
@@ -179,7 +179,7 @@ export interface GloveView {
   recognizer?: Recognizer;
   calibrationNeeded?: string | null;
   calibration?: GuideView | null;
-  examination?: Examination | null;
+  accuracyTest?: AccuracyTest | null;
   frames: number;
   dropped: number;
   droppedBy: Record<string, number>;

@@ -23,7 +23,7 @@ const tones: Partial<Record<Phase, Tone>> = { finished: "ok", interrupted: "atte
 
 export function Accuracy({ glove }: { glove: string }) {
   const { t } = useTranslation("test");
-  const onItsWay = useTopicSelector(`glove/${glove}`, (view) => view?.examination?.id ?? null);
+  const onItsWay = useTopicSelector(`glove/${glove}`, (view) => view?.accuracyTest?.id ?? null);
   const [asked, setTest] = useQueryParameter("test");
   const { value: tests, failure, reload } = useServiceQuery<TestSummary[]>("gesture-controller", "tests", { revision: onItsWay ?? "" });
   if (onItsWay !== null) return <Trial glove={glove} />;

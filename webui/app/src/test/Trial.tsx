@@ -8,7 +8,7 @@ import { number } from "~/design/numbers";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { useTopic } from "~/live/hooks";
-import type { Examination } from "~/live/messages";
+import type { AccuracyTest } from "~/live/messages";
 import { useKeys } from "~/shell/keys";
 import { leadTest } from "./tests";
 
@@ -16,22 +16,22 @@ const icons = { right: Check, corrected: RotateCcw, missed: CircleX };
 
 export function Trial({ glove }: { glove: string }) {
   const view = useTopic(`glove/${glove}`);
-  if (view?.examination == null) return null;
-  return <Stage examination={view.examination} side={view.hand} states={view.states} isConnected={view.connected} />;
+  if (view?.accuracyTest == null) return null;
+  return <Stage accuracyTest={view.accuracyTest} side={view.hand} states={view.states} isConnected={view.connected} />;
 }
 
 interface StageProps {
-  examination: Examination;
+  accuracyTest: AccuracyTest;
   side: "left" | "right";
   states: string | null;
   isConnected: boolean;
 }
 
-function Stage({ examination, side, states, isConnected }: StageProps) {
+function Stage({ accuracyTest, side, states, isConnected }: StageProps) {
   const { t } = useTranslation("test");
   const nameOf = useGestureName();
   const [failure, setFailure] = useState<string | null>(null);
-  const { id, phase, asked, done, trials, round } = examination;
+  const { id, phase, asked, done, trials, round } = accuracyTest;
   const waits = phase === "break" || phase === "interrupted";
   const lead = (act: "continue" | "stop") => {
     setFailure(null);
@@ -41,7 +41,7 @@ function Stage({ examination, side, states, isConnected }: StageProps) {
     ...(waits ? [{ key: "Enter", does: t("trial.continue"), act: () => lead("continue") }] : []),
     { key: "x", does: t("trial.stop"), act: () => lead("stop") },
   ]);
-  const held = Math.min(1, examination.heldMs / examination.holdMs);
+  const held = Math.min(1, accuracyTest.heldMs / accuracyTest.holdMs);
   const title = asked === null ? t(`trial.${waits ? phase : "rest"}.title`) : nameOf(asked.gesture);
   return (
     <section className="trial" data-phase={phase}>
@@ -71,12 +71,12 @@ function Stage({ examination, side, states, isConnected }: StageProps) {
         </div>
         <div className="trial__now">
           {states === null ? <HandIcon aria-hidden size={48} /> : <Hand states={states} side={side} moveMs={140} size="clamp(96px, 16vh, 170px)" />}
-          <Last last={examination.last} />
+          <Last last={accuracyTest.last} />
         </div>
       </div>
       <footer className="trial__footer">
         <progress max={trials} value={done} aria-label={t("trial.progress")} />
-        <p>{t("trial.count", { done, trials, round, rounds: examination.rounds })}</p>
+        <p>{t("trial.count", { done, trials, round, rounds: accuracyTest.rounds })}</p>
       </footer>
     </section>
   );
@@ -86,7 +86,7 @@ const Asked = memo(function Asked({ code, side, label }: { code: string; side: "
   return <Hand key={code} states={code} side={side} animateFrom="00000" size="100%" label={label} />;
 });
 
-function Last({ last }: { last: Examination["last"] }) {
+function Last({ last }: { last: AccuracyTest["last"] }) {
   const { t, i18n } = useTranslation("test");
   const nameOf = useGestureName();
   if (last === null) return <p role="status" />;
