@@ -302,7 +302,7 @@ class _Rules:
             self.warnings.append(
                 _fault(
                     node,
-                    message("bpmn.implicit_end", "no sequence flow leaves it, so the process ends here"),
+                    message("bpmn.implicit_end", "no sequence flow leaves it, so this path ends here"),
                 )
             )
 
