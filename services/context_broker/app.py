@@ -210,7 +210,7 @@ class Broker:
         """Return federation as the settings have it; without it, its package is not imported."""
         if not self.settings.broker_federation:
             return LocalOnly()
-        from services.context_broker.federation.broker_federation import BrokerFederation  # noqa: PLC0415 - as said
+        from services.context_broker.federation.broker_federation import BrokerFederation  # noqa: PLC0415 - optional
 
         return BrokerFederation(self.tenants, self.contexts, self.settings, self._by_name)
 
@@ -218,7 +218,7 @@ class Broker:
         """Return snapshots as the settings have them; without them, their package is not imported."""
         if not self.settings.broker_snapshots:
             return NoSnapshots()
-        from services.context_broker.snapshots.operations import BrokerSnapshots  # noqa: PLC0415 - as said
+        from services.context_broker.snapshots.operations import BrokerSnapshots  # noqa: PLC0415 - optional
 
         return BrokerSnapshots(self.tenants, self.federation.distribute, self._by_name)
 

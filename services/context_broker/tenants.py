@@ -115,8 +115,8 @@ class Tenants:
     def load(self) -> None:
         """Load the content of the journal."""
         journal, settings = self._journal, self._settings
-        kept = [body for _, _, body in journal.documents(DocumentKind.IDENTITY)]
-        self.identify(kept[0] if kept else uuid4().hex[:12].encode())
+        identities = [body for _, _, body in journal.documents(DocumentKind.IDENTITY)]
+        self.identify(identities[0] if identities else uuid4().hex[:12].encode())
         policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
         self.places = itertools.count(journal.last_sequence() + 1)
         self.outbound = Outbound(
@@ -137,12 +137,12 @@ class Tenants:
     async def keep_identity(self) -> None:
         """Store the identity of this broker, if there is none yet."""
         if not any(self._journal.documents(DocumentKind.IDENTITY)):
-            made = self._identity.rpartition("-")[2].encode()
-            await self.commits.store(Entries(documents={(DocumentKind.IDENTITY, DEFAULT, "broker"): made}))
+            suffix = self._identity.rpartition("-")[2].encode()
+            await self.commits.store(Entries(documents={(DocumentKind.IDENTITY, DEFAULT, "broker"): suffix}))
 
-    def identify(self, kept: bytes) -> None:
+    def identify(self, identity: bytes) -> None:
         """Set the identity of this broker, which stays with its database."""
-        self._identity = f"handover-{self._settings.factory}-{kept.decode()}"
+        self._identity = f"handover-{self._settings.factory}-{identity.decode()}"
 
     def __iter__(self) -> Iterator[Tenant]:
         """Yield all tenants."""
@@ -211,5 +211,5 @@ class Tenants:
         return sum(len(one.store) for one in self._tenants.values())
 
     def _forget_staged(self) -> None:
-        for one in self._tenants.values():
-            one.store.forget_staged()
+        for tenant in self._tenants.values():
+            tenant.store.forget_staged()

@@ -100,19 +100,19 @@ class ContextResolver:
 
     def remember(self, tenant: str, key: str, stored: bytes) -> str:
         """Load a stored context, and return its local identifier."""
-        one = restored(tenant, key, stored)
-        if (before := self._shelf.named(one.id)) is not None:
-            one.hits, one.used_s, one.hits_kept = before.hits, before.used_s, before.hits_kept
+        context = restored(tenant, key, stored)
+        if (before := self._shelf.named(context.id)) is not None:
+            context.hits, context.used_s, context.hits_kept = before.hits, before.used_s, before.hits_kept
             self._unready(before)
-        self._shelf.put(one)
-        return one.id
+        self._shelf.put(context)
+        return context.id
 
     def forget(self, key: str) -> None:
         """Remove a context."""
-        one = self._shelf.named(key)
-        if one is not None:
-            self._unready(one)
-            self._shelf.remove(one)
+        context = self._shelf.named(key)
+        if context is not None:
+            self._unready(context)
+            self._shelf.remove(context)
 
     async def tidy(self) -> None:
         """Delete contexts that are not needed any more; call it once all subscriptions are loaded."""
@@ -121,8 +121,8 @@ class ContextResolver:
         self._ready = {
             key: ready for key, ready in self._ready.items() if not any(one.gone for one in ready.uses)
         }
-        for one in gone:
-            self._shelf.remove(one)
+        for context in gone:
+            self._shelf.remove(context)
         if gone:
             await self._keep(_erasing(gone))
 
@@ -172,11 +172,11 @@ class ContextResolver:
         """
         if context.link is not None:
             return context
-        one = implicit(tenant, {"@context": context.document})
-        known = self._shelf.named(one.id)
+        linked = implicit(tenant, {"@context": context.document})
+        known = self._shelf.named(linked.id)
         if known is None or known.gone:
-            await self._keep_one(one)
-        return await self.of((known or one).address(base))
+            await self._keep_one(linked)
+        return await self.of((known or linked).address(base))
 
     async def _make(self, key: str | bytes, given: Any) -> _ResolvedContext:
         """Return a context once everything it refers to is loaded."""
@@ -210,24 +210,24 @@ class ContextResolver:
         self, url: str, met: list[StoredContext], *, of_before: bool = False
     ) -> Mapping[str, Any] | None:
         """Return the document of a URL if it is loaded, and add its context to `met`."""
-        one = self._at(url, of_before=of_before)
-        if one is None:
+        stored = self._at(url, of_before=of_before)
+        if stored is None:
             return None
-        met.append(one)
-        return one.document
+        met.append(stored)
+        return stored.document
 
     def _at(self, url: str, *, of_before: bool = False) -> StoredContext | None:
-        one = self._shelf.at(url)
-        if one is not None and (of_before or not one.gone):
-            return one
+        stored = self._shelf.at(url)
+        if stored is not None and (of_before or not stored.gone):
+            return stored
         return self._of_package(url)
 
     def _of_package(self, url: str) -> StoredContext | None:
         """Return a context that is shipped with the broker."""
-        one = self._shipped.get(url)
-        if one is None and (document := resolve(url)) is not None:
-            one = self._shipped[url] = cached(url, document)
-        return one
+        shipped = self._shipped.get(url)
+        if shipped is None and (document := resolve(url)) is not None:
+            shipped = self._shipped[url] = cached(url, document)
+        return shipped
 
     async def _fetch(self, url: str) -> None:
         fetched = await self._fetcher.fetch(url)
@@ -241,24 +241,24 @@ class ContextResolver:
             self._shelf.remove(oldest)
         await self._keep_one(cached(url, fetched.document, time.time() + fetched.kept_s))
 
-    def _refresh(self, one: StoredContext) -> None:
+    def _refresh(self, context: StoredContext) -> None:
         """Fetch an expired context again in the background."""
-        one.expires_s = time.time() + PUT_OFF_S
-        task = asyncio.get_running_loop().create_task(self._refreshed(one))
+        context.expires_s = time.time() + PUT_OFF_S
+        task = asyncio.get_running_loop().create_task(self._refreshed(context))
         self._refreshing.add(task)
         task.add_done_callback(self._refreshing.discard)
 
-    async def _refreshed(self, one: StoredContext) -> None:
-        url = one.url or ""
+    async def _refreshed(self, context: StoredContext) -> None:
+        url = context.url or ""
         try:
             fresh = await self._fetched(url)
-            if self._shelf.at(url) is not one or one.gone:
+            if self._shelf.at(url) is not context or context.gone:
                 return
-            if fresh.document == one.document:
-                one.expires_s = fresh.expires_s
-                await self._keep({(DocumentKind.CONTEXT, one.tenant, one.key): one.stored()})
+            if fresh.document == context.document:
+                context.expires_s = fresh.expires_s
+                await self._keep({(DocumentKind.CONTEXT, context.tenant, context.key): context.stored()})
             else:
-                await self._replace(one, fresh)
+                await self._replace(context, fresh)
         except Problem as problem:
             log.info("an expired context could not be fetched; it stays in use", url=url, why=problem.detail)
         except Exception:
@@ -275,19 +275,19 @@ class ContextResolver:
             raise unavailable(url, problem.detail) if problem.status == 400 else problem from None
         return cached(url, fetched.document, time.time() + fetched.kept_s)
 
-    async def _replace(self, one: StoredContext, fresh: StoredContext) -> None:
-        fresh.hits, fresh.used_s = one.hits, one.used_s
+    async def _replace(self, context: StoredContext, fresh: StoredContext) -> None:
+        fresh.hits, fresh.used_s = context.hits, context.used_s
         await self._keep_one(fresh)
-        self._unready(one)
-        await self.on_renewal(one.id)
+        self._unready(context)
+        await self.on_renewal(context.id)
 
-    async def _keep_one(self, one: StoredContext) -> None:
-        await self._keep({(DocumentKind.CONTEXT, one.tenant, one.key): one.stored()})
-        self._shelf.put(one)
+    async def _keep_one(self, context: StoredContext) -> None:
+        await self._keep({(DocumentKind.CONTEXT, context.tenant, context.key): context.stored()})
+        self._shelf.put(context)
 
-    def _unready(self, one: StoredContext) -> None:
+    def _unready(self, context: StoredContext) -> None:
         """Remove everything that was made of a changed context from the cache."""
-        ours = {one.id}
+        ours = {context.id}
         self._ready = {
             key: ready
             for key, ready in self._ready.items()
@@ -298,66 +298,66 @@ class ContextResolver:
 
     def all(self, tenant: str) -> list[StoredContext]:
         """Return the contexts that a tenant may see, and the core context."""
-        kept = shown_to(tenant, self._shelf)
-        urls = {one.url for one in kept}
+        contexts = shown_to(tenant, self._shelf)
+        urls = {one.url for one in contexts}
         core = self._of_package(CORE)
         used = [one for one in self._shipped.values() if one is core or one.hits]
-        return [*(one for one in used if one.url not in urls), *kept]
+        return [*(one for one in used if one.url not in urls), *contexts]
 
     def named(self, name: str, tenant: str) -> StoredContext | None:
         """Return the context with a local identifier or URL, None if the tenant sees none."""
-        one = self._shelf.named(name)
-        if one is not None and shown_to(tenant, [one]):
-            return one
+        context = self._shelf.named(name)
+        if context is not None and shown_to(tenant, [context]):
+            return context
         shipped = next((each for each in self._shipped.values() if each.id == name), None)
         return shipped or self._of_package(name)
 
     def served(self, own_id: str) -> StoredContext | None:
         """Return the context of a local identifier, of any tenant."""
-        one = self._shelf.named(own_id)
-        return None if one is None or one.gone else one
+        context = self._shelf.named(own_id)
+        return None if context is None or context.gone else context
 
     async def add(self, tenant: str, given: Any) -> StoredContext:
         """Store a context of a client; raise a problem: 400 if it is not one, 413 if it is too large."""
-        one = hosted(tenant, {"@context": given})
+        context = hosted(tenant, {"@context": given})
         try:
             TermMap(given, lambda _: {"@context": {}})  # what it refers to is loaded when it is used
         except ValueError as error:
             raise bad_request_data(f"the @context cannot be used: {error}") from None
-        stored = one.stored()
+        stored = context.stored()
         if len(stored) > MAX_CONTEXT_BYTES:
             raise too_large(f"the @context has {len(stored)} bytes; the maximum is {MAX_CONTEXT_BYTES}")
-        await self._keep_one(one)
-        return one
+        await self._keep_one(context)
+        return context
 
-    async def delete(self, one: StoredContext) -> None:
+    async def delete(self, context: StoredContext) -> None:
         """Delete a context. Subscriptions that were made with it continue to use it."""
-        one.gone = True
+        context.gone = True
         try:
             await self._keep(
                 {
-                    (DocumentKind.CONTEXT, one.tenant, one.key): one.stored(),
-                    (DocumentKind.CONTEXT_USAGE, one.tenant, one.key): None,
+                    (DocumentKind.CONTEXT, context.tenant, context.key): context.stored(),
+                    (DocumentKind.CONTEXT_USAGE, context.tenant, context.key): None,
                 }
             )
         except Problem:
-            one.gone = False
+            context.gone = False
             raise
-        self._unready(one)
+        self._unready(context)
 
-    async def reload(self, one: StoredContext) -> None:
+    async def reload(self, context: StoredContext) -> None:
         """Fetch a cached context again; the present one stays if that fails (problem 504, clause
         5.13.5.4)."""
-        await self._replace(one, await self._fetched(one.url or ""))
+        await self._replace(context, await self._fetched(context.url or ""))
 
-    def is_shipped(self, one: StoredContext) -> bool:
+    def is_shipped(self, context: StoredContext) -> bool:
         """Return whether a context is shipped with the broker, and not stored in another version."""
-        return self._shipped.get(one.url or "") is one
+        return self._shipped.get(context.url or "") is context
 
     @staticmethod
-    def is_core(one: StoredContext) -> bool:
+    def is_core(context: StoredContext) -> bool:
         """Return whether a context is the core context, of any version."""
-        return one.url is not None and is_core(one.url)
+        return context.url is not None and is_core(context.url)
 
 
 async def _nobody(_: str) -> None:

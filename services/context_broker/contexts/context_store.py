@@ -113,16 +113,13 @@ def implicit(tenant: str, document: Mapping[str, Any]) -> StoredContext:
 
 def restored(tenant: str, key: str, stored: bytes) -> StoredContext:
     """Return the context of a stored document."""
-    said = orjson.loads(stored)
-    if isinstance(said, dict):  # the first release kept the document and nothing else
-        return cached(key, said, expires_s=0.0)
-    kind, created_at, document, gone, expires_s = said
+    kind, created_at, document, gone, expires_s = orjson.loads(stored)
     if kind == ContextKind.CACHED:
-        one = cached(key, document, math.inf if expires_s is None else expires_s, created_at)
+        context = cached(key, document, math.inf if expires_s is None else expires_s, created_at)
     else:
-        one = StoredContext(ContextKind(kind), tenant, key, None, document, created_at)
-    one.gone = gone
-    return one
+        context = StoredContext(ContextKind(kind), tenant, key, None, document, created_at)
+    context.gone = gone
+    return context
 
 
 class ContextStore:
@@ -136,27 +133,27 @@ class ContextStore:
         """Yield all of them, including those that are gone."""
         return iter(list(self._by_id.values()))
 
-    def put(self, one: StoredContext) -> None:
+    def put(self, context: StoredContext) -> None:
         """Add a context, or replace the one with its identifier."""
-        self._by_id[one.id] = one
-        if one.url is not None:
-            self._by_url[one.url] = one
+        self._by_id[context.id] = context
+        if context.url is not None:
+            self._by_url[context.url] = context
 
-    def remove(self, one: StoredContext) -> None:
+    def remove(self, context: StoredContext) -> None:
         """Remove a context."""
-        self._by_id.pop(one.id, None)
-        if one.url is not None:
-            self._by_url.pop(one.url, None)
+        self._by_id.pop(context.id, None)
+        if context.url is not None:
+            self._by_url.pop(context.url, None)
 
     def at(self, url: str) -> StoredContext | None:
         """Return the context of a URL: its source, or an address of this broker under any host name.
 
         The broker has many names (a mapped port, a proxy); an identifier belongs to one broker.
         """
-        one = self._by_url.get(url)
-        if one is None and (found := _OURS.fullmatch(url)) is not None:
-            one = self._by_id.get(unquote(found[1]))
-        return one
+        context = self._by_url.get(url)
+        if context is None and (found := _OURS.fullmatch(url)) is not None:
+            context = self._by_id.get(unquote(found[1]))
+        return context
 
     def named(self, name: str) -> StoredContext | None:
         """Return the context with a local identifier or a URL."""

@@ -34,25 +34,25 @@ class Usage:
 
     def remember(self, key: str, stored: bytes) -> None:
         """Load stored counts."""
-        one = self._shelf.named(key)
-        if one is not None:
-            one.hits, one.used_s = orjson.loads(stored)
-            one.hits_kept = one.hits
+        context = self._shelf.named(key)
+        if context is not None:
+            context.hits, context.used_s = orjson.loads(stored)
+            context.hits_kept = context.hits
 
     def note(self, used: Sequence[StoredContext]) -> None:
         """Count contexts that are used now."""
         now_s = time.time()
-        for one in used:
-            one.hits += 1
-            one.used_s = now_s
-            if one.expires_s <= now_s:
-                self._outdated(one)
+        for context in used:
+            context.hits += 1
+            context.used_s = now_s
+            if context.expires_s <= now_s:
+                self._outdated(context)
         if self._due is None:
             self._write_soon()
 
-    def seen(self, one: StoredContext) -> None:
+    def seen(self, context: StoredContext) -> None:
         """Count that a client read a cached context (clause 5.13.3.5)."""
-        one.hits += 1
+        context.hits += 1
         if self._due is None:
             self._write_soon()
 
@@ -62,8 +62,8 @@ class Usage:
             self._due.cancel()
             self._due = None
         used = [one for one in self._shelf if one.hits != one.hits_kept and not one.gone]
-        for one in used:
-            one.hits_kept = one.hits
+        for context in used:
+            context.hits_kept = context.hits
         if used:
             self._keep_later(
                 {(DocumentKind.CONTEXT_USAGE, one.tenant, one.key): one.stored_usage() for one in used}

@@ -50,14 +50,14 @@ class Backlog:
             after = page[-1][0]
 
     def _page(self, after: int, limit: int, count: bool) -> BacklogPage:
-        journal, tenant, one = self.journal, self.tenant, self.subscription
-        pending = journal.pending_total(tenant, one) if count else None
-        sizes = journal.pending_sizes(tenant, one, after, limit)
+        journal, tenant, subscription = self.journal, self.tenant, self.subscription
+        pending = journal.pending_total(tenant, subscription) if count else None
+        sizes = journal.pending_sizes(tenant, subscription, after, limit)
         fitting, room_bytes = 0, PAGE_BYTES
         for _, size in sizes:
             fitting += 1
             room_bytes -= size
             if room_bytes <= 0:
                 break
-        found = journal.pending(tenant, one, after, fitting) if fitting else []
+        found = journal.pending(tenant, subscription, after, fitting) if fitting else []
         return BacklogPage(found, len(sizes) == limit or fitting < len(sizes), pending)

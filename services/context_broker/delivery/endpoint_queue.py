@@ -128,8 +128,8 @@ class EndpointQueue:
             self.failures = 0
             self._prober = None
             waiting, self._queue = self._queue, deque()
-            for one in waiting:
-                one.wake()
+            for worker in waiting:
+                worker.wake()
 
     def failed(self, worker: EndpointUser, started_s: float, at_least_s: float) -> None:
         """Record a failed attempt of a worker that began at `started_s`; the next one comes after a backoff.

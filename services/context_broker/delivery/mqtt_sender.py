@@ -91,9 +91,9 @@ class _Connection:
         where = self._where
         tls = await asyncio.to_thread(_NamedTls, where.host, self._sender.ca_file) if where.tls else None
         failure: MqttError | None = None
-        for one in await self._sender.policy.resolved(where.host, where.port):
+        for address in await self._sender.policy.resolved(where.host, where.port):
             client = Client(
-                one,
+                address,
                 where.port,
                 username=where.username,
                 password=where.password,

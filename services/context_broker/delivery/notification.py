@@ -22,7 +22,7 @@ from services.context_broker.delivery.triggers import (
     lost_instances,
 )
 from services.context_broker.model.context import link_header
-from services.context_broker.model.entity import NULL, SAYS, Attributes, Entity, Instance, dataset_of
+from services.context_broker.model.entity import NULL, VALUE_MEMBER, Attributes, Entity, Instance, dataset_of
 from services.context_broker.model.negotiation import Version
 from services.context_broker.model.rendering import Form, View, render, rendered, with_context
 from services.context_broker.model.validation import tenant_headers, timestamp, timestamp_now
@@ -31,7 +31,7 @@ from services.context_broker.query.q_match import Lookup, no_lookup
 
 log = get_logger(__name__)
 
-_PREVIOUS: Final = {kind: f"previous{says[0].upper()}{says[1:]}" for kind, says in SAYS.items()}
+_PREVIOUS: Final = {kind: f"previous{member[0].upper()}{member[1:]}" for kind, member in VALUE_MEMBER.items()}
 
 
 def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes:
@@ -94,11 +94,11 @@ def headers(subscription: Subscription, tenant: str, taken: bytes | None = None)
     change."""
     endpoint = subscription.endpoint
     own = [*endpoint.headers, *(orjson.loads(taken) if taken else ())]
-    asked = {name.lower() for name, _ in own}
+    own_names = {name.lower() for name, _ in own}
     result = [("Content-Type", endpoint.accept)]
     if tenant:
-        result += [one for one in tenant_headers(tenant) if one[0].lower() not in asked]
-    if endpoint.accept != JSON_LD and subscription.context.link and "link" not in asked:
+        result += [one for one in tenant_headers(tenant) if one[0].lower() not in own_names]
+    if endpoint.accept != JSON_LD and subscription.context.link and "link" not in own_names:
         result.append(("Link", link_header(subscription.context.link)))
     return [*result, *((name, value) for name, value in own)]
 
@@ -183,7 +183,7 @@ def _with_previous(new: list[Instance], old: list[Instance]) -> list[Instance]:
     return [
         one
         if (was := before.get(dataset_of(one))) is None or was is one
-        else {**one, _PREVIOUS[was["type"]]: was[SAYS[was["type"]]]}
+        else {**one, _PREVIOUS[was["type"]]: was[VALUE_MEMBER[was["type"]]]}
         for one in new
     ]
 
@@ -191,16 +191,19 @@ def _with_previous(new: list[Instance], old: list[Instance]) -> list[Instance]:
 def _add_gone(
     attributes: Attributes, name: str, old: list[Instance], view: View, deleted_at: str, *, shows: bool
 ) -> None:
-    kept = attributes.get(name, [])
-    gone = [_gone(one, view, deleted_at, shows=shows) for one in lost_instances(old, kept)]
-    attributes[name] = [*kept, *gone]
+    instances = attributes.get(name, [])
+    gone = [_gone(one, view, deleted_at, shows=shows) for one in lost_instances(old, instances)]
+    attributes[name] = [*instances, *gone]
 
 
 def _gone(instance: Instance, view: View, deleted_at: str, *, shows: bool) -> Instance:
     kind = instance["type"] if view.form is not Form.KEY_VALUES else "Property"
-    gone: Instance = {"type": kind, SAYS[kind]: {"@none": NULL} if kind == "LanguageProperty" else NULL}
+    gone: Instance = {
+        "type": kind,
+        VALUE_MEMBER[kind]: {"@none": NULL} if kind == "LanguageProperty" else NULL,
+    }
     if shows:
-        gone[_PREVIOUS[kind]] = instance[SAYS[instance["type"]]]
+        gone[_PREVIOUS[kind]] = instance[VALUE_MEMBER[instance["type"]]]
     for member in ("datasetId", "createdAt", "modifiedAt"):
         if member in instance:
             gone[member] = instance[member]

@@ -59,10 +59,10 @@ class Notifier(SubscriptionDispatcher):
         """Update the indexes after a subscription was added, changed or deleted; without an id, after all
         changed."""
         self._is_sorted = False
-        one = None if changed is None else self.get(changed)
-        if one is not None and one.endpoint.taken:
+        subscription = None if changed is None else self.get(changed)
+        if subscription is not None and subscription.endpoint.taken:
             self.passes_headers_on = True
-        if self._periodic.is_affected(changed, one):
+        if self._periodic.is_affected(changed, subscription):
             self._periodic.schedule(self.all())
 
     def _sort(self) -> None:
@@ -84,8 +84,8 @@ class Notifier(SubscriptionDispatcher):
                 kinds, ids = {None}, set()
             for kind in kinds:
                 by_type.setdefault(kind, []).append(subscription)
-            for one in ids:
-                by_id.setdefault(one, []).append(subscription)
+            for name in ids:
+                by_id.setdefault(name, []).append(subscription)
         self._by_type, self._by_id = by_type, by_id
         self.passes_headers_on = any(one.endpoint.taken for one in subscriptions)
         self._is_sorted = True

@@ -37,9 +37,9 @@ class SubscriptionDispatcher:
         for subscription in subscriptions:
             self._add_worker(subscription)
         if self._workers:
-            for one in self.journal.pending_subscriptions(self.tenant):
-                if one in self._workers:
-                    self._workers[one].start()
+            for name in self.journal.pending_subscriptions(self.tenant):
+                if name in self._workers:
+                    self._workers[name].start()
         self.update_index()
 
     def stop(self) -> None:

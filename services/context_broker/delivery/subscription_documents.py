@@ -91,9 +91,11 @@ def names_things(change: Mapping[str, Any]) -> bool:
     return any(name in change for name in ("entities", "watchedAttributes", "q", "geoQ"))
 
 
-def shown_document(one: Subscription, context: Context, now_s: float, *, sys_attrs: bool) -> dict[str, Any]:
+def shown_document(
+    subscription: Subscription, context: Context, now_s: float, *, sys_attrs: bool
+) -> dict[str, Any]:
     """Return a subscription for a client, in its names and with the counts."""
-    document = {"id": one.id, "type": "Subscription", **one.document}
+    document = {"id": subscription.id, "type": "Subscription", **subscription.document}
     context_document = document.pop("context")
     document.pop(NAMES_IN, None)
     document.pop(CAME_BY, None)
@@ -110,14 +112,14 @@ def shown_document(one: Subscription, context: Context, now_s: float, *, sys_att
         ]
     if "watchedAttributes" in document:
         document["watchedAttributes"] = [compact(name) for name in document["watchedAttributes"]]
-    notification = {**document["notification"], **one.counts.members()}
+    notification = {**document["notification"], **subscription.counts.members()}
     if "attributes" in notification:
         notification["attributes"] = [compact(name) for name in notification["attributes"]]
-    if (status := one.counts.status()) is not None:
+    if (status := subscription.counts.status()) is not None:
         notification["status"] = status
-    document["status"] = one.status(now_s)
+    document["status"] = subscription.status(now_s)
     document["notification"] = notification
-    named = one.context.link or (context_document if isinstance(context_document, str) else None)
+    named = subscription.context.link or (context_document if isinstance(context_document, str) else None)
     if named is not None:
         document.setdefault("jsonldContext", named)
     return document
@@ -140,12 +142,12 @@ def _kept_selector(given: Any, context: Context) -> dict[str, Any]:
         )
     if unknown := sorted(set(given) - {"id", "idPattern", "type"}):
         raise bad_request_data(f"an entity selector has id, idPattern and type, not {shown(unknown[0])}")
-    kept = dict(given)
-    if "type" in kept:
-        kept["type"] = type_selection(
-            kept["type"], context.terms.expand, "the type of an entity selector"
+    stored = dict(given)
+    if "type" in stored:
+        stored["type"] = type_selection(
+            stored["type"], context.terms.expand, "the type of an entity selector"
         ).written()
-    return kept
+    return stored
 
 
 def _names(given: Any, what: str, context: Context) -> list[str]:

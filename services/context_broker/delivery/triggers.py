@@ -56,9 +56,9 @@ class EntityChange:
     @property
     def entity(self) -> Entity:
         """The entity after the change, or before it if it was deleted."""
-        one = self.after or self.before
-        assert one is not None  # noqa: S101 - a change has at least one end
-        return one
+        entity = self.after or self.before
+        assert entity is not None  # noqa: S101 - a change has at least one end
+        return entity
 
 
 def entity_change(event: Event) -> EntityChange:
@@ -96,8 +96,8 @@ def _all_of(entity: Entity) -> Names:
 
 def lost_instances(old: Iterable[Instance], new: Iterable[Instance]) -> list[Instance]:
     """Return the instances that an attribute does not have any more."""
-    kept = {dataset_of(one) for one in new}
-    return [one for one in old if dataset_of(one) not in kept]
+    remaining = {dataset_of(one) for one in new}
+    return [one for one in old if dataset_of(one) not in remaining]
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +154,9 @@ def read_kinds(given: Any) -> frozenset[str]:
         raise bad_request_data(
             f"notificationTrigger is a list with at least one of {', '.join(ALL)}, not {shown(given)}"
         )
-    for one in given:
-        if one not in ALL:
-            raise bad_request_data(f"notificationTrigger has {', '.join(ALL)}, not {shown(one)}")
+    for kind in given:
+        if kind not in ALL:
+            raise bad_request_data(f"notificationTrigger has {', '.join(ALL)}, not {shown(kind)}")
     kinds = frozenset(given)
     if ENTITY_UPDATED in kinds:
         kinds = kinds - {ENTITY_UPDATED} | _OF_UPDATED

@@ -104,6 +104,6 @@ class BrokerFederation:
 
     def _handlers(self) -> Mapping[str, Handler]:
         """Return how operations are distributed; imported late, because most brokers have no registration."""
-        from services.context_broker.federation.distribution.handlers import HANDLERS  # noqa: PLC0415 - as said
+        from services.context_broker.federation.distribution.handlers import HANDLERS  # noqa: PLC0415 - late
 
         return {**HANDLERS, **self._subscription_forwarder.handlers()}

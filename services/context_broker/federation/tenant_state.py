@@ -26,8 +26,8 @@ class FederatedTenant:
         return self.registry.is_empty
 
     def announced(self) -> Iterator[Announced]:
-        for one in self.registry:
-            for piece in one.information:
+        for registration in self.registry:
+            for piece in registration.information:
                 yield piece.attributes or (), {kind for entity in piece.entities for kind in entity.types}
 
     def has_subscription(self, subscription_id: str) -> bool:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from services.context_broker.model.entity import (
     NULL,
-    SAYS,
+    VALUE_MEMBER,
     Attributes,
     Entity,
     Instance,
@@ -80,8 +80,8 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
         change = change._replace(scopes=tuple(dict.fromkeys((*before.scopes, *change.scopes))))
     written: Attributes = {}
     for name, instances in change.attributes.items():
-        kept = _by_dataset(before, name)
-        new = instances if overwrite else [one for one in instances if dataset_of(one) not in kept]
+        remaining = _by_dataset(before, name)
+        new = instances if overwrite else [one for one in instances if dataset_of(one) not in remaining]
         if len(new) < len(instances):
             refused[name] = PRESENT
         if new:
@@ -145,12 +145,12 @@ def without(before: Entity, name: str, dataset: str | None, at: str, *, every: b
     Raises `KeyError` if there is none.
     """
     instances = before.attributes[name]
-    kept = [] if every else [one for one in instances if dataset_of(one) != dataset]
-    if len(kept) == len(instances):
+    remaining = [] if every else [one for one in instances if dataset_of(one) != dataset]
+    if len(remaining) == len(instances):
         raise KeyError(name)
     attributes = dict(before.attributes)
-    if kept:
-        attributes[name] = kept
+    if remaining:
+        attributes[name] = remaining
     else:
         del attributes[name]
     return _outcome(before, Change(None, (), {name: []}), attributes, at, {})
@@ -170,10 +170,10 @@ def outlived(before: Entity, now_s: float, at: str) -> Outcome:
     attributes: Attributes = {}
     touched: set[str] = set()
     for name, instances in before.attributes.items():
-        kept = [one for one in instances if "expiresAt" not in one or _seconds(one["expiresAt"]) > now_s]
-        if kept:
-            attributes[name] = kept
-            if len(kept) < len(instances):
+        remaining = [one for one in instances if "expiresAt" not in one or _seconds(one["expiresAt"]) > now_s]
+        if remaining:
+            attributes[name] = remaining
+            if len(remaining) < len(instances):
                 touched.add(name)
     first = _first_end(before.expires_at, attributes)
     after = replace(before, attributes=attributes, modified_at=at, ends_at=first, rendered={})
@@ -248,19 +248,19 @@ def _stamp(instance: Instance, old: Instance | None, at: str) -> Instance:
 
 def _merge(old: Instance | None, new: Instance) -> Instance:
     """Return an instance after a merge; a new instance may contain NULL too."""
-    says = SAYS[new["type"]]
+    value_member = VALUE_MEMBER[new["type"]]
     if old is None or old["type"] != new["type"]:
-        return {**new, says: _merge_values(None, new[says])}
-    result = {**old, says: _merge_values(old[says], new[says])}
+        return {**new, value_member: _merge_values(None, new[value_member])}
+    result = {**old, value_member: _merge_values(old[value_member], new[value_member])}
     for member, value in new.items():
         if ":" not in member or member not in old:
-            if member != says:
+            if member != value_member:
                 result[member] = value
             continue
         inner = {dataset_of(instance): instance for instance in old[member]}
-        for one in value:
-            was = inner.get(dataset_of(one))
-            inner[dataset_of(one)] = one if is_deletion(one) else _merge(was, one)
+        for item in value:
+            was = inner.get(dataset_of(item))
+            inner[dataset_of(item)] = item if is_deletion(item) else _merge(was, item)
         result[member] = list(inner.values())
     return result
 
@@ -292,8 +292,8 @@ def _without_nulls(instance: Instance) -> Instance:
             continue
         if ":" not in member:
             result[member] = value
-        elif kept := [one for one in value if not is_deletion(one)]:
-            result[member] = kept
+        elif remaining := [one for one in value if not is_deletion(one)]:
+            result[member] = remaining
     return result
 
 

@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from datamodels.forms import bare_instances
-from services.context_broker.model.entity import NULL, SAYS, Entity, Instance, Terms
+from services.context_broker.model.entity import NULL, VALUE_MEMBER, Entity, Instance, Terms
 from services.context_broker.model.entity_parser import (
     DEFAULT_INSTANCE,
     KINDS,
     METADATA,
-    SAYING,
-    kind_said,
+    VALUE_MEMBERS,
+    given_kind,
 )
 from services.context_broker.model.geometry import looks_like_geometry
 from services.context_broker.model.projection import ENTITY_MEMBERS
@@ -44,14 +44,14 @@ def completed(
 
 def completed_part(given: Mapping[str, Any], instance: Instance) -> dict[str, Any]:
     """Return a part of an attribute with the kind and the value of the present instance."""
-    kind = kind_said(given)
-    says = SAYS[instance["type"]]
-    if kind is None and any(member in SAYING and member != says for member in given):
+    kind = given_kind(given)
+    value_member = VALUE_MEMBER[instance["type"]]
+    if kind is None and any(member in VALUE_MEMBERS and member != value_member for member in given):
         return dict(given)
     if kind not in (None, instance["type"]):
         return dict(given)
-    kept = {} if says in given else {says: instance[says]}
-    return {"type": instance["type"], **kept, **given}
+    values = {} if value_member in given else {value_member: instance[value_member]}
+    return {"type": instance["type"], **values, **given}
 
 
 def instance_for(given: Mapping[str, Any], instances: list[Instance]) -> Instance | None:
@@ -97,8 +97,8 @@ def _completed_instance(given: dict[str, Any], instances: list[Instance], terms:
     was = instance_for(given, instances)
     if was is None:
         return given
-    kind = kind_said(given)
-    if SAYING.isdisjoint(given):
+    kind = given_kind(given)
+    if VALUE_MEMBERS.isdisjoint(given):
         if kind not in KINDS and (kind is not None or METADATA.isdisjoint(given)):
             return given  # a bare value that is an object
         given = completed_part(given, was)
@@ -106,18 +106,18 @@ def _completed_instance(given: dict[str, Any], instances: list[Instance], terms:
         return given
     return {
         member: value
-        if member in METADATA or member in SAYING or member.startswith("@")
+        if member in METADATA or member in VALUE_MEMBERS or member.startswith("@")
         else _completed_attribute(value, was.get(terms.expand(member), []), terms)
         for member, value in given.items()
     }
 
 
 def _normalized_attribute(given: Any, instances: list[Instance], language: str | None) -> Any:
-    said_by_dataset = bare_instances(given)
-    if said_by_dataset is not None:
+    by_dataset = bare_instances(given)
+    if by_dataset is not None:
         return [
-            {**_normalized_instance(said, _kind_in(instances, dataset), language), "datasetId": dataset}
-            for dataset, said in said_by_dataset.items()
+            {**_normalized_instance(value, _kind_in(instances, dataset), language), "datasetId": dataset}
+            for dataset, value in by_dataset.items()
         ]
     return _normalized_instance(given, _kind_in(instances, DEFAULT_INSTANCE), language)
 
@@ -127,13 +127,13 @@ def _kind_in(instances: list[Instance], dataset: str) -> str | None:
     return kinds.get(dataset, next(iter(kinds.values()), None))
 
 
-def _normalized_instance(said: Any, kind: str | None, language: str | None) -> dict[str, Any]:
-    if isinstance(said, dict) and len(said) == 1:
-        (member,) = said
+def _normalized_instance(value: Any, kind: str | None, language: str | None) -> dict[str, Any]:
+    if isinstance(value, dict) and len(value) == 1:
+        (member,) = value
         if member in _WRAPPED and kind in {None, _WRAPPED[member]}:
-            return {"type": _WRAPPED[member], member: said[member]}
+            return {"type": _WRAPPED[member], member: value[member]}
     if kind is None:
-        kind = "GeoProperty" if looks_like_geometry(said) else "Property"
-    if kind == "LanguageProperty" and _is_wording(said):
-        return {"type": kind, "languageMap": {language or DEFAULT_INSTANCE: said}}
-    return {"type": kind, SAYS[kind]: said}
+        kind = "GeoProperty" if looks_like_geometry(value) else "Property"
+    if kind == "LanguageProperty" and _is_wording(value):
+        return {"type": kind, "languageMap": {language or DEFAULT_INSTANCE: value}}
+    return {"type": kind, VALUE_MEMBER[kind]: value}

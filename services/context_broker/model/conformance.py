@@ -67,37 +67,37 @@ def conformed(document: Any, version: Version, *, simplified: bool = False) -> A
 
 
 def _entity(document: dict[str, Any], version: Version, *, simplified: bool) -> dict[str, Any]:
-    kept = _without(document, _ENTITY_MEMBERS, version)
-    types = kept.get("type")
+    reduced = _without(document, _ENTITY_MEMBERS, version)
+    types = reduced.get("type")
     if version < _ONE_OF_EACH and isinstance(types, list) and types:
-        kept = _with(kept, "type", types[0])
+        reduced = _with(reduced, "type", types[0])
     if not simplified:
-        for name in [name for name in kept if name not in _NO_ATTRIBUTES]:
-            kept = _with(kept, name, _attribute(kept[name], version))
-    return kept
+        for name in [name for name in reduced if name not in _NO_ATTRIBUTES]:
+            reduced = _with(reduced, name, _attribute(reduced[name], version))
+    return reduced
 
 
-def _attribute(said: Any, version: Version) -> Any:
-    if isinstance(said, list):
-        instances = [one for one in said if isinstance(one, dict)]
-        if version < _ONE_OF_EACH and instances and len(instances) == len(said):
+def _attribute(attribute: Any, version: Version) -> Any:
+    if isinstance(attribute, list):
+        instances = [one for one in attribute if isinstance(one, dict)]
+        if version < _ONE_OF_EACH and instances and len(instances) == len(attribute):
             default = next((one for one in instances if "datasetId" not in one), instances[0])
             return _attribute(default, version)
-        parts = [_attribute(one, version) for one in said]
-        return said if all(new is old for new, old in zip(parts, said, strict=True)) else parts
-    if not isinstance(said, dict):
-        return said
-    kept = _without(said, _ATTRIBUTE_MEMBERS, version)
+        parts = [_attribute(one, version) for one in attribute]
+        return attribute if all(new is old for new, old in zip(parts, attribute, strict=True)) else parts
+    if not isinstance(attribute, dict):
+        return attribute
+    reduced = _without(attribute, _ATTRIBUTE_MEMBERS, version)
     for member, (since, instead, kind) in _FALLBACKS.items():
-        if version < since and member in kept:
-            kept = {instead if name == member else name: value for name, value in kept.items()}
-            if member == "objectList" and isinstance(kept["object"], list):
-                kept["object"] = [_object_of(one) for one in kept["object"]]
-            if "type" in kept:
-                kept["type"] = kind
-    for name in [name for name in kept if name not in _OPAQUE]:
-        kept = _with(kept, name, _attribute(kept[name], version))
-    return kept
+        if version < since and member in reduced:
+            reduced = {instead if name == member else name: value for name, value in reduced.items()}
+            if member == "objectList" and isinstance(reduced["object"], list):
+                reduced["object"] = [_object_of(one) for one in reduced["object"]]
+            if "type" in reduced:
+                reduced["type"] = kind
+    for name in [name for name in reduced if name not in _OPAQUE]:
+        reduced = _with(reduced, name, _attribute(reduced[name], version))
+    return reduced
 
 
 def _object_of(one: Any) -> Any:
@@ -108,9 +108,9 @@ def _object_of(one: Any) -> Any:
 def _without(document: dict[str, Any], since: dict[str, Version], version: Version) -> dict[str, Any]:
     """Return the document without members that the version does not have; itself if there are none."""
     late = {name for name, first in since.items() if version < first and name in document}
-    return {name: said for name, said in document.items() if name not in late} if late else document
+    return {name: value for name, value in document.items() if name not in late} if late else document
 
 
-def _with(document: dict[str, Any], name: str, said: Any) -> dict[str, Any]:
+def _with(document: dict[str, Any], name: str, value: Any) -> dict[str, Any]:
     """Return the document with another value of `name`; itself if that is the same."""
-    return document if said is document.get(name) else {**document, name: said}
+    return document if value is document.get(name) else {**document, name: value}

@@ -15,7 +15,7 @@ from datamodels import forms
 Instance = dict[str, Any]
 Attributes = dict[str, list[Instance]]
 
-SAYS: Final = forms.MEMBERS
+VALUE_MEMBER: Final = forms.MEMBERS
 """Each kind of attribute with its value member."""
 
 NULL: Final = forms.NULL
@@ -108,8 +108,8 @@ class Event(NamedTuple):
 
 def is_deletion(instance: Mapping[str, Any]) -> bool:
     """Return whether an instance in a change is to be deleted."""
-    said = instance.get(SAYS[instance["type"]])
-    return said == NULL or (isinstance(said, dict) and said.get("@none") == NULL)
+    value = instance.get(VALUE_MEMBER[instance["type"]])
+    return value == NULL or (isinstance(value, dict) and value.get("@none") == NULL)
 
 
 def dataset_of(instance: Mapping[str, Any]) -> str | None:

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 from handover.errors import Problem
-from services.context_broker.model.entity import NULL, SAYS, Attributes, Instance, Terms, is_deletion
+from services.context_broker.model.entity import NULL, VALUE_MEMBER, Attributes, Instance, Terms, is_deletion
 from services.context_broker.model.geometry import looks_like_geometry
 from services.context_broker.model.nesting import MAX_NESTING, too_deep
 from services.context_broker.model.problems import bad_request_data
@@ -29,12 +29,12 @@ DEFAULT_INSTANCE: Final = "@none"
 DEEPEST: Final = 20
 """Maximum depth of sub-attributes."""
 
-KINDS: Final = frozenset(SAYS)
-SAYING: Final = frozenset(SAYS.values())
+KINDS: Final = frozenset(VALUE_MEMBER)
+VALUE_MEMBERS: Final = frozenset(VALUE_MEMBER.values())
 METADATA: Final = frozenset(
     {"type", "observedAt", "unitCode", "datasetId", "valueType", "objectType", "lang", "expiresAt"}
 )
-_KIND_OF: Final = {said: kind for kind, said in SAYS.items() if kind != "GeoProperty"}
+_KIND_OF: Final = {member: kind for kind, member in VALUE_MEMBER.items() if kind != "GeoProperty"}
 _TIMES: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"})
 _FROM_THE_BROKER: Final = _TIMES | {"instanceId"}
 """Members that only the broker writes; a client may send them back."""
@@ -45,10 +45,10 @@ _ONLY_SHOWN: Final = frozenset(
      "previousValueList", "previousObjectList", "entity", "entityList"}
 )  # fmt: skip
 """Members of other representations (clauses 4.5.2.2 and 4.5.3.2)."""
-_MISPLACED: Final = SAYING | _ONLY_SHOWN | {"@context"}
+_MISPLACED: Final = VALUE_MEMBERS | _ONLY_SHOWN | {"@context"}
 _SEALED: Final = frozenset({"entityIdSealed", "entityTypeSealed"})
 _PROOF: Final = "ngsildproof"
-_NO_NAMES: Final = (METADATA | SAYING | _FROM_THE_BROKER | _ONLY_SHOWN | _SEALED) - {
+_NO_NAMES: Final = (METADATA | VALUE_MEMBERS | _FROM_THE_BROKER | _ONLY_SHOWN | _SEALED) - {
     "type",
     "expiresAt",
     "value",
@@ -257,11 +257,11 @@ def _take_attribute(into: Attributes, name: str, given: Any, terms: Terms, depth
 
 def _are_instances(given: list[Any]) -> bool:
     return bool(given) and all(
-        isinstance(one, dict) and (kind_said(one) in KINDS or "datasetId" in one) for one in given
+        isinstance(one, dict) and (given_kind(one) in KINDS or "datasetId" in one) for one in given
     )
 
 
-def kind_said(given: Mapping[str, Any]) -> str | None:
+def given_kind(given: Mapping[str, Any]) -> str | None:
     """Return the value member of an attribute by its kind, None if there is none, "" if it is ambiguous."""
     kind = given["type"] if "type" in given else given.get("@type")
     return kind if kind is None or isinstance(kind, str) else ""
@@ -273,11 +273,11 @@ def _read_instance(name: str, given: Any, terms: Terms, depth: int) -> Instance:
     kind = _kind(name, given)
     if kind is None:
         return _plain(name, given, terms, "GeoProperty" if looks_like_geometry(given) else "Property")
-    says = SAYS[kind]
+    value_member = VALUE_MEMBER[kind]
     instance: Instance = {"type": kind}
     below: Attributes = {}
     for member, value in given.items():
-        if member == says:
+        if member == value_member:
             instance[member] = SAID[kind](name, value, terms)
         elif member in _NO_ATTRIBUTES:
             continue
@@ -290,16 +290,18 @@ def _read_instance(name: str, given: Any, terms: Terms, depth: int) -> Instance:
             instance[member] = _sealed(name, member, value, terms)
         else:
             _take_attribute(below, member, value, terms, depth + 1)
-    if says not in instance:
-        raise bad_request_data(f'attribute {shown(name)} is a {kind} without "{says}"; add it')
-    if name == _PROOF and not (isinstance(instance[says], dict) or instance[says] == NULL):
+    if value_member not in instance:
+        raise bad_request_data(f'attribute {shown(name)} is a {kind} without "{value_member}"; add it')
+    if name == _PROOF and not (isinstance(instance[value_member], dict) or instance[value_member] == NULL):
         raise bad_request_data(f'"{_PROOF}" has an object as its value: the proof')
     return {**instance, **below} if below else instance
 
 
 def _misplaced(name: str, kind: str, member: str) -> Problem:
-    if member in SAYING:
-        return bad_request_data(f'attribute {shown(name)} is a {kind}: it has "{SAYS[kind]}", not "{member}"')
+    if member in VALUE_MEMBERS:
+        return bad_request_data(
+            f'attribute {shown(name)} is a {kind}: it has "{VALUE_MEMBER[kind]}", not "{member}"'
+        )
     return bad_request_data(f"attribute {shown(name)} cannot be given {shown(member)}; leave it out")
 
 
@@ -312,7 +314,7 @@ def _kind(name: str, given: Mapping[str, Any]) -> str | None:
     kind: str | None = given.get("type")
     if kind.__class__ is str and kind in KINDS:
         return kind
-    kind = kind_said(given)
+    kind = given_kind(given)
     if kind in KINDS:
         return kind
     if "@value" in given:
@@ -322,16 +324,17 @@ def _kind(name: str, given: Mapping[str, Any]) -> str | None:
             return None
         raise bad_request_data(
             f"attribute {shown(name)} has the type {shown(given.get('type', kind))}, which is no kind of "
-            f'attribute; the kinds are {", ".join(SAYS)} (an object that is a value belongs into "value")'
+            f"attribute; the kinds are {', '.join(VALUE_MEMBER)} (an object that is a value belongs "
+            'into "value")'
         )
-    says = next((member for member in given if member in _KIND_OF), None)
-    if says is not None:
-        is_place = says == "value" and looks_like_geometry(given["value"])
-        return "GeoProperty" if is_place else _KIND_OF[says]
+    value_member = next((member for member in given if member in _KIND_OF), None)
+    if value_member is not None:
+        is_place = value_member == "value" and looks_like_geometry(given["value"])
+        return "GeoProperty" if is_place else _KIND_OF[value_member]
     if not given or not METADATA.isdisjoint(given):
         raise bad_request_data(
             f'attribute {shown(name)} says nothing; give it a "value", an "object" or another of '
-            f"{', '.join(sorted(SAYING))}"
+            f"{', '.join(sorted(VALUE_MEMBERS))}"
         )
     return None
 

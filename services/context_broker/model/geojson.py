@@ -29,10 +29,10 @@ def geometry(entity: Entity, place: str, datasets: frozenset[str | None] | None 
     instances = entity.attributes.get(place, [])
     if datasets is not None:
         instances = [one for one in instances if one.get("datasetId") in datasets]
-    one = next((one for one in instances if "datasetId" not in one), None)
-    if one is None and instances and (datasets is not None or len(instances) == 1):
-        one = instances[0]
-    return one["value"] if one is not None and one["type"] == "GeoProperty" else None
+    instance = next((one for one in instances if "datasetId" not in one), None)
+    if instance is None and instances and (datasets is not None or len(instances) == 1):
+        instance = instances[0]
+    return instance["value"] if instance is not None and instance["type"] == "GeoProperty" else None
 
 
 def feature_body(one: dict[str, Any], context: Context, *, with_context: bool) -> bytes:

@@ -42,11 +42,11 @@ def accepted(given: bytes, offered: Sequence[str] = PLAIN) -> str | None:
         media_range, *options = (piece.strip().lower() for piece in part.split(";"))
         weights[media_range] = next((_weight(one[2:]) for one in options if one.startswith("q=")), 1.0)
     best, chosen = 0.0, None
-    for one in offered:
-        ranges = (one, f"{one.partition('/')[0]}/*", "*/*")
+    for media_type in offered:
+        ranges = (media_type, f"{media_type.partition('/')[0]}/*", "*/*")
         weight = next((weights[each] for each in ranges if each in weights), 0.0)
         if weight > best:
-            best, chosen = weight, one
+            best, chosen = weight, media_type
     return chosen
 
 

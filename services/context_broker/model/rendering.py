@@ -10,7 +10,7 @@ from typing import Any
 import orjson
 
 from services.context_broker.model.context import Context
-from services.context_broker.model.entity import SAYS, Attributes, Entity, Instance, Terms
+from services.context_broker.model.entity import VALUE_MEMBER, Attributes, Entity, Instance, Terms
 from services.context_broker.model.geometry import looks_like_geometry
 from services.context_broker.model.language import in_language
 from services.context_broker.model.projection import Projection
@@ -110,13 +110,13 @@ def _wanted(attributes: Attributes, view: View) -> Attributes:
     for name, instances in attributes.items():
         if (chosen is not None and name not in chosen) or not (projection is None or projection.wants(name)):
             continue
-        kept = instances
+        shown = instances
         if datasets is not None:
-            kept = [one for one in kept if one.get("datasetId") in datasets]
+            shown = [one for one in shown if one.get("datasetId") in datasets]
         if languages is not None:
-            kept = [in_language(one, languages) for one in kept]
-        if kept:
-            result[name] = kept
+            shown = [in_language(one, languages) for one in shown]
+        if shown:
+            result[name] = shown
     return result
 
 
@@ -145,8 +145,8 @@ def _use_terms(written: dict[str, Any], kind: str, terms: Terms) -> None:
             written[member] = _compacted(written[member], terms)
 
 
-def _compacted(said: Any, terms: Terms) -> Any:
-    return [terms.compact(word) for word in said] if isinstance(said, list) else terms.compact(said)
+def _compacted(value: Any, terms: Terms) -> Any:
+    return [terms.compact(word) for word in value] if isinstance(value, list) else terms.compact(value)
 
 
 def _concise(instances: list[Instance], terms: Terms, sys_attrs: bool) -> Any:
@@ -182,14 +182,14 @@ def _key_values(instances: list[Instance], terms: Terms, _: bool) -> Any:
 
 def _bare(instance: Instance, terms: Terms) -> Any:
     kind = instance["type"]
-    said = instance[SAYS[kind]]
+    value = instance[VALUE_MEMBER[kind]]
     if kind == "VocabProperty":
-        return {"vocab": _compacted(said, terms)}
+        return {"vocab": _compacted(value, terms)}
     if kind in {"LanguageProperty", "JsonProperty"}:
-        return {SAYS[kind]: said}
+        return {VALUE_MEMBER[kind]: value}
     if kind == "ListRelationship":
-        return [one["object"] for one in said]
-    return said
+        return [one["object"] for one in value]
+    return value
 
 
 _WRITERS = {Form.NORMALIZED: _normalized, Form.CONCISE: _concise, Form.KEY_VALUES: _key_values}

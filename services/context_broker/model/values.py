@@ -68,7 +68,7 @@ def _language_map(name: str, value: Any, _: Terms) -> Any:
         not isinstance(value, dict)
         or not value
         or "" in value
-        or not all(_is_wording(said) for said in value.values())
+        or not all(_is_wording(wording) for wording in value.values())
     ):
         raise bad_request_data(
             f'the languageMap of {shown(name)} maps language tags to text, for example {{"en": "gripper"}}'
@@ -76,8 +76,10 @@ def _language_map(name: str, value: Any, _: Terms) -> Any:
     return value
 
 
-def _is_wording(said: Any) -> bool:
-    return isinstance(said, str) or (isinstance(said, list) and all(isinstance(word, str) for word in said))
+def _is_wording(value: Any) -> bool:
+    return isinstance(value, str) or (
+        isinstance(value, list) and all(isinstance(word, str) for word in value)
+    )
 
 
 def _json(name: str, value: Any, _: Terms) -> Any:

@@ -316,11 +316,11 @@ class PooledHttpClient:
         loop = asyncio.get_running_loop()
         tls = self._tls if where.tls else None
         failure: OSError | None = None
-        for one in await self._policy.resolved(where.host, where.port):
+        for resolved in await self._policy.resolved(where.host, where.port):
             try:
                 _, connection = await loop.create_connection(
                     self._make_connection,
-                    one,
+                    resolved,
                     where.port,
                     ssl=tls,
                     server_hostname=where.host if tls else None,

@@ -162,10 +162,10 @@ class BatchOperations:
         request.accept(WITH_GEO_JSON)
         document, context = await request.body()
         given = {**request.parameters, **query_parameters(document)}
-        asked, request.parameters = request.parameters, given
+        original, request.parameters = request.parameters, given
         asking = entity_query_of(request, given, context, selectors_of(document, context))
         request.parameters = (
-            asked  # the links to other pages have the query of the URL; the body is sent again
+            original  # the links to other pages have the query of the URL; the body is sent again
         )
         return await answered(request, request.tenant.store, asking)
 

@@ -38,9 +38,9 @@ class ContextOperations:
         document = request.document()
         if not isinstance(document, Mapping) or "@context" not in document:
             raise invalid_request('the body is an object with an "@context"; put the context there')
-        one = await self._contexts.add(request.tenant.name, document["@context"])
+        added = await self._contexts.add(request.tenant.name, document["@context"])
         # Absolute, because the client uses it as the @context of its requests.
-        location = one.address(self._contexts.base(request.headers))
+        location = added.address(self._contexts.base(request.headers))
         return Response(201, b"", [(b"location", location.encode())])
 
     async def list(self, request: RequestContext) -> Response:
@@ -68,46 +68,47 @@ class ContextOperations:
             if found.kind is ContextKind.CACHED and not self._contexts.is_shipped(found):
                 self._contexts.usage.seen(found)
             return _answer(description, media_type)
-        one = self._contexts.named(request.names[0], request.tenant.name)
-        if one is None and not request.tenant.name:
-            one = self._contexts.served(request.names[0])
-        if one is None:
+        stored = self._contexts.named(request.names[0], request.tenant.name)
+        if stored is None and not request.tenant.name:
+            stored = self._contexts.served(request.names[0])
+        if stored is None:
             raise _absent(request)
-        if one.kind is ContextKind.CACHED:
+        if stored.kind is ContextKind.CACHED:
             raise not_supported(
-                f"the broker serves its own contexts only; get {one.url} where it is published, "
+                f"the broker serves its own contexts only; get {stored.url} where it is published, "
                 "or add details=true to see its use here"
             )
-        return _answer(one.document, media_type)
+        return _answer(stored.document, media_type)
 
     async def delete(self, request: RequestContext) -> Response:
         """DELETE jsonldContexts/{contextId}; with reload=true a cached one is fetched again."""
-        one = self._existing(request)
+        stored = self._existing(request)
         again = request.flag("reload")
-        if self._contexts.is_core(one):
+        if self._contexts.is_core(stored):
             if again:  # it is the same in all versions of the broker's core context: nothing to fetch
                 return DONE
             raise bad_request_data("the core @context is part of the broker and stays; leave it as it is")
         if again:
-            if one.kind is not ContextKind.CACHED:
+            if stored.kind is not ContextKind.CACHED:
                 raise bad_request_data(
-                    f"{one.id} is {one.kind} and has no URL to fetch it from; delete it without reload, "
-                    "and add it again"
+                    f"{stored.id} is {stored.kind} and has no URL to fetch it from; delete it without "
+                    "reload, and add it again"
                 )
-            await self._contexts.reload(one)
+            await self._contexts.reload(stored)
             return DONE
-        if self._contexts.is_shipped(one):
+        if self._contexts.is_shipped(stored):
             raise bad_request_data(
-                f"{one.url} is shipped with the broker and stays; reload=true fetches what is published there"
+                f"{stored.url} is shipped with the broker and stays; reload=true fetches what is published "
+                "there"
             )
-        await self._contexts.delete(one)
+        await self._contexts.delete(stored)
         return DONE
 
     def _existing(self, request: RequestContext) -> StoredContext:
-        one = self._contexts.named(request.names[0], request.tenant.name)
-        if one is None:
+        stored = self._contexts.named(request.names[0], request.tenant.name)
+        if stored is None:
             raise _absent(request)
-        return one
+        return stored
 
 
 def _absent(request: RequestContext) -> Exception:

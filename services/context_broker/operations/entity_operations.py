@@ -217,11 +217,11 @@ class EntityOperations:
             raise bad_request_data("a scope is replaced with PATCH …/attrs, or with the whole entity")
         name = self._attribute_name(request, context)
         before = self.existing(request, context)
-        kept = self._instances(request, before, name)
+        remaining = self._instances(request, before, name)
         instances = read_attribute(request.names[1], _without_context(document), context.terms)
-        for one in instances:
-            if instance_for(one, kept) is None:
-                raise _absent_instance(request, one.get("datasetId"))
+        for instance in instances:
+            if instance_for(instance, remaining) is None:
+                raise _absent_instance(request, instance.get("datasetId"))
         refuse_nulls({name: instances}, context.terms, Nulls.NOWHERE)
         change = Change(None, (), {name: instances})
         await self._carry_out(request, changes.updated(before, change, timestamp_now()))

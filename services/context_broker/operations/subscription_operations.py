@@ -77,18 +77,18 @@ class SubscriptionOperations:
         """Return the dispatcher of a tenant's subscriptions."""
         return tenant.notifier
 
-    async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
+    async def restore(self, tenant: Tenant, stored: Iterable[tuple[bytes, bytes | None]]) -> None:
         """Load the stored subscriptions, each with its counts; their contexts are kept."""
         found: list[Subscription] = []
-        for body, counts in kept:
+        for body, counts in stored:
             try:
-                one = await self._restored(body)
+                restored = await self._restored(body)
             except Problem as problem:  # a subscription that is not valid any more must not prevent the start
                 log.exception("a subscription cannot be used", document=body.decode(), why=problem.detail)
                 continue
             if counts is not None:
-                one.counts = Counts(*orjson.loads(counts))
-            found.append(one)
+                restored.counts = Counts(*orjson.loads(counts))
+            found.append(restored)
         self.dispatcher(tenant).start(found)
 
     async def _restored(self, body: bytes) -> Subscription:
@@ -107,12 +107,14 @@ class SubscriptionOperations:
         """
         async with self._one_at_a_time:
             dispatcher = self.dispatcher(tenant)
-            for one in dispatcher.all():
-                if one.context.is_made_of(context_id) or one.names.is_made_of(context_id):
+            for before in dispatcher.all():
+                if before.context.is_made_of(context_id) or before.names.is_made_of(context_id):
                     try:
-                        dispatcher.put(await self._restored(orjson.dumps(one.document)))
+                        dispatcher.put(await self._restored(orjson.dumps(before.document)))
                     except Problem as problem:  # it continues with its present context
-                        log.warning("a subscription keeps its context", one=one.id, why=problem.detail)
+                        log.warning(
+                            "a subscription keeps its context", subscription=before.id, why=problem.detail
+                        )
 
     async def create(self, request: RequestContext) -> Response:
         """POST subscriptions."""
@@ -126,17 +128,17 @@ class SubscriptionOperations:
         if via := request.headers.get(b"via"):
             document[CAME_BY] = via.decode("latin-1")
         at = timestamp_now()
-        made = await self._made({**document, "createdAt": at, "modifiedAt": at}, context)
-        await self._require_open(request.tenant, made)
-        made = await self._with_link(request, made)
+        created = await self._made({**document, "createdAt": at, "modifiedAt": at}, context)
+        await self._require_open(request.tenant, created)
+        created = await self._with_link(request, created)
         async with self._one_at_a_time:
             tenant = request.tenant
-            if tenant.notifier.get(made.id) is not None or tenant.federation.has_subscription(made.id):
+            if tenant.notifier.get(created.id) is not None or tenant.federation.has_subscription(created.id):
                 raise already_exists(
-                    f"there is a subscription {made.id} already; update it, or choose another id"
+                    f"there is a subscription {created.id} already; update it, or choose another id"
                 )
-            await self.keep(request.tenant, made)
-        location = f"{request.path.rstrip('/')}/{quote(made.id, safe=':')}".encode()
+            await self.keep(request.tenant, created)
+        location = f"{request.path.rstrip('/')}/{quote(created.id, safe=':')}".encode()
         return Response(201, b"", [(b"location", location)])
 
     async def update(self, request: RequestContext) -> Response:
@@ -147,11 +149,11 @@ class SubscriptionOperations:
             before = self._existing(request)
             names = context if names_things(change) else before.names
             document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
-            made = await self._made(document, names)
+            updated = await self._made(document, names)
             if "notification" in change:
-                await self._require_open(request.tenant, made)
-            made = await self._with_link(request, made)
-            await self.keep(request.tenant, made)
+                await self._require_open(request.tenant, updated)
+            updated = await self._with_link(request, updated)
+            await self.keep(request.tenant, updated)
         return DONE
 
     async def delete(self, request: RequestContext) -> Response:
@@ -198,33 +200,33 @@ class SubscriptionOperations:
         """
         named = document.get("jsonldContext")
         used = names if named is None else await self._contexts.of(require_uri(named, '"jsonldContext"'))
-        kept = {**document, "context": used.document}
-        kept.pop(NAMES_IN, None)
+        stored = {**document, "context": used.document}
+        stored.pop(NAMES_IN, None)
         if names.key != used.key:
-            kept[NAMES_IN] = names.document
-        return subscription(kept, used, names)
+            stored[NAMES_IN] = names.document
+        return subscription(stored, used, names)
 
-    async def _with_link(self, request: RequestContext, made: Subscription) -> Subscription:
+    async def _with_link(self, request: RequestContext, created: Subscription) -> Subscription:
         """Return the subscription with a context that has a URL for a Link header."""
         base = self._contexts.base(request.headers)
-        linked = await self._contexts.linked(made.context, request.tenant.name, base)
-        if linked is made.context:
-            return made
-        return replace(made, context=linked, document={**made.document, "context": linked.document})
+        linked = await self._contexts.linked(created.context, request.tenant.name, base)
+        if linked is created.context:
+            return created
+        return replace(created, context=linked, document={**created.document, "context": linked.document})
 
     @staticmethod
-    async def _require_open(tenant: Tenant, made: Subscription) -> None:
+    async def _require_open(tenant: Tenant, candidate: Subscription) -> None:
         policy = tenant.notifier.outbound.policy
-        await policy.require_allowed(made.endpoint.host, "notification.endpoint.uri")
+        await policy.require_allowed(candidate.endpoint.host, "notification.endpoint.uri")
 
-    async def keep(self, tenant: Tenant, made: Subscription) -> None:
+    async def keep(self, tenant: Tenant, current: Subscription) -> None:
         """Store a new or changed subscription, and activate it once it is durable."""
-        await self.write(tenant, self.entries_of(tenant, made))
-        self.dispatcher(tenant).put(made)
+        await self.write(tenant, self.entries_of(tenant, current))
+        self.dispatcher(tenant).put(current)
 
-    def entries_of(self, tenant: Tenant, made: Subscription) -> Entries:
+    def entries_of(self, tenant: Tenant, current: Subscription) -> Entries:
         """Return what is to be written for a subscription."""
-        return Entries(documents={(self.KIND, tenant.name, made.id): orjson.dumps(made.document)})
+        return Entries(documents={(self.KIND, tenant.name, current.id): orjson.dumps(current.document)})
 
     @staticmethod
     async def write(tenant: Tenant, entries: Entries) -> None:
@@ -235,9 +237,9 @@ class SubscriptionOperations:
             raise not_stored(str(error)) from error
 
     @staticmethod
-    def _shown(one: Subscription, request: RequestContext, context: Context) -> dict[str, Any]:
+    def _shown(stored: Subscription, request: RequestContext, context: Context) -> dict[str, Any]:
         sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
-        return shown_document(one, context, time.time(), sys_attrs=sys_attrs)
+        return shown_document(stored, context, time.time(), sys_attrs=sys_attrs)
 
 
 def _with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:

@@ -41,9 +41,9 @@ class EntitySelector:
         return [min(one) for one in self.types.alternatives]
 
 
-def entity_selector(kept: Mapping[str, Any]) -> EntitySelector:
+def entity_selector(stored: Mapping[str, Any]) -> EntitySelector:
     """Return the selector of a stored document (types are IRIs); raise a problem (400) if it is invalid."""
-    ids, wanted, kinds = kept.get("id"), kept.get("idPattern"), kept.get("type")
+    ids, wanted, kinds = stored.get("id"), stored.get("idPattern"), stored.get("type")
     if wanted is not None and not isinstance(wanted, str):
         raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
     given = ids if isinstance(ids, list) and ids else [ids]

@@ -129,7 +129,7 @@ def geo_query(parameters: Mapping[str, str], expand: Callable[[str], str]) -> Ge
                 f"a geo-query has georel, geometry and coordinates; add {name}, for example "
                 "georel=near;maxDistance==2000&geometry=Point&coordinates=[8,40]"
             )
-    return _made(relation, kind, coordinates, parameters.get("geoproperty"), expand)
+    return _parsed(relation, kind, coordinates, parameters.get("geoproperty"), expand)
 
 
 def geo_query_document(given: Any, expand: Callable[[str], str], what: str = "geoQ") -> GeoQuery:
@@ -142,7 +142,7 @@ def geo_query_document(given: Any, expand: Callable[[str], str], what: str = "ge
     for name in ("georel", "geometry", "coordinates"):
         if name not in given:
             raise bad_request_data(f'{what} has "georel", "geometry" and "coordinates"; add "{name}"')
-    return _made(given["georel"], given["geometry"], given["coordinates"], given.get("geoproperty"), expand)
+    return _parsed(given["georel"], given["geometry"], given["coordinates"], given.get("geoproperty"), expand)
 
 
 def reference_geometry(kind: Any, coordinates: Any, names: tuple[str, str]) -> Geometry:
@@ -172,8 +172,8 @@ def shape_of(geometry: Geometry) -> Any:
     import shapely  # noqa: PLC0415 - see above
     from shapely.geometry import shape  # noqa: PLC0415 - see above
 
-    made = shapely.force_2d(shape(geometry))
-    return made if made.is_valid else shapely.make_valid(made)
+    geometry_2d = shapely.force_2d(shape(geometry))
+    return geometry_2d if geometry_2d.is_valid else shapely.make_valid(geometry_2d)
 
 
 def boxes_touch(a: Box, b: Box) -> bool:
@@ -183,7 +183,7 @@ def boxes_touch(a: Box, b: Box) -> bool:
     return any(a[0] <= b[2] + turn and b[0] + turn <= a[2] for turn in (0.0, 360.0, -360.0))
 
 
-def _made(
+def _parsed(
     relation: Any, kind: Any, coordinates: Any, attribute: Any, expand: Callable[[str], str]
 ) -> GeoQuery:
     if attribute is None:
@@ -217,10 +217,10 @@ def _shapes(place: Geometry, reference: Any) -> list[Any]:
     date line."""
     from shapely.affinity import translate  # noqa: PLC0415 - see above
 
-    made = shape_of(place)
-    west, _, east, _ = made.bounds
+    found = shape_of(place)
+    west, _, east, _ = found.bounds
     reference_west, _, reference_east, _ = reference.bounds
-    shapes = [made]
+    shapes = [found]
     if min(west, reference_west) <= -180 or max(east, reference_east) >= 180:
-        shapes += [translate(made, turn) for turn in (360.0, -360.0)]
+        shapes += [translate(found, turn) for turn in (360.0, -360.0)]
     return shapes

@@ -149,22 +149,22 @@ def _relationships(entity: Entity, view: View) -> Iterator[tuple[str, list[Insta
             continue
         if view.projection is not None and not view.projection.wants(name):
             continue
-        kept = instances
+        filtered = instances
         if view.datasets is not None:
-            kept = [one for one in instances if one.get("datasetId") in view.datasets]
-        if any(one["type"] in _KINDS for one in kept):
-            yield name, kept
+            filtered = [one for one in instances if one.get("datasetId") in view.datasets]
+        if any(one["type"] in _KINDS for one in filtered):
+            yield name, filtered
 
 
 def _targets(instance: Instance) -> Iterator[str]:
     """Yield the ids in a relationship."""
     if instance["type"] == "Relationship":
-        said = instance["object"]
-        yield from said if isinstance(said, list) else (said,)
+        value = instance["object"]
+        yield from value if isinstance(value, list) else (value,)
     elif instance["type"] == "ListRelationship" and isinstance(instance["objectList"], list):
-        for one in instance["objectList"]:
-            said = one["object"]
-            yield from said if isinstance(said, list) else (said,)
+        for target in instance["objectList"]:
+            value = target["object"]
+            yield from value if isinstance(value, list) else (value,)
 
 
 def _below(view: View, relationship: str) -> View:
@@ -191,10 +191,10 @@ def _with_linked(written: Any, instances: list[Instance], linked: list[dict[str,
     return written
 
 
-def _replaced(said: Any, linked: dict[str, Any]) -> Any:
-    if isinstance(said, list):
-        return [_replaced(one, linked) for one in said]
-    return linked.get(said, said) if isinstance(said, str) else said
+def _replaced(value: Any, linked: dict[str, Any]) -> Any:
+    if isinstance(value, list):
+        return [_replaced(one, linked) for one in value]
+    return linked.get(value, value) if isinstance(value, str) else value
 
 
 def _level(given: Any) -> int:

@@ -79,8 +79,8 @@ class PlaceIndex:
         grid = self._grids.get(size)
         if grid is None:
             grid = self._grids[size] = _Grid(size)
-            for one, boxes in self._boxes.items():
-                grid.put_in(one, boxes)
+            for entity_id, boxes in self._boxes.items():
+                grid.put_in(entity_id, boxes)
         return grid
 
 
@@ -92,23 +92,23 @@ class _Grid:
         self._cells: dict[Cell, Ids] = {}
         self._wide: Ids = {}
 
-    def put_in(self, one: str, boxes: list[Box]) -> None:
+    def put_in(self, entity_id: str, boxes: list[Box]) -> None:
         for box in boxes:
             if _count(box, self._size_deg) > _MOST_FILED:
-                self._wide[one] = None
+                self._wide[entity_id] = None
                 continue
             for cell in _cells(box, self._size_deg):
-                self._cells.setdefault(cell, {})[one] = None
+                self._cells.setdefault(cell, {})[entity_id] = None
 
-    def take_out(self, one: str, boxes: list[Box]) -> None:
-        self._wide.pop(one, None)
+    def take_out(self, entity_id: str, boxes: list[Box]) -> None:
+        self._wide.pop(entity_id, None)
         for box in boxes:
             if _count(box, self._size_deg) > _MOST_FILED:
                 continue
             for cell in _cells(box, self._size_deg):
                 ids = self._cells.get(cell)
                 if ids is not None:
-                    ids.pop(one, None)
+                    ids.pop(entity_id, None)
                     if not ids:
                         del self._cells[cell]
 
@@ -128,11 +128,11 @@ class _Grid:
 def _boxes(entity_id: str, attribute: str, instances: Iterable[dict[str, Any]]) -> list[Box]:
     """Return the boxes of the valid geometries; old ones were stored without a check."""
     boxes = []
-    for one in instances:
-        if one["type"] != "GeoProperty":
+    for instance in instances:
+        if instance["type"] != "GeoProperty":
             continue
-        if (fault := fault_of(one["value"])) is None:
-            boxes.append(box_of(one["value"]))
+        if (fault := fault_of(instance["value"])) is None:
+            boxes.append(box_of(instance["value"]))
         else:
             SKIPPED.inc()
             log.warning("stored geometry skipped", entity=entity_id, attribute=attribute, fault=fault)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Any
 
-from services.context_broker.model.entity import SAYS, Instance
+from services.context_broker.model.entity import VALUE_MEMBER, Instance
 from services.context_broker.query.q_grammar import And, Compare, LiteralKind, Span, Term
 from services.context_broker.query.q_match import METADATA, leaves
 
@@ -86,15 +86,15 @@ def _bounded(attribute: str, term: Compare) -> Range | None:
 def scalars(instances: Iterable[Instance]) -> Iterator[Scalar]:
     """Yield every plain value that a condition may look for."""
     for instance in instances:
-        for said in leaves(instance[SAYS[instance["type"]]]):
-            yield from _scalars_of(said)
+        for value in leaves(instance[VALUE_MEMBER[instance["type"]]]):
+            yield from _scalars_of(value)
 
 
-def _scalars_of(said: Any) -> Iterator[Scalar]:
-    if isinstance(said, str | int | float):
-        yield said
-    elif isinstance(said, dict):
-        for value in said.values():
-            for leaf in leaves(value):
+def _scalars_of(value: Any) -> Iterator[Scalar]:
+    if isinstance(value, str | int | float):
+        yield value
+    elif isinstance(value, dict):
+        for member in value.values():
+            for leaf in leaves(member):
                 if isinstance(leaf, str | int | float):
                     yield leaf

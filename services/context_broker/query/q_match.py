@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final, Protocol
 
-from services.context_broker.model.entity import SAYS, Entity, Instance
+from services.context_broker.model.entity import VALUE_MEMBER, Entity, Instance
 from services.context_broker.model.validation import moment
 from services.context_broker.query.patterns import fits
 from services.context_broker.query.q_grammar import (
@@ -102,13 +102,13 @@ def finder(path: Path, expand: Expand) -> _Find:
     return find
 
 
-def leaves(said: Any) -> Iterator[Any]:
+def leaves(value: Any) -> Iterator[Any]:
     """Yield a value, or the elements of a list."""
-    if isinstance(said, list):
-        for one in said:
-            yield from leaves(one)
+    if isinstance(value, list):
+        for item in value:
+            yield from leaves(item)
     else:
-        yield said
+        yield value
 
 
 def comparable(value: Any) -> Iterator[Any]:
@@ -166,14 +166,14 @@ def _descend(instances: Iterable[Instance], steps: list[tuple[str, str]]) -> Ite
 
 def _said(instance: Instance) -> Any:
     kind = instance["type"]
-    said = instance[SAYS[kind]]
+    value = instance[VALUE_MEMBER[kind]]
     if kind in {"Property", "GeoProperty"}:
-        return said
+        return value
     if kind == "Relationship":
-        return _Objects(said if isinstance(said, list) else (said,))
+        return _Objects(value if isinstance(value, list) else (value,))
     if kind == "ListRelationship":
-        return _Objects(one["object"] for one in said)
-    return LanguageMap(said) if kind == "LanguageProperty" and isinstance(said, dict) else said
+        return _Objects(one["object"] for one in value)
+    return LanguageMap(value) if kind == "LanguageProperty" and isinstance(value, dict) else value
 
 
 def _along(value: Any, trail: tuple[str, ...]) -> Iterator[Any]:
@@ -185,14 +185,14 @@ def _along(value: Any, trail: tuple[str, ...]) -> Iterator[Any]:
         if step.isdecimal():
             yield from _along(value[int(step)], rest) if len(step) < 10 and int(step) < len(value) else ()
             return
-        for one in value:
-            yield from _along(one, trail)
+        for item in value:
+            yield from _along(item, trail)
     elif isinstance(value, dict):
         if step in value:
             yield from _along(value[step], rest)
         elif step == "*":
-            for one in value.values():
-                yield from _along(one, rest)
+            for item in value.values():
+                yield from _along(item, rest)
 
 
 def _matching(term: Matches, expand: Expand) -> Predicate:

@@ -84,30 +84,30 @@ class Selection:
 
     def questions(self) -> list[Predicate]:
         """Return the predicates that all have to be true, the fast ones first."""
-        asked: list[Predicate] = []
+        predicates: list[Predicate] = []
         ids, types, names, wanted = self.ids, self.types, self.attributes, self.id_pattern
         scopes, places, any_of = self.scopes, self.places, self.any_of
         if ids is not None:
             known = frozenset(ids)
-            asked.append(lambda entity, _=no_lookup: entity.id in known)
+            predicates.append(lambda entity, _=no_lookup: entity.id in known)
         if types is not None and not types.is_every:
-            asked.append(lambda entity, _=no_lookup: types.wants(entity.types))
+            predicates.append(lambda entity, _=no_lookup: types.wants(entity.types))
         if names is not None:
-            asked.append(lambda entity, _=no_lookup: not names.isdisjoint(entity.attributes))
+            predicates.append(lambda entity, _=no_lookup: not names.isdisjoint(entity.attributes))
         if wanted is not None:
-            asked.append(lambda entity, _=no_lookup: fits(wanted, entity.id))
+            predicates.append(lambda entity, _=no_lookup: fits(wanted, entity.id))
         if self.query is not None:
-            asked.append(self.query.holds)
+            predicates.append(self.query.holds)
         if scopes is not None:
-            asked.append(lambda entity, _=no_lookup: scopes.wants(entity.scopes))
+            predicates.append(lambda entity, _=no_lookup: scopes.wants(entity.scopes))
         if places is not None:
-            asked.append(lambda entity, _=no_lookup: places.wants(entity))
+            predicates.append(lambda entity, _=no_lookup: places.wants(entity))
         if any_of:
             ways = [one.questions() for one in any_of]
-            asked.append(
+            predicates.append(
                 lambda entity, lookup=no_lookup: any(all(one(entity, lookup) for one in way) for way in ways)
             )
-        return asked
+        return predicates
 
 
 @dataclass(frozen=True, slots=True)

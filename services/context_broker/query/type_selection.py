@@ -36,8 +36,8 @@ class TypeSelection:
 
     def names(self) -> Iterator[str]:
         """Yield the IRIs of all types in it."""
-        for one in self.alternatives:
-            yield from one
+        for alternative in self.alternatives:
+            yield from alternative
 
     def written(self, compact: Callable[[str], str] = str) -> str:
         """Return the selection as an expression, its names written with `compact`."""

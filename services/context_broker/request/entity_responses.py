@@ -37,9 +37,11 @@ def entity_answer(request: RequestContext, entity: Entity, showing: Showing) -> 
         return Response(200, *_list_body(request, [entity], showing))
     accept, context = request.accept(WITH_GEO_JSON), showing.context
     if accept == GEO_JSON:
-        (one,) = _features(request, [entity], showing)
+        (feature,) = _features(request, [entity], showing)
         in_body = has_context_in_body(request)
-        return Response(200, feature_body(one, context, with_context=in_body), _geo_headers(context, in_body))
+        return Response(
+            200, feature_body(feature, context, with_context=in_body), _geo_headers(context, in_body)
+        )
     (text,) = _texts([entity], showing)
     if accept == JSON_LD:
         return Response(200, with_context(text, context), [(b"content-type", JSON_LD.encode())])

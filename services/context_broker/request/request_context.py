@@ -359,9 +359,9 @@ def _as_preferred(request: Request, prefer: bytes, answer: Response) -> Response
     headers = [*answer.headers, (b"preference-applied", applied)]
     if not request.path.startswith(_WITH_ENTITIES):
         return Response(200, answer.body, headers)
-    said = request.parameters.get("format") or request.parameters.get("options", "")
+    formats = request.parameters.get("format") or request.parameters.get("options", "")
     document = orjson.loads(answer.body)
-    simplified = not {"keyValues", "simplified"}.isdisjoint(said.split(","))
+    simplified = not {"keyValues", "simplified"}.isdisjoint(formats.split(","))
     conformed = conformance.conformed(document, version, simplified=simplified)
     if conformed is document:
         return Response(200, answer.body, headers)

@@ -81,14 +81,14 @@ class Router:
     def __init__(self, operations: Iterable[Operation]) -> None:
         self._places: dict[tuple[str, int], list[_Route]] = {}
         self.operations: tuple[Operation, ...] = tuple(operations)
-        for one in self.operations:
-            template = tuple(_NAME if part.startswith(_NAME) else part for part in one.path.split("/"))
+        for operation in self.operations:
+            template = tuple(_NAME if part.startswith(_NAME) else part for part in operation.path.split("/"))
             places = self._places.setdefault((template[0], len(template)), [])
             place = next((known for known in places if known.template == template), None)
             if place is None:
                 place = _Route(template)
                 places.append(place)
-            place.methods[one.method] = one
+            place.methods[operation.method] = operation
 
     def find(self, request: Request) -> tuple[Operation, tuple[str, ...]]:
         """Return the operation and the variable parts of its path; raise a problem (404 or 405) if there is
@@ -122,6 +122,6 @@ class Router:
     def by_path(self) -> Mapping[str, list[Operation]]:
         """Return the operations by their path."""
         found: dict[str, list[Operation]] = {}
-        for one in self.operations:
-            found.setdefault(one.path, []).append(one)
+        for operation in self.operations:
+            found.setdefault(operation.path, []).append(operation)
         return found

@@ -25,8 +25,8 @@ class SnapshotContent:
         for one in found:
             if one.id not in self._known:
                 self._known.add(one.id)
-                kept = one if attributes is None else select_attributes(one, attributes)
-                self.entities.append(replace(kept, expires_at=None, rendered={}))
+                entity = one if attributes is None else select_attributes(one, attributes)
+                self.entities.append(replace(entity, expires_at=None, rendered={}))
 
     def keep_only(self, count: int) -> None:
         """Remove all but the first `count` entities."""
@@ -36,15 +36,15 @@ class SnapshotContent:
 
 async def write_content(inner: Tenant, content: SnapshotContent) -> None:
     """Write the content of a snapshot; it becomes visible all at once. Raises `NotStored`."""
-    made = [replace(one, seq=inner.store.next_seq(), rendered={}) for one in content.entities]
-    for start in range(0, len(made), ENTITIES_PER_COMMIT):
+    copies = [replace(one, seq=inner.store.next_seq(), rendered={}) for one in content.entities]
+    for start in range(0, len(copies), ENTITIES_PER_COMMIT):
         rows = {
             one.seq: EntityRow(inner.name, one.id, one.stored())
-            for one in made[start : start + ENTITIES_PER_COMMIT]
+            for one in copies[start : start + ENTITIES_PER_COMMIT]
         }
         await inner.commits.store(Entries(entities=rows))
-    for one in made:
-        inner.store.take(one)
+    for entity in copies:
+        inner.store.take(entity)
 
 
 def deletion_entries(inner: Tenant, temporal_only: Sequence[tuple[int, str]]) -> Iterator[Entries]:
@@ -66,8 +66,8 @@ def deletion_entries(inner: Tenant, temporal_only: Sequence[tuple[int, str]]) ->
             cleared=[(one.seq, END_OF_TIME) for one in some],
         )
     gone: dict[DocumentKey, bytes | None] = dict.fromkeys(inner.federation.document_keys())
-    for one in inner.notifier.all():
-        gone[DocumentKind.SUBSCRIPTION, inner.name, one.id] = None
-        gone[DocumentKind.COUNTS, inner.name, one.id] = None
+    for subscription in inner.notifier.all():
+        gone[DocumentKind.SUBSCRIPTION, inner.name, subscription.id] = None
+        gone[DocumentKind.COUNTS, inner.name, subscription.id] = None
     if gone:
         yield Entries(documents=gone)

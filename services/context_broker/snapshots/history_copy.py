@@ -41,9 +41,9 @@ async def copy_history(perform: PerformByName, request: RequestContext, inner: T
         # 206: an evolution has more instances than fit into a response; some are missing
         is_partial |= answer.status == 206 or any(name == b"ngsild-warning" for name, _ in answer.headers)
         page = orjson.loads(answer.body)
-        for one in page:
+        for subject in page:
             writing = derived(
-                request, tenant=inner, raw=orjson.dumps(one), parameters={}, headers=writing_headers
+                request, tenant=inner, raw=orjson.dumps(subject), parameters={}, headers=writing_headers
             )
             await perform("upsertTemporal", writing)
         found += len(page)

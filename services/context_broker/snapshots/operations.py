@@ -90,14 +90,14 @@ class BrokerSnapshots:
         pending = [restored(*stored) for stored in journal.documents(DocumentKind.SNAPSHOT_NOTIFICATION)]
         for notification in sorted(pending, key=lambda one: one.at):
             self.notifier.add(notification)
-        kept: set[str] = set()
+        ids: set[str] = set()
         for tenant in self._tenants:
-            kept.update(inside(tenant.name, one) for one in self._snapshots.of(tenant))
-            for one in self._snapshots.of(tenant).values():
-                self._snapshots.schedule_expiry(tenant, one)
+            ids.update(inside(tenant.name, one) for one in self._snapshots.of(tenant))
+            for snapshot in self._snapshots.of(tenant).values():
+                self._snapshots.schedule_expiry(tenant, snapshot)
         self._creator.fail_interrupted()
         for tenant in self._tenants:
-            if outside(tenant.name)[1] is not None and tenant.name not in kept:
+            if outside(tenant.name)[1] is not None and tenant.name not in ids:
                 self._snapshots.run_in_background(self._snapshots.delete_content(tenant))
 
     def stop(self) -> None:
@@ -129,10 +129,10 @@ class BrokerSnapshots:
     async def create(self, request: RequestContext) -> Response:
         """POST snapshots."""
         given, _ = await request.body()
-        made = new_snapshot(_named(given), require_valid(given, has_queries=True))
-        await self._start(request, made)
-        self._creator.start(request, made, given.get("@context"))
-        return _created(made)
+        snapshot = new_snapshot(_named(given), require_valid(given, has_queries=True))
+        await self._start(request, snapshot)
+        self._creator.start(request, snapshot, given.get("@context"))
+        return _created(snapshot)
 
     async def clone(self, request: RequestContext) -> Response:
         """POST snapshots/{id}/clone: an independent copy with its own expiry (clause 5.16.2)."""
@@ -141,10 +141,10 @@ class BrokerSnapshots:
         queries: dict[str, Any] = {
             name: original.document[name] for name in QUERIES if name in original.document
         }
-        made = new_snapshot(_named(given), {**given, **queries})
-        await self._start(request, made)
-        self._creator.start_copy(request, original, made)
-        return _created(made)
+        snapshot = new_snapshot(_named(given), {**given, **queries})
+        await self._start(request, snapshot)
+        self._creator.start_copy(request, original, snapshot)
+        return _created(snapshot)
 
     async def retrieve(self, request: RequestContext) -> Response:
         """GET snapshots/{id}."""
@@ -178,18 +178,18 @@ class BrokerSnapshots:
         context = await request.reader_context()
         wants = purge_filter(request.parameter("q"), context)
         async with self._snapshots.lock:
-            for one in [found for found in self._snapshots.of(request.tenant).values() if wants(found)]:
-                await self._snapshots.remove(request.tenant, one)
+            for snapshot in [found for found in self._snapshots.of(request.tenant).values() if wants(found)]:
+                await self._snapshots.remove(request.tenant, snapshot)
         return _DONE
 
-    async def _start(self, request: RequestContext, made: Snapshot) -> None:
+    async def _start(self, request: RequestContext, snapshot: Snapshot) -> None:
         tenant = request.tenant
-        await self._require_open(tenant, made.document)
+        await self._require_open(tenant, snapshot.document)
         async with self._snapshots.lock:
-            if made.id in self._snapshots.of(tenant):
-                raise already_exists(f"there is a snapshot {made.id} already; choose another id")
+            if snapshot.id in self._snapshots.of(tenant):
+                raise already_exists(f"there is a snapshot {snapshot.id} already; choose another id")
             await self._snapshots.evict_for_one(tenant)
-            await self._snapshots.store(tenant, made)
+            await self._snapshots.store(tenant, snapshot)
 
     async def _require_open(self, tenant: Tenant, document: Mapping[str, Any]) -> None:
         if document.get("endpoint") is not None:
@@ -211,10 +211,10 @@ def _named(given: Any) -> str:
     return named if isinstance(named, str) else f"urn:ngsi-ld:Snapshot:{uuid4()}"
 
 
-def _created(one: Snapshot) -> Response:
-    return Response(201, b"", [(b"location", f"{PREFIX}snapshots/{quote(one.id, safe=':')}".encode())])
+def _created(snapshot: Snapshot) -> Response:
+    return Response(201, b"", [(b"location", f"{PREFIX}snapshots/{quote(snapshot.id, safe=':')}".encode())])
 
 
-async def _snapshot_response(request: RequestContext, one: Snapshot) -> Response:
+async def _snapshot_response(request: RequestContext, snapshot: Snapshot) -> Response:
     media_type, context = request.accept(), await request.reader_context()
-    return document_response(in_media_type(one.document, media_type, context), media_type, context)
+    return document_response(in_media_type(snapshot.document, media_type, context), media_type, context)

@@ -24,18 +24,18 @@ def purge_filter(q: str | None, context: Context) -> Callable[[Snapshot], bool]:
     selection = Selection(query=compiled(q, context))
     expand = context.terms.expand
 
-    def wants(one: Snapshot) -> bool:
-        document = one.document
+    def wants(snapshot: Snapshot) -> bool:
+        document = snapshot.document
         attributes: Attributes = {
             expand(name): [{"type": "Property", "value": value}]
             for name, value in document.items()
             if name not in {"id", "type"}
         }
-        kept = Entity(
-            one.id, (expand(TYPE),), attributes, document["createdAt"], document["modifiedAt"],
+        remaining = Entity(
+            snapshot.id, (expand(TYPE),), attributes, document["createdAt"], document["modifiedAt"],
             expires_at=document["expiresAt"],
         )  # fmt: skip
-        return selection.wants(kept)
+        return selection.wants(remaining)
 
     return wants
 

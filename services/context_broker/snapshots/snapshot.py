@@ -208,7 +208,7 @@ def _check_queries(given: Mapping[str, Any]) -> None:
         queries = given.get(name, [])
         if not isinstance(queries, list) or not all(isinstance(one, Mapping) for one in queries):
             raise bad_request_data(f'"{name}" is a list of Query objects, not {shown(queries)}')
-        for one in queries:
-            if ("temporalQ" in one) is not (name == QUERIES[1]):
+        for query in queries:
+            if ("temporalQ" in query) is not (name == QUERIES[1]):
                 need = "has a" if name == QUERIES[1] else "has no"
-                raise bad_request_data(f'each Query in "{name}" {need} "temporalQ"; see {shown(dict(one))}')
+                raise bad_request_data(f'each Query in "{name}" {need} "temporalQ"; see {shown(dict(query))}')

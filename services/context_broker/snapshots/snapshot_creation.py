@@ -61,41 +61,41 @@ class SnapshotCreator:
         self._by_name = by_name
         self._running: set[tuple[str, str]] = set()
 
-    def start(self, request: RequestContext, made: Snapshot, context: Any) -> None:
+    def start(self, request: RequestContext, snapshot: Snapshot, context: Any) -> None:
         """Start to carry out the queries of a snapshot; `context` is the @context they were sent with."""
-        self._start(request.tenant, made, self._fill(request, made, context))
+        self._start(request.tenant, snapshot, self._fill(request, snapshot, context))
 
-    def start_copy(self, request: RequestContext, original: Snapshot, made: Snapshot) -> None:
+    def start_copy(self, request: RequestContext, original: Snapshot, snapshot: Snapshot) -> None:
         """Start to copy another snapshot."""
-        self._start(request.tenant, made, self._copy(request, original, made))
+        self._start(request.tenant, snapshot, self._copy(request, original, snapshot))
 
     def fail_interrupted(self) -> None:
         """Set the status of interrupted creations to `failure`: the process that ran them has ended."""
         for tenant in self._tenants:
-            for one in list(self._snapshots.of(tenant).values()):
-                if one.status is Status.PREPARING and (tenant.name, one.id) not in self._running:
-                    failed = one.failed(_INTERRUPTED)
+            for snapshot in list(self._snapshots.of(tenant).values()):
+                if snapshot.status is Status.PREPARING and (tenant.name, snapshot.id) not in self._running:
+                    failed = snapshot.failed(_INTERRUPTED)
                     self._snapshots.publish(tenant, failed)
                     self._snapshots.run_in_background(self._record_failure(tenant, failed))
 
-    def _start(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
-        self._running.add((tenant.name, made.id))
-        self._snapshots.run_in_background(self._run(tenant, made, work))
+    def _start(self, tenant: Tenant, snapshot: Snapshot, work: Awaitable[None]) -> None:
+        self._running.add((tenant.name, snapshot.id))
+        self._snapshots.run_in_background(self._run(tenant, snapshot, work))
 
-    async def _run(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
+    async def _run(self, tenant: Tenant, snapshot: Snapshot, work: Awaitable[None]) -> None:
         try:
             await work
         except Exception as error:  # any error must end the status "preparing", for which clients poll
-            log.exception("snapshot creation failed", snapshot=made.id)
+            log.exception("snapshot creation failed", snapshot=snapshot.id)
             problem = error if isinstance(error, Problem) else went_wrong(error, "creating the snapshot")
-            await self._fail(tenant, made, problem)
+            await self._fail(tenant, snapshot, problem)
         finally:
-            self._running.discard((tenant.name, made.id))
+            self._running.discard((tenant.name, snapshot.id))
 
-    async def _fail(self, tenant: Tenant, made: Snapshot, problem: Problem) -> None:
-        now = self._snapshots.of(tenant).get(made.id)
+    async def _fail(self, tenant: Tenant, snapshot: Snapshot, problem: Problem) -> None:
+        now = self._snapshots.of(tenant).get(snapshot.id)
         if now is None:  # deleted during its creation
-            await self._snapshots.delete_content(self._tenants.inside(tenant, made.id))
+            await self._snapshots.delete_content(self._tenants.inside(tenant, snapshot.id))
             return
         failed = now.failed(problem)
         self._snapshots.publish(tenant, failed)  # readers see the failure even if the disk refuses it
@@ -108,28 +108,28 @@ class SnapshotCreator:
                 await self._snapshots.store(tenant, failed, notify=True)
                 await self._snapshots.delete_content(self._tenants.inside(tenant, failed.id))
 
-    async def _fill(self, request: RequestContext, made: Snapshot, context: Any) -> None:
+    async def _fill(self, request: RequestContext, snapshot: Snapshot, context: Any) -> None:
         """Carry out the queries and store their results (clause 5.16.1.4)."""
         tenant, content = request.tenant, SnapshotContent()
         results: dict[str, list[dict[str, Any]]] = {}
-        for query in made.document.get(PRESENT, ()):
+        for query in snapshot.document.get(PRESENT, ()):
             result = await result_of(
                 collect_hits(self._carry_out, query_request(request, query, context), content)
             )
             results.setdefault(f"{PRESENT}Details", []).append(result)
-        await self._write(tenant, made, content)
-        inner = self._tenants.inside(tenant, made.id)
-        for query in made.document.get(PAST, ()):
+        await self._write(tenant, snapshot, content)
+        inner = self._tenants.inside(tenant, snapshot.id)
+        for query in snapshot.document.get(PAST, ()):
             result = await result_of(
                 copy_history(self._by_name, query_request(request, query, context), inner)
             )
             results.setdefault(f"{PAST}Details", []).append(result)
-        await self._finish(tenant, made, results)
+        await self._finish(tenant, snapshot, results)
 
-    async def _copy(self, request: RequestContext, original: Snapshot, made: Snapshot) -> None:
+    async def _copy(self, request: RequestContext, original: Snapshot, snapshot: Snapshot) -> None:
         tenant, content = request.tenant, SnapshotContent()
         content.add(self._tenants.inside(tenant, original.id).store.candidates(), None)
-        await self._write(tenant, made, content)
+        await self._write(tenant, snapshot, content)
         names = [f"{name}Details" for name in QUERIES]
         results = {name: original.document[name] for name in names if name in original.document}
         if PAST in original.document:
@@ -138,27 +138,27 @@ class SnapshotCreator:
                 tenant=self._tenants.inside(tenant, original.id),
                 parameters={"local": "true"},
             )
-            await copy_history(self._by_name, everything, self._tenants.inside(tenant, made.id))
-        await self._finish(tenant, made, results)
+            await copy_history(self._by_name, everything, self._tenants.inside(tenant, snapshot.id))
+        await self._finish(tenant, snapshot, results)
 
-    async def _write(self, tenant: Tenant, made: Snapshot, content: SnapshotContent) -> None:
+    async def _write(self, tenant: Tenant, snapshot: Snapshot, content: SnapshotContent) -> None:
         """Write the entities of a snapshot and evict others if needed. Raises a problem (507) if the disk
         refuses."""
         async with self._snapshots.lock:
-            await self._snapshots.evict_for(tenant, made, len(content.entities))
+            await self._snapshots.evict_for(tenant, snapshot, len(content.entities))
         try:
-            await write_content(self._tenants.inside(tenant, made.id), content)
+            await write_content(self._tenants.inside(tenant, snapshot.id), content)
         except NotStored as error:
             raise not_stored(str(error)) from error
 
     async def _finish(
-        self, tenant: Tenant, made: Snapshot, results: Mapping[str, list[dict[str, Any]]]
+        self, tenant: Tenant, snapshot: Snapshot, results: Mapping[str, list[dict[str, Any]]]
     ) -> None:
         status = status_of([one for several in results.values() for one in several])
         async with self._snapshots.lock:
-            now = self._snapshots.of(tenant).get(made.id)
+            now = self._snapshots.of(tenant).get(snapshot.id)
             if now is None:  # deleted during its creation
-                await self._snapshots.delete_content(self._tenants.inside(tenant, made.id))
+                await self._snapshots.delete_content(self._tenants.inside(tenant, snapshot.id))
                 return
             await self._snapshots.store(
                 tenant, now.changed(snapshotStatus=status.value, **results), notify=True

@@ -67,12 +67,12 @@ def restored(tenant: str, notification_id: str, stored: bytes) -> SnapshotNotifi
     )
 
 
-def notification_of(tenant: str, one: Snapshot) -> SnapshotNotification | None:
+def notification_of(tenant: str, snapshot: Snapshot) -> SnapshotNotification | None:
     """Return the notification of a snapshot's state, None if it has no endpoint.
 
     For a deleted snapshot, expiresAt is in the past.
     """
-    document = one.document
+    document = snapshot.document
     if document.get("endpoint") is None:
         return None
     notification_id = f"urn:ngsi-ld:SnapshotNotification:{uuid4()}"
@@ -80,7 +80,7 @@ def notification_of(tenant: str, one: Snapshot) -> SnapshotNotification | None:
         "id": notification_id,
         "type": "SnapshotNotification",
         "notifiedAt": timestamp_now(),
-        "snapshotId": one.id,
+        "snapshotId": snapshot.id,
         **{name: document[name] for name in ("snapshotPriority", "snapshotStatus", "expiresAt")},
         **{name: document[source] for name, source in _DETAILS_MEMBERS if source in document},
     }
@@ -99,13 +99,13 @@ class SnapshotNotifier:
         self._waiting: dict[str, deque[SnapshotNotification]] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
-    def add(self, one: SnapshotNotification) -> None:
+    def add(self, notification: SnapshotNotification) -> None:
         """Add a notification that is already stored."""
-        waiting = self._waiting.setdefault(one.endpoint, deque())
-        waiting.append(one)
+        waiting = self._waiting.setdefault(notification.endpoint, deque())
+        waiting.append(notification)
         while len(waiting) > MAX_PENDING:
             self._drop(waiting.popleft(), "too many")
-        self._ensure_running_worker(one.endpoint)
+        self._ensure_running_worker(notification.endpoint)
 
     def stop(self) -> None:
         """Stop; pending notifications stay stored."""
@@ -127,35 +127,37 @@ class SnapshotNotifier:
     async def _work(self, endpoint: str) -> None:
         waiting, backoff = self._waiting[endpoint], Backoff(INITIAL_BACKOFF_S, MAX_BACKOFF_S)
         while waiting:
-            one = waiting[0]
-            status = await self._send(one)
+            notification = waiting[0]
+            status = await self._send(notification)
             if status is None or status >= 500:
-                if time.time() - one.at <= self._tenants.outbound.keep_s:
+                if time.time() - notification.at <= self._tenants.outbound.keep_s:
                     await backoff.wait()
                     continue
-                self._drop(one, "too old")
+                self._drop(notification, "too old")
             elif status >= 300:
-                self._drop(one, "refused")
+                self._drop(notification, "refused")
             else:
                 backoff.reset()
-                self._delete(one)
-            if waiting and waiting[0] is one:
+                self._delete(notification)
+            if waiting and waiting[0] is notification:
                 waiting.popleft()
         del self._waiting[endpoint]
 
-    async def _send(self, one: SnapshotNotification) -> int | None:
+    async def _send(self, notification: SnapshotNotification) -> int | None:
         """Return the status of the endpoint's response, None without a response."""
         outbound = self._tenants.outbound
         try:
-            return await outbound.sender.post(one.endpoint, one.headers, one.body, outbound.timeout_s)
+            return await outbound.sender.post(
+                notification.endpoint, notification.headers, notification.body, outbound.timeout_s
+            )
         except SendError as error:
-            log.info("snapshot notification failed", endpoint=one.endpoint, error=str(error))
+            log.info("snapshot notification failed", endpoint=notification.endpoint, error=str(error))
             return None
 
-    def _drop(self, one: SnapshotNotification, why: str) -> None:
+    def _drop(self, notification: SnapshotNotification, why: str) -> None:
         DROPPED.labels(why).inc()
-        log.warning("snapshot notification dropped", endpoint=one.endpoint, reason=why)
-        self._delete(one)
+        log.warning("snapshot notification dropped", endpoint=notification.endpoint, reason=why)
+        self._delete(notification)
 
-    def _delete(self, one: SnapshotNotification) -> None:
-        self._tenants.commits_of(one.tenant).store_later(Entries(documents={one.key: None}))
+    def _delete(self, notification: SnapshotNotification) -> None:
+        self._tenants.commits_of(notification.tenant).store_later(Entries(documents={notification.key: None}))

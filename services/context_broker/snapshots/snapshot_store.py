@@ -53,42 +53,42 @@ class SnapshotStore:
         self._tasks.add(task)
         task.add_done_callback(self._on_end)
 
-    def schedule_expiry(self, tenant: Tenant, one: Snapshot) -> None:
+    def schedule_expiry(self, tenant: Tenant, snapshot: Snapshot) -> None:
         """Delete a snapshot when it expires, unless it was changed meanwhile."""
-        if self.of(tenant).get(one.id) is not one:
+        if self.of(tenant).get(snapshot.id) is not snapshot:
             return
-        left_s = one.expires_s - time.time()
+        left_s = snapshot.expires_s - time.time()
         if left_s > 0:
             loop = asyncio.get_running_loop()
-            loop.call_later(min(left_s, MAX_TIMER_S), self.schedule_expiry, tenant, one)
+            loop.call_later(min(left_s, MAX_TIMER_S), self.schedule_expiry, tenant, snapshot)
         else:
-            self.run_in_background(self._end(tenant, one))
+            self.run_in_background(self._end(tenant, snapshot))
 
-    async def store(self, tenant: Tenant, one: Snapshot, *, notify: bool = False) -> None:
+    async def store(self, tenant: Tenant, snapshot: Snapshot, *, notify: bool = False) -> None:
         """Store a snapshot in its current state. Raises a problem (507) if the disk refuses."""
-        notification = notification_of(tenant.name, one) if notify else None
-        kept = entries(tenant, one)
+        notification = notification_of(tenant.name, snapshot) if notify else None
+        changes = entries(tenant, snapshot)
         if notification is not None:
-            kept.documents[notification.key] = notification.stored()
-        await _write(tenant, kept)
-        self.publish(tenant, one)
+            changes.documents[notification.key] = notification.stored()
+        await _write(tenant, changes)
+        self.publish(tenant, snapshot)
         if notification is not None:
             self.notifier.add(notification)
 
-    def publish(self, tenant: Tenant, one: Snapshot) -> None:
+    def publish(self, tenant: Tenant, snapshot: Snapshot) -> None:
         """Make the current state of a snapshot visible to readers."""
-        self.of(tenant)[one.id] = one
-        self.schedule_expiry(tenant, one)
+        self.of(tenant)[snapshot.id] = snapshot
+        self.schedule_expiry(tenant, snapshot)
 
-    async def remove(self, tenant: Tenant, one: Snapshot) -> None:
+    async def remove(self, tenant: Tenant, snapshot: Snapshot) -> None:
         """Delete a snapshot with its content and notify its endpoint (clause 5.16.6)."""
-        gone = Entries(documents={(DocumentKind.SNAPSHOT, tenant.name, one.id): None})
-        notification = notification_of(tenant.name, one.changed(expiresAt=timestamp_now()))
+        gone = Entries(documents={(DocumentKind.SNAPSHOT, tenant.name, snapshot.id): None})
+        notification = notification_of(tenant.name, snapshot.changed(expiresAt=timestamp_now()))
         if notification is not None:
             gone.documents[notification.key] = notification.stored()
         await _write(tenant, gone)
-        self.of(tenant).pop(one.id, None)
-        await self.delete_content(self._tenants.inside(tenant, one.id))
+        self.of(tenant).pop(snapshot.id, None)
+        await self.delete_content(self._tenants.inside(tenant, snapshot.id))
         if notification is not None:
             self.notifier.add(notification)
 
@@ -97,32 +97,34 @@ class SnapshotStore:
         temporal_only = await asyncio.to_thread(
             lambda: list(inner.notifier.journal.archive.temporal_only_entities(inner.name))
         )
-        for each in deletion_entries(inner, [(place, one) for place, one, _ in temporal_only]):
-            await _write(inner, each)
+        for deletions in deletion_entries(inner, [(place, one) for place, one, _ in temporal_only]):
+            await _write(inner, deletions)
         if inner.is_kept:
             await _write(inner, Entries(documents={(DocumentKind.TENANT, DEFAULT, inner.name): None}))
         self._tenants.drop(inner.name)
 
     async def evict_for_one(self, tenant: Tenant) -> None:
         """Evict snapshots so that a tenant can have one more."""
-        for one in _by_worth(self.of(tenant).values())[: max(0, len(self.of(tenant)) + 1 - MAX_SNAPSHOTS)]:
-            await self.remove(tenant, one)
+        for snapshot in _by_worth(self.of(tenant).values())[
+            : max(0, len(self.of(tenant)) + 1 - MAX_SNAPSHOTS)
+        ]:
+            await self.remove(tenant, snapshot)
 
-    async def evict_for(self, tenant: Tenant, made: Snapshot, more: int) -> None:
+    async def evict_for(self, tenant: Tenant, snapshot: Snapshot, more: int) -> None:
         """Evict snapshots so that another can have so many entities."""
-        others = [one for one in _by_worth(self.of(tenant).values()) if one.id != made.id]
+        others = [one for one in _by_worth(self.of(tenant).values()) if one.id != snapshot.id]
         sizes = [len(self._tenants.inside(tenant, one.id).store) for one in others]
         held, gone = more + sum(sizes), 0
         while held > MAX_TOTAL_ENTITIES and gone < len(others):
             held -= sizes[gone]
             gone += 1
-        for one in others[:gone]:
-            await self.remove(tenant, one)
+        for other in others[:gone]:
+            await self.remove(tenant, other)
 
-    async def _end(self, tenant: Tenant, one: Snapshot) -> None:
+    async def _end(self, tenant: Tenant, snapshot: Snapshot) -> None:
         async with self.lock:
-            if self.of(tenant).get(one.id) is one:
-                await self.remove(tenant, one)
+            if self.of(tenant).get(snapshot.id) is snapshot:
+                await self.remove(tenant, snapshot)
 
     def _on_end(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
@@ -130,9 +132,9 @@ class SnapshotStore:
             log.error("snapshot task failed", exc_info=error)
 
 
-def entries(tenant: Tenant, one: Snapshot) -> Entries:
+def entries(tenant: Tenant, snapshot: Snapshot) -> Entries:
     """Return the commit that stores a snapshot."""
-    return Entries(documents={(DocumentKind.SNAPSHOT, tenant.name, one.id): one.stored()})
+    return Entries(documents={(DocumentKind.SNAPSHOT, tenant.name, snapshot.id): snapshot.stored()})
 
 
 def _by_worth(snapshots: Iterable[Snapshot]) -> list[Snapshot]:

@@ -198,13 +198,13 @@ class CommitQueue:
         open_for_more = True
         while open_for_more:
             group: list[Write] = []
-            one = self._queue.get()
-            while one is not None:
-                group += one
+            writes = self._queue.get()
+            while writes is not None:
+                group += writes
                 if len(group) >= MAX_GROUP:
                     break
                 try:
-                    one = self._queue.get_nowait()
+                    writes = self._queue.get_nowait()
                 except queue.Empty:
                     break
             else:

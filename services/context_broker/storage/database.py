@@ -222,9 +222,9 @@ class SqliteDatabase:
             if found > version:
                 raise UsageError(f"{self.path} was written by a newer version of Handover; use that version")
             tables = set(reader.execute(_TABLES))
-        with closing(sqlite3.connect(":memory:")) as made:
-            made.executescript(script.format(**self.TYPES))
-            wanted = set(made.execute(_TABLES))
+        with closing(sqlite3.connect(":memory:")) as connection:
+            connection.executescript(script.format(**self.TYPES))
+            wanted = set(connection.execute(_TABLES))
         if missing := sorted(str(name) for name, _ in wanted - tables):
             raise UsageError(damage(f"{self.path}: the table or index {missing[0]} is missing or altered"))
 
@@ -234,11 +234,11 @@ class SqliteDatabase:
         unfinished = self.path.with_suffix(".new")
         for left in (unfinished, unfinished.with_name(f"{unfinished.name}-journal")):
             left.unlink(missing_ok=True)
-        with closing(sqlite3.connect(unfinished, isolation_level=None)) as made:
-            made.execute("PRAGMA synchronous=FULL")
+        with closing(sqlite3.connect(unfinished, isolation_level=None)) as connection:
+            connection.execute("PRAGMA synchronous=FULL")
             script = script.format(**self.TYPES)
             header = f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {version};"
-            made.executescript(f"BEGIN; {script} {header} COMMIT;")
+            connection.executescript(f"BEGIN; {script} {header} COMMIT;")
         unfinished.replace(self.path)
         flush_folder(self.path.parent)
 

@@ -10,6 +10,6 @@ def documents_with_counts(
     """Return the documents of a kind by tenant, each with its document of the kind `counts`, if any."""
     counted = {(tenant, one): body for tenant, one, body in journal.documents(counts)}
     found: dict[str, list[tuple[bytes, bytes | None]]] = {}
-    for name, one, body in journal.documents(kind):
-        found.setdefault(name, []).append((body, counted.get((name, one))))
+    for name, document_id, body in journal.documents(kind):
+        found.setdefault(name, []).append((body, counted.get((name, document_id))))
     return found

@@ -303,8 +303,8 @@ class Journal:
 
 def _number(entries: Entries, last_notice: int) -> None:
     """Assign numbers of the outbox to the pending notifications."""
-    for number, one in enumerate(entries.pending, last_notice + 1):
-        one.seq = number
+    for number, pending in enumerate(entries.pending, last_notice + 1):
+        pending.seq = number
 
 
 def _write_tables(writer: Writer, entries: Entries) -> None:
@@ -380,16 +380,16 @@ def _tidy(writer: Writer, write: Callable[[Writer, Entries], None]) -> None:
 
 def _write_entities(writer: Writer, entries: Entries) -> None:
     gone = [(seq,) for seq, row in entries.entities.items() if row.body is None]
-    kept = [
+    written = [
         (seq, row.tenant, row.body, checksums.of_entity(seq, row.tenant, row.body))
         for seq, row in entries.entities.items()
         if row.body is not None
     ]
-    if kept:
+    if written:
         writer.run_many(
             "INSERT INTO entities (seq, tenant, body, checksum) VALUES (?, ?, ?, ?) "
             "ON CONFLICT (seq) DO UPDATE SET body = excluded.body, checksum = excluded.checksum",
-            kept,
+            written,
         )
     if gone:
         writer.run_many("DELETE FROM entities WHERE seq = ?", gone)
@@ -397,16 +397,16 @@ def _write_entities(writer: Writer, entries: Entries) -> None:
 
 def _write_documents(writer: Writer, entries: Entries) -> None:
     gone = [(kind.value, *of) for (kind, *of), body in entries.documents.items() if body is None]
-    kept = [
+    written = [
         (kind.value, tenant, name, body, checksums.of_document(kind.value, tenant, name, body))
         for (kind, tenant, name), body in entries.documents.items()
         if body is not None
     ]
-    if kept:
+    if written:
         writer.run_many(
             "INSERT INTO documents (kind, tenant, id, body, checksum) VALUES (?, ?, ?, ?, ?) "
             "ON CONFLICT (kind, tenant, id) DO UPDATE SET body = excluded.body, checksum = excluded.checksum",
-            kept,
+            written,
         )
     if gone:
         writer.run_many("DELETE FROM documents WHERE kind = ? AND tenant = ? AND id = ?", gone)

@@ -182,9 +182,9 @@ class Store:
         `others` are entities merged with context sources; None hides one. The store is read-only.
         """
         overlay = OverlayStore(self, others)
-        for one in self.candidates(ids, None if types is None else of_types(tuple(types))):
-            if one.id not in others:
-                overlay.take(one)
+        for own in self.candidates(ids, None if types is None else of_types(tuple(types))):
+            if own.id not in others:
+                overlay.take(own)
         for entity in by_sequence(one for one in others.values() if one is not None):
             overlay.take(entity)
         return overlay
@@ -204,11 +204,11 @@ class Store:
         """Start to write a change; the future is done when it is durable, or fails with a problem (507)."""
         before, after = event.before, event.after
         entries = Entries()
-        one = after or before
-        assert one is not None  # noqa: S101 - a change has at least one end
+        entity = after or before
+        assert entity is not None  # noqa: S101 - a change has at least one end
         try:
-            entries.entities[one.seq] = EntityRow(
-                self.tenant, one.id, None if after is None else after.stored()
+            entries.entities[entity.seq] = EntityRow(
+                self.tenant, entity.id, None if after is None else after.stored()
             )
             if self._recorder is not None:
                 self._recorder.record(self.tenant, event, entries)
@@ -216,16 +216,16 @@ class Store:
             raise too_deep() from None
         entries.pending = self._announce(event)
         outcome = asyncio.get_running_loop().create_future()
-        staged = self._staged[one.id] = Staged(self, event, entries.pending, outcome)
+        staged = self._staged[entity.id] = Staged(self, event, entries.pending, outcome)
         self._commits.submit(entries, staged.done, staged.failed)
         return outcome
 
     def show(self, staged: Staged) -> None:
         """Make a durable change visible, and send its notifications."""
         event = staged.event
-        one = event.after or event.before
-        assert one is not None  # noqa: S101 - a change has at least one end
-        entity_id = one.id
+        entity = event.after or event.before
+        assert entity is not None  # noqa: S101 - a change has at least one end
+        entity_id = entity.id
         before = self._every.by_id.get(entity_id)
         if self._staged.get(entity_id) is staged:
             del self._staged[entity_id]
@@ -260,7 +260,9 @@ class Store:
             for place_index in self._place_indexes.values():
                 place_index.refile(before, after)
         except Exception:
-            log.exception("indexes are rebuilt", entity=None if (one := after or before) is None else one.id)
+            log.exception(
+                "indexes are rebuilt", entity=None if (entity := after or before) is None else entity.id
+            )
             self._derive()
 
     def _derive(self) -> None:

@@ -76,8 +76,8 @@ class TypeStatistics:
         """Return the number of instances of an attribute by kind; empty if no entity has it."""
         found: Kinds = {}
         for group in self._groups.values():
-            for said, number in group.attributes.get(attribute, {}).items():
-                found[said] = found.get(said, 0) + number
+            for kind, number in group.attributes.get(attribute, {}).items():
+                found[kind] = found.get(kind, 0) + number
         return found
 
     def types_with(self, attribute: str) -> list[str]:
@@ -116,16 +116,16 @@ def _add(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None
     if kinds is None:
         kinds = counts[name] = {}
     for instance in instances:
-        said = instance["type"]
-        kinds[said] = kinds.get(said, 0) + 1
+        kind = instance["type"]
+        kinds[kind] = kinds.get(kind, 0) + 1
 
 
 def _drop(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None:
     kinds = counts[name]
     for instance in instances:
-        said = instance["type"]
-        kinds[said] -= 1
-        if not kinds[said]:
-            del kinds[said]
+        kind = instance["type"]
+        kinds[kind] -= 1
+        if not kinds[kind]:
+            del kinds[kind]
     if not kinds:
         del counts[name]

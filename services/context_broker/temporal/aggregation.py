@@ -34,7 +34,7 @@ class Period:
 
     start: int
     end: int
-    said: list[Any]
+    values: list[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +55,15 @@ def periods(points: Sequence[tuple[int, Any]], duration: Duration, origin: int, 
     if not points:
         return []
     if duration.is_everything:
-        return [Period(origin, end, [said for _, said in points])]
+        return [Period(origin, end, [value for _, value in points])]
     found: list[Period] = []
     until = -1
-    for at, said in points:
+    for at, value in points:
         if at >= until and not (found and until >= MAX_TIME):
             number = duration.number(origin, at)
             until = duration.boundary(origin, number + 1)
             found.append(Period(duration.boundary(origin, number), until, []))
-        found[-1].said.append(said)
+        found[-1].values.append(value)
     return found
 
 
@@ -71,7 +71,7 @@ def totals(found: Iterable[Period], kind: str, methods: Iterable[str]) -> list[T
     """Return the aggregated values of each period."""
     wanted = tuple(methods)
     return [
-        Total(period.start, period.end, {method: measure(method, kind, period.said) for method in wanted})
+        Total(period.start, period.end, {method: measure(method, kind, period.values) for method in wanted})
         for period in found
     ]
 
@@ -87,35 +87,35 @@ def written_totals(found: Iterable[Total], methods: Iterable[str]) -> dict[str, 
     return result
 
 
-def measure(method: str, kind: str, said: Sequence[Any]) -> Any:
-    """Return the aggregation of `said` (not empty), None if the method does not apply."""
+def measure(method: str, kind: str, values: Sequence[Any]) -> Any:
+    """Return the aggregation of `values` (not empty), None if the method does not apply."""
     if method == "totalCount":
-        return len(said)
+        return len(values)
     if method == "distinctCount":
-        return len({orjson.dumps(one, option=orjson.OPT_SORT_KEYS) for one in said})
+        return len({orjson.dumps(one, option=orjson.OPT_SORT_KEYS) for one in values})
     if kind in COUNTED_ONLY:
         return None
-    numbers = [number for one in said if (number := _number(one)) is not None]
+    numbers = [number for one in values if (number := _number(one)) is not None]
     if numbers:
         return _fitting(METHODS[method](numbers))
-    texts = [text for one in said if (text := _text(one)) is not None]
+    texts = [text for one in values if (text := _text(one)) is not None]
     if texts and method in _ORDERED:
         return _ORDERED[method](texts)
     return None
 
 
-def _number(said: Any) -> float | None:
-    if isinstance(said, list):
-        return len(said)
-    if isinstance(said, dict):
-        said = said.get("@value")
-    return said if isinstance(said, int | float) else None
+def _number(value: Any) -> float | None:
+    if isinstance(value, list):
+        return len(value)
+    if isinstance(value, dict):
+        value = value.get("@value")
+    return value if isinstance(value, int | float) else None
 
 
-def _text(said: Any) -> str | None:
-    if isinstance(said, dict):
-        said = said.get("@value")
-    return said if isinstance(said, str) else None
+def _text(value: Any) -> str | None:
+    if isinstance(value, dict):
+        value = value.get("@value")
+    return value if isinstance(value, str) else None
 
 
 def _fitting(number: float) -> float | None:

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from services.context_broker.model.entity import NULL, SAYS, Attributes, Instance, Terms, is_deletion
+from services.context_broker.model.entity import NULL, VALUE_MEMBER, Attributes, Instance, Terms, is_deletion
 from services.context_broker.model.entity_parser import (
-    SAYING,
+    VALUE_MEMBERS,
     Nulls,
     expand,
-    kind_said,
+    given_kind,
     read_attribute,
     read_change,
 )
@@ -40,10 +40,10 @@ class ProvidedEvolution:
     @property
     def scopes(self) -> tuple[str, ...]:
         """Return the latest scopes, none if there are none."""
-        said = [one["value"] for one in self.attributes.get(SCOPE, ())]
-        if not said:
+        values = [one["value"] for one in self.attributes.get(SCOPE, ())]
+        if not values:
             return ()
-        return (said[-1],) if isinstance(said[-1], str) else tuple(said[-1])
+        return (values[-1],) if isinstance(values[-1], str) else tuple(values[-1])
 
     def stamped(self, at: str) -> "ProvidedEvolution":
         """Return a copy with the broker's timestamps for instances that are stored at `at`."""
@@ -94,7 +94,9 @@ def _instances(name: str, given: Any, terms: Terms) -> list[Instance]:
 
 
 def _is_instance(given: Any) -> bool:
-    return isinstance(given, dict) and (kind_said(given) in SAYS or not SAYING.isdisjoint(given))
+    return isinstance(given, dict) and (
+        given_kind(given) in VALUE_MEMBER or not VALUE_MEMBERS.isdisjoint(given)
+    )
 
 
 def _scopes(given: Any, terms: Terms) -> list[Instance]:
@@ -103,17 +105,17 @@ def _scopes(given: Any, terms: Terms) -> list[Instance]:
         given if isinstance(given, list) and given and all(_is_instance(one) for one in given) else [given]
     )
     found: list[Instance] = []
-    for one in listed:
-        instance: Instance = {"type": "Property", "value": one}
-        if isinstance(one, dict):
-            instance = read_attribute(SCOPE, one, terms)[0]
+    for scope in listed:
+        instance: Instance = {"type": "Property", "value": scope}
+        if isinstance(scope, dict):
+            instance = read_attribute(SCOPE, scope, terms)[0]
             if instance["type"] != "Property" or set(instance) - {"type", "value", "observedAt"}:
                 raise bad_request_data("a scope is a Property with a value and optionally an observedAt")
-        said = instance["value"]
-        if said == NULL:
+        value = instance["value"]
+        if value == NULL:
             found.append({**instance, "value": []})
             continue
-        scopes = read_change({SCOPE: said}, terms, Nulls.NOWHERE).scopes or ()
+        scopes = read_change({SCOPE: value}, terms, Nulls.NOWHERE).scopes or ()
         found.append({**instance, "value": scopes[0] if len(scopes) == 1 else list(scopes)})
     return found
 

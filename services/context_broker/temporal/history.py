@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.model.entity import NULL, SAYS, Attributes, Event, Instance, dataset_of
+from services.context_broker.model.entity import NULL, VALUE_MEMBER, Attributes, Event, Instance, dataset_of
 from services.context_broker.model.validation import has_expired, moment, timestamp, timestamp_now
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.history_archive import HistoryRow, TemporalOnlyRow
@@ -89,9 +89,9 @@ class Change:
         """
         position = 0
         for name, instances in self.attributes.items():
-            for one in instances:
-                if one is not None:
-                    yield name, position, one
+            for instance in instances:
+                if instance is not None:
+                    yield name, position, instance
                 position += 1
         if self.deleted:
             at = time_of(seq)
@@ -122,8 +122,8 @@ class Change:
         """Remove all instances of an attribute with certain datasetIds; return whether there were any."""
         found = False
         instances = self.attributes.get(attribute, [])
-        for position, one in enumerate(instances):
-            if one is not None and concerns(dataset_of(one)):
+        for position, instance in enumerate(instances):
+            if instance is not None and concerns(dataset_of(instance)):
                 instances[position] = None
                 found = True
         deletions = self.deleted.get(attribute, [])
@@ -173,8 +173,8 @@ class TemporalOnlyEntity:
 
     def stored(self) -> bytes:
         """Return the body of the stored row."""
-        kept = [self.types, self.scopes, self.created_at, self.modified_at, self.deleted_at]
-        return orjson.dumps(kept if self.expires_at is None else [*kept, self.expires_at])
+        fields = [self.types, self.scopes, self.created_at, self.modified_at, self.deleted_at]
+        return orjson.dumps(fields if self.expires_at is None else [*fields, self.expires_at])
 
     @classmethod
     def restored(cls, stored: bytes) -> "TemporalOnlyEntity":
@@ -192,21 +192,23 @@ class Recorder:
     def record(self, tenant: str, event: Event, entries: Entries) -> None:
         """Add the row of one change; raises `orjson.JSONEncodeError` if it is nested too deep."""
         before, after = event.before, event.after
-        one = after or before
-        assert one is not None  # noqa: S101 - a change has at least one end
+        entity = after or before
+        assert entity is not None  # noqa: S101 - a change has at least one end
         if after is None or (before is not None and after.modified_at == before.modified_at):
             at = timestamp_now()  # two changes of an entity never share a key
         else:
             at = after.modified_at
         if after is None:
-            entries.temporal_only[one.seq] = TemporalOnlyRow(
+            entries.temporal_only[entity.seq] = TemporalOnlyRow(
                 tenant,
-                one.id,
-                TemporalOnlyEntity(one.types, one.scopes, one.created_at, one.modified_at, at).stored(),
+                entity.id,
+                TemporalOnlyEntity(
+                    entity.types, entity.scopes, entity.created_at, entity.modified_at, at
+                ).stored(),
             )
         change = change_of(event)
         if change is not None:
-            entries.history.append(self.row(one.seq, change, at))
+            entries.history.append(self.row(entity.seq, change, at))
 
     def row(self, place: int, change: Change, at: str) -> HistoryRow:
         """Return the row of a change of the entity at `place`."""
@@ -302,8 +304,8 @@ def _kinds(instances: Iterable[Instance]) -> list[tuple[str, str | None] | None]
 
 
 def _deletion(kind: str, dataset: str | None, at: str) -> Instance:
-    said = {"@none": NULL} if kind == "LanguageProperty" else NULL
-    instance: Instance = {"type": kind, SAYS[kind]: said, "deletedAt": at}
+    value = {"@none": NULL} if kind == "LanguageProperty" else NULL
+    instance: Instance = {"type": kind, VALUE_MEMBER[kind]: value, "deletedAt": at}
     if dataset is not None:
         instance["datasetId"] = dataset
     return instance

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import Any, Final
 
-from services.context_broker.model.entity import SAYS, Entity, Instance
+from services.context_broker.model.entity import VALUE_MEMBER, Entity, Instance
 from services.context_broker.model.problems import too_many_results
 from services.context_broker.model.validation import has_expired
 from services.context_broker.query.scope_query import ScopeQuery
@@ -282,7 +282,7 @@ def _read(archive: Archive, run: Sequence[Subject], history_request: HistoryRequ
                 continue
             if series.takes(at):
                 instance["instanceId"] = instance_id(place, seq, position)
-                series.add((at, seq, instance[SAYS[instance["type"]]] if bare else instance))
+                series.add((at, seq, instance[VALUE_MEMBER[instance["type"]]] if bare else instance))
                 if ends_early and series.edge is not None:
                     edge = series.edge if edge is None else min(edge, series.edge)
     yield _sorted(evolution)
@@ -380,12 +380,12 @@ def _aggregate(
     until = max(times) if query.end is None else query.end
     for series in evolution.all():
         points = series.points if last is None else series.points[-last:]
-        said = [
-            (at, one[SAYS[one["type"]]] if history_request.wants is not None else one)
+        values = [
+            (at, one[VALUE_MEMBER[one["type"]]] if history_request.wants is not None else one)
             for at, _, one in points
         ]
         series.points = []
-        found_periods = periods(said, wanted.period, origin, until)
+        found_periods = periods(values, wanted.period, origin, until)
         if len(found_periods) > MAX_INSTANCES_PER_ATTRIBUTE:
             _narrow(found, found_periods[MAX_INSTANCES_PER_ATTRIBUTE].start, latest=False)
         series.totals = totals(found_periods[:MAX_INSTANCES_PER_ATTRIBUTE], series.kind, wanted.methods)

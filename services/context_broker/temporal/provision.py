@@ -360,8 +360,8 @@ def _pieces(attributes: Attributes) -> Iterator[Attributes]:
         instances.sort(key=lambda one: moment(one[1].get("observedAt", "")) or 0.0)
     for start in range(0, len(instances), INSTANCES_PER_ROW):
         piece: Attributes = {}
-        for name, one in instances[start : start + INSTANCES_PER_ROW]:
-            piece.setdefault(name, []).append(one)
+        for name, instance in instances[start : start + INSTANCES_PER_ROW]:
+            piece.setdefault(name, []).append(instance)
         yield piece
 
 

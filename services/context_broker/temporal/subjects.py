@@ -56,23 +56,23 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
     found: dict[str, Subject] = {}
     now_s = time.time()
     for place, entity_id, body in temporal_only:
-        it = TemporalOnlyEntity.restored(body)
-        if it.has_expired_at(now_s):
+        stored = TemporalOnlyEntity.restored(body)
+        if stored.has_expired_at(now_s):
             found.pop(entity_id, None)
             continue
         known = found.get(entity_id)
         places = (place,) if known is None else (*known.places, place)
-        created_at = it.created_at if known is None else known.created_at
+        created_at = stored.created_at if known is None else known.created_at
         found[entity_id] = Subject(
             entity_id,
-            it.types,
-            it.scopes,
+            stored.types,
+            stored.scopes,
             created_at,
-            it.modified_at,
-            it.deleted_at,
+            stored.modified_at,
+            stored.deleted_at,
             places,
-            it.expires_at,
-            was_never_current=it.deleted_at is None,
+            stored.expires_at,
+            was_never_current=stored.deleted_at is None,
         )
     for entity in entities:
         known = found.get(entity.id)

@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from services.context_broker.app import create_broker
-from services.context_broker.federation.entity_maps import pages as entity_map_pages
+from services.context_broker.federation.operations import entity_map_pages
 from services.context_broker.settings import BrokerSettings
 
 from .conftest import BrokerProcess

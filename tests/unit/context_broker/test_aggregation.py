@@ -101,12 +101,12 @@ def test_every_time_lies_in_its_period(count: int, unit: str, start_s: int, late
 def test_periods_hold_every_point_once_and_in_order(points: list[tuple[int, int]], text: str) -> None:
     points.sort(key=lambda point: point[0])
     found = periods(points, read_duration(text, "d"), 0, 100 * DAY + 1)
-    assert [said for period in found for said in period.said] == [said for _, said in points]
-    assert all(period.said for period in found)
+    assert [value for period in found for value in period.values] == [said for _, said in points]
+    assert all(period.values for period in found)
     assert all(one.end <= other.start for one, other in pairwise(found))
     rest = iter(points)
     for period in found:
-        for _ in period.said:
+        for _ in period.values:
             assert period.start <= next(rest)[0] < period.end
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from datamodels.contexts import HANDOVER_URL, TermMap
 from services.context_broker.model.changes import created, merged
 from services.context_broker.model.completion import completed, normalized
-from services.context_broker.model.entity import SAYS, Entity
+from services.context_broker.model.entity import VALUE_MEMBER, Entity
 from services.context_broker.model.entity_parser import read_change, read_entity
 from services.context_broker.model.rendering import Form, View, render
 
@@ -146,7 +146,7 @@ def test_an_entity_merged_with_its_simplified_form_stays_what_it_was(document: d
 @given(ENTITIES)
 def test_an_entity_merged_with_any_part_of_itself_stays_what_it_was(document: dict[str, Any]) -> None:
     before = kept(document)
-    for says in (frozenset[str](), frozenset(SAYS.values())):
+    for says in (frozenset[str](), frozenset(VALUE_MEMBER.values())):
         part = {
             name: {member: value for member, value in given.items() if member not in says}
             for name, given in document.items()

@@ -173,87 +173,89 @@ class _Batch:
         ] = {}
         for item in items:
             for route in item.routing.others:
-                one = route.registration
+                source = route.registration
                 if route.operation is None:
-                    item.outcomes.append(outcomes.of_refusal(one, route.names, self._operation))
+                    item.outcomes.append(outcomes.of_refusal(source, route.names, self._operation))
                     continue
                 try:
                     dialect = await self._sources.forwarder.dialect(
-                        one, item.context, body=self._request.content_type()
+                        source, item.context, body=self._request.content_type()
                     )
                 except Problem as problem:
-                    error = SourceError(one, SILENT, 502, problem.detail)
+                    error = SourceError(source, SILENT, 502, problem.detail)
                     item.outcomes.append(outcomes.of_source_error(error, route.names))
                     continue
-                key = (one.id, route.operation, dialect.media_type, dialect.link, dialect.context.key)
-                groups.setdefault(key, (one, dialect, route.operation, []))[3].append((item, route))
+                key = (source.id, route.operation, dialect.media_type, dialect.link, dialect.context.key)
+                groups.setdefault(key, (source, dialect, route.operation, []))[3].append((item, route))
         await gather_all(*(self._forward_group(*group) for group in groups.values()))
 
     async def _forward_group(
         self,
-        one: Registration,
+        registration: Registration,
         dialect: SourceDialect,
         operation: str,
         routing: list[tuple[_Item, WriteRoute]],
     ) -> None:
         if operation == self._operation:
             for start in range(0, len(routing), MAX_BATCH_SIZE):
-                await self._forward_batch(one, dialect, routing[start : start + MAX_BATCH_SIZE])
+                await self._forward_batch(registration, dialect, routing[start : start + MAX_BATCH_SIZE])
             return
         turn = asyncio.Semaphore(MAX_CONCURRENT_REQUESTS)
 
         async def alone(item: _Item, route: WriteRoute) -> None:
             async with turn:
-                if (outcome := await self._forward_one(one, dialect, item, route)) is not None:
+                if (outcome := await self._forward_one(registration, dialect, item, route)) is not None:
                     item.outcomes.append(outcome)
 
         await gather_all(*(alone(item, route) for item, route in routing))
 
     async def _forward_batch(
-        self, one: Registration, dialect: SourceDialect, routing: list[tuple[_Item, WriteRoute]]
+        self, registration: Registration, dialect: SourceDialect, routing: list[tuple[_Item, WriteRoute]]
     ) -> None:
         documents = [_document(item, route, dialect) for item, route in routing]
         path = f"entityOperations/{self._operation.removesuffix('Batch')}"
         source_request = SourceRequest("POST", path, dialect, self._parameters, documents)
         try:
-            response, _ = await self._sources.forwarder.send(one, source_request, self._sources.origin)
+            response, _ = await self._sources.forwarder.send(
+                registration, source_request, self._sources.origin
+            )
         except SourceError as error:
             for item, route in routing:
                 item.outcomes.append(outcomes.of_source_error(error, route.names))
             return
-        if self._is_loop(one, response.status):
+        if self._is_loop(registration, response.status):
             return
         errors, created = _results_in(response.body) if response.status in {201, 207} else ({}, set())
         for item, route in routing:
             problem = errors.get(_key(item.entity_id))
             if problem is not None:
                 status = _status_of(problem)
-                item.outcomes.append(Outcome(one, route.names, status, problem))
+                item.outcomes.append(Outcome(registration, route.names, status, problem))
             elif response.status == 207 and errors:
-                item.outcomes.append(Outcome(one, route.names, 204))
+                item.outcomes.append(Outcome(registration, route.names, 204))
             else:
-                item.outcomes.append(outcomes.of_response(one, route.names, response))
+                item.outcomes.append(outcomes.of_response(registration, route.names, response))
             item.is_new = item.is_new or item.entity_id in created
 
     async def _forward_one(
-        self, one: Registration, dialect: SourceDialect, item: _Item, route: WriteRoute
+        self, registration: Registration, dialect: SourceDialect, item: _Item, route: WriteRoute
     ) -> Outcome | None:
         _, method, path = _SINGLY[self._operation]
-        outcome = await self._send_single(one, dialect, item, route, method, path)
+        outcome = await self._send_single(registration, dialect, item, route, method, path)
         if self._operation != "upsertBatch" or outcome is None:
             return outcome
         if outcome.status != 409:
             item.is_new = item.is_new or outcome.problem is None
             return outcome
         keeps = "update" in self._request.parameters.get("options", "").split(",")
-        if one.takes("appendAttrs" if keeps else "replaceEntity"):
+        if registration.takes("appendAttrs" if keeps else "replaceEntity"):
             method, path = ("POST", "entities/{id}/attrs") if keeps else ("PUT", "entities/{id}")
-            return await self._send_single(one, dialect, item, route, method, path)
+            return await self._send_single(registration, dialect, item, route, method, path)
         return outcome
 
     async def _send_single(  # noqa: PLR0917 - the parts of one request
         self,
-        one: Registration,
+        registration: Registration,
         dialect: SourceDialect,
         item: _Item,
         route: WriteRoute,
@@ -265,15 +267,17 @@ class _Batch:
         where = path.replace("{id}", quoted(item.entity_id))
         source_request = SourceRequest(method, where, dialect, options, document)
         try:
-            response, _ = await self._sources.forwarder.send(one, source_request, self._sources.origin)
+            response, _ = await self._sources.forwarder.send(
+                registration, source_request, self._sources.origin
+            )
         except SourceError as error:
             return outcomes.of_source_error(error, route.names)
-        if self._is_loop(one, response.status):
+        if self._is_loop(registration, response.status):
             return None
-        return outcomes.of_response(one, route.names, response)
+        return outcomes.of_response(registration, route.names, response)
 
-    def _is_loop(self, one: Registration, status: int) -> bool:
-        return not one.mode.is_proxied and self._sources.is_loop_answer(one, status)
+    def _is_loop(self, registration: Registration, status: int) -> bool:
+        return not registration.mode.is_proxied and self._sources.is_loop_answer(registration, status)
 
     def _result(self, items: Iterable[_Item]) -> Response:
         success: list[Any] = []

@@ -89,11 +89,11 @@ async def type_details(sources: Sources, request: RequestContext, perform: Perfo
     for registration, dialect, document in documents:
         body["entityCount"] += _count(document, "entityCount")
         details_there = document.get("attributeDetails")
-        for one in details_there if isinstance(details_there, list) else ():
-            name = _iri(one, "attributeName", dialect)
+        for detail in details_there if isinstance(details_there, list) else ():
+            name = _iri(detail, "attributeName", dialect)
             if name is not None and _has_attribute(registration, name):
                 own = details.setdefault(name, attribute_detail(name, context))
-                own["attributeTypes"] = _union(own["attributeTypes"], one.get("attributeTypes"))
+                own["attributeTypes"] = _union(own["attributeTypes"], detail.get("attributeTypes"))
     body["attributeDetails"] = list(details.values())
     return Response(response.status, orjson.dumps(body), response.headers)
 

@@ -156,9 +156,13 @@ def loop_detected(name: str) -> Problem:
 
 def gateway_problem(error: SourceError) -> Problem:
     """The operation failed because a source could not be queried (clause 6.3.17)."""
-    one = error.registration.id
+    registration_id = error.registration.id
     if error.status == 508:
-        return Problem(508, "Loop detected", f"registration {one}: {error.why}", ERRORS + "LoopDetected")
+        return Problem(
+            508, "Loop detected", f"registration {registration_id}: {error.why}", ERRORS + "LoopDetected"
+        )
     title = "Gateway timeout" if error.status == 504 else "Bad gateway"
-    detail = f"the source of registration {one} has the requested data: {error.why}; try again later"
-    return Problem(error.status, title, detail, ERRORS + "InternalError", {"registrationId": one})
+    detail = (
+        f"the source of registration {registration_id} has the requested data: {error.why}; try again later"
+    )
+    return Problem(error.status, title, detail, ERRORS + "InternalError", {"registrationId": registration_id})

@@ -188,16 +188,16 @@ def narrowed(
         types = asked_types
         if any_type:
             types = set() if ids else _types_at(match.registration)
-        without_context = [("type", ",".join(sorted(dialect.name(kind) for kind in types)))] if types else []
+        selection = [("type", ",".join(sorted(dialect.name(kind) for kind in types)))] if types else []
         if not ids and "idPattern" in parameters:
-            without_context.append(("idPattern", parameters["idPattern"]))
+            selection.append(("idPattern", parameters["idPattern"]))
         if names is not None:
-            without_context.append(("attrs", joined_names(names, dialect)))
-        without_context += [*filters, ("options", "sysAttrs")]
+            selection.append(("attrs", joined_names(names, dialect)))
+        selection += [*filters, ("options", "sysAttrs")]
         listed = list(ids)
         for start in range(0, max(1, len(listed)), MAX_IDS):
             some = listed[start : start + MAX_IDS]
-            yield [*without_context, ("id", ",".join(some))] if some else without_context
+            yield [*selection, ("id", ",".join(some))] if some else selection
 
 
 def _types_at(registration: Registration) -> set[str]:

@@ -75,9 +75,9 @@ class EntityMapCollector:
                 dialect = await self._sources.forwarder.dialect(registration, self._context, body=None)
                 questions = list(narrowed(match, parameters, self._context, dialect, is_split=is_split))
                 if len(questions) == 1:
-                    without_context = [one for one in questions[0] if one[0] != "options"]
+                    selection = [one for one in questions[0] if one[0] != "options"]
                     source_request = SourceRequest(
-                        "GET", "entityMaps", dialect, (*without_context, *self._lifetime)
+                        "GET", "entityMaps", dialect, (*selection, *self._lifetime)
                     )
                     is_listed = await self._take(registration, source_request)
             except SourceError as error:
@@ -117,9 +117,9 @@ class EntityMapCollector:
             )
             return False
         self.listed.linked[registration.id] = map_id
-        for one in entities:
-            if _may_have(registration, one):
-                self.listed.entities.setdefault(one, []).append(registration.id)
+        for entity_id in entities:
+            if _may_have(registration, entity_id):
+                self.listed.entities.setdefault(entity_id, []).append(registration.id)
         return True
 
     async def collect_temporal(self, match: Match, parameters: Mapping[str, str]) -> None:
@@ -147,14 +147,10 @@ class EntityMapCollector:
             self._sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
 
     async def _read_ids(self, registration: Registration, source_request: SourceRequest) -> None:
-        without_context = [
-            one for one in source_request.parameters if one[0] not in {"lastN", "options", "format"}
-        ]
+        selection = [one for one in source_request.parameters if one[0] not in {"lastN", "options", "format"}]
         for page in range(_MAX_PAGES):
             window = (("lastN", "1"), ("limit", str(_PAGE)), ("offset", str(page * _PAGE)))
-            target = SourceRequest(
-                "GET", source_request.path, source_request.dialect, (*without_context, *window)
-            )
+            target = SourceRequest("GET", source_request.path, source_request.dialect, (*selection, *window))
             response = await query_source(self._sources, registration, target)
             try:
                 documents = orjson.loads(response.body) if response is not None and response.body else []
@@ -165,8 +161,8 @@ class EntityMapCollector:
                 raise SourceError(registration, INVALID, 502, why)
             ids = {one.get("id") for one in documents if isinstance(one, dict)}
             fresh = [one for one in ids if isinstance(one, str) and self._is_new(one, registration)]
-            for one in sorted(fresh):
-                self.listed.entities.setdefault(one, []).append(registration.id)
+            for entity_id in sorted(fresh):
+                self.listed.entities.setdefault(entity_id, []).append(registration.id)
             if not fresh or len(documents) < _PAGE:
                 return
 
@@ -184,17 +180,15 @@ async def map_temporal(sources: Sources, request: RequestContext, perform: Perfo
         if not isinstance(document, dict):
             return await perform(request)
         parameters = {**request.parameters, **temporal_parameters(document)}
-        without_context = {
-            name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}
-        }
-        questions = list(selector_parameters(without_context, parameters))
+        query = {name: value for name, value in document.items() if name not in {"temporalQ", "aggrParams"}}
+        questions = list(selector_parameters(query, parameters))
     map_collector = EntityMapCollector(sources, context, request.parameter(_LIFETIME))
     asking = []
-    for each in questions:
-        target, where = target_of(each, context, None)
+    for question in questions:
+        target, where = target_of(question, context, None)
         found = sources.registry.matching((CREATE_TEMPORAL_MAP, "queryTemporal"), target, where)
-        refuse_order(each, sources.unvisited(found, uses_map=False))
-        asking += [map_collector.collect_temporal(match, each) for match in sources.unvisited(found)]
+        refuse_order(question, sources.unvisited(found, uses_map=False))
+        asking += [map_collector.collect_temporal(match, question) for match in sources.unvisited(found)]
     if not asking:
         return await perform(request)
     local = {**request.parameters, "local": "true"}

@@ -81,14 +81,14 @@ async def restored(
     return ForwardedSubscription(token, tenant, subscription, source, document_digest, base, is_confirmed)
 
 
-def questions(one: Subscription) -> list[EntityTarget]:
+def questions(subscription: Subscription) -> list[EntityTarget]:
     """Return the entities and attributes of a subscription, for matching registrations."""
-    watched = one.triggers.watched
+    watched = subscription.triggers.watched
     names = None if watched is None else frozenset(watched)
-    if not one.selectors:
+    if not subscription.selectors:
         return [EntityTarget(attributes=names)]
     found = []
-    for selector in one.selectors:
+    for selector in subscription.selectors:
         types = None
         if selector.types is not None and not selector.types.is_every:
             types = frozenset(selector.types.names())
@@ -97,37 +97,41 @@ def questions(one: Subscription) -> list[EntityTarget]:
     return found
 
 
-def forwarded_document(one: Subscription, source: Registration, dialect: SourceDialect) -> dict[str, Any]:
+def forwarded_document(
+    subscription: Subscription, source: Registration, dialect: SourceDialect
+) -> dict[str, Any]:
     """Return the document to forward to a source, without its notification endpoint.
 
     Filters apply to whole entities, so this broker evaluates them. They are forwarded as well if the source
     has whole entities and uses the names in the filters.
     """
-    document = shown_document(one, dialect.context, 0.0, sys_attrs=False)
+    document = shown_document(subscription, dialect.context, 0.0, sys_attrs=False)
     for name in _NOT_PASSED_ON:
         document.pop(name, None)
-    if (entities := _entities(one, source, dialect)) is not None:
+    if (entities := _entities(subscription, source, dialect)) is not None:
         document["entities"] = entities
-    is_whole = not one.document.get("splitEntities") and all(
+    is_whole = not subscription.document.get("splitEntities") and all(
         piece.attributes is None for piece in source.information
     )
-    if not is_whole or dialect.context.key != one.names.key or NAMES_IN in one.document:
+    if not is_whole or dialect.context.key != subscription.names.key or NAMES_IN in subscription.document:
         for name in FILTER_MEMBERS:
             document.pop(name, None)
-    names = _watched(one, source)
-    if names is not None and one.interval_s is None:
+    names = _watched(subscription, source)
+    if names is not None and subscription.interval_s is None:
         document["watchedAttributes"] = sorted(dialect.name(name) for name in names)
-    if one.shows_changes:
+    if subscription.shows_changes:
         document["notification"] = {"showChanges": True}
     if dialect.link is not None:
         document["jsonldContext"] = dialect.link
     return document
 
 
-def _entities(one: Subscription, source: Registration, dialect: SourceDialect) -> list[dict[str, Any]] | None:
+def _entities(
+    subscription: Subscription, source: Registration, dialect: SourceDialect
+) -> list[dict[str, Any]] | None:
     """Return the entity selectors within the registration of a source; None for any entity."""
     found: dict[str, dict[str, Any]] = {}
-    for selector, target in zip(one.selectors or (None,), questions(one), strict=True):
+    for selector, target in zip(subscription.selectors or (None,), questions(subscription), strict=True):
         for part in source.parts(target):
             narrowed: dict[str, Any] = {}
             types = () if selector is None or selector.types is None else selector.types.alternatives
@@ -145,9 +149,9 @@ def _entities(one: Subscription, source: Registration, dialect: SourceDialect) -
     return list(found.values()) or None
 
 
-def _watched(one: Subscription, source: Registration) -> frozenset[str] | None:
+def _watched(subscription: Subscription, source: Registration) -> frozenset[str] | None:
     """Return the watched attributes that the source has, None for all."""
-    watched = one.triggers.watched
+    watched = subscription.triggers.watched
     registered: frozenset[str] | None = frozenset()
     for piece in source.information:
         if registered is None or piece.attributes is None:

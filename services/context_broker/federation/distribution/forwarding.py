@@ -177,8 +177,8 @@ class Forwarder:
         url = _url(registration, source_request)
         is_kept = source_request.method == "GET" and registration.management.cache_s > 0
         key = (registration.id, url, *headers)
-        if is_kept and (kept := self._cached.get(key)) and kept.until_s > time.monotonic():
-            return kept.response, True
+        if is_kept and (cached := self._cached.get(key)) and cached.until_s > time.monotonic():
+            return cached.response, True
         _refuse_at_rest(registration, origin)
         response = await self._sent(registration, source_request, origin, url, headers)
         if is_kept and response.status == 200 and len(response.body) <= MAX_CACHED_BYTES:
@@ -298,7 +298,7 @@ def in_dialect(document: Any, context: Context, dialect: SourceDialect) -> Any:
     """Return a document with its names in `context` translated to the dialect, without @context."""
     if isinstance(document, list):
         return [in_dialect(one, context, dialect) for one in document]
-    without_context = {name: said for name, said in document.items() if name != "@context"}
+    without_context = {name: value for name, value in document.items() if name != "@context"}
     return (
         without_context
         if dialect.context is context

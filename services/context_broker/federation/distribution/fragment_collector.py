@@ -74,16 +74,16 @@ def unclaimed(fragment: Fragment, proxied: list[Registration]) -> Entity | None:
     """Return a fragment without the parts that belong to proxied sources of higher priority; None if none
     is left."""
     left = fragment.entity
-    for one in proxied:
-        if fragment.rank[0] and fragment.rank[0] <= int(one.mode) + 1:
+    for registration in proxied:
+        if fragment.rank[0] and fragment.rank[0] <= int(registration.mode) + 1:
             continue
-        if not may_hold(one, fragment.entity):
+        if not may_hold(registration, fragment.entity):
             continue
-        for piece in one.information:
+        for piece in registration.information:
             if piece.is_about(fragment.entity):
-                if one.datasets is not None:
+                if registration.datasets is not None:
                     claimed = left if piece.attributes is None else select_attributes(left, piece.attributes)
-                    rest = _of_datasets(claimed, one.datasets, keep=False)
+                    rest = _of_datasets(claimed, registration.datasets, keep=False)
                     left = replace(left, attributes={**left.attributes, **rest.attributes}, rendered={})
                     gone = claimed.attributes.keys() - rest.attributes.keys()
                     left = select_attributes(left, None, frozenset(gone))
@@ -96,9 +96,9 @@ def unclaimed(fragment: Fragment, proxied: list[Registration]) -> Entity | None:
 
 def _of_datasets(entity: Entity, datasets: frozenset[str | None], *, keep: bool) -> Entity:
     """Return the entity with the instances of these datasets only; with `keep` false, without them."""
-    kept = {
+    selected = {
         name: some
         for name, instances in entity.attributes.items()
         if (some := [one for one in instances if (dataset_of(one) in datasets) is keep])
     }
-    return replace(entity, attributes=kept, rendered={})
+    return replace(entity, attributes=selected, rendered={})

@@ -62,17 +62,17 @@ def without_expired(document: Any, now_s: float) -> Any:
         return document
     if _is_over(document, now_s):
         return None
-    kept: dict[str, Any] = {}
-    for name, said in document.items():
-        if isinstance(said, list) and any(_is_over(one, now_s) for one in said):
-            kept[name] = [one for one in said if not _is_over(one, now_s)]
-        elif name in _NO_ATTRIBUTES or not _is_over(said, now_s):
-            kept[name] = said
-    return {name: said for name, said in kept.items() if said != [] or document[name] == []}
+    valid: dict[str, Any] = {}
+    for name, value in document.items():
+        if isinstance(value, list) and any(_is_over(one, now_s) for one in value):
+            valid[name] = [one for one in value if not _is_over(one, now_s)]
+        elif name in _NO_ATTRIBUTES or not _is_over(value, now_s):
+            valid[name] = value
+    return {name: value for name, value in valid.items() if value != [] or document[name] == []}
 
 
-def _is_over(said: Any, now_s: float) -> bool:
-    ends = said.get("expiresAt") if isinstance(said, dict) else None
+def _is_over(value: Any, now_s: float) -> bool:
+    ends = value.get("expiresAt") if isinstance(value, dict) else None
     at_s = moment(ends) if isinstance(ends, str) else None
     return at_s is not None and at_s <= now_s
 
@@ -84,7 +84,7 @@ def read_fragment(document: Any, terms: Terms, seq: int) -> Entity:
     """
     if not isinstance(document, Mapping):
         raise bad_request_data("an entity is a JSON object")
-    change = read_entity({name: said for name, said in document.items() if name != "@context"}, terms)
+    change = read_entity({name: value for name, value in document.items() if name != "@context"}, terms)
     entity_id = change.id or ""
     attributes = dict(change.attributes)
     for name, given in document.items():
@@ -110,14 +110,14 @@ _NO_ATTRIBUTES: Final = frozenset(
 
 
 def _with_times(instances: list[Instance], given: Any) -> list[Instance]:
-    said = given if isinstance(given, list) else [given]
-    if len(said) != len(instances):
+    value = given if isinstance(given, list) else [given]
+    if len(value) != len(instances):
         return instances
     return [
         {**instance, **{name: one[name] for name in _TIMES if _time(one.get(name))}}
         if isinstance(one, Mapping)
         else instance
-        for instance, one in zip(instances, said, strict=True)
+        for instance, one in zip(instances, value, strict=True)
     ]
 
 

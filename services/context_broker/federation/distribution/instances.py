@@ -46,13 +46,13 @@ def instances_in(document: Mapping[str, Any], names: Mapping[str, str]) -> Insta
     return frozenset((iri, dataset) for name, iri in names.items() for dataset in datasets_in(document[name]))
 
 
-def datasets_in(said: Any) -> set[str | None]:
+def datasets_in(value: Any) -> set[str | None]:
     """Return the datasetIds in the value of one attribute, in any representation."""
-    if _is_list_of_instances(said):
-        return {_dataset_of(one) for one in said}
-    if _is_many_simplified(said):
-        return {_named(one) for one in said[_MANY]}
-    return {_dataset_of(said)}
+    if _is_list_of_instances(value):
+        return {_dataset_of(one) for one in value}
+    if _is_many_simplified(value):
+        return {_named(one) for one in value[_MANY]}
+    return {_dataset_of(value)}
 
 
 def part_of(document: Mapping[str, Any], names: Mapping[str, str], wanted: Instances) -> dict[str, Any]:
@@ -61,18 +61,18 @@ def part_of(document: Mapping[str, Any], names: Mapping[str, str], wanted: Insta
     for iri, dataset in wanted:
         by_attribute.setdefault(iri, set()).add(dataset)
     part: dict[str, Any] = {}
-    for member, said in document.items():
+    for member, value in document.items():
         datasets = by_attribute.get(names.get(member), set())
-        if member in NO_ATTRIBUTES or datasets_in(said) <= datasets:
-            part[member] = said
-        elif datasets.isdisjoint(datasets_in(said)):
+        if member in NO_ATTRIBUTES or datasets_in(value) <= datasets:
+            part[member] = value
+        elif datasets.isdisjoint(datasets_in(value)):
             continue
-        elif _is_many_simplified(said):
+        elif _is_many_simplified(value):
             part[member] = {
-                _MANY: {one: each for one, each in said[_MANY].items() if _named(one) in datasets}
+                _MANY: {one: each for one, each in value[_MANY].items() if _named(one) in datasets}
             }
         else:
-            part[member] = [one for one in said if _dataset_of(one) in datasets]
+            part[member] = [one for one in value if _dataset_of(one) in datasets]
     return part
 
 
@@ -90,16 +90,16 @@ def instances_of_source(
     )
 
 
-def _is_list_of_instances(said: Any) -> bool:
-    return isinstance(said, list) and bool(said) and all(isinstance(one, Mapping) for one in said)
+def _is_list_of_instances(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) for one in value)
 
 
-def _is_many_simplified(said: Any) -> bool:
-    return isinstance(said, Mapping) and said.keys() == {_MANY} and isinstance(said[_MANY], Mapping)
+def _is_many_simplified(value: Any) -> bool:
+    return isinstance(value, Mapping) and value.keys() == {_MANY} and isinstance(value[_MANY], Mapping)
 
 
-def _dataset_of(said: Any) -> str | None:
-    given = said.get("datasetId") if isinstance(said, Mapping) else None
+def _dataset_of(value: Any) -> str | None:
+    given = value.get("datasetId") if isinstance(value, Mapping) else None
     return _named(given) if isinstance(given, str) else None
 
 

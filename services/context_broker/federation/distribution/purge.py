@@ -72,7 +72,7 @@ async def purge(sources: Sources, request: RequestContext, perform: Perform) -> 
 async def _whole_hits(sources: Sources, request: RequestContext, context: Context) -> list[str]:
     """Return the ids of the merged entities that match the filters."""
     selection_to_purge(request, context)
-    asking = {name: said for name, said in request.parameters.items() if name not in {"drop", "keep"}}
+    asking = {name: value for name, value in request.parameters.items() if name not in {"drop", "keep"}}
     found: list[str] = []
 
     async def collect(over: RequestContext) -> Response:
@@ -87,49 +87,51 @@ async def _whole_hits(sources: Sources, request: RequestContext, context: Contex
 async def _purge_at(
     sources: Sources, match: Match, parameters: Mapping[str, str], context: Context
 ) -> Outcome:
-    one, nothing = match.registration, frozenset[str]()
+    source, nothing = match.registration, frozenset[str]()
     try:
-        dialect = await sources.forwarder.dialect(one, context, body=None)
+        dialect = await sources.forwarder.dialect(source, context, body=None)
         if dialect.context is not context and not _NAMING.isdisjoint(parameters):
-            return outcomes.of_refusal(one, nothing, "conditions on attributes in names that are not its own")
+            return outcomes.of_refusal(
+                source, nothing, "conditions on attributes in names that are not its own"
+            )
         wanted = _narrowed(match, parameters, context, dialect)
         if wanted is None:
-            return Outcome(one, nothing, 204)
+            return Outcome(source, nothing, 204)
         source_request = SourceRequest("DELETE", "entities", dialect, tuple(wanted))
-        response, _ = await sources.forwarder.send(one, source_request, sources.origin)
-        if sources.is_loop_answer(one, response.status):
-            return Outcome(one, nothing, 204)
+        response, _ = await sources.forwarder.send(source, source_request, sources.origin)
+        if sources.is_loop_answer(source, response.status):
+            return Outcome(source, nothing, 204)
     except SourceError as error:
         return outcomes.of_source_error(error, nothing)
     except Problem as problem:  # the @context of the source
-        return outcomes.of_source_error(SourceError(one, SILENT, 502, problem.detail), nothing)
-    return outcomes.of_response(one, nothing, response)
+        return outcomes.of_source_error(SourceError(source, SILENT, 502, problem.detail), nothing)
+    return outcomes.of_response(source, nothing, response)
 
 
 def _narrowed(
     match: Match, parameters: Mapping[str, str], context: Context, dialect: SourceDialect
 ) -> list[tuple[str, str]] | None:
     """Return the query parameters for a source, None if its registration covers nothing to purge."""
-    one = match.registration
+    source = match.registration
     types = {kind for part in match.parts for kind in part.types or ()} or {
-        kind for piece in one.information for each in piece.entities for kind in each.types
+        kind for piece in source.information for each in piece.entities for kind in each.types
     }
     wanted = [("type", _joined(types, dialect))] if types else []
     if match.ids:
         wanted.append(("id", ",".join(match.ids)))
     wanted += [(name, parameters[name]) for name in FORWARDED if name in parameters]
     gone = _attributes(parameters.get("drop"), context)
-    kept = _attributes(parameters.get("keep"), context)
-    if all(piece.attributes is not None for piece in one.information):
-        names = {name for piece in one.information for name in piece.attributes or ()}
-        gone = (names if gone is None else names & gone) - (kept or set())
+    keep = _attributes(parameters.get("keep"), context)
+    if all(piece.attributes is not None for piece in source.information):
+        names = {name for piece in source.information for name in piece.attributes or ()}
+        gone = (names if gone is None else names & gone) - (keep or set())
         if not gone:
             return None
-        kept = None
+        keep = None
     if gone is not None:
         wanted.append(("drop", _joined(gone, dialect)))
-    if kept is not None:
-        wanted.append(("keep", _joined(kept, dialect)))
+    if keep is not None:
+        wanted.append(("keep", _joined(keep, dialect)))
     return wanted
 
 

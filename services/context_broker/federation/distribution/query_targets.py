@@ -27,33 +27,31 @@ def selector_parameters(
     document: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> Iterable[dict[str, str]]:
     """Yield the parameters that a GET for the same, or for one of its selectors, would have."""
-    without_context = {
-        name: said for name, said in {**parameters, **document}.items() if isinstance(said, str)
-    }
+    common = {name: value for name, value in {**parameters, **document}.items() if isinstance(value, str)}
     for name in ("attrs", "pick", "omit", "datasetId", "expandValues", "jsonKeys"):
         if isinstance(document.get(name), list):
-            without_context[name] = ",".join(str(one) for one in document[name])
+            common[name] = ",".join(str(one) for one in document[name])
     geo = document.get("geoQ")
     if isinstance(geo, dict):
         for name in ("georel", "geometry", "geoproperty", "coordinates"):
             if name in geo:
-                said = geo[name]
-                without_context[name] = said if isinstance(said, str) else orjson.dumps(said).decode()
+                value = geo[name]
+                common[name] = value if isinstance(value, str) else orjson.dumps(value).decode()
     if isinstance(document.get("ordering"), dict):
-        without_context["orderBy"] = ",".join(str(one) for one in document["ordering"].get("orderBy") or ())
-    without_context.pop("type", None)  # the type of the document, "Query"
+        common["orderBy"] = ",".join(str(one) for one in document["ordering"].get("orderBy") or ())
+    common.pop("type", None)  # the type of the document, "Query"
     selectors = document.get("entities")
     if not isinstance(selectors, list) or not selectors:
-        yield without_context
+        yield common
         return
-    for one in selectors:
-        if isinstance(one, dict):
+    for selector in selectors:
+        if isinstance(selector, dict):
             yield {
-                **without_context,
+                **common,
                 **{
-                    name: said if isinstance(said, str) else ",".join(str(part) for part in said)
-                    for name, said in one.items()
-                    if isinstance(said, str | list)
+                    name: value if isinstance(value, str) else ",".join(str(part) for part in value)
+                    for name, value in selector.items()
+                    if isinstance(value, str | list)
                 },
             }
 

@@ -210,8 +210,8 @@ def _objects(entities: Iterable[Entity]) -> Iterable[str]:
     for entity in entities:
         for instances in entity.attributes.values():
             for instance in instances:
-                said = instance.get("object")
-                yield from said if isinstance(said, list) else [said] if isinstance(said, str) else ()
+                value = instance.get("object")
+                yield from value if isinstance(value, list) else [value] if isinstance(value, str) else ()
                 for one in instance.get("objectList") or ():
                     if isinstance(one, dict) and isinstance(one.get("object"), str):
                         yield one["object"]

@@ -19,11 +19,19 @@ from services.context_broker.federation.distribution.fragments import (
 )
 from services.context_broker.federation.distribution.source_responses import place_of
 from services.context_broker.federation.registrations.registration import Registration
-from services.context_broker.model.entity import NULL, SAYS, Attributes, Entity, Instance, Terms, dataset_of
+from services.context_broker.model.entity import (
+    NULL,
+    VALUE_MEMBER,
+    Attributes,
+    Entity,
+    Instance,
+    Terms,
+    dataset_of,
+)
 from services.context_broker.model.entity_parser import expand
 
 _PREVIOUS: Final = {
-    f"previous{says[0].upper()}{says[1:]}": kind for kind, says in reversed(list(SAYS.items()))
+    f"previous{member[0].upper()}{member[1:]}": kind for kind, member in reversed(list(VALUE_MEMBER.items()))
 }
 """Members with a previous value, and the type of attribute they belong to."""
 _NO_ATTRIBUTES: Final = frozenset(
@@ -39,8 +47,8 @@ def change_of_notification(
 
     The entity is merged with the broker's `own` part. Raises a problem (400) for an invalid entity.
     """
-    before, kept, gone = _split(document, terms)
-    fragment = read_fragment(without_expired(kept, time.time()) or kept, terms, place_of(kept))
+    before, current, gone = _split(document, terms)
+    fragment = read_fragment(without_expired(current, time.time()) or current, terms, place_of(current))
     registered = about(registration, fragment)
     if registered is None:
         return None
@@ -83,66 +91,74 @@ def _previous_instances(
 def _split(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict[str, Any], Attributes]:
     """Return previous attributes (where given), the current document, and deleted attributes."""
     before: Attributes = {}
-    kept: dict[str, Any] = {}
+    current: dict[str, Any] = {}
     gone: Attributes = {}
-    for name, said in document.items():
+    for name, value in document.items():
         if name in _NO_ATTRIBUTES:
             if name != "deletedAt":
-                kept[name] = said
+                current[name] = value
             continue
-        instances = said if isinstance(said, list) and all(isinstance(one, dict) for one in said) else [said]
+        instances = (
+            value if isinstance(value, list) and all(isinstance(one, dict) for one in value) else [value]
+        )
         iri = expand(name, terms)
         left = []
-        for one in instances:
-            if (was := _previous_instance(one)) is not None:
+        for instance in instances:
+            if (was := _previous_instance(instance)) is not None:
                 before.setdefault(iri, []).append(was)
-            if (lost := _deleted_instance(one, was)) is not None:
+            if (lost := _deleted_instance(instance, was)) is not None:
                 gone.setdefault(iri, []).append(lost)
             else:
-                left.append(_current_value(one))
+                left.append(_current_value(instance))
         if left:
-            kept[name] = left if isinstance(said, list) and instances is said else left[0]
+            current[name] = left if isinstance(value, list) and instances is value else left[0]
     for iri in gone.keys() & before.keys():
         stays = {dataset_of(one) for one in gone[iri]}
         before[iri] = [one for one in before[iri] if dataset_of(one) not in stays]
-    return {iri: some for iri, some in before.items() if some}, kept, gone
+    return {iri: some for iri, some in before.items() if some}, current, gone
 
 
-def _previous_instance(said: Any) -> Instance | None:
-    if not isinstance(said, Mapping):
+def _previous_instance(value: Any) -> Instance | None:
+    if not isinstance(value, Mapping):
         return None
     for member, kind in _PREVIOUS.items():
-        if member in said:
-            return {"type": _kind(said, kind), SAYS[_kind(said, kind)]: said[member], **_dataset(said)}
+        if member in value:
+            return {
+                "type": _kind(value, kind),
+                VALUE_MEMBER[_kind(value, kind)]: value[member],
+                **_dataset(value),
+            }
     return None
 
 
-def _kind(said: Mapping[str, Any], kind: str) -> str:
+def _kind(instance: Mapping[str, Any], kind: str) -> str:
     """Return the type of an instance; a GeoProperty has the same value member as a Property."""
-    given = said.get("type")
-    return given if isinstance(given, str) and SAYS.get(given) == SAYS[kind] else kind
+    given = instance.get("type")
+    return given if isinstance(given, str) and VALUE_MEMBER.get(given) == VALUE_MEMBER[kind] else kind
 
 
-def _deleted_instance(said: Any, was: Instance | None) -> Instance | None:
+def _deleted_instance(value: Any, was: Instance | None) -> Instance | None:
     """Return the deleted instance, None if it was not deleted."""
-    if said == NULL:
+    if value == NULL:
         return {"type": "Property", "value": NULL}
-    if not isinstance(said, Mapping):
+    if not isinstance(value, Mapping):
         return None
-    for kind, member in SAYS.items():
-        if said.get(member) == NULL or (member == "languageMap" and said.get(member) == {"@none": NULL}):
-            found = _kind(said, kind)
-            times = {one: said[one] for one in ("createdAt", "modifiedAt") if isinstance(said.get(one), str)}
-            return {**(was or {"type": found, SAYS[found]: NULL, **_dataset(said)}), **times}
+    for kind, member in VALUE_MEMBER.items():
+        if value.get(member) == NULL or (member == "languageMap" and value.get(member) == {"@none": NULL}):
+            found = _kind(value, kind)
+            times = {
+                one: value[one] for one in ("createdAt", "modifiedAt") if isinstance(value.get(one), str)
+            }
+            return {**(was or {"type": found, VALUE_MEMBER[found]: NULL, **_dataset(value)}), **times}
     return None
 
 
-def _current_value(said: Any) -> Any:
-    if not isinstance(said, Mapping):
-        return said
-    return {member: value for member, value in said.items() if member not in _PREVIOUS}
+def _current_value(instance: Any) -> Any:
+    if not isinstance(instance, Mapping):
+        return instance
+    return {member: value for member, value in instance.items() if member not in _PREVIOUS}
 
 
-def _dataset(said: Mapping[str, Any]) -> dict[str, str]:
-    named = said.get("datasetId")
+def _dataset(instance: Mapping[str, Any]) -> dict[str, str]:
+    named = instance.get("datasetId")
     return {"datasetId": named} if isinstance(named, str) else {}

@@ -73,12 +73,12 @@ async def read_entities(
         for number, given in enumerate(documents, 1):
             if not number % _ENTITIES_PER_STEP:
                 await asyncio.sleep(0)
-            one = without_expired(given, time.time())
-            if one is None or (not one and single):
+            document = without_expired(given, time.time())
+            if document is None or (not document and single):
                 continue
-            inline = one.get("@context") if isinstance(one, dict) else None
+            inline = document.get("@context") if isinstance(document, dict) else None
             terms = (context if inline is None else await sources.forwarder.contexts.of(inline)).terms
-            entities.append(read_fragment(one, terms, place_of(one)))
+            entities.append(read_fragment(document, terms, place_of(document)))
     except (orjson.JSONDecodeError, TypeError, Problem) as error:
         why = error.detail if isinstance(error, Problem) else str(error)
         invalid = f"{registration.endpoint} returns invalid NGSI-LD: {why}"

@@ -54,11 +54,13 @@ async def split_hits(
     temporal_request: TemporalRequest,
 ) -> list[str]:
     """Return the ids of the entities whose merged evolution matches the filters, in order."""
-    asked = {name: said for name, said in temporal_request.parameters.items() if name not in _NOT_ASKED}
+    parameters = {
+        name: value for name, value in temporal_request.parameters.items() if name not in _NOT_ASKED
+    }
     everything = replace(temporal_request.view.view, attributes=None, projection=None, datasets=None)
     whole = TemporalRequest(
         temporal_request.context,
-        asked,
+        parameters,
         replace(temporal_request.query, last=None),
         replace(temporal_request.view, view=everything),
     )
@@ -84,17 +86,17 @@ async def split_hits(
 def narrowed_to(request: RequestContext, ids: list[str]) -> RequestContext:
     """Return the request for these entities only, without filters."""
     gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
-    kept = {name: said for name, said in request.parameters.items() if name not in gone}
+    parameters = {name: value for name, value in request.parameters.items() if name not in gone}
     shape = {"limit": str(len(ids))}
     if request.method == "GET":
-        return derived(request, parameters={**kept, **shape, "id": ",".join(ids)})
-    document = {name: said for name, said in request.document().items() if name not in _CONDITIONS}
+        return derived(request, parameters={**parameters, **shape, "id": ",".join(ids)})
+    document = {name: value for name, value in request.document().items() if name not in _CONDITIONS}
     document.pop("entityMap", None)
     document["entities"] = [
         {"id": ids, **({"type": one["type"]} if "type" in one else {})}
         for one in document.get("entities") or [{}]
     ]
-    return derived(request, parameters={**kept, **shape}, raw=orjson.dumps(document))
+    return derived(request, parameters={**parameters, **shape}, raw=orjson.dumps(document))
 
 
 def _selection(request: RequestContext, temporal_request: TemporalRequest) -> Selection:
@@ -111,13 +113,15 @@ def _pages_of(sources: Sources, match: Match, temporal_request: TemporalRequest)
 
 def _pages_of_own(request: RequestContext, perform: Perform, temporal_request: TemporalRequest) -> FetchPart:
     async def of_own(parameters: Mapping[str, str]) -> TemporalPart:
-        asked = derived(request, parameters=parameters)
+        narrowed = derived(request, parameters=parameters)
         if request.method == "POST":
-            document = {name: said for name, said in request.document().items() if name not in _IN_DOCUMENTS}
+            document = {
+                name: value for name, value in request.document().items() if name not in _IN_DOCUMENTS
+            }
             times = {name: parameters[name] for name in TIME_PARAMETERS if name in parameters}
-            asked.raw = orjson.dumps({**document, "temporalQ": times})
-            asked.parameters = {name: parameters[name] for name in ("options", "offset", "limit")}
-        parts = await perform(asked)
+            narrowed.raw = orjson.dumps({**document, "temporalQ": times})
+            narrowed.parameters = {name: parameters[name] for name in ("options", "offset", "limit")}
+        parts = await perform(narrowed)
         return TemporalPart([without_context(one) for one in orjson.loads(parts.body)], edge_of(parts))
 
     return _all_pages(of_own, temporal_request)
@@ -149,8 +153,8 @@ def _as_entity(document: Evolution, temporal_request: TemporalRequest) -> Entity
     terms = temporal_request.context.terms
     attributes: dict[str, list[Instance]] = {}
     for name in document.keys() - temporal_merge.MEMBERS:
-        said = document[name]
-        for one in said if isinstance(said, list) else [said]:
+        instances = document[name]
+        for one in instances if isinstance(instances, list) else [instances]:
             if not isinstance(one, dict) or "deletedAt" in one:
                 continue
             given = {member: value for member, value in one.items() if member not in _NOT_SAID}
@@ -172,8 +176,8 @@ def _as_entity(document: Evolution, temporal_request: TemporalRequest) -> Entity
     )
 
 
-def _scopes(said: Any) -> Iterator[str]:
+def _scopes(value: Any) -> Iterator[str]:
     """Yield all scopes that the entity has had, from plain values or from instances."""
-    for one in said if isinstance(said, list) else [said]:
+    for one in value if isinstance(value, list) else [value]:
         parts = one.get("value") if isinstance(one, dict) else one
         yield from (each for each in (parts if isinstance(parts, list) else [parts]) if isinstance(each, str))

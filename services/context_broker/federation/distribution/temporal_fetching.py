@@ -74,8 +74,8 @@ class TemporalRequest:
 
     def for_values(self) -> dict[str, str]:
         """Return the parameters of a query for the plain values to aggregate."""
-        kept = {name: said for name, said in self.parameters.items() if name not in _FORMS}
-        return {**kept, "options": "sysAttrs"}
+        parameters = {name: value for name, value in self.parameters.items() if name not in _FORMS}
+        return {**parameters, "options": "sysAttrs"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,14 +108,14 @@ async def fetch_values(
         while parameters is not None:
             part = await ask(parameters)
             for document in part.documents:
-                said = temporal_merge.shown(document, temporal_request.view, temporal_request.context)
-                one = document["id"]
-                known[one] = (
+                value = temporal_merge.shown(document, temporal_request.view, temporal_request.context)
+                entity_id = document["id"]
+                known[entity_id] = (
                     temporal_merge.merge_evolutions(
-                        [(None, known[one]), (None, said)], temporal_request.context, None
+                        [(None, known[entity_id]), (None, value)], temporal_request.context, None
                     )
-                    if one in known
-                    else said
+                    if entity_id in known
+                    else value
                 )
             parts += 1
             parameters = None if part.edge is None else _after(parameters, part.edge, temporal_request.query)
@@ -126,15 +126,15 @@ async def fetch_values(
     return [one for some in await gather_all(*(read(*teller) for teller in readers)) for one in some]
 
 
-def _after(parameters: dict[str, str], edge: int, asked: TemporalQuery) -> dict[str, str] | None:
+def _after(parameters: dict[str, str], edge: int, query: TemporalQuery) -> dict[str, str] | None:
     """Return the parameters for what follows the edge; None if nothing does."""
-    if asked.last is not None or asked.time_property is None:
+    if query.last is not None or query.time_property is None:
         raise _too_many()
-    if asked.end is None:
+    if query.end is None:
         return {**parameters, "timerel": "after", "timeAt": written_time(edge)}
-    if edge + 1 >= asked.end:
+    if edge + 1 >= query.end:
         return None
-    between = {"timerel": "between", "timeAt": written_time(edge + 1), "endTimeAt": written_time(asked.end)}
+    between = {"timerel": "between", "timeAt": written_time(edge + 1), "endTimeAt": written_time(query.end)}
     return {**parameters, **between}
 
 
@@ -178,11 +178,11 @@ def own_fetcher(request: RequestContext, perform: Perform, ids: tuple[str, ...])
     hidden = {"aggrParams", *SHOWING}
 
     async def ask(parameters: Mapping[str, str]) -> TemporalPart:
-        given = {name: said for name, said in parameters.items() if name != "count"}
+        given = {name: value for name, value in parameters.items() if name != "count"}
         if request.method == "GET":
             wanted = derived(request, parameters={**given, **narrowed, "id": ",".join(ids)})
         else:
-            document = {name: said for name, said in request.document().items() if name not in hidden}
+            document = {name: value for name, value in request.document().items() if name not in hidden}
             selectors = document.get("entities") or [{}]
             document["entities"] = [{**one, "id": list(ids)} for one in selectors]
             times = {name: given[name] for name in TIME_PARAMETERS if name in given}
@@ -261,8 +261,8 @@ def temporal_parameters_of(
     names = match.attributes
     wanted = [] if names is None else [("attrs", ",".join(sorted(dialect.name(one) for one in names)))]
     return wanted + [
-        (name, said)
-        for name, said in parameters.items()
+        (name, value)
+        for name, value in parameters.items()
         if name not in _NOT_PASSED_ON and (same or name not in _NAMING)
     ]
 
@@ -301,15 +301,15 @@ def _documents(registration: Registration, response: HttpResponse, *, single: bo
 
 def without_context(document: Evolution) -> Evolution:
     """Return an evolution without its @context."""
-    return {name: said for name, said in document.items() if name != "@context"}
+    return {name: value for name, value in document.items() if name != "@context"}
 
 
 def _limited(document: Evolution, names: frozenset[str] | None, context: Context) -> Evolution:
     if names is None:
         return document
     return {
-        name: said
-        for name, said in document.items()
+        name: value
+        for name, value in document.items()
         if name in temporal_merge.MEMBERS or context.terms.expand(name) in names
     }
 

@@ -14,7 +14,7 @@ import orjson
 
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.model.context import Context
-from services.context_broker.model.entity import SAYS
+from services.context_broker.model.entity import VALUE_MEMBER
 from services.context_broker.model.problems import too_many_results
 from services.context_broker.model.validation import moment
 from services.context_broker.temporal.aggregation import periods, totals, written_totals
@@ -45,11 +45,11 @@ def merge_evolutions(given: Iterable[SourceEvolution], context: Context, last: i
     result: Evolution = {}
     for registration, document in ranked:
         gone = _claimed(proxied, registration, context)
-        for name, said in document.items():
+        for name, value in document.items():
             if name in MEMBERS:
-                result.setdefault(name, said)
+                result.setdefault(name, value)
             elif gone is not None and name not in gone:
-                result[name] = _joined(result[name], said) if name in result else said
+                result[name] = _joined(result[name], value) if name in result else value
     ends = [document.get("expiresAt") for _, document in ranked]
     if "expiresAt" in result:  # it expires with the last of its parts, if all of them expire (clause 4.5.5.3)
         result["expiresAt"] = max(ends, key=_seconds)
@@ -64,8 +64,8 @@ def merge_evolutions(given: Iterable[SourceEvolution], context: Context, last: i
 def shown(document: Evolution, view: TemporalView, context: Context) -> Evolution:
     """Return an evolution with the requested attributes only."""
     return {
-        name: said
-        for name, said in document.items()
+        name: value
+        for name, value in document.items()
         if name in MEMBERS or view.wants(context.terms.expand(name))
     }
 
@@ -78,7 +78,7 @@ def with_members(document: Evolution, query: TemporalQuery, view: TemporalView) 
         gone.add("deletedAt")
     if projection is not None:
         gone |= {name for name in MEMBERS - {"@context"} if not projection.wants(name)}
-    return {name: said for name, said in document.items() if name not in gone}
+    return {name: value for name, value in document.items() if name not in gone}
 
 
 def aggregated(document: Evolution, query: TemporalQuery) -> Evolution:
@@ -90,18 +90,18 @@ def aggregated(document: Evolution, query: TemporalQuery) -> Evolution:
     assert wanted is not None  # noqa: S101 - asked for with this form
     points: dict[str, dict[str | None, list[tuple[int, str, Any]]]] = {}
     for name in document.keys() - MEMBERS:
-        said = document[name]
-        for one in said if isinstance(said, list) else [said]:
-            kind = one.get("type") if isinstance(one, dict) else None
+        attribute = document[name]
+        for instance in attribute if isinstance(attribute, list) else [attribute]:
+            kind = instance.get("type") if isinstance(instance, dict) else None
             if (
                 isinstance(kind, str)
-                and kind in SAYS
-                and SAYS[kind] in one
-                and (at := query.time_of(one)) is not None
+                and kind in VALUE_MEMBER
+                and VALUE_MEMBER[kind] in instance
+                and (at := query.time_of(instance)) is not None
             ):
-                point = (at, kind, one[SAYS[kind]])
-                points.setdefault(name, {}).setdefault(one.get("datasetId"), []).append(point)
-    result = {name: said for name, said in document.items() if name in MEMBERS and name != "scope"}
+                point = (at, kind, instance[VALUE_MEMBER[kind]])
+                points.setdefault(name, {}).setdefault(instance.get("datasetId"), []).append(point)
+    result = {name: value for name, value in document.items() if name in MEMBERS and name != "scope"}
     times = [at for named in points.values() for series in named.values() for at, _, _ in series]
     if not times:
         return result
@@ -111,7 +111,7 @@ def aggregated(document: Evolution, query: TemporalQuery) -> Evolution:
         many = []
         for dataset, unsorted in points.get(name, {}).items():
             series = sorted(unsorted, key=lambda point: point[0])
-            found = periods([(at, said) for at, _, said in series], wanted.period, origin, until)
+            found = periods([(at, value) for at, _, value in series], wanted.period, origin, until)
             if len(found) > MAX_INSTANCES_PER_ATTRIBUTE:
                 raise too_many_results(
                     f"there are more than {MAX_INSTANCES_PER_ATTRIBUTE} periods of {name} of "
@@ -145,14 +145,14 @@ def kept_to(document: Evolution, edge: int, query: TemporalQuery) -> Evolution:
     """Return an evolution without what lies beyond the edge."""
     edge_s, latest = edge / MICROS, query.last is not None
 
-    def is_within(one: Any) -> bool:
-        return _time_of(one) >= edge_s if latest else _time_of(one) <= edge_s
+    def is_within(instance: Any) -> bool:
+        return _time_of(instance) >= edge_s if latest else _time_of(instance) <= edge_s
 
-    kept = {
-        name: said if name in MEMBERS else _each(said, lambda some: [one for one in some if is_within(one)])
-        for name, said in document.items()
+    members = {
+        name: value if name in MEMBERS else _each(value, lambda some: [one for one in some if is_within(one)])
+        for name, value in document.items()
     }
-    return {name: said for name, said in kept.items() if said != []}
+    return {name: value for name, value in members.items() if value != []}
 
 
 def content_range_of(documents: Iterable[Evolution], edge: int, query: TemporalQuery) -> bytes:
@@ -175,10 +175,10 @@ def _claimed(
 ) -> frozenset[str] | None:
     """Return the names of attributes that only proxied sources may have; None if they have all."""
     names: set[str] = set()
-    for one in proxied:
-        if registration is not None and registration.mode <= one.mode:
+    for source in proxied:
+        if registration is not None and registration.mode <= source.mode:
             continue
-        for piece in one.information:
+        for piece in source.information:
             if piece.attributes is None:
                 return None
             names |= {context.terms.compact(name) for name in piece.attributes}
@@ -189,9 +189,9 @@ def _joined(own: Any, other: Any) -> Any:
     """Return two series of one attribute merged; for one time the first series counts."""
     if _has_pairs(own) and _has_pairs(other):
         many = {_dataset_of(one): one for one in _listed(own)}
-        for one in _listed(other):
-            known = many.get(_dataset_of(one))
-            many[_dataset_of(one)] = one if known is None else _joined_pairs(known, one)
+        for instance in _listed(other):
+            known = many.get(_dataset_of(instance))
+            many[_dataset_of(instance)] = instance if known is None else _joined_pairs(known, instance)
         found = list(many.values())
         return found[0] if len(found) == 1 else found
     ours = _listed(own)
@@ -226,8 +226,8 @@ def _each(series: Any, narrow: Callable[[list[Any]], list[Any]]) -> Any:
         return narrow(series) if isinstance(series, list) else series
     many = [
         {
-            name: narrow(said) if name in _SERIES and isinstance(said, list) else said
-            for name, said in one.items()
+            name: narrow(value) if name in _SERIES and isinstance(value, list) else value
+            for name, value in one.items()
         }
         for one in _listed(series)
     ]
@@ -243,38 +243,38 @@ def _listed(series: Any) -> list[Any]:
     return series if isinstance(series, list) else [series]
 
 
-def _dataset_of(one: Any) -> str | None:
-    given = one.get("datasetId") if isinstance(one, dict) else None
+def _dataset_of(instance: Any) -> str | None:
+    given = instance.get("datasetId") if isinstance(instance, dict) else None
     return given if isinstance(given, str) else None
 
 
-def _slot_of(one: Any) -> Any:
+def _slot_of(instance: Any) -> Any:
     """Return the identity of an instance: its dataset and time, or all of its content if it has no time."""
-    if isinstance(one, dict) and isinstance(one.get("observedAt"), str):
-        return _dataset_of(one), _time_of(one)
-    without_context = one
-    if isinstance(one, dict):
-        without_context = {name: said for name, said in one.items() if name != "instanceId"}
-    return orjson.dumps(without_context, option=orjson.OPT_SORT_KEYS)
+    if isinstance(instance, dict) and isinstance(instance.get("observedAt"), str):
+        return _dataset_of(instance), _time_of(instance)
+    comparable = instance
+    if isinstance(instance, dict):
+        comparable = {name: value for name, value in instance.items() if name != "instanceId"}
+    return orjson.dumps(comparable, option=orjson.OPT_SORT_KEYS)
 
 
 def _times_of(document: Evolution) -> Iterator[float]:
     for name in document.keys() - MEMBERS:
-        for one in _listed(document[name]):
+        for instance in _listed(document[name]):
             some = (
-                [pair for member in _SERIES & one.keys() for pair in one[member]]
-                if _has_pairs(one)
-                else [one]
+                [pair for member in _SERIES & instance.keys() for pair in instance[member]]
+                if _has_pairs(instance)
+                else [instance]
             )
             yield from (at for at in map(_time_of, some) if at > float("-inf"))
 
 
-def _time_of(one: Any) -> float:
+def _time_of(instance: Any) -> float:
     """Return the time of an instance, or of a pair of value and time, in seconds since 1970."""
     text: Any = None
-    if isinstance(one, dict):
-        text = next((one[name] for name in _TIMES if name in one), None)
-    elif isinstance(one, list) and len(one) > 1:
-        text = one[1]
+    if isinstance(instance, dict):
+        text = next((instance[name] for name in _TIMES if name in instance), None)
+    elif isinstance(instance, list) and len(instance) > 1:
+        text = instance[1]
     at = moment(text) if isinstance(text, str) else None
     return float("-inf") if at is None else at

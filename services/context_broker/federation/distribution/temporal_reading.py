@@ -190,12 +190,12 @@ async def query_batch(sources: Sources, request: RequestContext, perform: Perfor
     document, context = await request.body()
     if not isinstance(document, dict):
         return await perform(request)
-    without_context = {
-        name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}
+    query_document = {
+        name: value for name, value in document.items() if name not in {"temporalQ", "aggrParams"}
     }
     flat = {**request.parameters, **temporal_parameters(document)}
     return await _query(
-        sources, request, perform, _Query(context, flat, list(selector_parameters(without_context, flat)))
+        sources, request, perform, _Query(context, flat, list(selector_parameters(query_document, flat)))
     )
 
 
@@ -352,7 +352,7 @@ async def _page_of(
     shape = {"id": ",".join(some or [_NO_ENTITY]), "limit": str(max(1, len(some)))}
 
     def without(parameters: Mapping[str, str]) -> dict[str, str]:
-        return {**{name: said for name, said in parameters.items() if name not in gone}, **shape}
+        return {**{name: value for name, value in parameters.items() if name not in gone}, **shape}
 
     target = _Query(given.context, without(given.parameters), [without(one) for one in given.selectors])
     result = await _query(sources, narrowed, perform, target)
@@ -371,10 +371,10 @@ _NO_ENTITY: Final = "urn:ngsi-ld:Entity:none"
 
 def _for_all_members(request: RequestContext, window: Mapping[str, str]) -> RequestContext:
     """Return the query without projections, which would hide members that the merge needs."""
-    kept = {name: said for name, said in request.parameters.items() if name not in SHOWING}
-    result = derived(request, parameters={**kept, **window})
+    parameters = {name: value for name, value in request.parameters.items() if name not in SHOWING}
+    result = derived(request, parameters={**parameters, **window})
     if request.method == "POST" and not set(SHOWING).isdisjoint(document := request.document()):
-        result.raw = orjson.dumps({name: said for name, said in document.items() if name not in SHOWING})
+        result.raw = orjson.dumps({name: value for name, value in document.items() if name not in SHOWING})
     return result
 
 

@@ -8,30 +8,30 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from services.context_broker.model import conformance
-from services.context_broker.model.entity import SAYS, Terms
+from services.context_broker.model.entity import VALUE_MEMBER, Terms
 from services.context_broker.model.negotiation import Version, version_of
 from services.context_broker.query.parameters import SINCE
 
 _NAMES_NOTHING: Final = frozenset(
     {"id", "@id", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt", "observedAt",
-     "unitCode", "datasetId", "instanceId", "valueType", "lang", *SAYS.values()}
+     "unitCode", "datasetId", "instanceId", "valueType", "lang", *VALUE_MEMBER.values()}
 )  # fmt: skip
 """Members with the same name in every @context, whose content is not translated."""
 _OF_TERMS: Final = frozenset({"type", "@type", "vocab", "objectType"})
 """Members whose content is a term or a list of terms."""
-_KINDS: Final = frozenset(SAYS)
+_KINDS: Final = frozenset(VALUE_MEMBER)
 
 
 def translated(document: Mapping[str, Any], before: Terms, after: Terms) -> dict[str, Any]:
     """Return an entity, a part of one or an attribute (normalized or concise) with translated names."""
     result: dict[str, Any] = {}
-    for name, said in document.items():
+    for name, value in document.items():
         if name in _OF_TERMS:
-            result[name] = _terms(said, before, after)
+            result[name] = _terms(value, before, after)
         elif name in _NAMES_NOTHING:
-            result[name] = said
+            result[name] = value
         else:
-            result[after.compact(before.expand(name))] = _attribute(said, before, after)
+            result[after.compact(before.expand(name))] = _attribute(value, before, after)
     return result
 
 
@@ -49,17 +49,17 @@ def older(document: Any, version: str) -> Any:
     if not _KEYS.isdisjoint(document):
         return conformance.conformed({**_ANYTHING, _PART: document}, at)[_PART]
     whole = conformance.conformed({**_ANYTHING, **document}, at)
-    return {name: said for name, said in whole.items() if name in document}
+    return {name: value for name, value in whole.items() if name in document}
 
 
 def _older_question(document: dict[str, Any], at: Version) -> dict[str, Any]:
     """Return a query or a subscription without later members: an older source would refuse all of it."""
-    kept = {name: said for name, said in document.items() if at >= _LATE_MEMBERS.get(name, at)}
+    members = {name: value for name, value in document.items() if at >= _LATE_MEMBERS.get(name, at)}
     notification = document.get("notification")
     if isinstance(notification, dict):
         late = {name for name, since in _LATE_IN_NOTIFICATION.items() if at < since}
-        kept["notification"] = {name: said for name, said in notification.items() if name not in late}
-    return kept
+        members["notification"] = {name: value for name, value in notification.items() if name not in late}
+    return members
 
 
 _LATE_MEMBERS: Final = SINCE | {"notificationTrigger": (1, 6), "jsonldContext": (1, 7)}
@@ -69,20 +69,20 @@ _ANYTHING: Final = {"id": "urn:ngsi-ld:Part:1", "type": "Part"}
 _PART: Final = "part"
 
 
-def _terms(said: Any, before: Terms, after: Terms) -> Any:
-    if isinstance(said, list):
-        return [_terms(one, before, after) for one in said]
-    if not isinstance(said, str) or said in _KINDS:
-        return said
-    return after.compact(before.expand(said))
+def _terms(value: Any, before: Terms, after: Terms) -> Any:
+    if isinstance(value, list):
+        return [_terms(one, before, after) for one in value]
+    if not isinstance(value, str) or value in _KINDS:
+        return value
+    return after.compact(before.expand(value))
 
 
-def _attribute(said: Any, before: Terms, after: Terms) -> Any:
-    if isinstance(said, list) and all(isinstance(one, dict) and one.get("type") in _KINDS for one in said):
-        return [_attribute(one, before, after) for one in said]
-    if isinstance(said, dict) and (said.get("type") in _KINDS or not _KEYS.isdisjoint(said)):
-        return translated(said, before, after)
-    return said
+def _attribute(value: Any, before: Terms, after: Terms) -> Any:
+    if isinstance(value, list) and all(isinstance(one, dict) and one.get("type") in _KINDS for one in value):
+        return [_attribute(one, before, after) for one in value]
+    if isinstance(value, dict) and (value.get("type") in _KINDS or not _KEYS.isdisjoint(value)):
+        return translated(value, before, after)
+    return value
 
 
-_KEYS: Final = frozenset(SAYS.values())
+_KEYS: Final = frozenset(VALUE_MEMBER.values())

@@ -70,16 +70,16 @@ def route_write(
     remaining, is_elsewhere, others = instances or frozenset(), False, list[WriteRoute]()
     for mode in (Mode.EXCLUSIVE, Mode.REDIRECT, Mode.INCLUSIVE):
         taken: set[tuple[str, str | None]] = set()
-        for one, theirs, operation in found:
-            if one.mode is not mode or (operation is None and not mode.is_proxied):
+        for source, theirs, operation in found:
+            if source.mode is not mode or (operation is None and not mode.is_proxied):
                 continue
-            part = instances_of_source(one, remaining, theirs)
+            part = instances_of_source(source, remaining, theirs)
             if instances is not None and not part and (instances or theirs is not None):
                 continue
-            others.append(WriteRoute(one, part, operation))
+            others.append(WriteRoute(source, part, operation))
             if mode.is_proxied:
-                taken |= {each for each in part if each[1] != ANY or one.datasets is None}
-                is_elsewhere = is_elsewhere or (theirs is None and one.datasets is None)
+                taken |= {each for each in part if each[1] != ANY or source.datasets is None}
+                is_elsewhere = is_elsewhere or (theirs is None and source.datasets is None)
         remaining -= taken
     if instances is None:
         return WriteRouting(tuple(others), frozenset())
@@ -93,14 +93,14 @@ def _matching_sources(
 ) -> Iterable[tuple[Registration, Names | None, str | None]]:
     """Return the matching sources with their attributes (None: all) and the operation that they take."""
     found = []
-    for one in sources.registry.matching_any((target,), where):
-        if one.mode is Mode.AUXILIARY or sources.has_visited(one):
+    for match in sources.registry.matching_any((target,), where):
+        if match.mode is Mode.AUXILIARY or sources.has_visited(match):
             continue
         names: set[str] | None = set()
-        for part in one.parts(target):
+        for part in match.parts(target):
             names = None if names is None or part.attributes is None else names | part.attributes
-        operation = next((name for name in operations if one.takes(name)), None)
-        if operation is None and (one.is_temporal or not TEMPORAL.isdisjoint(operations)):
+        operation = next((name for name in operations if match.takes(name)), None)
+        if operation is None and (match.is_temporal or not TEMPORAL.isdisjoint(operations)):
             continue  # a registration for current data does not claim temporal data, nor the other way round
-        found.append((one, None if names is None else frozenset(names), operation))
+        found.append((match, None if names is None else frozenset(names), operation))
     return found

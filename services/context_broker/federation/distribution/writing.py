@@ -74,10 +74,10 @@ async def create(sources: Sources, request: RequestContext, perform: Perform) ->
     if not routing.others:
         return await perform(request)
     location = f"{PREFIX}{root}entities/{quote(entity_id, safe=':')}".encode()
-    made = Response(201, b"", [(b"location", location)])
+    response = Response(201, b"", [(b"location", location)])
     path = f"{root}entities"
     change = DistributedWrite(sources, request, perform, context, document, names, operation, path)
-    return await change.entity_answer(entity_id, routing, made)
+    return await change.entity_answer(entity_id, routing, response)
 
 
 async def change_entity(sources: Sources, request: RequestContext, perform: Perform) -> Response:

@@ -129,20 +129,20 @@ class EntityMaps:
                 f"{len(entities)} entities answer the query, a map has {MAX_ENTITIES} at most; ask for fewer"
             )
         expires_s = time.time() + lifetime_s(lifetime)
-        made = EntityMap(
+        created = EntityMap(
             f"urn:ngsi-ld:EntityMap:{uuid4()}",
             entities,
             timestamp(datetime.fromtimestamp(expires_s, UTC)),
             linked,
             query,
         )
-        entries = self._entries(made)
+        entries = self._entries(created)
         for gone in self._in_excess_of(len(entities)):
             self._all.pop(gone, None)
             entries.documents[DocumentKind.ENTITY_MAP, self._tenant, gone] = None
         await self._commits.store(entries)
-        self._all[made.id] = made
-        return made
+        self._all[created.id] = created
+        return created
 
     async def update(self, map_id: str, document: Any) -> None:
         """Change the expiry of a map, its only mutable member (clauses 5.14.2 and 5.5.14)."""
@@ -173,8 +173,10 @@ class EntityMaps:
         await self._commits.store(Entries(documents={(DocumentKind.ENTITY_MAP, self._tenant, map_id): None}))
         self._all.pop(map_id, None)
 
-    def _entries(self, one: EntityMap) -> Entries:
-        return Entries(documents={(DocumentKind.ENTITY_MAP, self._tenant, one.id): one.stored()})
+    def _entries(self, entity_map: EntityMap) -> Entries:
+        return Entries(
+            documents={(DocumentKind.ENTITY_MAP, self._tenant, entity_map.id): entity_map.stored()}
+        )
 
     def _in_excess_of(self, more: int) -> list[str]:
         """Return the maps to delete: expired ones, and those that expire next if there are too many."""
@@ -182,11 +184,11 @@ class EntityMaps:
         ordered = sorted(self._all.values(), key=lambda one: one.expires_at)
         held = more + sum(1 + len(one.entities) for one in ordered)
         gone: list[str] = []
-        for one in ordered:
-            if not one.has_expired_at(now_s) and held <= MAX_TOTAL_ENTITIES:
+        for entity_map in ordered:
+            if not entity_map.has_expired_at(now_s) and held <= MAX_TOTAL_ENTITIES:
                 break
-            held -= 1 + len(one.entities)
-            gone.append(one.id)
+            held -= 1 + len(entity_map.entities)
+            gone.append(entity_map.id)
         return gone
 
 

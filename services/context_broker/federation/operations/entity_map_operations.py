@@ -47,13 +47,13 @@ class EntityMapOperations:
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
-        one, all_of_them, temporal = "entityMaps/{id}", "entityMaps", "temporal/entityMaps"
+        one_map, all_of_them, temporal = "entityMaps/{id}", "entityMaps", "temporal/entityMaps"
         asking = QUERY_PARAMETERS | MAP_PARAMETERS
         name, past = "createEntityMapQueryEntity", "createEntityMapQueryTemporal"
         return (
-            Operation("GET", one, "retrieveEntityMap", "6.32.3.1", self.retrieve, _LOCAL),
-            Operation("PATCH", one, "updateEntityMap", "6.32.3.2", self.update, _LOCAL),
-            Operation("DELETE", one, "deleteEntityMap", "6.32.3.3", self.delete, _LOCAL),
+            Operation("GET", one_map, "retrieveEntityMap", "6.32.3.1", self.retrieve, _LOCAL),
+            Operation("PATCH", one_map, "updateEntityMap", "6.32.3.2", self.update, _LOCAL),
+            Operation("DELETE", one_map, "deleteEntityMap", "6.32.3.3", self.delete, _LOCAL),
             Operation("GET", all_of_them, name, "6.34.3.1", self.create, asking),
             Operation("POST", all_of_them, name, "6.34.3.2", self.create, asking),
             Operation("GET", temporal, past, "6.35.3.1", self.create_temporal, QUERYING | MAP_PARAMETERS),
@@ -130,34 +130,38 @@ class EntityMapOperations:
         parameters = for_the_query(request.parameters)
         if "entityMapLifetime" in request.parameters:
             parameters["entityMapLifetime"] = request.parameters["entityMapLifetime"]
-        made = await self._perform(making, _plainly(request, parameters))
-        if made.status >= 300:
-            return made
-        map_id = orjson.loads(made.body)["id"]
+        created = await self._perform(making, _plainly(request, parameters))
+        if created.status >= 300:
+            return created
+        map_id = orjson.loads(created.body)["id"]
         result = await self._page(request, federated(request.tenant).entity_maps.get(map_id), perform)
-        result.headers += [one for one in made.headers if one[0] == b"ngsild-warning"]
+        result.headers += [one for one in created.headers if one[0] == b"ngsild-warning"]
         return Response(201 if result.status == 200 else result.status, result.body, result.headers)
 
-    async def _entity(self, request: RequestContext, one: EntityMap | None, perform: Perform) -> Response:
+    async def _entity(
+        self, request: RequestContext, entity_map: EntityMap | None, perform: Perform
+    ) -> Response:
         """Answer with one entity from the sources in the map; without a map, create one with its sources."""
         listed = Listed()
         parameters = for_the_query(request.parameters)
-        asking = with_map(request, entity_map=one, listed=listed, parameters=parameters)
+        asking = with_map(request, entity_map=entity_map, listed=listed, parameters=parameters)
         result = await perform(asking)
         if result.status >= 300:
             return result
-        if one is None:
+        if entity_map is None:
             entities = listed.entities or {request.names[0]: [OWN]}
-            one = await self._made(request, entities, listed)
-        return Response(result.status, result.body, [*result.headers, _location(one)])
+            entity_map = await self._create(request, entities, listed)
+        return Response(result.status, result.body, [*result.headers, _location(entity_map)])
 
     @staticmethod
-    async def _page(request: RequestContext, one: EntityMap, perform: Perform) -> Response:
-        result = await map_page(request, one, perform)
-        return Response(result.status, result.body, [*result.headers, _location(one)])
+    async def _page(request: RequestContext, entity_map: EntityMap, perform: Perform) -> Response:
+        result = await map_page(request, entity_map, perform)
+        return Response(result.status, result.body, [*result.headers, _location(entity_map)])
 
     @staticmethod
-    async def _made(request: RequestContext, entities: dict[str, list[str]], elsewhere: Listed) -> EntityMap:
+    async def _create(
+        request: RequestContext, entities: dict[str, list[str]], elsewhere: Listed
+    ) -> EntityMap:
         lifetime = request.parameter("entityMapLifetime")
         try:
             query = query_mark(request)
@@ -173,13 +177,13 @@ class EntityMapOperations:
         for one, registrations in elsewhere.entities.items():
             known = entities.setdefault(one, [])
             known += [registration for registration in registrations if registration not in known]
-        return await _map_response(request, await self._made(request, entities, elsewhere), 201)
+        return await _map_response(request, await self._create(request, entities, elsewhere), 201)
 
 
-async def _map_response(request: RequestContext, one: EntityMap, status: int) -> Response:
+async def _map_response(request: RequestContext, entity_map: EntityMap, status: int) -> Response:
     media_type, context = request.accept(), await request.reader_context()
-    result = document_response(in_media_type(one.document(), media_type, context), media_type, context)
-    return Response(status, result.body, [*result.headers, _location(one)])
+    result = document_response(in_media_type(entity_map.document(), media_type, context), media_type, context)
+    return Response(status, result.body, [*result.headers, _location(entity_map)])
 
 
 def _named(request: RequestContext) -> EntityMap | None:
@@ -191,8 +195,8 @@ def _named(request: RequestContext) -> EntityMap | None:
     return federated(request.tenant).entity_maps.find(map_id)
 
 
-def _location(one: EntityMap) -> tuple[bytes, bytes]:
-    return MAP_HEADER, f"{PREFIX}entityMaps/{quote(one.id, safe=':')}".encode()
+def _location(entity_map: EntityMap) -> tuple[bytes, bytes]:
+    return MAP_HEADER, f"{PREFIX}entityMaps/{quote(entity_map.id, safe=':')}".encode()
 
 
 def _origins(store: Store, entity_id: str) -> list[str]:

@@ -62,23 +62,23 @@ _NO_ENTITY: Final = "urn:ngsi-ld:EntityMap:none"
 """Requested for an empty page, so that its response has the requested representation."""
 
 
-async def map_page(request: RequestContext, one: EntityMap, perform: Perform) -> Response:
+async def map_page(request: RequestContext, entity_map: EntityMap, perform: Perform) -> Response:
     """Return the requested page of a map; remove from the map what no longer matches."""
-    page = _Page(derived(request, parameters=for_the_query(request.parameters)), one, perform)
+    page = _Page(derived(request, parameters=for_the_query(request.parameters)), entity_map, perform)
     return await page.answer()
 
 
 class _Page:
     """One page: `_ids` are the candidates, `_gone` those that no longer match."""
 
-    def __init__(self, wanted: RequestContext, one: EntityMap, perform: Perform) -> None:
+    def __init__(self, wanted: RequestContext, entity_map: EntityMap, perform: Perform) -> None:
         self._wanted = wanted
-        self._map = one
+        self._map = entity_map
         self._perform = perform
         self._is_temporal = "/temporal/" in wanted.path
         self._window: Window = (temporal_window if self._is_temporal else window_of)(wanted)
         given = _ids_in(wanted)
-        self._ids = [entity for entity in one.entities if given is None or entity in given]
+        self._ids = [entity for entity in entity_map.entities if given is None or entity in given]
         self._gone: set[str] = set()
 
     async def answer(self) -> Response:
@@ -184,8 +184,8 @@ def query_mark(request: RequestContext) -> str:
     """Return a digest of the query in a request: its filters and its names."""
     parameters = sorted(_without(request.parameters, _UNMARKED).items())
     document = None if request.method == "GET" else _unshaped(request.document())
-    said = [parameters, document, request.headers.get(b"link", b"").decode("latin-1")]
-    text = orjson.dumps(said, option=orjson.OPT_SORT_KEYS)
+    parts = [parameters, document, request.headers.get(b"link", b"").decode("latin-1")]
+    text = orjson.dumps(parts, option=orjson.OPT_SORT_KEYS)
     return hashlib.blake2b(text, digest_size=8).hexdigest()
 
 
@@ -222,7 +222,7 @@ def _ids_in(request: RequestContext) -> set[str] | None:
 
 def _is_warned(answer: Response) -> bool:
     """Return whether a source failed; code 110 only warns of a cached response."""
-    return any(name == b"ngsild-warning" and not said.startswith(b"110") for name, said in answer.headers)
+    return any(name == b"ngsild-warning" and not value.startswith(b"110") for name, value in answer.headers)
 
 
 def _count_in(answer: Response) -> int:

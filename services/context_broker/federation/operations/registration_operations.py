@@ -72,25 +72,25 @@ class RegistrationOperations:
             Operation("DELETE", one, "deleteCSR", "6.9.3.3", self.delete),
         )
 
-    async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
+    async def restore(self, tenant: Tenant, stored: Iterable[tuple[bytes, bytes | None]]) -> None:
         """Load the stored registrations with their counts, in the order of their creation."""
-        documents = [(orjson.loads(body), counts) for body, counts in kept]
+        documents = [(orjson.loads(body), counts) for body, counts in stored]
         for document, counts in sorted(documents, key=lambda one: str(one[0].get("createdAt"))):
-            made = registration(document, await self._contexts.as_before(document["context"]))
-            federated(tenant).registry.load(made)
+            restored = registration(document, await self._contexts.as_before(document["context"]))
+            federated(tenant).registry.load(restored)
             if counts is not None:
-                federated(tenant).registry.restore_attempts(made.id, counts)
-            self._schedule_expiry(tenant, made)
+                federated(tenant).registry.restore_attempts(restored.id, counts)
+            self._schedule_expiry(tenant, restored)
 
     async def renew(self, tenant: Tenant, context_id: str) -> None:
         """Recompute the registrations of a changed @context."""
         async with self._lock:
-            for one in list(federated(tenant).registry):
-                if one.context.is_made_of(context_id):
-                    context = await self._contexts.as_before(one.document["context"])
-                    made = registration(one.document, context).with_attempts_of(one)
-                    federated(tenant).registry.put(made)
-                    self._schedule_expiry(tenant, made)
+            for before in list(federated(tenant).registry):
+                if before.context.is_made_of(context_id):
+                    context = await self._contexts.as_before(before.document["context"])
+                    renewed = registration(before.document, context).with_attempts_of(before)
+                    federated(tenant).registry.put(renewed)
+                    self._schedule_expiry(tenant, renewed)
 
     async def create(self, request: RequestContext) -> Response:
         """POST csourceRegistrations."""
@@ -98,7 +98,7 @@ class RegistrationOperations:
         document = kept_document(given, context)
         named = document.get("id") or f"urn:ngsi-ld:ContextSourceRegistration:{uuid4()}"
         at = timestamp_now()
-        made = registration(
+        created = registration(
             {
                 **{name: value for name, value in document.items() if value is not None},
                 "id": require_uri(named, "the registration id"),
@@ -108,16 +108,16 @@ class RegistrationOperations:
             },
             context,
         )
-        refuse_past(made.document)
-        await _require_open(request.tenant, made)
+        refuse_past(created.document)
+        await _require_open(request.tenant, created)
         async with self._lock:
-            if federated(request.tenant).registry.get(made.id) is not None:
+            if federated(request.tenant).registry.get(created.id) is not None:
                 raise already_exists(
-                    f"there is a registration {made.id} already; update it, or choose another id"
+                    f"there is a registration {created.id} already; update it, or choose another id"
                 )
-            _refuse_conflicts(request.tenant, made)
-            await self._keep(request.tenant, None, made)
-        location = f"{PREFIX}csourceRegistrations/{quote(made.id, safe=':')}".encode()
+            _refuse_conflicts(request.tenant, created)
+            await self._keep(request.tenant, None, created)
+        location = f"{PREFIX}csourceRegistrations/{quote(created.id, safe=':')}".encode()
         return Response(201, b"", [(b"location", location)])
 
     async def update(self, request: RequestContext) -> Response:
@@ -127,14 +127,14 @@ class RegistrationOperations:
         async with self._lock:
             before = _existing(request)
             document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
-            made = registration(document, before.context).with_attempts_of(before)
+            updated = registration(document, before.context).with_attempts_of(before)
             if "expiresAt" in change:
                 refuse_past(document)
             if "endpoint" in change:
-                await _require_open(request.tenant, made)
+                await _require_open(request.tenant, updated)
             if {"mode", "information"} & change.keys():
-                _refuse_conflicts(request.tenant, made)
-            await self._keep(request.tenant, before, made)
+                _refuse_conflicts(request.tenant, updated)
+            await self._keep(request.tenant, before, updated)
         return DONE
 
     async def delete(self, request: RequestContext) -> Response:
@@ -175,35 +175,35 @@ class RegistrationOperations:
         result.headers += page_links(request, window, media_type, more=more)
         return result
 
-    async def _keep(self, tenant: Tenant, before: Registration | None, made: Registration) -> None:
-        key = (DocumentKind.REGISTRATION, tenant.name, made.id)
-        pending = notices_of_change(federated(tenant).source_notifier, before, made)
-        await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}, pending=pending))
-        federated(tenant).registry.put(made)
+    async def _keep(self, tenant: Tenant, before: Registration | None, after: Registration) -> None:
+        key = (DocumentKind.REGISTRATION, tenant.name, after.id)
+        pending = notices_of_change(federated(tenant).source_notifier, before, after)
+        await _write(tenant, Entries(documents={key: orjson.dumps(after.document)}, pending=pending))
+        federated(tenant).registry.put(after)
         federated(tenant).source_notifier.deliver(pending)
-        self._schedule_expiry(tenant, made)
+        self._schedule_expiry(tenant, after)
 
-    def _schedule_expiry(self, tenant: Tenant, made: Registration) -> None:
+    def _schedule_expiry(self, tenant: Tenant, stored: Registration) -> None:
         """Delete a registration when it expires, unless it was changed meanwhile."""
-        left_s = made.expires_at_s - time.time()
+        left_s = stored.expires_at_s - time.time()
         if left_s == float("inf"):
             return
         loop = asyncio.get_running_loop()
         if left_s > 0:
-            loop.call_later(min(left_s, MAX_TIMER_S), self._schedule_expiry, tenant, made)
-        elif federated(tenant).registry.holds(made):
-            gone = _deletion_of(tenant, made)
+            loop.call_later(min(left_s, MAX_TIMER_S), self._schedule_expiry, tenant, stored)
+        elif federated(tenant).registry.holds(stored):
+            gone = _deletion_of(tenant, stored)
 
             def taken_away() -> None:
-                federated(tenant).registry.remove_if_held(made)
+                federated(tenant).registry.remove_if_held(stored)
                 federated(tenant).source_notifier.deliver(gone.pending)
 
             tenant.commits.submit(gone, taken_away, lambda _: None)
 
 
-async def _require_open(tenant: Tenant, made: Registration) -> None:
+async def _require_open(tenant: Tenant, candidate: Registration) -> None:
     """Raise a problem (400) if the outbound policy refuses the address of the source."""
-    host = urlsplit(made.endpoint).hostname or ""
+    host = urlsplit(candidate.endpoint).hostname or ""
     await tenant.notifier.outbound.policy.require_allowed(host, '"endpoint"')
 
 
@@ -215,35 +215,35 @@ def _existing(request: RequestContext) -> Registration:
     return found
 
 
-def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
+def _refuse_conflicts(tenant: Tenant, candidate: Registration) -> None:
     """Raise a problem (409) if a proxied registration would hide existing data (clauses 4.3.6.3, 5.9.2.4)."""
-    other = federated(tenant).registry.conflicting_with(made)
+    other = federated(tenant).registry.conflicting_with(candidate)
     if other is not None:
         raise conflict(
             f"registration {other.id} ({other.mode.name.lower()}) has some of these entities and attributes; "
             "an exclusive source shares them with no other: delete it, or choose others"
         )
-    if not made.mode.is_proxied:
+    if not candidate.mode.is_proxied:
         return
-    for piece in made.information:
+    for piece in candidate.information:
         ids = [one.id for one in piece.entities if one.id is not None]
         types = {kind for one in piece.entities for kind in one.types}
         has_groups = not piece.entities or len(ids) < len(piece.entities)
         for entity in tenant.store.candidates(
             None if has_groups else ids, of_types(types) if types else None
         ):
-            if claims(made, entity):
-                has = "entity" if made.mode is Mode.REDIRECT else "one of these attributes of entity"
+            if claims(candidate, entity):
+                has = "entity" if candidate.mode is Mode.REDIRECT else "one of these attributes of entity"
                 raise conflict(
                     f"the broker has the {has} {entity.id} itself, which a source in mode "
-                    f"{made.mode.name.lower()} would hide; delete it here first, or choose another mode"
+                    f"{candidate.mode.name.lower()} would hide; delete it here first, or choose another mode"
                 )
 
 
-def _deletion_of(tenant: Tenant, one: Registration) -> Entries:
-    registered = (DocumentKind.REGISTRATION, tenant.name, one.id)
-    attempts = (DocumentKind.ATTEMPTS, tenant.name, one.id)
-    pending = notices_of_change(federated(tenant).source_notifier, one, None)
+def _deletion_of(tenant: Tenant, deleted: Registration) -> Entries:
+    registered = (DocumentKind.REGISTRATION, tenant.name, deleted.id)
+    attempts = (DocumentKind.ATTEMPTS, tenant.name, deleted.id)
+    pending = notices_of_change(federated(tenant).source_notifier, deleted, None)
     return Entries(documents={registered: None, attempts: None}, pending=pending)
 
 

@@ -38,11 +38,11 @@ class SourceSubscriptionOperations(SubscriptionOperations):
         """Return the dispatcher of a tenant's subscriptions to registrations."""
         return federated(tenant).source_notifier
 
-    async def keep(self, tenant: Tenant, made: Subscription) -> None:
+    async def keep(self, tenant: Tenant, subscription: Subscription) -> None:
         """Store a subscription together with the notification of all matching registrations."""
         dispatcher = self.dispatcher(tenant)
-        entries = self.entries_of(tenant, made)
-        entries.pending = notices_of_all(dispatcher, federated(tenant).registry, made)
+        entries = self.entries_of(tenant, subscription)
+        entries.pending = notices_of_all(dispatcher, federated(tenant).registry, subscription)
         await self.write(tenant, entries)
-        dispatcher.put(made)
+        dispatcher.put(subscription)
         dispatcher.deliver(entries.pending)

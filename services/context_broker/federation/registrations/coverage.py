@@ -29,9 +29,9 @@ class TimeRange:
     span: Interval
     is_managed: bool
 
-    def meets(self, one: Registration) -> bool:
+    def meets(self, registration: Registration) -> bool:
         """Return whether the source has data of this time."""
-        has = one.managed if self.is_managed else one.observed
+        has = registration.managed if self.is_managed else registration.observed
         return has is not None and has[0] <= self.span[1] and has[1] >= self.span[0]
 
 
@@ -49,13 +49,21 @@ class CoverageQuery:
         """Return whether every source may have matching data."""
         return self.place is None and self.scope is None and self.period is None and self.datasets is None
 
-    def may_match(self, one: Registration) -> bool:
+    def may_match(self, registration: Registration) -> bool:
         """Return whether the source of a registration may have matching data."""
         return (
-            (self.period is None or not one.is_temporal or self.period.meets(one))
-            and (self.datasets is None or one.datasets is None or not self.datasets.isdisjoint(one.datasets))
-            and (self.scope is None or not one.scopes or _may_be_in_scopes(self.scope, one.scopes))
-            and (self.place is None or _may_be_there(self.place, one) is not False)
+            (self.period is None or not registration.is_temporal or self.period.meets(registration))
+            and (
+                self.datasets is None
+                or registration.datasets is None
+                or not self.datasets.isdisjoint(registration.datasets)
+            )
+            and (
+                self.scope is None
+                or not registration.scopes
+                or _may_be_in_scopes(self.scope, registration.scopes)
+            )
+            and (self.place is None or _may_be_there(self.place, registration) is not False)
         )
 
 
@@ -76,9 +84,9 @@ def period_of(given: Mapping[str, Any]) -> TimeRange | None:
     raise bad_request_data(f"timerel is before, after or between, not {shown(relation)}")
 
 
-def has_matching_place(query: GeoQuery, one: Registration) -> bool:
+def has_matching_place(query: GeoQuery, registration: Registration) -> bool:
     """Return whether a source has registered locations and one of them may match (clause 5.10.2.4)."""
-    return bool(_may_be_there(query, one))
+    return bool(_may_be_there(query, registration))
 
 
 def placement_filter(document: Mapping[str, Any]) -> SourceFilter | None:
@@ -91,29 +99,29 @@ def placement_filter(document: Mapping[str, Any]) -> SourceFilter | None:
     return lambda one: _may_contain(one, places, scopes)
 
 
-def may_hold(one: Registration, entity: Entity) -> bool:
+def may_hold(registration: Registration, entity: Entity) -> bool:
     """Return whether the source of a registration may hold an entity with its locations and scopes."""
-    if not one.places and not one.scopes:
+    if not registration.places and not registration.scopes:
         return True
     places = {
         name: found
-        for name in one.places
-        if (found := _places_in(entity.attributes.get(expand(name, one.context.terms))))
+        for name in registration.places
+        if (found := _places_in(entity.attributes.get(expand(name, registration.context.terms))))
     }
-    return _may_contain(one, places, entity.scopes)
+    return _may_contain(registration, places, entity.scopes)
 
 
 def _may_contain(
-    one: Registration, places: Mapping[str, list[Mapping[str, Any]]], scopes: Iterable[str]
+    registration: Registration, places: Mapping[str, list[Mapping[str, Any]]], scopes: Iterable[str]
 ) -> bool:
     """Return whether a source may hold what has these locations and scopes; without any it may be
     anywhere."""
     named = list(scopes)
-    if named and one.scopes and not any(_is_in(scope, one.scopes) for scope in named):
+    if named and registration.scopes and not any(_is_in(scope, registration.scopes) for scope in named):
         return False
     return all(
         any(_touch(area, place) for place in places[name])
-        for name, area in one.places.items()
+        for name, area in registration.places.items()
         if name in places
     )
 
@@ -121,11 +129,11 @@ def _may_contain(
 _PLACES: Final = ("location", "observationSpace", "operationSpace")
 
 
-def _may_be_there(query: GeoQuery, one: Registration) -> bool | None:
+def _may_be_there(query: GeoQuery, registration: Registration) -> bool | None:
     """Return whether a registered location may match; None if the registration has no such locations."""
     areas = [
         instance["value"]
-        for instance in one.described.attributes.get(query.attribute, ())
+        for instance in registration.described.attributes.get(query.attribute, ())
         if instance["type"] == "GeoProperty"
     ]
     return any(_may_be_in(query, area) for area in areas) if areas else None
@@ -148,10 +156,10 @@ def _touch(area: Geometry, place: Geometry) -> bool:
     return GeoQuery("", "intersects", area, box=box_of(area)).fits(place)
 
 
-def _places_in(said: Any) -> list[Geometry]:
-    if isinstance(said, list):
-        return [place for one in said for place in _places_in(one)]
-    geometry = said.get("value", said) if isinstance(said, Mapping) else None
+def _places_in(value: Any) -> list[Geometry]:
+    if isinstance(value, list):
+        return [place for one in value for place in _places_in(one)]
+    geometry = value.get("value", value) if isinstance(value, Mapping) else None
     return [geometry] if isinstance(geometry, dict) and fault_of(geometry) is None else []
 
 

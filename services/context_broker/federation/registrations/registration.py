@@ -315,14 +315,14 @@ def root_of(endpoint: str) -> str:
 
 
 def shown_document(
-    one: Registration, context: Context, *, sys_attrs: bool, pieces: list[int] | None = None
+    registration: Registration, context: Context, *, sys_attrs: bool, pieces: list[int] | None = None
 ) -> dict[str, Any]:
     """Return a registration as a document in the reader's names, with its counts.
 
     `pieces` (indexes into its information) limits it to what matched a query; None shows all.
     """
     compact = context.terms.compact
-    document: dict[str, Any] = {"id": one.id, "type": TYPE, **one.document}
+    document: dict[str, Any] = {"id": registration.id, "type": TYPE, **registration.document}
     document.pop("context", None)
     properties = document.pop(PROPERTIES, {})
     if not sys_attrs:
@@ -331,17 +331,17 @@ def shown_document(
     shown = document["information"] if pieces is None else [document["information"][at] for at in pieces]
     document["information"] = [_shown_information(piece, compact) for piece in shown]
     document.setdefault("mode", "inclusive")
-    is_for_gaps = one.mode is Mode.AUXILIARY
+    is_for_gaps = registration.mode is Mode.AUXILIARY
     document.setdefault("operations", ["retrieveOps" if is_for_gaps else DEFAULT_GROUP])
-    document.update(one.attempts.members())
+    document.update(registration.attempts.members())
     for name, value in properties.items():
         document[compact(name)] = value
     return document
 
 
-def _shown_information(kept: Mapping[str, Any], compact: Callable[[str], str]) -> dict[str, Any]:
+def _shown_information(stored: Mapping[str, Any], compact: Callable[[str], str]) -> dict[str, Any]:
     piece: dict[str, Any] = {}
-    for name, value in kept.items():
+    for name, value in stored.items():
         if name == "entities":
             piece[name] = [_shown_entity_info(one, compact) for one in value]
         else:
@@ -349,6 +349,6 @@ def _shown_information(kept: Mapping[str, Any], compact: Callable[[str], str]) -
     return piece
 
 
-def _shown_entity_info(kept: Mapping[str, Any], compact: Callable[[str], str]) -> dict[str, Any]:
-    kinds = kept["type"]
-    return {**kept, "type": [compact(one) for one in kinds] if isinstance(kinds, list) else compact(kinds)}
+def _shown_entity_info(stored: Mapping[str, Any], compact: Callable[[str], str]) -> dict[str, Any]:
+    kinds = stored["type"]
+    return {**stored, "type": [compact(one) for one in kinds] if isinstance(kinds, list) else compact(kinds)}

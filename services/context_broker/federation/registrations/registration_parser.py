@@ -145,14 +145,14 @@ def _kept_piece(given: Any, context: Context) -> dict[str, Any]:
         raise bad_request_data(
             f"a piece of information has entities, propertyNames or relationshipNames, not {shown(given)}"
         )
-    kept = {
+    piece = {
         name: [expand(require_name(one, f"a name in {name}"), context.terms) for one in _list(given, name)]
         for name in _ATTRIBUTE_LISTS
         if name in given
     }
     if "entities" in given:
-        kept["entities"] = [_kept_entity_info(one, context) for one in _list(given, "entities")]
-    return kept
+        piece["entities"] = [_kept_entity_info(one, context) for one in _list(given, "entities")]
+    return piece
 
 
 def _list(given: Mapping[str, Any], name: str) -> list[Any]:
@@ -173,26 +173,26 @@ def _kept_entity_info(given: Any, context: Context) -> Any:
     types = [expand(require_name(one, "a type in entities"), context.terms) for one in kinds]
     if not types:
         raise bad_request_data("the list of types in entities is empty; name at least one")
-    kept = {**given, "type": types[0] if len(types) == 1 else types}
-    if "id" in kept:
-        require_uri(kept["id"], "an id in entities")
-    return kept
+    info = {**given, "type": types[0] if len(types) == 1 else types}
+    if "id" in info:
+        require_uri(info["id"], "an id in entities")
+    return info
 
 
-def _information(kept: Mapping[str, Any]) -> Information:
-    attributes = [name for one in _ATTRIBUTE_LISTS for name in kept.get(one, ())]
+def _information(stored: Mapping[str, Any]) -> Information:
+    attributes = [name for one in _ATTRIBUTE_LISTS for name in stored.get(one, ())]
     return Information(
-        tuple(_entity_info(one) for one in kept.get("entities", ())), frozenset(attributes) or None
+        tuple(_entity_info(one) for one in stored.get("entities", ())), frozenset(attributes) or None
     )
 
 
-def _entity_info(kept: Mapping[str, Any]) -> EntityInfo:
-    wanted = kept.get("idPattern")
+def _entity_info(stored: Mapping[str, Any]) -> EntityInfo:
+    wanted = stored.get("idPattern")
     if wanted is not None and not isinstance(wanted, str):
         raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
-    types = kept["type"] if isinstance(kept["type"], list) else [kept["type"]]
-    id_pattern = None if wanted is None or "id" in kept else pattern(wanted)  # the id takes precedence
-    return EntityInfo(frozenset(types), kept.get("id"), id_pattern)
+    types = stored["type"] if isinstance(stored["type"], list) else [stored["type"]]
+    id_pattern = None if wanted is None or "id" in stored else pattern(wanted)  # the id takes precedence
+    return EntityInfo(frozenset(types), stored.get("id"), id_pattern)
 
 
 def _check_texts(document: Mapping[str, Any]) -> None:

@@ -36,22 +36,22 @@ class Search:
     place: GeoQuery | None = None
     scope: ScopeQuery | None = None
 
-    def wants(self, one: Registration) -> bool:
+    def wants(self, registration: Registration) -> bool:
         """Return whether a registration that matches a target also meets the other conditions."""
         if self.period is None:
-            if one.is_temporal:  # without a time, current data is meant
+            if registration.is_temporal:  # without a time, current data is meant
                 return False
-        elif not self.period.meets(one):
+        elif not self.period.meets(registration):
             return False
         return (
-            all(condition.wants(one.described) for condition in self.filters)
-            and (self.place is None or has_matching_place(self.place, one))
-            and (self.scope is None or self.scope.wants(one.scopes))
+            all(condition.wants(registration.described) for condition in self.filters)
+            and (self.place is None or has_matching_place(self.place, registration))
+            and (self.scope is None or self.scope.wants(registration.scopes))
         )
 
-    def finds(self, one: Registration) -> bool:
+    def finds(self, registration: Registration) -> bool:
         """Return whether a registration matches the search."""
-        return any(one.parts(target) for target in self.targets) and self.wants(one)
+        return any(registration.parts(target) for target in self.targets) and self.wants(registration)
 
 
 def search_of(parameters: Mapping[str, str], context: Context) -> Search:

@@ -43,7 +43,7 @@ class Registry:
         self._commits = commits
         self._all: dict[str, Registration] = {}
         self._places: dict[str, int] = {}
-        self._made = 0
+        self._added_count = 0
         self._by_type: dict[str, dict[str, Registration]] = {}
         self._by_id: dict[str, dict[str, Registration]] = {}
         self._of_groups: dict[str, Registration] = {}
@@ -139,15 +139,15 @@ class Registry:
             return None
         now_s = time.time()
         for piece in registration.information:
-            for one in self._all.values():
+            for other in self._all.values():
                 if (
-                    one.id != registration.id
-                    and one.mode.is_proxied
-                    and Mode.EXCLUSIVE in (one.mode, registration.mode)
-                    and not one.has_expired(now_s)
-                    and _overlaps(piece, one)
+                    other.id != registration.id
+                    and other.mode.is_proxied
+                    and Mode.EXCLUSIVE in (other.mode, registration.mode)
+                    and not other.has_expired(now_s)
+                    and _overlaps(piece, other)
                 ):
-                    return one
+                    return other
         return None
 
     def record_attempt(self, registration: Registration, *, succeeded: bool) -> None:
@@ -168,12 +168,14 @@ class Registry:
             key = (DocumentKind.ATTEMPTS, self.tenant, registration.id)
             self._commits.store_later(Entries(documents={key: stored_attempts(attempts)}))
 
-    def restore_attempts(self, registration_id: str, kept: bytes) -> None:
+    def restore_attempts(self, registration_id: str, stored: bytes) -> None:
         """Restore the stored counts of a registration."""
         found = self._all.get(registration_id)
         if found is not None:
             attempts = found.attempts
-            attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure = orjson.loads(kept)
+            attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure = orjson.loads(
+                stored
+            )
 
     @staticmethod
     def is_cooling_down(registration: Registration) -> bool:
@@ -186,8 +188,8 @@ class Registry:
             for kind in target.types:
                 found.update(self._by_type.get(kind, {}))
         elif target.ids is not None:
-            for one in target.ids:
-                found.update(self._by_id.get(one, {}))
+            for entity_id in target.ids:
+                found.update(self._by_id.get(entity_id, {}))
             found.update(self._of_groups)
         else:
             return self._all.values()
@@ -196,8 +198,8 @@ class Registry:
     def _index(self, registration: Registration) -> None:
         self._all[registration.id] = registration
         if registration.id not in self._places:
-            self._made += 1
-            self._places[registration.id] = self._made
+            self._added_count += 1
+            self._places[registration.id] = self._added_count
         self.is_empty = False
         for index, key in self._index_entries(registration):
             index.setdefault(key, {})[registration.id] = registration
@@ -219,11 +221,11 @@ class Registry:
         self, registration: Registration
     ) -> Iterator[tuple[dict[str, dict[str, Registration]], str]]:
         for piece in registration.information:
-            for one in piece.entities:
-                for kind in one.types:
+            for selector in piece.entities:
+                for kind in selector.types:
                     yield self._by_type, kind
-                if one.id is not None:
-                    yield self._by_id, one.id
+                if selector.id is not None:
+                    yield self._by_id, selector.id
 
     def _notify_watchers(self, before: Registration | None, after: Registration | None) -> None:
         for watcher in list(self.watchers):

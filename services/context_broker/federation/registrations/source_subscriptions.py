@@ -62,8 +62,8 @@ class SourceNotifier(SubscriptionDispatcher):
 
     def update_index(self, changed: str | None = None) -> None:
         """Restart the periodic notifications after a change of subscriptions."""
-        one = None if changed is None else self.get(changed)
-        if self._periodic.is_affected(changed, one):
+        subscription = None if changed is None else self.get(changed)
+        if self._periodic.is_affected(changed, subscription):
             self._periodic.schedule(self.all())
 
     def together(self, notices: Mapping[str, PendingNotification]) -> dict[str, PendingNotification]:
