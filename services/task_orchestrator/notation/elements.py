@@ -38,13 +38,14 @@ WITHOUT_EFFECT = frozenset(
         *("performer", "humanPerformer", "potentialOwner", "ioSpecification", "ioBinding", "rendering"),
         *("supportedInterfaceRef", "dataStore", "itemDefinition", "resource", "interface", "endPoint"),
         *("partnerEntity", "partnerRole", "correlationProperty", "import", "extension", "relationship"),
-        *("choreography", "globalChoreographyTask", "conversation", "globalConversation", "globalTask"),
-        *("globalUserTask", "globalManualTask", "globalScriptTask", "globalBusinessRuleTask", "category"),
+        *("choreography", "globalChoreographyTask", "conversation", "globalConversation", "category"),
+        "globalScriptTask",
         *("conversationNode", "callConversation", "subConversation", "conversationLink", "correlationKey"),
         *("conversationAssociation", "participantAssociation", "messageFlowAssociation"),
         *("choreographyRef", "partnerEntityRef", "partnerRoleRef"),
     }
 )
+_GLOBAL_TASKS = frozenset({"globalTask", "globalUserTask", "globalManualTask", "globalBusinessRuleTask"})
 _DEFINITIONS = frozenset(
     {
         *("process", "collaboration", "message", "error", "signal", "escalation"),
@@ -69,8 +70,7 @@ def warn_unknown_extension(element: etree._Element, found: Findings) -> None:
         element,
         message(
             "bpmn.unknown_extension",
-            '{element} of "{vendor}" is unknown here and has no effect',
-            element=local(element),
+            'extensions of "{vendor}" are unknown here and have no effect',
             vendor=namespace(element),
         ),
     )
@@ -106,6 +106,8 @@ class Declarations:
     signals: dict[str, etree._Element] = field(default_factory=dict)
     escalations: dict[str, etree._Element] = field(default_factory=dict)
     event_definitions: dict[str, etree._Element] = field(default_factory=dict)
+    global_tasks: set[str] = field(default_factory=set)
+    """Tasks that call activities may call instead of a process."""
 
     @classmethod
     def of(cls, root: etree._Element, found: Findings) -> "Declarations":
@@ -121,6 +123,8 @@ class Declarations:
             name = local(element)
             if is_bpmn(element) and name in tables:
                 tables[name][element.get("id") or ""] = element
+            elif is_bpmn(element) and name in _GLOBAL_TASKS:
+                declared.global_tasks.add(element.get("id") or "")
             elif is_bpmn(element) and name.endswith("EventDefinition"):
                 declared.event_definitions[element.get("id") or ""] = element
             elif not is_bpmn(element) and namespace(element) not in _DIAGRAMS:

@@ -38,11 +38,14 @@ def as_json(faults: Iterable[Fault]) -> list[dict[str, Any]]:
 
 
 class Findings:
-    """The faults and warnings of a file, without duplicates; `broken` are the ids of elements with faults."""
+    """The faults and warnings of a file; `broken` are the ids of elements with faults.
+
+    A fault of one line, and a warning of one element, is listed once.
+    """
 
     def __init__(self) -> None:
         self._faults: dict[Fault, None] = {}
-        self._warnings: dict[Fault, None] = {}
+        self._warnings: dict[tuple[str | None, str], Fault] = {}
         self.broken: set[str] = set()
 
     def fault(self, element: etree._Element, text: str) -> None:
@@ -54,12 +57,13 @@ class Findings:
 
     def warn(self, element: etree._Element, text: str) -> None:
         """Add a warning about `element`."""
-        self._warnings.setdefault(_fault_of(element, text))
+        self.add((), [_fault_of(element, text)])
 
     def add(self, faults: Iterable[Fault], warnings: Iterable[Fault] = ()) -> None:
         """Add faults and warnings of rules."""
         self._faults.update(dict.fromkeys(faults))
-        self._warnings.update(dict.fromkeys(warnings))
+        for warning in warnings:
+            self._warnings.setdefault((warning.element, warning.message), warning)
 
     @property
     def faults(self) -> list[Fault]:
@@ -69,7 +73,7 @@ class Findings:
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """Return the warnings in the order of the lines."""
-        return tuple(sorted(self._warnings, key=_line))
+        return tuple(sorted(self._warnings.values(), key=_line))
 
 
 def _line(fault: Fault) -> int:

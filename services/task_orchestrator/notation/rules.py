@@ -232,7 +232,10 @@ class _Rules:
                             'make it an event subprocess (triggeredByEvent="true") or remove the definition',
                         ),
                     )
-        if not starts and not any(self._can_start(node) for node in self.scope.nodes.values()):
+        if owner is not None and not self.scope.nodes:
+            text = message("bpmn.empty_subprocess", "the subprocess is empty, so it ends at once")
+            self.warnings.append(Fault(name, line, text, drawn))
+        elif not starts and not any(self._can_start(node) for node in self.scope.nodes.values()):
             yield Fault(
                 name,
                 line,

@@ -1,16 +1,22 @@
 """Scopes: the nodes and flows of a process or subprocess, read into the model."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 from lxml import etree
 
 from handover.messages import message
+from services.task_orchestrator.languages import native
 from services.task_orchestrator.languages.base import Expression
+from services.task_orchestrator.languages.feel import read_feel
+from services.task_orchestrator.languages.juel import read_juel
 from services.task_orchestrator.model import (
     ACTIVITIES,
     EVENTS,
     GATEWAYS,
     Activity,
+    Assignment,
     CompensateEvent,
     Flow,
     Kind,
@@ -55,6 +61,13 @@ _EVENT_PARTS = frozenset(
         *("dataInput", "dataOutput", "inputSet", "outputSet"),
     }
 )
+_LANGUAGES: Mapping[str, Callable[[str], Expression]] = {
+    "handover": native.read,
+    "juel": read_juel,
+    "feel": read_feel,
+}
+"""The languages that a condition may name; a URI names that of the file."""
+
 _GATEWAY_PARTS = frozenset({"incoming", "outgoing"})
 _PLACEHOLDER = Kind.MANUAL_TASK
 """The kind that stands for an element with faults, so that its flows have two ends."""
@@ -125,8 +138,10 @@ def _event(element: etree._Element, node: Node, context: Context, *, in_event_su
         is_definition = is_bpmn(part) and local(part).endswith("EventDefinition")
         if not is_definition and local(part) not in _EVENT_PARTS:
             check_other(part, node.kind.value, context.found)
+    payload: tuple[Assignment, ...] = ()
     for definition in definitions_of(element, context):
         context.dialects.check(definition, context.found)
+        payload += context.dialects.main.mapped(definition, context.found).inputs
     if _is_work(element, node.kind, context):
         _warn_message_not_thrown(element, context)
         mapped = context.dialects.main.mapped(element, context.found)
@@ -148,7 +163,7 @@ def _event(element: etree._Element, node: Node, context: Context, *, in_event_su
         if node.kind is Kind.BOUNDARY_EVENT
         else None,
         interrupting=isinstance(event, CompensateEvent) or flag(element, interrupting, default=True),
-        inputs=mapped.inputs,
+        inputs=(*mapped.inputs, *payload),
         outputs=mapped.outputs,
         data_inputs=data_inputs,
         data_outputs=data_outputs,
@@ -247,6 +262,8 @@ def _activity(element: etree._Element, node: Node, context: Context, depth: int)
     if node.kind in {Kind.SEND_TASK, Kind.RECEIVE_TASK}:
         return _message_task(element, node, context)
     if node.kind is Kind.CALL_ACTIVITY:
+        if referenced(element.get("calledElement") or "") in context.declared.global_tasks:
+            return replace(node, activity=read_activity(element, context))
         return replace(node, call=main.call(element, found))
     return _subprocess(element, node, context, depth)
 
@@ -352,12 +369,13 @@ def _condition(element: etree._Element, context: Context) -> Expression | None:
         return None
     if not given and context.dialects.main.lenient:
         return None
-    return attempt(element, lambda: context.dialects.main.expression(given), None, context.found)
+    reading = partial(_LANGUAGES.get(language.lower(), context.dialects.main.expression), given)
+    return attempt(element, reading, None, context.found)
 
 
 def _is_foreign(language: str) -> bool:
     name = language.lower()
-    return bool(name) and not any(known in name for known in ("juel", "feel", "handover", "xpath", "uel"))
+    return bool(name) and name not in _LANGUAGES and not name.startswith(("http:", "https:"))
 
 
 def _with_defaults(nodes: dict[str, Node], flows: dict[str, Flow], context: Context) -> dict[str, Node]:

@@ -57,7 +57,7 @@ _HARMLESS = frozenset(
 _READ = frozenset(
     {
         *("inputOutput", "formData", "in", "out", "failedJobRetryTimeCycle", "properties", "connector"),
-        *("potentialStarter", "executionListener", "taskListener", "formProperty"),
+        *("potentialStarter", "executionListener", "taskListener", "formProperty", "field"),
     }
 )
 _FORM_TYPES: Mapping[str, Mapping[str, Json]] = {
@@ -102,6 +102,11 @@ class Camunda7:
             match local(extension):
                 case "formData":
                     parameters["form"] = Value(_form(extension, found))
+                case "field":
+                    parameters[extension.get("name") or ""] = self._field(extension, found)
+                case "properties":
+                    properties = {each.get("name") or "": each.get("value") for each in extension}
+                    parameters["properties"] = Value(properties)
                 case "failedJobRetryTimeCycle":
                     hints["retry"] = text(extension)
                 case "connector":
@@ -119,11 +124,22 @@ class Camunda7:
         )
 
     def mapped(self, element: etree._Element, found: Findings) -> Mapped:
-        """Return the variables of `inputOutput`."""
+        """Return the variables of `inputOutput`; of an event definition those that it sends along."""
+        if local(element).endswith("EventDefinition"):
+            passed, everything, _ = self._passed(element, "in", found)
+            if everything:
+                _warn(element, 'camunda:in variables="all"', found)
+            return Mapped(passed)
         connectors = [each for each in _ours(element) if local(each) == "connector"]
         outputs = [each for part in connectors for each in _connector_io(part, "outputParameter", found)]
         outputs += _io(element, "outputParameter", found)
         return Mapped(tuple(self._inputs(element, found)), tuple(outputs))
+
+    def _field(self, field: etree._Element, found: Findings) -> Value:
+        """Return the value of a field of a class."""
+        given = field.get("stringValue") or field.get("expression")
+        given = given or _child_text(field, "string") or _child_text(field, "expression")
+        return attempt(field, lambda: self.value(given), Value(), found)
 
     def _inputs(self, element: etree._Element, found: Findings) -> Iterator[Assignment]:
         yield from _io(element, "inputParameter", found)

@@ -10,13 +10,17 @@ from services.task_orchestrator.notation.document import children, extensions, l
 from services.task_orchestrator.notation.elements import warn_unknown_extension
 from services.task_orchestrator.notation.faults import Findings
 
-_DIALECTS: tuple[tuple[tuple[str, ...], Callable[[], Dialect]], ...] = (
-    ((zeebe.NAMESPACE,), zeebe.Zeebe),
-    (camunda7.NAMESPACES, camunda7.Camunda7),
+_DIALECTS: tuple[tuple[tuple[str, ...], str, Callable[[], Dialect]], ...] = (
+    ((zeebe.NAMESPACE,), "Camunda Cloud", zeebe.Zeebe),
+    (camunda7.NAMESPACES, "Camunda Platform", camunda7.Camunda7),
 )
-"""The namespaces of each dialect beside ours; the first one that a file uses has its expression language."""
+"""The namespaces of each dialect beside ours, and the platform that Camunda Modeler names.
 
-_KNOWN = frozenset({handover.NAMESPACE, *(each for namespaces, _ in _DIALECTS for each in namespaces)})
+The first one that a file uses has its expression language.
+"""
+
+_PLATFORM = "{http://camunda.org/schema/modeler/1.0}executionPlatform"
+_KNOWN = frozenset({handover.NAMESPACE, *(each for namespaces, _, _ in _DIALECTS for each in namespaces)})
 
 
 class Dialects:
@@ -26,8 +30,9 @@ class Dialects:
         used = _used_namespaces(root)
         self.handover = handover.Handover()
         self.main: Dialect = self.handover
-        for namespaces, dialect in _DIALECTS:
-            if used.intersection(namespaces):
+        platform = root.get(_PLATFORM)
+        for namespaces, name, dialect in _DIALECTS:
+            if platform == name or (platform is None and used.intersection(namespaces)):
                 self.main = dialect()
                 break
 

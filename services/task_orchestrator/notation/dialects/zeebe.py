@@ -77,6 +77,11 @@ class Zeebe:
             if local(extension) == "taskHeaders":
                 headers = {each.get("key") or "": each.get("value") for each in _parts(extension, "header")}
                 parameters["headers"] = Value(headers)
+            elif local(extension) == "properties":
+                properties = {
+                    each.get("name") or "": each.get("value") for each in _parts(extension, "property")
+                }
+                parameters["properties"] = Value(properties)
         if "jobType" in hints:
             parameters["operation"] = attempt(element, lambda: self.value(hints["jobType"]), Value(), found)
         parameters |= {each.target: each.value for each in self._io(element, "input", found)}

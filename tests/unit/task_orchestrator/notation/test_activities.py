@@ -66,6 +66,14 @@ def test_a_call_activity_names_a_process_and_passes_all_variables() -> None:
     assert "the call activity names no process" in faults(between('<bpmn:callActivity id="x"/>'))[0]
 
 
+def test_a_call_activity_may_call_a_global_task() -> None:
+    beside = '<bpmn:globalUserTask id="check" name="Check"/>'
+    found = node('<bpmn:callActivity id="x" calledElement="check"/>', beside=beside)
+    assert found.call is None
+    assert found.activity is not None
+    assert warnings(between('<bpmn:callActivity id="x" calledElement="check"/>'), beside=beside) == []
+
+
 def looped(loop: str) -> str:
     return f'<bpmn:task id="x">{loop}</bpmn:task>'
 
@@ -210,7 +218,7 @@ def test_a_loop_over_a_data_object_reads_it_by_its_name() -> None:
         '<bpmn:interface id="f"/>',
         '<bpmn:correlationProperty id="k"/>',
         '<bpmn:choreography id="ch"/>',
-        '<bpmn:globalUserTask id="g"/>',
+        '<bpmn:globalScriptTask id="g"/>',
         '<other:vendor id="v"/>',
     ],
 )
@@ -222,12 +230,13 @@ def test_what_has_no_effect_on_the_execution_is_a_warning(beside: str) -> None:
 
 def test_extensions_of_unknown_vendors_and_resource_roles_are_warnings() -> None:
     element = (
-        '<bpmn:userTask id="x" name="Check"><bpmn:extensionElements><other:colour/></bpmn:extensionElements>'
+        '<bpmn:userTask id="x" name="Check"><bpmn:extensionElements><other:a/>\n<other:b/>'
+        "</bpmn:extensionElements>"
         '<bpmn:potentialOwner id="o"/></bpmn:userTask>'
     )
     assert warnings(between(element)) == [
-        'line 1, "x" ("Check"): colour of "urn:other" is unknown here and has no effect',
-        'line 1, "x" ("Check"): potentialOwner has no effect on the execution',
+        'line 1, "x" ("Check"): extensions of "urn:other" are unknown here and have no effect',
+        'line 2, "x" ("Check"): potentialOwner has no effect on the execution',
     ]
 
 

@@ -339,6 +339,29 @@ def test_a_connector_is_an_operation_with_its_inputs_and_outputs() -> None:
     assert [each.target for each in found.outputs] == ["body"]
 
 
+def test_fields_and_properties_are_parameters() -> None:
+    parts = (
+        '<camunda:field name="a" stringValue="text"/><camunda:field name="b" expression="${n}"/>'
+        "<camunda:field name='c'><camunda:string>long</camunda:string></camunda:field>"
+        '<camunda:properties><camunda:property name="speed" value="slow"/></camunda:properties>'
+    )
+    work = node(extended("serviceTask", parts, attributes='camunda:class="A"')).activity
+    assert work is not None
+    assert {name: value.value({"n": 2}) for name, value in work.parameters.items()} == {
+        "a": "text",
+        "b": 2,
+        "c": "long",
+        "properties": {"speed": "slow"},
+        "operation": "A",
+    }
+
+
+def test_a_signal_takes_variables_along() -> None:
+    definition = extended("signalEventDefinition", '<camunda:in source="part" target="item"/>', name="d")
+    found = node(f'<bpmn:intermediateThrowEvent id="x">{definition}</bpmn:intermediateThrowEvent>')
+    assert [(each.target, each.value.value({"part": 1})) for each in found.inputs] == [("item", 1)]
+
+
 def test_a_time_without_zone_is_utc() -> None:
     event = f'<bpmn:intermediateCatchEvent id="x" {CAMUNDA}>{timer("2026-05-01T08:00:00")}'
     found = node(event + "</bpmn:intermediateCatchEvent>").event

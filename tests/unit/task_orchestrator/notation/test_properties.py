@@ -160,7 +160,7 @@ def check_scope(scope: Scope) -> None:
         assert node.id == name
         assert node.default is None or node.default in scope.flows
         assert node.kind is not Kind.BOUNDARY_EVENT or node.attached_to in scope.nodes
-        assert node.kind is not Kind.CALL_ACTIVITY or node.call is not None
+        assert node.kind is not Kind.CALL_ACTIVITY or node.call is not None or node.activity is not None
         assert node.kind is not Kind.SUB_PROCESS or node.scope is not None
 
 

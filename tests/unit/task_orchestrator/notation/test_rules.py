@@ -196,6 +196,7 @@ NOTICED = {
         start() + gateway("g", "parallel") + WORK + end() + path("start", "g", "work") + flow("g", "end"),
         '"work": no sequence flow leaves it',
     ),
+    "empty subprocess": (between(sub("x", "")), '"x": the subprocess is empty, so it ends at once'),
     "condition behind a parallel gateway": (
         start() + gateway("g", "parallel") + end() + flow("start", "g") + flow("g", "end", "x > 1"),
         '"g_end": the condition has no effect behind the parallelGateway',
