@@ -100,7 +100,7 @@ def test_five_hundred_alerts_are_counted_filtered_and_acknowledged_at_once(
     page.locator(".attention").get_by_role("link", name="Show alerts").click()
     table = page.get_by_role("grid", name="Alerts")
     expect(table).to_have_attribute("aria-rowcount", "501")
-    rows = table.locator(".vtable__line")
+    rows = table.locator(".vgrid__line")
     expect(rows.first).to_contain_text("Conveyor 0 is blocked")
     assert rows.count() < 60, "only visible rows are in the document"
     accessible(page)
@@ -116,7 +116,7 @@ def test_five_hundred_alerts_are_counted_filtered_and_acknowledged_at_once(
 
     page.get_by_label("Severity").select_option("critical")
     page.get_by_label("Group by").select_option("source")
-    expect(table.locator(".vtable__group").first).to_contain_text("conveyor-0 (15)")
+    expect(table.locator(".vgrid__group").first).to_contain_text("conveyor-0 (15)")
     page.get_by_role("searchbox", name="Search").fill("conveyor blocked")
     expect(page.locator(".alert-actions__count")).to_have_text("100 alerts")
     expect(page).to_have_url(re.compile("severity=critical.*group=source"))
@@ -163,7 +163,7 @@ def test_new_alerts_do_not_move_the_list(alert_screen: Cell, open_page: OpenPage
     cell = alert_screen
     write(cell, *(alert(number) for number in range(10, 13)))
     page = open_page("/system?tab=alerts", forgives=AWAY)
-    rows = page.get_by_role("grid", name="Alerts").locator(".vtable__line")
+    rows = page.get_by_role("grid", name="Alerts").locator(".vgrid__line")
     expect(rows).to_have_count(3)
     rows.nth(1).focus()
     write(cell, *(alert(number, "critical") for number in range(3)))

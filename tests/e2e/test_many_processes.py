@@ -46,7 +46,7 @@ def test_five_hundred_processes_are_distinguished_filtered_and_scrolled(
     expect(first).to_contain_text(f"order {MANY - 1}")
     expect(first).to_contain_text("Confirm that the cell is clear")
     assert not re.search(r"[0-9a-f]{8}", first.inner_text()), "no hash where there is a key"
-    assert table.locator(".vtable__line").count() < 60, "only visible rows are in the document"
+    assert table.locator(".vgrid__line").count() < 60, "only visible rows are in the document"
     accessible(page)
     keep(page, "processes-500")
     table.locator("[role=row][tabindex='0']").focus()

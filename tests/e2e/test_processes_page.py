@@ -84,9 +84,9 @@ def test_a_process_is_started_monitored_and_cancelled(
     expect(page).to_have_url(re.compile(r"task=confirm_clear-1"))
     page.get_by_role("radio", name="Table").click()
     page.get_by_role("searchbox", name="Find tasks").fill("cell is clear")
-    expect(page.locator(".tasks__table tbody tr")).to_have_count(1)
+    expect(page.locator(".tasks .vgrid__line")).to_have_count(1)
     page.reload()
-    expect(page.locator(".tasks__table tbody tr")).to_have_count(1)
+    expect(page.locator(".tasks .vgrid__line")).to_have_count(1)
     expect(page.get_by_role("complementary", name="Task Confirm that the cell is clear")).to_be_visible()
     accessible(page)
     with page.expect_download() as csv:

@@ -55,10 +55,10 @@ def test_rules_are_monitored_and_switched_off_and_on(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page("/system")
-    services = page.get_by_role("table", name="Services")
+    services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^ROS 2 bridge"))).to_contain_text("Running")
     page.get_by_role("tab", name="ROS 2").click()
-    rules = page.get_by_role("table", name="ROS 2")
+    rules = page.get_by_role("grid", name="ROS 2")
     battery = rules.get_by_role("row", name=re.compile("^battery"))
     belt = rules.get_by_role("row", name=re.compile("^belt"))
     expect(battery).to_contain_text("No publisher")
@@ -82,7 +82,7 @@ def test_rules_are_monitored_and_switched_off_and_on(
 
     for language, theme, tab in (("de", "dark", "ROS 2"), ("fi", "light", "ROS 2")):
         other = open_page("/system?tab=ros", language=language, theme=theme)
-        expect(other.get_by_role("table", name=tab)).to_contain_text("agv-1")
+        expect(other.get_by_role("grid", name=tab)).to_contain_text("agv-1")
         accessible(other)
         keep(other, f"system-ros-{language}-{theme}")
 
@@ -92,7 +92,7 @@ def test_a_cell_without_a_bridge_has_no_ros_section(open_page: OpenPage, cell: C
     del cell.extra["HANDOVER_ROS_MAPPING"]
     cell.start("webui")
     page = open_page("/system?tab=ros")
-    services = page.get_by_role("table", name="Services")
+    services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^Context broker"))).to_be_visible()
     expect(page.get_by_role("tab", name="ROS 2")).to_have_count(0)
     expect(services.get_by_role("row", name=re.compile("^ROS 2 bridge"))).to_have_count(0)

@@ -46,7 +46,7 @@ def test_a_failed_service_is_shown_with_the_reason_and_recovers(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     page = open_page("/system", forgives=FORGIVEN)
-    services = page.get_by_role("table", name="Services")
+    services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^Trajectory tool"))).to_contain_text("ur10-1: ")
     cell.kill("trajectory_tool")
     row = services.get_by_role("row", name=re.compile("^Trajectory tool"))
@@ -58,7 +58,7 @@ def test_a_failed_service_is_shown_with_the_reason_and_recovers(
     cell.start("trajectory_tool")
     expect(row).not_to_contain_text("does not respond")
     page.get_by_role("tab", name="Events").click()
-    expect(page.get_by_role("list", name="Events")).to_contain_text("Trajectory tool is running")
+    expect(page.get_by_role("grid", name="Events")).to_contain_text("Trajectory tool is running")
 
 
 @pytest.mark.usefixtures("screen")
@@ -142,7 +142,7 @@ def test_the_simulated_operator_is_started_and_the_event_log_is_exported(
     keep(page, "system-glove")
     page.keyboard.press("e")
     page.wait_for_url("**tab=events*")
-    events = page.get_by_role("list", name="Events")
+    events = page.get_by_role("grid", name="Events")
     expect(events).to_contain_text("Simulated operator started with glove-1")
     accessible(page)
     keep(page, "system-events")

@@ -1,6 +1,6 @@
-/** People and gestures: who works here, who wears which glove, and which gesture is whose. */
-import { UserPlus, Users } from "lucide-react";
-import { useState } from "react";
+/** The people of the site: a list, and the gloves and gestures of one person. */
+import { SearchX, UserPlus, Users } from "lucide-react";
+import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
@@ -8,6 +8,8 @@ import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
 import { Field } from "~/design/Field";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { DataTable, type Column } from "~/design/table/DataTable";
+import { useSorting } from "~/design/table/useSorting";
 import { useSubscription } from "~/live/hooks";
 import { useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
@@ -15,42 +17,35 @@ import { addPerson, SERVICE, type Person } from "./people";
 import { PersonPanel } from "./PersonPanel";
 import "./PeoplePage.css";
 
+const NOBODY: readonly Person[] = [];
+
 export default function PeoplePage() {
   const { t } = useTranslation("people");
-  const [asks, setAsks] = useState(0);
-  // Another revision: somebody has changed something, here or in another browser.
-  const revision = useSubscription<{ revision: string }>("people")?.revision ?? "";
-  const turn = `${asks} ${revision}`;
+  const [requests, setRequests] = useState(0);
+  // The revision changes when somebody has changed a person, here or in another browser.
+  const revision = `${requests} ${useSubscription<{ revision: string }>("people")?.revision ?? ""}`;
   const [chosen, choose] = useQueryParameter("person");
   const [isAdding, setAdding] = useState(false);
-  const everybody = useServiceQuery<Person[]>(SERVICE, "people", { revision: turn });
-  const again = () => setAsks((before) => before + 1);
-  const name = everybody.value?.some((one) => one.name === chosen) === true ? chosen : (everybody.value?.[0]?.name ?? null);
+  const loaded = useServiceQuery<Person[]>(SERVICE, "people", { revision });
+  const people = loaded.value ?? NOBODY;
+  const reload = () => setRequests((before) => before + 1);
+  const name = people.some((person) => person.name === chosen) ? chosen : (firstByTitle(people)?.name ?? null);
   useKeys([{ key: "n", does: t("add.act"), act: () => setAdding(true) }]);
   return (
     <div className="people">
       <aside className="people__list">
         <h1>{t("title")}</h1>
-        {everybody.failure !== null && <ErrorMessage>{everybody.failure}</ErrorMessage>}
-        <ul>
-          {(everybody.value ?? []).map((person) => (
-            <li key={person.name}>
-              <button type="button" className="people__person" aria-current={person.name === name || undefined} onClick={() => choose(person.name)}>
-                <strong>{person.title ?? person.name}</strong>
-                <span className="quiet">{person.gloves.map(({ glove }) => glove).join(", ") || t("wearsNone")}</span>
-              </button>
-            </li>
-          ))}
-        </ul>
+        {loaded.failure !== null && <ErrorMessage>{loaded.failure}</ErrorMessage>}
+        {people.length > 0 && <PeopleTable people={people} name={name} onOpen={choose} />}
         <Button icon={<UserPlus aria-hidden size={18} />} onPress={() => setAdding(true)}>
           {t("add.act")}
         </Button>
       </aside>
       <div className="people__place">
         {name !== null ? (
-          <PersonPanel key={name} name={name} people={everybody.value ?? []} turn={turn} onChange={again} onGone={() => { choose(""); again(); }} />
+          <PersonPanel key={name} name={name} people={people} revision={revision} onChange={reload} onRemoved={() => { choose(""); reload(); }} />
         ) : (
-          everybody.value !== null && (
+          loaded.value !== null && (
             <EmptyState
               icon={<Users aria-hidden size={32} />}
               title={t("none.title")}
@@ -65,9 +60,64 @@ export default function PeoplePage() {
           )
         )}
       </div>
-      <AddPerson isOpen={isAdding} onClose={() => setAdding(false)} onAdded={(added) => { choose(added); again(); }} />
+      <AddPerson isOpen={isAdding} onClose={() => setAdding(false)} onAdded={(added) => { choose(added); reload(); }} />
     </div>
   );
+}
+
+function PeopleTable({ people, name, onOpen }: { people: readonly Person[]; name: string | null; onOpen: (name: string) => void }) {
+  const { t } = useTranslation("people");
+  const [find, setFind] = useQueryParameter("find");
+  const [sorting, setSorting] = useSorting("person");
+  const matching = useMemo(() => {
+    const words = find.toLowerCase().split(/\s+/);
+    return people.filter((person) => words.every((word) => `${person.name} ${person.title ?? ""} ${glovesOf(person)}`.toLowerCase().includes(word)));
+  }, [people, find]);
+  const columns: readonly Column<Person>[] = useMemo(
+    () => [
+      { id: "person", name: t("list.person"), width: "minmax(0, 2fr)", sortBy: titleOf, cell: (person) => <strong>{titleOf(person)}</strong> },
+      {
+        id: "gloves", name: t("list.gloves"), width: "minmax(0, 1fr)", sortBy: (person) => glovesOf(person) || null,
+        cell: (person) => <span className="quiet">{glovesOf(person) || t("wearsNone")}</span>,
+      },
+    ],
+    [t],
+  );
+  return (
+    <>
+      <Field label={t("list.find")} value={find} onChange={setFind} type="search" />
+      <DataTable
+        label={t("title")}
+        rows={matching}
+        columns={columns}
+        keyOf={(person) => person.name}
+        nameOf={(person) => `${titleOf(person)}, ${glovesOf(person) || t("wearsNone")}`}
+        rowHeight={44}
+        sorting={sorting}
+        onSort={setSorting}
+        view={find}
+        openKey={name}
+        onOpen={(person) => onOpen(person.name)}
+      >
+        {matching.length === 0 && <EmptyState icon={<SearchX aria-hidden size={32} />} title={t("list.noMatch")} />}
+      </DataTable>
+    </>
+  );
+}
+
+function firstByTitle(people: readonly Person[]): Person | undefined {
+  return people.reduce<Person | undefined>(
+    (first, person) => (first === undefined || titleOf(person).localeCompare(titleOf(first), undefined, { numeric: true }) < 0 ? person : first),
+    undefined,
+  );
+}
+
+function titleOf(person: Person): string {
+  return person.title ?? person.name;
+}
+
+function glovesOf(person: Person): string {
+  return person.gloves.map(({ glove }) => glove).join(", ");
 }
 
 function AddPerson({ isOpen, onClose, onAdded }: { isOpen: boolean; onClose: () => void; onAdded: (name: string) => void }) {

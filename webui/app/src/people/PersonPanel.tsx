@@ -1,4 +1,4 @@
-/** A person: what they wear, the gesture of each command, the gestures of their own, and all of it as a file. */
+/** A person: their gloves, the gesture of each command, their own gestures, and import and export of the profile. */
 import { Download, FileUp, RotateCcw, Trash2 } from "lucide-react";
 import { useState } from "react";
 import { FileTrigger } from "react-aria-components";
@@ -27,21 +27,21 @@ const NONE = "";
 interface PersonPanelProps {
   name: string;
   people: readonly Person[];
-  turn: string;
+  revision: string;
   onChange: () => void;
-  onGone: () => void;
+  onRemoved: () => void;
 }
 
-export function PersonPanel({ name, people, turn, onChange, onGone }: PersonPanelProps) {
+export function PersonPanel({ name, people, revision, onChange, onRemoved }: PersonPanelProps) {
   const { t } = useTranslation("people");
-  const asked = useServiceQuery<PersonInFull>(SERVICE, `people/${encodeURIComponent(name)}`, { revision: turn });
+  const loaded = useServiceQuery<PersonInFull>(SERVICE, `people/${encodeURIComponent(name)}`, { revision });
   const [failure, setFailure] = useState<string | null>(null);
-  const person = asked.value;
-  if (person === null) return asked.failure === null ? null : <ErrorMessage>{asked.failure}</ErrorMessage>;
-  const act = async (doing: Promise<unknown>) => {
+  const person = loaded.value;
+  if (person === null) return loaded.failure === null ? null : <ErrorMessage>{loaded.failure}</ErrorMessage>;
+  const act = async (action: Promise<unknown>) => {
     setFailure(null);
     try {
-      await doing;
+      await action;
     } catch (error) {
       setFailure(errorText(error));
     }
@@ -52,7 +52,7 @@ export function PersonPanel({ name, people, turn, onChange, onGone }: PersonPane
       <header className="people__head">
         <h2>{person.title ?? person.name}</h2>
         {person.title !== null && <span className="quiet">{person.name}</span>}
-        <Profile person={person} act={act} onGone={onGone} />
+        <Profile person={person} act={act} onRemoved={onRemoved} />
       </header>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {person.faults.map((fault) => (
@@ -61,7 +61,7 @@ export function PersonPanel({ name, people, turn, onChange, onGone }: PersonPane
         </StatusBadge>
       ))}
       <Card title={t("gloves.title")}>
-        <Gloves people={people} act={act} />
+        <Gloves person={person} people={people} act={act} />
       </Card>
       <Card title={t("commands.title")}>
         <p className="quiet">{t("commands.means")}</p>
@@ -76,23 +76,28 @@ export function PersonPanel({ name, people, turn, onChange, onGone }: PersonPane
   );
 }
 
-type Act = (doing: Promise<unknown>) => Promise<void>;
+type Act = (action: Promise<unknown>) => Promise<void>;
 
-function Gloves({ people, act }: { people: readonly Person[]; act: Act }) {
+/** Who wears each glove; it can be given to this person or taken off. */
+function Gloves({ person, people, act }: { person: Person; people: readonly Person[]; act: Act }) {
   const { t } = useTranslation("people");
   const gloves = useGloveNames();
   if (gloves.length === 0) return <p className="quiet">{t("gloves.none")}</p>;
   return (
     <div className="people__gloves">
-      {gloves.map((glove) => (
-        <Select
-          key={glove}
-          label={t("gloves.wears", { glove })}
-          value={people.find((one) => one.gloves.some((worn) => worn.glove === glove))?.name ?? NONE}
-          options={[{ value: NONE, name: t("gloves.nobody") }, ...people.map((one) => ({ value: one.name, name: one.title ?? one.name }))]}
-          onChange={(wearer) => void act(wear(glove, wearer === NONE ? null : wearer))}
-        />
-      ))}
+      {gloves.map((glove) => {
+        const wearer = people.find((one) => one.gloves.some((worn) => worn.glove === glove));
+        const offered = wearer === undefined || wearer.name === person.name ? [person] : [wearer, person];
+        return (
+          <Select
+            key={glove}
+            label={t("gloves.wears", { glove })}
+            value={wearer?.name ?? NONE}
+            options={[{ value: NONE, name: t("gloves.nobody") }, ...offered.map((one) => ({ value: one.name, name: one.title ?? one.name }))]}
+            onChange={(name) => void act(wear(glove, name === NONE ? null : name))}
+          />
+        );
+      })}
     </div>
   );
 }
@@ -152,7 +157,7 @@ function OwnGestures({ person, act }: { person: PersonInFull; act: Act }) {
   );
 }
 
-function Profile({ person, act, onGone }: { person: PersonInFull; act: Act; onGone: () => void }) {
+function Profile({ person, act, onRemoved }: { person: PersonInFull; act: Act; onRemoved: () => void }) {
   const { t } = useTranslation("people");
   const [isAsking, setAsking] = useState(false);
   const save = async () => download(`${person.name}.yaml`, "application/yaml", await profileOf(person.name));
@@ -181,7 +186,7 @@ function Profile({ person, act, onGone }: { person: PersonInFull; act: Act; onGo
         act={t("forget.act")}
         onAct={async () => {
           await removePerson(person.name);
-          onGone();
+          onRemoved();
         }}
       >
         <p>{t("forget.means")}</p>

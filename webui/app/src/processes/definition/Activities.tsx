@@ -1,54 +1,65 @@
-/** The activities of a definition as a table: what the diagram shows, for reading. */
+/** The activities of a definition as a table: their lanes, counts and durations. */
+import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
-import { Button } from "~/design/Button";
+import { DataTable, type Column } from "~/design/table/DataTable";
+import { useSorting } from "~/design/table/useSorting";
 import { duration } from "~/design/times";
 import type { ElementCount } from "~/live/messages";
 import type { DefinitionRecord } from "../records";
 
+type Activity = DefinitionRecord["activities"][number];
+
 export interface ActivitiesProps {
-  activities: DefinitionRecord["activities"];
+  activities: readonly Activity[];
   counts: Readonly<Record<string, ElementCount>>;
   onPick: (element: string) => void;
 }
 
 export function Activities({ activities, counts, onPick }: ActivitiesProps) {
-  const { t, i18n } = useTranslation("processes");
-  const said = (ms: number | null | undefined) => (ms == null ? "–" : duration(ms, i18n.language));
+  const { t } = useTranslation("processes");
+  const [sorting, setSorting] = useSorting("", "activitySort");
   return (
-    <div className="definition__activities tasks__scroll" tabIndex={0} role="region" aria-label={t("activities.label")}>
-      <table className="tasks__table">
-        <thead>
-          <tr>
-            <th scope="col">{t("activities.name")}</th>
-            <th scope="col">{t("activities.lane")}</th>
-            {(["running", "completed", "failed", "last", "median"] as const).map((column) => (
-              <th key={column} scope="col" className="tasks__number">
-                {t(`activities.${column}`)}
-              </th>
-            ))}
-          </tr>
-        </thead>
-        <tbody>
-          {activities.map((activity) => {
-            const at = counts[activity.id];
-            return (
-              <tr key={activity.id} className="tasks__row">
-                <th scope="row">
-                  <Button kind="quiet" onPress={() => onPick(activity.id)}>
-                    {activity.name === "" ? activity.id : activity.name}
-                  </Button>
-                </th>
-                <td>{activity.lane}</td>
-                <td className="tasks__number">{at?.running ?? 0}</td>
-                <td className="tasks__number">{at?.completed ?? 0}</td>
-                <td className="tasks__number">{at?.failed ?? 0}</td>
-                <td className="tasks__number">{said(at?.lastMs)}</td>
-                <td className="tasks__number">{said(at?.medianMs)}</td>
-              </tr>
-            );
-          })}
-        </tbody>
-      </table>
-    </div>
+    <DataTable
+      label={t("activities.label")}
+      rows={activities}
+      columns={useColumns(counts)}
+      keyOf={(activity) => activity.id}
+      nameOf={nameOf}
+      rowHeight={37}
+      sorting={sorting}
+      onSort={setSorting}
+      onOpen={(activity) => onPick(activity.id)}
+    />
   );
+}
+
+function nameOf(activity: Activity): string {
+  return activity.name === "" ? activity.id : activity.name;
+}
+
+function useColumns(counts: ActivitiesProps["counts"]): readonly Column<Activity>[] {
+  const { t, i18n } = useTranslation("processes");
+  return useMemo(() => {
+    const count = (id: "running" | "completed" | "failed"): Column<Activity> => {
+      const of = (activity: Activity) => counts[activity.id]?.[id] ?? 0;
+      return { id, name: t(`activities.${id}`), width: "minmax(84px, 0.7fr)", isNumber: true, isDescendingFirst: true, sortBy: of, cell: of };
+    };
+    const time = (id: "last" | "median", member: "lastMs" | "medianMs"): Column<Activity> => {
+      const of = (activity: Activity) => counts[activity.id]?.[member] ?? null;
+      const cell = (activity: Activity) => {
+        const ms = of(activity);
+        return ms === null ? "–" : duration(ms, i18n.language);
+      };
+      return { id, name: t(`activities.${id}`), width: "minmax(84px, 0.8fr)", isNumber: true, isDescendingFirst: true, sortBy: of, cell };
+    };
+    return [
+      { id: "name", name: t("activities.name"), width: "minmax(160px, 2fr)", sortBy: nameOf, cell: (activity) => <strong>{nameOf(activity)}</strong> },
+      { id: "lane", name: t("activities.lane"), width: "minmax(90px, 1fr)", sortBy: (activity) => activity.lane, cell: (activity) => activity.lane },
+      count("running"),
+      count("completed"),
+      count("failed"),
+      time("last", "lastMs"),
+      time("median", "medianMs"),
+    ];
+  }, [t, i18n.language, counts]);
 }

@@ -10,8 +10,8 @@ import { Select } from "~/design/Select";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { statusTone } from "~/design/states";
-import { useIsReading } from "~/design/useStableOrder";
-import { VirtualTable, type Line } from "~/design/VirtualTable";
+import { useIsReading } from "~/design/table/useStableOrder";
+import { VirtualGrid, type Line } from "~/design/table/VirtualGrid";
 import { useFamily } from "~/live/hooks";
 import type { DefinitionView } from "~/live/messages";
 import { shortName } from "~/live/urn";
@@ -103,11 +103,10 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
         </Button>
       </div>
       {history.failure !== null && <ErrorMessage>{t("list.unread", { why: history.failure })}</ErrorMessage>}
-      <VirtualTable
+      <VirtualGrid
         label={t("list.label")}
         lines={lines}
         columns={[column]}
-        hasHead={false}
         rowHeight={84}
         nameOf={(item) =>
           item.kind === "definition"

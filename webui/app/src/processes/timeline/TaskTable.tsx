@@ -1,18 +1,18 @@
-/** The Tasks as a table: the timeline for those who read or listen rather than look. */
-import { memo } from "react";
+/** The Tasks of a process as a table. */
+import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
-import { Button } from "~/design/Button";
+import { DataTable, type Column } from "~/design/table/DataTable";
+import { useSorting } from "~/design/table/useSorting";
 import { duration, exactTime } from "~/design/times";
 import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
-import type { TaskView } from "~/live/messages";
+import type { Status, TaskView } from "~/live/messages";
 import { nameOf, performerOf, taskMark } from "../names";
 import { TaskState } from "../process/TaskState";
 import { CLOCK } from "./axis";
 import { courseOf } from "./course";
 
-/** More rows than this make a page slow; the export has all. */
-const MAX_ROWS = 500;
+const BY_STATUS: readonly Status[] = ["pending", "assigned", "inProgress", "paused", "completed", "failed"];
 
 export interface TaskTableProps {
   tasks: readonly TaskView[];
@@ -22,71 +22,56 @@ export interface TaskTableProps {
 
 export function TaskTable({ tasks, picked, onPick }: TaskTableProps) {
   const { t } = useTranslation("processes");
-  const now = useNow();
-  const shown = tasks.slice(-MAX_ROWS);
+  const [sorting, setSorting] = useSorting("when", "taskSort");
   return (
-    <div className="tasks__scroll" tabIndex={0} role="region" aria-label={t("tasks.table")}>
-      {shown.length < tasks.length && <p className="quiet small">{t("timeline.onlyLast", { count: shown.length })}</p>}
-      <table className="tasks__table">
-        <thead>
-          <tr>
-            {(["what", "who", "status", "when", "waited", "worked", "why"] as const).map((column) => (
-              <th key={column} scope="col">
-                {t(`tasks.${column}`)}
-              </th>
-            ))}
-          </tr>
-        </thead>
-        <tbody>
-          {shown.map((task) => (
-            <Row key={task.id} task={task} now={task.endedAt === null ? now : 0} picked={taskMark(task) === picked} onPick={onPick} />
-          ))}
-        </tbody>
-      </table>
-    </div>
+    <DataTable
+      label={t("tasks.table")}
+      rows={tasks}
+      columns={useColumns()}
+      keyOf={taskMark}
+      nameOf={nameOf}
+      rowHeight={37}
+      sorting={sorting}
+      onSort={setSorting}
+      openKey={picked}
+      onOpen={(task) => onPick(taskMark(task) === picked ? "" : taskMark(task))}
+    />
   );
 }
 
-interface RowProps {
-  task: TaskView;
-  now: number;
-  picked: boolean;
-  onPick: (task: string) => void;
+function useColumns(): readonly Column<TaskView>[] {
+  const { t, i18n } = useTranslation(["processes", "common"]);
+  return useMemo(
+    () => [
+      { id: "what", name: t("tasks.what"), width: "minmax(150px, 2fr)", sortBy: nameOf, cell: (task) => <strong>{nameOf(task)}</strong> },
+      { id: "who", name: t("tasks.who"), width: "minmax(80px, 1fr)", sortBy: performerOf, cell: performerOf },
+      { id: "status", name: t("tasks.status"), width: "minmax(130px, 1.2fr)", sortBy: (task) => BY_STATUS.indexOf(task.status), cell: (task) => <TaskState task={task} /> },
+      {
+        id: "when", name: t("tasks.when"), width: "76px", isDescendingFirst: true, sortBy: (task) => Date.parse(task.createdAt),
+        cell: (task) => (
+          <time dateTime={task.createdAt} title={exactTime(task.createdAt, i18n.language)}>
+            {new Date(task.createdAt).toLocaleTimeString(i18n.language, CLOCK)}
+          </time>
+        ),
+      },
+      {
+        id: "waited", name: t("tasks.waited"), width: "84px", isNumber: true, isDescendingFirst: true, sortBy: (task) => courseOf(task, Date.now()).waitedMs,
+        cell: (task) => <CourseTime task={task} of="waitedMs" />,
+      },
+      {
+        id: "worked", name: t("tasks.worked"), width: "96px", isNumber: true, isDescendingFirst: true, sortBy: (task) => courseOf(task, Date.now()).workedMs,
+        cell: (task) => <CourseTime task={task} of="workedMs" />,
+      },
+      { id: "why", name: t("tasks.why"), width: "minmax(120px, 2fr)", cell: (task) => localizedText(task, "reason") },
+    ],
+    [t, i18n.language],
+  );
 }
 
-const Row = memo(
-  function Row({ task, now, picked, onPick }: RowProps) {
-    const { i18n } = useTranslation(["processes", "common"]);
-    const course = courseOf(task, now);
-    const said = (ms: number) => duration(course.ended ? ms : Math.floor(ms / 1000) * 1000, i18n.language);
-    const at = new Date(task.createdAt);
-    return (
-      <tr className={picked ? "tasks__row tasks__row--picked" : "tasks__row"}>
-        <th scope="row">
-          <Button kind="quiet" aria-expanded={picked} onPress={() => onPick(picked ? "" : taskMark(task))}>
-            {nameOf(task)}
-          </Button>
-        </th>
-        <td>{performerOf(task)}</td>
-        <td>
-          <TaskState task={task} />
-        </td>
-        <td>
-          <time dateTime={task.createdAt} title={exactTime(task.createdAt, i18n.language)}>
-            {at.toLocaleTimeString(i18n.language, CLOCK)}
-          </time>
-        </td>
-        <td className="tasks__number">{said(course.waitedMs)}</td>
-        <td className="tasks__number">{said(course.workedMs)}</td>
-        <td className="tasks__why">{localizedText(task, "reason")}</td>
-      </tr>
-    );
-  },
-  (before, after) =>
-    before.picked === after.picked &&
-    before.onPick === after.onPick &&
-    before.now === after.now &&
-    before.task.status === after.task.status &&
-    before.task.reason === after.task.reason &&
-    before.task.history.length === after.task.history.length,
-);
+/** A duration of a Task; it counts whole seconds while the Task is open. */
+function CourseTime({ task, of }: { task: TaskView; of: "waitedMs" | "workedMs" }) {
+  const { i18n } = useTranslation();
+  const now = useNow();
+  const course = courseOf(task, now);
+  return duration(course.ended ? course[of] : Math.floor(course[of] / 1000) * 1000, i18n.language);
+}

@@ -1,6 +1,6 @@
-/** The event log: live, filtered, back to the oldest that is kept, and never moving under the reader's eyes. */
-import { ArrowUp, Download, ScrollText } from "lucide-react";
-import { useMemo, useRef, useState } from "react";
+/** The event log: a table with filter, older events on request, and export of all stored events. */
+import { CircleX, Download, Info, ScrollText, TriangleAlert } from "lucide-react";
+import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { eventsBefore } from "~/api/actions";
 import { download } from "~/api/download";
@@ -11,106 +11,125 @@ import { EmptyState } from "~/design/EmptyState";
 import { Field } from "~/design/Field";
 import { Select } from "~/design/Select";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { DataTable, type Column } from "~/design/table/DataTable";
+import { useSorting } from "~/design/table/useSorting";
+import { exactTime } from "~/design/times";
 import { useEvents } from "~/live/hooks";
+import type { LiveEvent } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
-import { allEvents, csv, type EventFilter, gathered, held, MAX_SHOWN, passes, sourcesOf } from "./event_log";
-import { EventRow } from "./EventRow";
+import { allEvents, csv, type EventFilter, LEVELS, merged, MAX_SHOWN, passes, sourcesOf } from "./event_log";
 import { useMessageText } from "./eventText";
 import "./EventsPanel.css";
 
 const PAGE = 200;
 const EXPORT_PAGE = 1000;
-/** So near to its top a list is still looked at from the top. */
-const TOP_TOLERANCE_PX = 8;
+const icons: Record<LiveEvent["level"], typeof Info> = { info: Info, attention: TriangleAlert, stop: CircleX };
 
 export function EventsPanel() {
   const { t } = useTranslation("system");
-  const said = useMessageText();
+  const textOf = useMessageText();
   const { filter, bar } = useFilter();
   const log = useLog();
-  const [upTo, setUpTo] = useState<number | null>(null);
-  const list = useRef<HTMLOListElement>(null);
-
-  const passing = useMemo(
-    () => log.events.filter((event) => passes(event, filter, said(event))),
-    [log.events, filter, said],
+  const [sorting, setSorting] = useSorting("-at");
+  const columns = useColumns(textOf);
+  const matching = useMemo(
+    () => log.events.filter((event) => passes(event, filter, textOf(event))).reverse(),
+    [log.events, filter, textOf],
   );
-  const { shown, waiting } = held(passing, upTo);
-
-  const onScroll = (top: number) => {
-    if (top <= TOP_TOLERANCE_PX) setUpTo(null);
-    else setUpTo((place) => place ?? log.events.at(-1)?.seq ?? null);
-  };
-  const toNewest = () => {
-    setUpTo(null);
-    list.current?.scrollTo({ top: 0 });
-    list.current?.focus();
-  };
   return (
     <div className="events">
       {bar(log.sources)}
-      <div className="events__frame">
-        {waiting > 0 && (
-          <div className="events__new">
-            <Button kind="main" icon={<ArrowUp aria-hidden size={16} />} onPress={toNewest}>
-              {t("events.new", { count: waiting })}
-            </Button>
-          </div>
+      <DataTable
+        label={t("tab.events")}
+        rows={matching}
+        columns={columns}
+        keyOf={keyOf}
+        nameOf={textOf}
+        rowHeight={37}
+        sorting={sorting}
+        onSort={setSorting}
+        view={JSON.stringify(filter)}
+      >
+        {matching.length === 0 && (
+          <EmptyState icon={<ScrollText aria-hidden size={32} />} title={t(log.events.length === 0 ? "events.none.title" : "events.noMatch.title")}>
+            {t(log.events.length === 0 ? "events.none.means" : "events.noMatch.means")}
+          </EmptyState>
         )}
-        <ol
-          ref={list}
-          className="events__list"
-          aria-label={t("tab.events")}
-          tabIndex={0}
-          onScroll={(event) => onScroll(event.currentTarget.scrollTop)}
-        >
-          {shown.map((event) => (
-            <EventRow key={event.seq} event={event} said={said(event)} />
-          ))}
-          {shown.length === 0 && (
-            <li>
-              <EmptyState icon={<ScrollText aria-hidden size={32} />} title={t(log.events.length === 0 ? "events.none.title" : "events.noMatch.title")}>
-                {t(log.events.length === 0 ? "events.none.means" : "events.noMatch.means")}
-              </EmptyState>
-            </li>
+        <div className="events__more">
+          {log.failure !== null && <ErrorMessage>{log.failure}</ErrorMessage>}
+          {log.isWhole ? (
+            <p className="quiet">{t("events.whole")}</p>
+          ) : log.events.length >= MAX_SHOWN ? (
+            <p className="quiet">{t("events.most", { count: MAX_SHOWN })}</p>
+          ) : (
+            <Button isDisabled={log.busy} onPress={log.loadOlder}>
+              {t("events.older")}
+            </Button>
           )}
-          <li className="events__more">
-            {log.failure !== null && <ErrorMessage>{log.failure}</ErrorMessage>}
-            {log.isWhole ? (
-              <p className="quiet">{t("events.whole")}</p>
-            ) : log.events.length >= MAX_SHOWN ? (
-              <p className="quiet">{t("events.most", { count: MAX_SHOWN })}</p>
-            ) : (
-              <Button isDisabled={log.busy} onPress={log.loadOlder}>
-                {t("events.older")}
-              </Button>
-            )}
-          </li>
-        </ol>
-      </div>
+        </div>
+      </DataTable>
       <Exports filter={filter} />
     </div>
   );
 }
 
-/** The events that the page knows: those that came live, and the older ones that were asked for. */
+function keyOf(event: LiveEvent): string {
+  return String(event.seq);
+}
+
+function useColumns(textOf: (event: LiveEvent) => string): readonly Column<LiveEvent>[] {
+  const { t, i18n } = useTranslation(["system", "common"]);
+  return useMemo(() => {
+    const sourceOf = (event: LiveEvent) => t(`common:services.${event.source}`, { defaultValue: event.source });
+    return [
+      { id: "at", name: t("events.column.at"), width: "148px", isDescendingFirst: true, sortBy: (event) => event.seq, cell: (event) => <EventTime at={event.at} language={i18n.language} /> },
+      {
+        id: "level", name: t("events.levels"), width: "112px", isDescendingFirst: true, sortBy: (event) => LEVELS.indexOf(event.level),
+        cell: (event) => {
+          const Icon = icons[event.level];
+          return (
+            <span className="event__level" data-level={event.level}>
+              <Icon aria-hidden size={16} />
+              <span>{t(`events.is.${event.level}`)}</span>
+            </span>
+          );
+        },
+      },
+      { id: "source", name: t("events.source"), width: "minmax(120px, 190px)", sortBy: sourceOf, cell: (event) => <span className="quiet">{sourceOf(event)}</span> },
+      { id: "text", name: t("events.column.text"), width: "minmax(240px, 1fr)", cell: textOf },
+    ];
+  }, [t, i18n.language, textOf]);
+}
+
+function EventTime({ at, language }: { at: string; language: string }) {
+  const time = new Date(at);
+  const isToday = time.toDateString() === new Date().toDateString();
+  return (
+    <time className="event__time" dateTime={at} title={exactTime(at, language)}>
+      {!isToday && <span className="event__day">{time.toLocaleDateString(language, { day: "numeric", month: "short" })}</span>}{" "}
+      {time.toLocaleTimeString(language, { timeStyle: "medium", hourCycle: "h23" })}
+    </time>
+  );
+}
+
+/** The events received live, and the older ones that were requested. */
 function useLog() {
   const live = useEvents();
-  const [taken, setTaken] = useState(live);
-  const [events, setEvents] = useState(() => gathered([], live));
+  const [received, setReceived] = useState(live);
+  const [events, setEvents] = useState(() => merged([], live));
   const [isWhole, setIsWhole] = useState(false);
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
-  if (live !== taken) {
-    setTaken(live);
-    setEvents(gathered(events, live));
+  if (live !== received) {
+    setReceived(live);
+    setEvents(merged(events, live));
   }
   const loadOlder = () => {
     setBusy(true);
     setFailure(null);
     eventsBefore(events[0]?.seq ?? Number.MAX_SAFE_INTEGER, PAGE)
       .then((older) => {
-        setEvents((known) => gathered(known, older));
+        setEvents((known) => merged(known, older));
         setIsWhole(older.length < PAGE);
       })
       .catch((error: unknown) => setFailure(errorText(error)))
@@ -120,7 +139,7 @@ function useLog() {
   return { events, sources, isWhole, busy, failure, loadOlder };
 }
 
-/** The filter, which the URL holds, and the bar that sets it. */
+/** The filter, stored in the URL, and the bar that sets it. */
 function useFilter() {
   const { t } = useTranslation(["system", "common"]);
   const [level, setLevel] = useQueryParameter("level");
@@ -150,10 +169,10 @@ function useFilter() {
   return { filter, bar };
 }
 
-/** What passes the filter of all that is kept, not only of what is visible. */
+/** Exports all stored events that match the filter, not only the loaded ones. */
 function Exports({ filter }: { filter: EventFilter }) {
   const { t } = useTranslation("system");
-  const said = useMessageText();
+  const textOf = useMessageText();
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const take = (kind: "csv" | "json") => {
@@ -161,7 +180,7 @@ function Exports({ filter }: { filter: EventFilter }) {
     setFailure(null);
     void allEvents((before) => eventsBefore(before, EXPORT_PAGE))
       .then((all) => {
-        const events = all.filter((event) => passes(event, filter, said(event)));
+        const events = all.filter((event) => passes(event, filter, textOf(event)));
         const name = `handover-events-${new Date().toISOString().slice(0, 10)}.${kind}`;
         if (kind === "csv") download(name, "text/csv;charset=utf-8", csv(events));
         else download(name, "application/json", `${JSON.stringify(events, null, 2)}\n`);

@@ -1,4 +1,4 @@
-/** What the page says of an event, in its own language; an event that it has no words for speaks English. */
+/** The text of an event in the language of the page, or its English text if the page has no translation. */
 import { useCallback } from "react";
 import { useTranslation } from "react-i18next";
 import { localizedText } from "~/i18n/server";

@@ -1,5 +1,6 @@
-/** ROS: one row a rule of the bridge, how much it passes on, what last, and what kept it from doing so. */
+/** ROS: one row per rule of the bridge, with its state, rates, last value and last error. */
 import { Waypoints } from "lucide-react";
+import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
 import { BreakableText } from "~/design/BreakableText";
 import { RelativeTime } from "~/design/RelativeTime";
@@ -8,7 +9,8 @@ import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { rate } from "~/design/times";
-import { Cell, Row, Rows } from "../Rows";
+import { DataTable, type Column } from "~/design/table/DataTable";
+import { useSorting } from "~/design/table/useSorting";
 import { oneLine, standing, useRules, type RuleView, type Standing } from "./rules";
 import "./RosPanel.css";
 
@@ -17,7 +19,8 @@ const tones: Record<Standing, Tone> = { off: "neutral", silent: "attention", wor
 export function RosPanel() {
   const { t } = useTranslation("system");
   const { rules, failure, turn } = useRules();
-  const heads = ["rule", "state", "rates", "value", "error", "act"].map((head) => t(`ros.${head}`));
+  const [sorting, setSorting] = useSorting("");
+  const columns = useColumns(turn);
   return (
     <>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
@@ -27,72 +30,93 @@ export function RosPanel() {
         </EmptyState>
       )}
       {rules !== null && rules.length > 0 && (
-        <Rows label={t("tab.ros")} heads={heads} widths={["20%", "15%", "18%", "17%", "17%", "13%"]}>
-          {rules.map((rule, place) => (
-            <Rule key={rule.name} rule={rule} heads={heads} isFirst={place === 0} turn={turn} />
-          ))}
-        </Rows>
+        <DataTable
+          label={t("tab.ros")}
+          rows={rules}
+          columns={columns}
+          keyOf={nameOf}
+          nameOf={nameOf}
+          rowHeight={76}
+          isLabelled
+          sorting={sorting}
+          onSort={setSorting}
+        />
       )}
     </>
   );
 }
 
-interface RuleProps {
-  rule: RuleView;
-  heads: readonly string[];
-  isFirst: boolean;
-  turn: (rule: RuleView, on: boolean) => void;
+function nameOf(rule: RuleView): string {
+  return rule.name;
 }
 
-function Rule({ rule, heads, isFirst, turn }: RuleProps) {
+function useColumns(turn: (rule: RuleView, on: boolean) => void): readonly Column<RuleView>[] {
   const { t, i18n } = useTranslation("system");
-  const [name = "", state = "", rates = "", value = "", error = "", act = ""] = heads;
-  const stands = standing(rule);
-  const trouble = rule.lastError ?? rule.lastUnreadable ?? null;
-  return (
-    <Row isFirst={isFirst}>
-      <Cell head={name}>
-        <span className="rows__name">{rule.name}</span>
-        <p className="rows__why">
-          <BreakableText of={rule.from} /> → <BreakableText of={rule.to} />
-        </p>
-      </Cell>
-      <Cell head={state}>
-        <StatusBadge tone={tones[stands]}>{t(`ros.stands.${stands}`)}</StatusBadge>
-      </Cell>
-      <Cell head={rates}>
-        <ul className="ros__rates">
-          <li>
-            <span className="ros__rate">{rate(rule.receivedPerS, i18n.language)}</span>
-            <span>{t("ros.received")}</span>
-          </li>
-          <li>
-            <span className="ros__rate">{rate(rule.forwardedPerS, i18n.language)}</span>
-            <span>{t("ros.forwarded")}</span>
-          </li>
-        </ul>
-        {rule.dropped > 0 && <p className="rows__why">{t("ros.dropped", { count: rule.dropped })}</p>}
-      </Cell>
-      <Cell head={value}>
-        <code className="ros__value">{oneLine(rule.lastValue)}</code>
-      </Cell>
-      <Cell head={error}>
-        {trouble !== null && (
+  return useMemo(
+    () => [
+      {
+        id: "rule", name: t("ros.rule"), width: "minmax(170px, 2fr)", sortBy: nameOf,
+        cell: (rule) => (
           <>
-            <span className="small">{oneLine(trouble, 240)}</span>{" "}
-            {rule.lastErrorAt !== null && (
-              <span className="quiet small">
-                <RelativeTime at={rule.lastErrorAt} />
-              </span>
-            )}
+            <span className="cell__name">{rule.name}</span>
+            <p className="cell__detail">
+              <BreakableText of={rule.from} /> → <BreakableText of={rule.to} />
+            </p>
           </>
-        )}
-      </Cell>
-      <Cell head={act}>
-        <Button label={t(rule.enabled ? "ros.turnOff" : "ros.turnOn", { rule: rule.name })} onPress={() => turn(rule, !rule.enabled)}>
-          {t(rule.enabled ? "ros.off" : "ros.on")}
-        </Button>
-      </Cell>
-    </Row>
+        ),
+      },
+      {
+        id: "state", name: t("ros.state"), width: "minmax(140px, 1.4fr)", sortBy: (rule) => t(`ros.stands.${standing(rule)}`),
+        cell: (rule) => <StatusBadge tone={tones[standing(rule)]}>{t(`ros.stands.${standing(rule)}`)}</StatusBadge>,
+      },
+      {
+        id: "rates", name: t("ros.rates"), width: "minmax(150px, 1.6fr)", isDescendingFirst: true, sortBy: (rule) => rule.receivedPerS,
+        cell: (rule) => (
+          <>
+            <ul className="ros__rates">
+              <li>
+                <span className="ros__rate">{rate(rule.receivedPerS, i18n.language)}</span>
+                <span>{t("ros.received")}</span>
+              </li>
+              <li>
+                <span className="ros__rate">{rate(rule.forwardedPerS, i18n.language)}</span>
+                <span>{t("ros.forwarded")}</span>
+              </li>
+            </ul>
+            {rule.dropped > 0 && <p className="cell__detail">{t("ros.dropped", { count: rule.dropped })}</p>}
+          </>
+        ),
+      },
+      { id: "value", name: t("ros.value"), width: "minmax(140px, 1.7fr)", cell: (rule) => <code className="ros__value">{oneLine(rule.lastValue)}</code> },
+      {
+        id: "error", name: t("ros.error"), width: "minmax(140px, 1.7fr)", isDescendingFirst: true,
+        sortBy: (rule) => (rule.lastErrorAt === null ? null : Date.parse(rule.lastErrorAt)),
+        cell: (rule) => <LastError rule={rule} />,
+      },
+      {
+        id: "act", name: t("ros.act"), width: "minmax(124px, 0.8fr)",
+        cell: (rule) => (
+          <Button label={t(rule.enabled ? "ros.turnOff" : "ros.turnOn", { rule: rule.name })} onPress={() => turn(rule, !rule.enabled)}>
+            {t(rule.enabled ? "ros.off" : "ros.on")}
+          </Button>
+        ),
+      },
+    ],
+    [t, i18n.language, turn],
+  );
+}
+
+function LastError({ rule }: { rule: RuleView }) {
+  const error = rule.lastError ?? rule.lastUnreadable ?? null;
+  if (error === null) return null;
+  return (
+    <>
+      <span className="small">{oneLine(error, 240)}</span>{" "}
+      {rule.lastErrorAt !== null && (
+        <span className="quiet small">
+          <RelativeTime at={rule.lastErrorAt} />
+        </span>
+      )}
+    </>
   );
 }

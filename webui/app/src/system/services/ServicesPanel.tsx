@@ -1,5 +1,6 @@
 /** Services: one row per service with its health, rates and last message. */
 import { Activity } from "lucide-react";
+import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
 import { RelativeTime } from "~/design/RelativeTime";
 import { EmptyState } from "~/design/EmptyState";
@@ -8,63 +9,86 @@ import { healthTone } from "~/design/states";
 import { rate } from "~/design/times";
 import { useTopic } from "~/live/hooks";
 import type { ServiceHealth } from "~/live/messages";
-import { Cell, Row, Rows } from "../Rows";
+import { DataTable, type Column } from "~/design/table/DataTable";
+import { useSorting } from "~/design/table/useSorting";
 import "./ServicesPanel.css";
 
+const BY_HEALTH: readonly ServiceHealth["state"][] = ["down", "degraded", "up"];
+const NONE: readonly ServiceHealth[] = [];
+
 export function ServicesPanel() {
-  const { t } = useTranslation("system");
-  const services = useTopic("services") ?? [];
+  const { t } = useTranslation(["system", "common"]);
+  const services = useTopic("services") ?? NONE;
+  const [sorting, setSorting] = useSorting("");
+  const columns = useColumns();
   if (services.length === 0) {
     return <EmptyState icon={<Activity aria-hidden size={32} />} title={t("service.none.title")}>{t("service.none.means")}</EmptyState>;
   }
-  const heads = ["service", "state", "since", "rates", "last"].map((head) => t(`service.${head}`));
   return (
-    <Rows label={t("tab.services")} heads={heads} widths={["18%", "24%", "11%", "22%", "25%"]}>
-      {services.map((service, place) => (
-        <Service key={service.name} service={service} heads={heads} isFirst={place === 0} />
-      ))}
-    </Rows>
+    <DataTable
+      label={t("tab.services")}
+      rows={services}
+      columns={columns}
+      keyOf={(service) => service.name}
+      nameOf={(service) => t(`common:services.${service.name}`, { defaultValue: service.name })}
+      rowHeight={72}
+      isLabelled
+      sorting={sorting}
+      onSort={setSorting}
+    />
   );
 }
 
-function Service({ service, heads, isFirst }: { service: ServiceHealth; heads: readonly string[]; isFirst: boolean }) {
+function useColumns(): readonly Column<ServiceHealth>[] {
   const { t, i18n } = useTranslation(["system", "common"]);
-  const [name = "", state = "", since = "", rates = "", last = ""] = heads;
-  const counted = Object.entries(service.rates);
-  return (
-    <Row isFirst={isFirst}>
-      <Cell head={name}>
-        <span className="rows__name">{t(`common:services.${service.name}`, { defaultValue: service.name })}</span>
-      </Cell>
-      <Cell head={state}>
-        <StatusBadge tone={healthTone[service.state]}>{t(`common:health.${service.state}`)}</StatusBadge>
-        {service.detail !== null && <p className="rows__why">{service.detail}</p>}
-      </Cell>
-      <Cell head={since}>
-        <RelativeTime at={service.since} />
-      </Cell>
-      <Cell head={rates}>
-        {counted.length > 0 && (
-          <ul className="services__rates">
-            {counted.map(([word, perSecond]) => (
-              <li key={word}>
-                <span className="services__rate">{rate(perSecond, i18n.language)}</span>
-                <span>{t(`service.rate.${word}`, { defaultValue: word })}</span>
-              </li>
-            ))}
-          </ul>
-        )}
-      </Cell>
-      <Cell head={last}>
-        {service.lastMessage !== null && (
+  return useMemo(() => {
+    const nameOf = (service: ServiceHealth) => t(`common:services.${service.name}`, { defaultValue: service.name });
+    return [
+      { id: "service", name: t("service.service"), width: "minmax(150px, 1.8fr)", sortBy: nameOf, cell: (service) => <span className="cell__name">{nameOf(service)}</span> },
+      {
+        id: "state", name: t("service.state"), width: "minmax(190px, 2.4fr)", sortBy: (service) => BY_HEALTH.indexOf(service.state),
+        cell: (service) => (
           <>
-            <span className="services__message">{service.lastMessage.text}</span>{" "}
-            <span className="quiet small">
-              <RelativeTime at={service.lastMessage.at} />
-            </span>
+            <StatusBadge tone={healthTone[service.state]}>{t(`common:health.${service.state}`)}</StatusBadge>
+            {service.detail !== null && <p className="cell__detail">{service.detail}</p>}
           </>
-        )}
-      </Cell>
-    </Row>
+        ),
+      },
+      {
+        id: "since", name: t("service.since"), width: "minmax(104px, 1.1fr)", isDescendingFirst: true,
+        sortBy: (service) => Date.parse(service.since),
+        cell: (service) => <RelativeTime at={service.since} />,
+      },
+      { id: "rates", name: t("service.rates"), width: "minmax(180px, 2.2fr)", cell: (service) => <Rates service={service} language={i18n.language} /> },
+      {
+        id: "last", name: t("service.last"), width: "minmax(180px, 2.5fr)", isDescendingFirst: true,
+        sortBy: (service) => (service.lastMessage === null ? null : Date.parse(service.lastMessage.at)),
+        cell: ({ lastMessage }) =>
+          lastMessage !== null && (
+            <>
+              <span className="services__message">{lastMessage.text}</span>{" "}
+              <span className="quiet small">
+                <RelativeTime at={lastMessage.at} />
+              </span>
+            </>
+          ),
+      },
+    ];
+  }, [t, i18n.language]);
+}
+
+function Rates({ service, language }: { service: ServiceHealth; language: string }) {
+  const { t } = useTranslation("system");
+  const rates = Object.entries(service.rates);
+  if (rates.length === 0) return null;
+  return (
+    <ul className="services__rates">
+      {rates.map(([name, perSecond]) => (
+        <li key={name}>
+          <span className="services__rate">{rate(perSecond, language)}</span>
+          <span>{t(`service.rate.${name}`, { defaultValue: name })}</span>
+        </li>
+      ))}
+    </ul>
   );
 }

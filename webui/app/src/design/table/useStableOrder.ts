@@ -1,20 +1,21 @@
-/** A list that keeps its order while somebody reads it: what is new is counted and waits. */
+/** A list that keeps its order while somebody reads it. New rows are counted until they are shown. */
 import { useState, type FocusEvent, type PointerEvent, type UIEvent } from "react";
 
-/** So near to its top a list is still looked at from the top. */
+/** A list scrolled by less counts as being at its top. */
 const TOP_TOLERANCE_PX = 8;
 
 export interface StableOrder<T> {
   rows: readonly T[];
-  /** How many have come since. */
+  /** The number of new rows that are not shown yet. */
   waiting: number;
-  /** Show them, in the order they belong in. */
+  /** Show all rows in their present order. */
   release: () => void;
 }
 
 /**
- * `rows` is the list as it belongs now, `all` looks up a row that is no longer part of it. While `isHeld`, rows
- * stay in their places with their newest values; another `signature` (a sorting, a filter) shows the list as it is.
+ * `rows` is the list in its present order; `all` also has rows that are no longer part of it. While `isHeld`, the
+ * shown rows keep their places and show their newest values. New rows below all of them are appended. Another
+ * `signature` (a sorting, a filter) shows the present order.
  */
 export function useStableOrder<T>(
   rows: readonly T[],
@@ -25,25 +26,28 @@ export function useStableOrder<T>(
 ): StableOrder<T> {
   const [kept, setKept] = useState<{ signature: string; keys: readonly string[] }>({ signature, keys: [] });
   const keys = rows.map(keyOf);
-  const follows = !isHeld || kept.signature !== signature || kept.keys.length === 0;
+  const follows = !isHeld || kept.signature !== signature || !kept.keys.some((key) => all.has(key));
   if (follows) {
-    if (kept.signature !== signature || !same(kept.keys, keys)) setKept({ signature, keys });
+    if (kept.signature !== signature || !isSame(kept.keys, keys)) setKept({ signature, keys });
     return { rows, waiting: 0, release: () => undefined };
   }
   const known = new Set(kept.keys);
-  const shown = kept.keys.map((key) => all.get(key)).filter((row) => row !== undefined);
+  const below = keys.slice(keys.findLastIndex((key) => known.has(key)) + 1);
+  const shown = below.length === keys.length ? kept.keys : [...kept.keys, ...below];
+  if (shown.length > kept.keys.length) setKept({ signature, keys: shown });
+  const isShown = new Set(shown);
   return {
-    rows: shown,
-    waiting: keys.filter((key) => !known.has(key)).length,
+    rows: shown.map((key) => all.get(key)).filter((row) => row !== undefined),
+    waiting: keys.filter((key) => !isShown.has(key)).length,
     release: () => setKept({ signature, keys }),
   };
 }
 
-function same(one: readonly string[], other: readonly string[]): boolean {
-  return one.length === other.length && one.every((key, nth) => key === other[nth]);
+function isSame(one: readonly string[], other: readonly string[]): boolean {
+  return one.length === other.length && one.every((key, index) => key === other[index]);
 }
 
-/** Whether somebody reads what the handlers are put on: the pointer or the focus is in it, or it is scrolled down. */
+/** Whether somebody reads the element with the handlers: it has the pointer or the focus, or is scrolled down. */
 export function useIsReading() {
   const [reasons, setReasons] = useState<readonly string[]>([]);
   const set = (reason: string, on: boolean) =>
