@@ -30,6 +30,7 @@ from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
 from webui.sources.broker_entities import BrokerEntities
 from webui.sources.devices import Devices
+from webui.sources.extra_services import extra_services
 from webui.sources.gloves import Gloves
 from webui.sources.on_demand import SourceContext
 from webui.sources.people import People
@@ -91,7 +92,8 @@ class Components:
         self.http = http = httpx.AsyncClient(trust_env=False)
         self.operator = SimulatedOperator(settings, http, self.state, self.events)
         self.live_socket = LiveSocket(self.state, self.viewers)
-        services = ServiceMonitor(urls, http, self.broker, self.state, self.events)
+        extra = extra_services(settings)
+        services = ServiceMonitor(urls, http, self.broker, self.state, self.events, extra=extra)
         devices = Devices(self.state, self.events, services)
         processes = Processes(settings, http, self.state, self.events, services)
         tasks = Tasks(self.events, devices, services, processes.refresh)

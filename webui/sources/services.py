@@ -1,7 +1,7 @@
 """Service health: the state of each service, its rates, and the last message received from it."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -13,6 +13,7 @@ from webui.live.event_log import Event, EventLog, timestamp
 from webui.live.live_state import LiveState
 from webui.live.views import LastMessage, ServiceHealth
 from webui.settings import BROKER, CONTROLLER, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
+from webui.sources.extra_services import ExtraService
 from webui.sources.source import Source
 
 POLL_INTERVAL_S = 2.0
@@ -44,13 +45,20 @@ COUNTERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
 }
 """The counters of each service, by the key under which the page shows their rate."""
+EXTRA_COUNTERS: Final[Mapping[str, str]] = {"tasks": "handover_tasks_total"}
+"""The counters of services of other packages, where they have them."""
 
 
 @dataclass
 class ServiceRow:
-    """The state of one service."""
+    """The state of one service; it is shown once its state is known.
+
+    A row without `url` has a permanent state. A row that is not wanted is shown only while it responds.
+    """
 
     name: str
+    url: str | None = None
+    is_wanted: bool = True
     state: State | None = None
     detail: str | None = None
     since: str = ""
@@ -90,7 +98,7 @@ class ServiceRow:
 
 
 class ServiceMonitor(Source):
-    """Polls the readiness and the metrics of every service."""
+    """Polls the readiness and the metrics of every service: ours at `urls`, and those of other packages."""
 
     def __init__(
         self,
@@ -99,13 +107,17 @@ class ServiceMonitor(Source):
         broker: BrokerClient,
         state: LiveState,
         events: EventLog,
+        *,
+        extra: Iterable[ExtraService] = (),
     ) -> None:
-        self._urls = urls
         self._http = http
         self._broker = broker
         self._state = state
         self._events = events
-        self._rows = {name: ServiceRow(name) for name in urls}
+        self._rows = {name: ServiceRow(name, url) for name, url in urls.items()}
+        self._extra = {one.name: one for one in extra if one.name not in urls}
+        for name, one in self._extra.items():
+            self._rows[name] = ServiceRow(name, one.url, one.is_wanted)
         self._check_requested = asyncio.Event()
 
     async def run(self) -> None:
@@ -138,7 +150,10 @@ class ServiceMonitor(Source):
         self._state.publish("services", [row.view() for row in self._rows.values() if row.state is not None])
 
     async def _check(self, row: ServiceRow) -> None:
-        url = self._urls[row.name]
+        url = row.url
+        if url is None:
+            self._set_state(row, "down", self._extra[row.name].fault)
+            return
         try:
             response = await self._http.get(f"{url}/readyz", timeout=REQUEST_TIMEOUT_S)
             state, detail = _state_of(response)
@@ -148,6 +163,9 @@ class ServiceMonitor(Source):
             counts = await self._read_counts(url, row.name)
         except (httpx.HTTPError, asyncio.IncompleteReadError, BrokerError) as error:
             row.samples.clear()
+            if not row.is_wanted:
+                row.state = None
+                return
             state, detail = "down", f"{url} does not respond: {str(error) or type(error).__name__}"
         else:
             if counts:
@@ -158,6 +176,10 @@ class ServiceMonitor(Source):
         response = await self._http.get(f"{url}/metrics", timeout=REQUEST_TIMEOUT_S)
         if not response.is_success:
             return {}
+        if name in self._extra:
+            return sum_counters(
+                response.text, {key: one for key, one in EXTRA_COUNTERS.items() if one in response.text}
+            )
         return sum_counters(response.text, COUNTERS.get(name, {}))
 
     def _set_state(self, row: ServiceRow, state: State, detail: str | None) -> None:

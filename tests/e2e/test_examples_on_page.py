@@ -1,6 +1,8 @@
-"""The page shows a robot of another package: its joints and limits, and a 3D view that moves."""
+"""The page shows what packages in `examples/` add: a robot in its 3D view, and a service with its health."""
 
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
+from tests.kit.ports import next_free_port
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -70,3 +73,40 @@ def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package
 
     in_german = open_page("/system?tab=robots", language="de")
     expect(in_german.get_by_role("rowheader", name="Linearachse")).to_be_visible()
+
+
+def run_lamp(cell: Cell) -> "subprocess.Popen[bytes]":
+    """Start the lamp of `examples/` as `handover up` does."""
+    command = [sys.executable, "-m", "handover.cli", "run", "lamp", "--port", str(cell.ports["lamp"])]
+    return subprocess.Popen(
+        command, env=cell.environment, cwd=cell.data_dir, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+    )
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_the_page_lists_a_service_of_another_package_with_its_health(
+    extended_cell: Cell, open_page: OpenPage, keep: Keep, wanted: bool
+) -> None:
+    cell = extended_cell
+    cell.ports["lamp"] = next_free_port()
+    cell.extra["HANDOVER_LAMP_PORT"] = str(cell.ports["lamp"])
+    if wanted:
+        cell.extra["HANDOVER_EXTRA_SERVICES"] = "lamp"
+    cell.run("context_broker")
+    cell.run("task_orchestrator", "gesture_controller", "trajectory_tool", "study", "webui")
+    page = open_page("/system")
+    services = page.get_by_role("table", name="Services")
+    expect(services.get_by_role("row", name=re.compile("^Study"))).to_be_visible()
+    row = services.get_by_role("row", name=re.compile("^lamp"))
+    expect(row).to_have_count(1 if wanted else 0)
+    lamp = run_lamp(cell)
+    try:
+        expect(row.get_by_text("Running", exact=True)).to_be_visible()
+        keep(page, "example-service")
+    finally:
+        lamp.terminate()
+        lamp.wait(timeout=30)
+    if wanted:
+        expect(row).to_contain_text("does not respond")
+    else:
+        expect(row).to_have_count(0)
