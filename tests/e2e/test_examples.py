@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import httpx
+import orjson
 import pytest
 
 from datamodels.entities import Device, ResourceSpecification
@@ -146,6 +147,40 @@ async def test_robot_moves_for_a_task(extended_cell: Cell, driver: str) -> None:
     urdf = httpx.get(parameters["urdf"])
     assert urdf.headers["content-type"].startswith("application/xml")
     assert ET.fromstring(urdf.text).get("name") == "rail"
+
+
+DATAGRAM_RULES = """
+ros_to_ngsild:
+  level: {topic: /level, type: std_msgs/Float64, entity: Device:tank-1, attributes: {level: data}}
+ngsild_to_ros:
+  valve: {entity: Device:tank-1, topic: /valve, type: std_msgs/Float64, fields: {data: opening}}
+"""
+
+
+async def test_ros_adapter_carries_topics_both_ways(extended_cell: Cell) -> None:
+    cell = extended_cell
+    mapping = cell.data_dir / "datagrams.yaml"
+    mapping.write_text(DATAGRAM_RULES)
+    port = next_free_port()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as node:
+        node.bind(("127.0.0.1", 0))
+        node.setblocking(False)
+        cell.extra["HANDOVER_ROS_ADAPTER"] = "datagram"
+        cell.extra["HANDOVER_ROS_MAPPING"] = str(mapping)
+        cell.extra["HANDOVER_DATAGRAM_PORT"] = str(port)
+        cell.extra["HANDOVER_DATAGRAM_PEER"] = f"127.0.0.1:{node.getsockname()[1]}"
+        cell.start("context_broker", "ros_fiware_bridge")
+        tank = "urn:ngsi-ld:Device:demo:tank-1"
+
+        async with BrokerClient(cell.settings) as broker, asyncio.timeout(scaled(60)):
+            while not (found := await broker.query(type="Device", id_pattern=f"^{tank}$")):
+                node.sendto(b"not a message", ("127.0.0.1", port))
+                node.sendto(b'{"topic": "/level", "message": {"data": 1.5}}', ("127.0.0.1", port))
+                await asyncio.sleep(0.1)
+            assert found[0]["level"]["value"] == 1.5
+            await broker.append(tank, {"opening": {"type": "Property", "value": 0.25}})
+            sent = await asyncio.get_running_loop().sock_recv(node, 1000)
+    assert orjson.loads(sent) == {"topic": "/valve", "message": {"data": 0.25}}
 
 
 def test_exporter_writes_the_history_of_a_process(extended_cell: Cell) -> None:
