@@ -64,11 +64,19 @@ class StoredContext:
     def stored(self) -> bytes:
         """Return it as the journal stores it."""
         expires_s = None if math.isinf(self.expires_s) else self.expires_s
-        return orjson.dumps([self.kind.value, self.created_at, self.document, self.gone, expires_s])
+        return orjson.dumps(
+            {
+                "kind": self.kind.value,
+                "createdAt": self.created_at,
+                "document": self.document,
+                "gone": self.gone,
+                "expires_s": expires_s,
+            }
+        )
 
     def stored_usage(self) -> bytes:
         """Return its use as the journal stores it."""
-        return orjson.dumps([self.hits, self.used_s])
+        return orjson.dumps({"hits": self.hits, "used_s": self.used_s})
 
     def address(self, base: str) -> str:
         """Return its URL: that of a cached one, else one of the broker at `base`."""
@@ -113,12 +121,14 @@ def implicit(tenant: str, document: Mapping[str, Any]) -> StoredContext:
 
 def restored(tenant: str, key: str, stored: bytes) -> StoredContext:
     """Return the context of a stored document."""
-    kind, created_at, document, gone, expires_s = orjson.loads(stored)
-    if kind == ContextKind.CACHED:
+    fields = orjson.loads(stored)
+    kind, document, created_at = ContextKind(fields["kind"]), fields["document"], fields["createdAt"]
+    if kind is ContextKind.CACHED:
+        expires_s = fields["expires_s"]
         context = cached(key, document, math.inf if expires_s is None else expires_s, created_at)
     else:
-        context = StoredContext(ContextKind(kind), tenant, key, None, document, created_at)
-    context.gone = gone
+        context = StoredContext(kind, tenant, key, None, document, created_at)
+    context.gone = fields["gone"]
     return context
 
 

@@ -36,7 +36,8 @@ class Usage:
         """Load stored counts."""
         context = self._shelf.named(key)
         if context is not None:
-            context.hits, context.used_s = orjson.loads(stored)
+            fields = orjson.loads(stored)
+            context.hits, context.used_s = fields["hits"], fields["used_s"]
             context.hits_kept = context.hits
 
     def note(self, used: Sequence[StoredContext]) -> None:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+import orjson
+
 from services.context_broker.delivery.endpoint import GEO_JSON, JSON, JSON_LD, Endpoint, endpoint
 from services.context_broker.delivery.triggers import EntityChange, Triggers, read_kinds
 from services.context_broker.model.context import Context
@@ -51,6 +53,30 @@ class Counts:
     last_notification: str | None = None
     last_success: str | None = None
     last_failure: str | None = None
+
+    def stored(self) -> bytes:
+        """Return the document for the journal."""
+        return orjson.dumps(
+            {
+                "sent": self.sent,
+                "failed": self.failed,
+                "lastNotification": self.last_notification,
+                "lastSuccess": self.last_success,
+                "lastFailure": self.last_failure,
+            }
+        )
+
+    @classmethod
+    def restored(cls, stored: bytes) -> "Counts":
+        """Return the counts of a stored document."""
+        fields = orjson.loads(stored)
+        return cls(
+            fields["sent"],
+            fields["failed"],
+            fields["lastNotification"],
+            fields["lastSuccess"],
+            fields["lastFailure"],
+        )
 
     def members(self) -> dict[str, Any]:
         """Return the counts as members of `notification`; none before the first attempt."""

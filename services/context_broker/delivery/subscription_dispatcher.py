@@ -4,8 +4,6 @@ from collections.abc import Iterable, Mapping
 from itertools import islice
 from typing import Final
 
-import orjson
-
 from services.context_broker.delivery.delivery_worker import DeliveryWorker
 from services.context_broker.delivery.endpoint_queue import EndpointQueue
 from services.context_broker.delivery.outbound import Outbound
@@ -116,17 +114,9 @@ class SubscriptionDispatcher:
 
     def settle(self, subscription: Subscription, seqs: Iterable[int]) -> None:
         """Delete notifications from the outbox and write the counts, with the next commit."""
-        counts = subscription.counts
-        stored = [
-            counts.sent,
-            counts.failed,
-            counts.last_notification,
-            counts.last_success,
-            counts.last_failure,
-        ]
         if subscription.id in self._workers:
             documents: dict[DocumentKey, bytes | None] = {
-                (self.counts_kind, self.tenant, subscription.id): orjson.dumps(stored)
+                (self.counts_kind, self.tenant, subscription.id): subscription.counts.stored()
             }
             self._commits.store_later(Entries(settled=list(seqs), documents=documents))
 

@@ -58,34 +58,33 @@ class Entity:
         """Return the entity as the journal stores it; raises `orjson.JSONEncodeError` if it is nested too
         deeply."""
         return orjson.dumps(
-            [
-                self.id,
-                self.types,
-                self.attributes,
-                self.created_at,
-                self.modified_at,
-                self.seq,
-                self.scopes,
-                self.expires_at,
-                self.ends_at,
-            ]
+            {
+                "id": self.id,
+                "types": self.types,
+                "attributes": self.attributes,
+                "createdAt": self.created_at,
+                "modifiedAt": self.modified_at,
+                "seq": self.seq,
+                "scopes": self.scopes,
+                "expiresAt": self.expires_at,
+                "endsAt": self.ends_at,
+            }
         )
 
     @classmethod
     def restored(cls, stored: bytes) -> "Entity":
         """Return the entity of a stored record."""
-        entity_id, types, attributes, created_at, modified_at, seq, *later = orjson.loads(stored)
-        scopes, expires_at, ends_at = later or ((), None, None)  # which the first release did not keep
+        fields = orjson.loads(stored)
         return cls(
-            entity_id,
-            tuple(types),
-            attributes,
-            created_at,
-            modified_at,
-            seq,
-            tuple(scopes),
-            expires_at,
-            ends_at,
+            fields["id"],
+            tuple(fields["types"]),
+            fields["attributes"],
+            fields["createdAt"],
+            fields["modifiedAt"],
+            fields["seq"],
+            tuple(fields["scopes"]),
+            fields["expiresAt"],
+            fields["endsAt"],
         )
 
 

@@ -87,7 +87,7 @@ class SubscriptionOperations:
                 log.exception("a subscription cannot be used", document=body.decode(), why=problem.detail)
                 continue
             if counts is not None:
-                restored.counts = Counts(*orjson.loads(counts))
+                restored.counts = Counts.restored(counts)
             found.append(restored)
         self.dispatcher(tenant).start(found)
 

@@ -56,14 +56,22 @@ class SnapshotNotification:
 
     def stored(self) -> bytes:
         """Return the document for the journal."""
-        return orjson.dumps([self.endpoint, self.headers, self.body.decode(), self.at])
+        return orjson.dumps(
+            {
+                "endpoint": self.endpoint,
+                "headers": self.headers,
+                "body": self.body.decode(),
+                "at": self.at,
+            }
+        )
 
 
 def restored(tenant: str, notification_id: str, stored: bytes) -> SnapshotNotification:
     """Return the notification of a stored document."""
-    endpoint, headers, body, at = orjson.loads(stored)
+    fields = orjson.loads(stored)
+    headers = tuple((name, value) for name, value in fields["headers"])
     return SnapshotNotification(
-        tenant, notification_id, endpoint, tuple((name, value) for name, value in headers), body.encode(), at
+        tenant, notification_id, fields["endpoint"], headers, fields["body"].encode(), fields["at"]
     )
 
 

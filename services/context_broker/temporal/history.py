@@ -10,8 +10,9 @@ instanceId of an instance is computed from the key and its position in the row a
 reason deleted instances leave a None in their row: the positions of the others must not change.
 
 Example: an entity at place 7 is created with a and b, then a is written, then b is deleted. The rows are
-`(7, t1) [{a: [1], b: [2]}]`, `(7, t2) [{a: [3]}]` and `(7, t3) [{}, {b: [[Property, null]]}]`. The instanceId
-of a's second value is `urn:ngsi-ld:Instance:7-<t2 in hex>-0`.
+`(7, t1) {attributes: {a: [1], b: [2]}}`, `(7, t2) {attributes: {a: [3]}}` and
+`(7, t3) {attributes: {}, deleted: {b: [[Property, null]]}}`. The instanceId of a's second value is
+`urn:ngsi-ld:Instance:7-<t2 in hex>-0`.
 """
 
 import re
@@ -51,19 +52,22 @@ class Change:
 
     def stored(self) -> bytes:
         """Return the body of the row; raises `orjson.JSONEncodeError` if nested too deep."""
+        fields: dict[str, Any] = {"attributes": self.attributes}
+        if self.deleted:
+            fields["deleted"] = self.deleted
         if self.scopes is not None:
-            return orjson.dumps([self.attributes, self.deleted, self.scopes])
-        return orjson.dumps([self.attributes, self.deleted] if self.deleted else [self.attributes])
+            fields["scopes"] = self.scopes
+        return orjson.dumps(fields)
 
     @classmethod
     def restored(cls, stored: bytes) -> "Change":
         """Return the change in the body of a row."""
-        return cls(*orjson.loads(stored))
+        return cls(**orjson.loads(stored))
 
     @staticmethod
     def may_set_scopes(stored: bytes) -> bool:
         """Return quickly whether `stored` may set scopes: the scopes after a change are its last member."""
-        return stored.endswith(b"]]") or b'"scope":' in stored
+        return stored.endswith(b"]}") or b'"scope":' in stored
 
     def is_empty(self) -> bool:
         """Return whether all instances have been removed."""
@@ -173,14 +177,29 @@ class TemporalOnlyEntity:
 
     def stored(self) -> bytes:
         """Return the body of the stored row."""
-        fields = [self.types, self.scopes, self.created_at, self.modified_at, self.deleted_at]
-        return orjson.dumps(fields if self.expires_at is None else [*fields, self.expires_at])
+        return orjson.dumps(
+            {
+                "types": self.types,
+                "scopes": self.scopes,
+                "createdAt": self.created_at,
+                "modifiedAt": self.modified_at,
+                "deletedAt": self.deleted_at,
+                "expiresAt": self.expires_at,
+            }
+        )
 
     @classmethod
     def restored(cls, stored: bytes) -> "TemporalOnlyEntity":
         """Return the entity in the body of a stored row."""
-        types, scopes, *times = orjson.loads(stored)
-        return cls(tuple(types), tuple(scopes), *times)
+        fields = orjson.loads(stored)
+        return cls(
+            tuple(fields["types"]),
+            tuple(fields["scopes"]),
+            fields["createdAt"],
+            fields["modifiedAt"],
+            fields["deletedAt"],
+            fields["expiresAt"],
+        )
 
 
 class Recorder:

@@ -150,13 +150,6 @@ async def test_a_missing_context_is_missing_after_a_restart_too() -> None:
         await shelf.book.of(URL)
 
 
-async def test_contexts_of_the_first_release_are_taken_over() -> None:
-    shelf = Shelf(Published(context(speed="new"), 3600))
-    shelf.kept[DocumentKind.CONTEXT, "", URL] = b'{"@context": {"speed": "https://a.example/speed"}}'
-    shelf.book = shelf.opened()
-    assert (await shelf.book.of(URL)).terms.expand("speed") == "https://a.example/speed"
-
-
 async def test_a_deleted_context_serves_its_subscriptions_and_is_then_erased() -> None:
     shelf = Shelf(Published(None, 3600))
     one = await shelf.book.add("", {"speed": "https://a.example/speed"})

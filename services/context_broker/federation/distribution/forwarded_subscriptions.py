@@ -61,24 +61,32 @@ class ForwardedSubscription:
         """Return the document for the journal."""
         source = self.registration
         return orjson.dumps(
-            [
-                self.subscription,
-                source.document,
-                source.context.document,
-                self.document_digest,
-                self.base,
-                self.is_confirmed,
-            ]
+            {
+                "subscription": self.subscription,
+                "registration": source.document,
+                "context": source.context.document,
+                "digest": self.document_digest,
+                "base": self.base,
+                "isConfirmed": self.is_confirmed,
+            }
         )
 
 
 async def restored(
     token: str, tenant: str, stored: bytes, contexts: ContextResolver
 ) -> ForwardedSubscription:
-    """Return the relay that `stored` had been; raises a problem if its source makes no sense any more."""
-    subscription, document, context, document_digest, base, is_confirmed = orjson.loads(stored)
-    source = registration(document, await contexts.as_before(context))
-    return ForwardedSubscription(token, tenant, subscription, source, document_digest, base, is_confirmed)
+    """Return the forwarded subscription of a stored document. Raises a problem for an invalid source."""
+    fields = orjson.loads(stored)
+    source = registration(fields["registration"], await contexts.as_before(fields["context"]))
+    return ForwardedSubscription(
+        token,
+        tenant,
+        fields["subscription"],
+        source,
+        fields["digest"],
+        fields["base"],
+        is_confirmed=fields["isConfirmed"],
+    )
 
 
 def questions(subscription: Subscription) -> list[EntityTarget]:

@@ -172,10 +172,9 @@ class Registry:
         """Restore the stored counts of a registration."""
         found = self._all.get(registration_id)
         if found is not None:
-            attempts = found.attempts
-            attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure = orjson.loads(
-                stored
-            )
+            attempts, fields = found.attempts, orjson.loads(stored)
+            attempts.sent, attempts.failed = fields["sent"], fields["failed"]
+            attempts.last_success, attempts.last_failure = fields["lastSuccess"], fields["lastFailure"]
 
     @staticmethod
     def is_cooling_down(registration: Registration) -> bool:
@@ -259,7 +258,14 @@ def _has_some(entity: Entity, names: frozenset[str] | None, datasets: frozenset[
 
 def stored_attempts(attempts: Attempts) -> bytes:
     """Return the counts for the journal."""
-    return orjson.dumps([attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure])
+    return orjson.dumps(
+        {
+            "sent": attempts.sent,
+            "failed": attempts.failed,
+            "lastSuccess": attempts.last_success,
+            "lastFailure": attempts.last_failure,
+        }
+    )
 
 
 def _overlaps(piece: Information, other: Registration) -> bool:
