@@ -200,6 +200,13 @@ class Handover:
 
     def check(self, element: etree._Element, found: Findings) -> None:
         """Report our extension elements that stand where they have no meaning."""
+        for attribute in element.attrib:
+            if attribute.startswith(f"{{{NAMESPACE}}}"):
+                what = f"handover:{etree.QName(attribute).localname}"
+                found.warn(
+                    element,
+                    message("bpmn.no_effect", "{element} has no effect on the execution", element=what),
+                )
         name = local(element)
         allowed = {"process"} if name == "process" else {"on"} if _can_be_event(element) else set()
         if name.endswith(("ask", "Event")):

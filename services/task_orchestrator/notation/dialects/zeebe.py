@@ -26,6 +26,9 @@ from services.task_orchestrator.notation.faults import Findings
 
 NAMESPACE = "http://camunda.org/schema/zeebe/1.0"
 
+MAX_PATH = 10
+"""Steps of the target of a mapping, such as `a.b`."""
+
 _HARMLESS = frozenset(
     {
         *("taskDefinition", "taskHeaders", "ioMapping", "assignmentDefinition", "formDefinition"),
@@ -100,8 +103,8 @@ class Zeebe:
             for part in _parts(group, name):
                 source, target = part.get("source") or "", (part.get("target") or "").strip()
                 path = target.split(".")
-                if not all(is_variable_name(step) for step in path):
-                    found.fault(part, f'target="{target}" cannot be the name of a variable')
+                if len(path) > MAX_PATH or not all(is_variable_name(step) for step in path):
+                    found.fault(part, f'target="{target[:100]}" cannot be the name of a variable')
                     continue
                 value = attempt(part, partial(self.value, source), Value(), found)
                 _put(values, path, value)

@@ -174,6 +174,12 @@ def test_a_variable_that_is_a_word_of_the_language_is_refused() -> None:
     assert '"not" cannot be a variable' in faults(between(activity("not"), "not"))[0]
 
 
+def test_an_unknown_attribute_of_ours_is_a_warning() -> None:
+    assert warnings(between('<bpmn:task id="x" handover:robot="a"/>')) == [
+        'line 1, "x": handover:robot has no effect on the execution'
+    ]
+
+
 def test_a_script_assigns_variables() -> None:
     script = node(
         '<bpmn:scriptTask id="x"><bpmn:script>a = 1\nb = a + 1</bpmn:script></bpmn:scriptTask>'

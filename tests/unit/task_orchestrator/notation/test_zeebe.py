@@ -189,6 +189,14 @@ def test_listeners_are_warnings() -> None:
             'target="a b" cannot be the name of a variable',
         ),
         (
+            extended(
+                "task",
+                f'<zeebe:ioMapping><zeebe:input source="=1" target="{".".join("a" * 9999)}"/>'
+                "</zeebe:ioMapping>",
+            ),
+            "cannot be the name of a variable",
+        ),
+        (
             extended("task", '<zeebe:ioMapping><zeebe:input source="=1 +" target="a"/></zeebe:ioMapping>'),
             "1 +",
         ),
