@@ -79,8 +79,17 @@ PROCESS_FAILED: Final = AlertType(
     "processFailed",
     Severity.HIGH,
     "Process",
-    "A process ended because a Task failed or its model could not be executed.",
-    "Retry the failed Task on the page, or start a new process.",
+    "A process ended by an error that its model does not catch.",
+    "Remove the cause that the Alert names, then start a new process.",
+)
+PROCESS_INCIDENT: Final = AlertType(
+    AlertCategory.PROCESS,
+    "processIncident",
+    Severity.HIGH,
+    "Process",
+    "A part of a process cannot continue: a Task failed, no condition holds, or a variable is missing. "
+    "Other parts of the process continue.",
+    "Remove the cause that the Alert names, then retry, skip or move it on the page.",
 )
 SPECIFICATIONS_UNAVAILABLE: Final = AlertType(
     AlertCategory.SYSTEM,
@@ -106,6 +115,7 @@ CATALOGUE: Final = (
     TASK_NOT_ACCEPTED,
     TASK_LOST,
     PROCESS_FAILED,
+    PROCESS_INCIDENT,
     SPECIFICATIONS_UNAVAILABLE,
     ROS_PROBLEM,
 )

@@ -41,6 +41,8 @@ class ActiveProcesses:
         self._dues: dict[str, datetime] = {}
         self._stale: set[str] = set()
         self._handover_timer = HandoverTimer()
+        self.on_loaded: Callable[[Process], None] = lambda _: None
+        """Called with each process that was loaded from the database."""
 
     @property
     def stale(self) -> bool:
@@ -117,8 +119,8 @@ class ActiveProcesses:
         try:
             definition = self._registry.record(record.definition, record.version)
             await self._registry.prepare(definition)
-            plan = self._registry.plan(definition)
-            process = Process.resume(self._settings, plan, record, tasks)
+            plan = self._registry.plan_of(definition)
+            process = Process.resume(self._settings, plan, record, tasks, self._registry)
         except HandoverError as error:
             log.critical("process not resumed", process=record.id, error=str(error))
             return
@@ -126,6 +128,7 @@ class ActiveProcesses:
             self.processes[record.id] = process
             self._owners.update(dict.fromkeys(process.tasks, record.id))
             self._set_due(process)
+            self.on_loaded(process)
 
     def _set_due(self, process: Process) -> None:
         self._dues.pop(process.record.id, None)

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from datetime import UTC
+from datetime import UTC, timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,15 +14,19 @@ from starlette.responses import JSONResponse
 from datamodels.entities import TaskStatus
 from handover.body_limit import max_body
 from handover.broker import BrokerClient
+from handover.durations import parse_duration
 from handover.errors import Problem
 from handover.messages import message
 from handover.service import XML_TYPES, accepts, create_app
 from handover.storage import storage_check
 from handover.telemetry import get_logger
 from services.task_orchestrator.archive import Archiver
-from services.task_orchestrator.definition import BadBpmn, Fault
-from services.task_orchestrator.orchestrator import Orchestrator
+from services.task_orchestrator.model import Fault
+from services.task_orchestrator.notation.document import MAX_BYTES
+from services.task_orchestrator.notation.faults import BadBpmn, as_json
+from services.task_orchestrator.orchestrator import Orchestrator, check_variables
 from services.task_orchestrator.reconcile import Reconciler
+from services.task_orchestrator.records import ActKind
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.views import (
     activity_views,
@@ -32,7 +36,6 @@ from services.task_orchestrator.views import (
     process_view,
     statistics_view,
 )
-from services.task_orchestrator.xml_names import MAX_BYTES
 
 log = get_logger(__name__)
 
@@ -73,6 +76,47 @@ class RetryRequest(BaseModel):
     by: Name = Field(description="the person who retries it")
 
 
+class MendRequest(BaseModel):
+    """What a person decides about a token of a process."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name = Field(description="the person who decides; nobody verifies the name yet")
+    why: str | None = Field(None, max_length=1000, description="the reason, for the history")
+    variables: dict[str, Any] = Field(default_factory=dict, description="variables that are set before")
+
+
+class MessageRequest(BaseModel):
+    """A message to a process."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str = Field(min_length=1, max_length=200, description="the name of the BPMN message")
+    key: str | int | float | bool | None = Field(
+        None, description="the correlation key, or the business key of the process"
+    )
+    process: str | None = Field(None, description="the id of the process that gets it")
+    variables: dict[str, Any] = Field(default_factory=dict, description="variables that it brings")
+    ttl: str | None = Field(
+        None, description="how long it is kept while no process waits for it, such as PT10M; PT0S: not at all"
+    )
+
+
+class SignalRequest(BaseModel):
+    """A signal to all processes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str = Field(min_length=1, max_length=200, description="the name of the BPMN signal")
+    variables: dict[str, Any] = Field(default_factory=dict, description="variables that it brings")
+
+
+class MoveRequest(MendRequest):
+    """A request to move a token."""
+
+    to: str = Field(max_length=1000, description="the id of the element of the same scope to move it to")
+
+
 class Components:
     """The components of the service; the routes share them."""
 
@@ -82,6 +126,11 @@ class Components:
         self.orchestrator = Orchestrator(settings, self.broker)
         self.reconciler = Reconciler(self.orchestrator, self.broker)
         self.archiver = Archiver(self.orchestrator, self.broker)
+
+    @property
+    def process_prefix(self) -> str:
+        """Return what the URNs of processes begin with."""
+        return self.settings.entity_id("Process", "")
 
     @asynccontextmanager
     async def lifespan(self, _: FastAPI) -> AsyncIterator[None]:
@@ -99,14 +148,15 @@ class Components:
         for file in await asyncio.to_thread(lambda: sorted(folder.glob("*.bpmn"))):
             try:
                 xml = await asyncio.to_thread(file.read_bytes)
-                deployment = await self.orchestrator.deploy(xml, only_if_never_seen=True)
+                deployed = await self.orchestrator.deploy(xml, only_if_never_seen=True)
             except BadBpmn as bad:
                 faults = [str(fault) for fault in bad.faults]
                 log.warning("BPMN file not deployed", file=str(file), faults=faults)
             except OSError as error:
                 log.warning("BPMN file not readable", file=str(file), error=str(error))
             else:
-                log.info("definition deployed", name=deployment.name, version=deployment.version)
+                for each in deployed.deployments:
+                    log.info("definition deployed", name=each.name, version=each.version)
 
     async def check_database(self) -> None:
         """Raise an exception if the database does not answer."""
@@ -129,6 +179,28 @@ def make_app(settings: OrchestratorSettings) -> FastAPI:
     )
     _add_definitions(app, at.orchestrator)
     _add_processes(app, at)
+
+    @app.post("/messages", tags=["events"])
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def publish(body: MessageRequest) -> dict[str, Any]:
+        """Send a message: to the process that waits for it, else a start event, else it is kept."""
+        check_variables(body.variables)
+        try:
+            ttl = None if body.ttl is None else timedelta(seconds=parse_duration(body.ttl).nominal_s)
+        except ValueError as error:
+            raise Problem(422, "Bad time to live", str(error)) from error
+        process = None if body.process is None else body.process.removeprefix(at.process_prefix)
+        outcome, reached = await at.orchestrator.publish(
+            body.name, key=body.key, process=process, variables=body.variables, ttl=ttl
+        )
+        return {"outcome": outcome.value, "process": reached}
+
+    @app.post("/signals", tags=["events"])
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def broadcast(body: SignalRequest) -> dict[str, Any]:
+        """Send a signal to every process that waits for it, and to start events."""
+        check_variables(body.variables)
+        return {"processes": await at.orchestrator.broadcast(body.name, body.variables)}
 
     @app.post("/notifications", status_code=204, tags=["notifications"])
     async def notify(request: Request) -> Response:
@@ -153,9 +225,13 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         body = await _body(request)
         if dry:
             return JSONResponse(await orchestrator.check_deployment(body), 200)
-        deployment = await orchestrator.deploy(body)
-        view = definition_view(registry, registry.record(deployment.name, deployment.version))
-        return JSONResponse(view, 201 if deployment.created else 200)
+        deployed = await orchestrator.deploy(body)
+        views = [
+            definition_view(registry, registry.record(each.name, each.version))
+            for each in deployed.deployments
+        ]
+        view = {**views[0], "definitions": views, "warnings": as_json(deployed.warnings)}
+        return JSONResponse(view, 201 if deployed.created else 200)
 
     @app.get("/definitions", tags=["definitions"])
     async def definitions() -> list[dict[str, Any]]:
@@ -170,7 +246,7 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         """Return a definition with its activities."""
         record = registry.record(name, version)
         await registry.prepare(record)
-        activities = activity_views(registry.plan(record).definition)
+        activities = activity_views(registry.plan_of(record).definition)
         return {**definition_view(registry, record), "activities": activities}
 
     @app.get("/definitions/{name}/statistics", tags=["definitions"])
@@ -259,6 +335,49 @@ def _add_processes(app: FastAPI, at: Components) -> None:
         """Post the failed Task that has ended a process again, as a new Task; the process continues."""
         await orchestrator.retry(_plain(process_id), settings.entity_id("Task", task_id), body.by.strip())
         return await _process(process_id)
+
+    async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> dict[str, Any]:
+        check_variables(body.variables)
+        await orchestrator.mend(
+            _plain(process_id),
+            kind,
+            token,
+            by=body.by.strip(),
+            why=body.why,
+            to=body.to if isinstance(body, MoveRequest) else None,
+            values=body.variables,
+        )
+        return await _process(process_id)
+
+    @app.post("/processes/{process_id}/variables", tags=["incidents"])
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def set_variables(process_id: str, body: MendRequest) -> dict[str, Any]:
+        """Set variables of a running process."""
+        return await mend(process_id, ActKind.SET_VARIABLES, None, body)
+
+    @app.post("/processes/{process_id}/tokens/{token}/retry", tags=["incidents"])
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def retry_token(process_id: str, token: str, body: MendRequest) -> dict[str, Any]:
+        """Let a token with an incident try again: a failed Task is posted again, as a new Task."""
+        return await mend(process_id, ActKind.RETRY, token, body)
+
+    @app.post("/processes/{process_id}/tokens/{token}/skip", tags=["incidents"])
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def skip_token(process_id: str, token: str, body: MendRequest) -> dict[str, Any]:
+        """Let a token leave its element, as if that had been done with the variables as results."""
+        return await mend(process_id, ActKind.SKIP, token, body)
+
+    @app.post("/processes/{process_id}/tokens/{token}/move", tags=["incidents"])
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def move_token(process_id: str, token: str, body: MoveRequest) -> dict[str, Any]:
+        """Move a token to another element of its scope; its present Task is cancelled."""
+        return await mend(process_id, ActKind.MOVE, token, body)
+
+    @app.post("/processes/{process_id}/tokens/{token}/cancel", tags=["incidents"])
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def cancel_token(process_id: str, token: str, body: MendRequest) -> dict[str, Any]:
+        """End a token where it is; the process ends if it was the last one."""
+        return await mend(process_id, ActKind.CANCEL_BRANCH, token, body)
 
     async def _process(process_id: str) -> dict[str, Any]:
         seen = await orchestrator.on_disk(store.everything, _plain(process_id))

@@ -10,10 +10,11 @@ from typing import Any
 
 from handover.errors import HandoverError, Problem
 from handover.messages import message, text_of
-from services.task_orchestrator.bpmn import read_bpmn
-from services.task_orchestrator.definition import BadBpmn, Definition, Fault
-from services.task_orchestrator.engine import Plan, RunFailed
 from services.task_orchestrator.entities import definition_entities
+from services.task_orchestrator.execution.graph import Plan
+from services.task_orchestrator.execution.state import Library, RunFailed
+from services.task_orchestrator.model import Definition, Fault
+from services.task_orchestrator.notation.file import read_bpmn
 from services.task_orchestrator.records import DefinitionRecord
 from services.task_orchestrator.settings import OrchestratorSettings
 
@@ -27,14 +28,26 @@ class Deployment:
     created: bool
 
 
-class DefinitionRegistry:
+@dataclass(frozen=True, slots=True)
+class Deployed:
+    """The results of the deployment of a file, one a process, and the warnings about it."""
+
+    deployments: tuple[Deployment, ...]
+    warnings: tuple[Fault, ...]
+
+    @property
+    def created(self) -> bool:
+        """Return whether there is a new version of any process."""
+        return any(each.created for each in self.deployments)
+
+
+class DefinitionRegistry(Library):
     """All definitions by name and version."""
 
     def __init__(self, settings: OrchestratorSettings) -> None:
         self._settings = settings
         self._records: dict[str, list[DefinitionRecord]] = {}
-        self._plans: dict[str, Plan] = {}
-        """By the digest of the file."""
+        self._plans: dict[tuple[str, int], Plan] = {}
 
     def add(self, records: Iterable[DefinitionRecord]) -> None:
         """Add `records`, in the order of their versions."""
@@ -76,25 +89,51 @@ class DefinitionRegistry:
             )
         return versions[version - 1]
 
-    def plan(self, record: DefinitionRecord) -> Plan:
-        """Return the executable plan of `record`; on the event loop, call `prepare` first."""
-        if record.digest not in self._plans:
-            self._plans[record.digest] = Plan(read_bpmn(record.xml))
-        return self._plans[record.digest]
+    def plan_of(self, record: DefinitionRecord) -> Plan:
+        """Return the executable plan of `record`; on the event loop, call `prepare` first.
+
+        Raises `BadBpmn` if this release cannot execute it.
+        """
+        key = (record.name, record.version)
+        if key not in self._plans:
+            self._plans[key] = _read(record)
+        return self._plans[key]
+
+    def plan(self, name: str, version: int) -> Plan:
+        """Return a version of a definition; raise `RunFailed` if there is none that can be executed."""
+        try:
+            return self.plan_of(self.record(name, version))
+        except Problem as problem:
+            raise RunFailed(text_of(problem)) from problem
+
+    def find(self, name: str, version: int | None, tag: str | None) -> Plan:
+        """Return the latest version, or that with the version number or tag; raise `RunFailed` if none."""
+        if tag is None:
+            try:
+                return self.plan_of(self.record(name, version))
+            except Problem as problem:
+                raise RunFailed(text_of(problem)) from problem
+        for record in reversed(self._records.get(name, [])):
+            if record.label == tag:
+                return self.plan(name, record.version)
+        raise RunFailed(
+            message("bpmn.no_such_tag", '"{name}" has no version with the tag "{tag}"', name=name, tag=tag)
+        )
 
     async def prepare(self, record: DefinitionRecord) -> None:
         """Create the plan of `record` in a thread; the largest file takes half a second.
 
-        A failure is not raised here: `plan` raises the reason.
+        A failure is not raised here: `plan_of` raises the reason.
         """
-        if record.digest in self._plans:
+        key = (record.name, record.version)
+        if key in self._plans:
             return
         with suppress(HandoverError):
-            self._plans[record.digest] = await asyncio.to_thread(lambda: Plan(read_bpmn(record.xml)))
+            self._plans[key] = await asyncio.to_thread(_read, record)
 
     def keep(self, plan: Plan) -> None:
         """Store a plan that exists already."""
-        self._plans[_digest(plan.definition.xml)] = plan
+        self._plans[plan.definition.name, plan.version] = plan
 
     def next_version(
         self,
@@ -130,22 +169,15 @@ class DefinitionRegistry:
     def entities(self, record: DefinitionRecord) -> list[dict[str, Any]]:
         """Return the ProcessDefinition and TaskDefinitions of `record`."""
         url = f"{self._settings.own_url}/definitions/{record.name}/bpmn?version={record.version}"
-        definition = self.plan(record).definition
+        definition = self.plan_of(record).definition
         return definition_entities(self._settings, definition, record.version, url)
 
 
-def plan_of(xml: bytes) -> Plan:
-    """Return the plan for `xml`; raise `BadBpmn` if it is wrong or the engine cannot run it."""
-    definition = read_bpmn(xml)
-    try:
-        return Plan(definition)
-    except RunFailed as failure:
-        raise BadBpmn([Fault(definition.name, None, text_of(failure))]) from failure
-
-
-def read_runnable(xml: bytes) -> Definition:
-    """Return the definition in `xml`; raise `BadBpmn` if it is wrong or the engine cannot run it."""
-    return plan_of(xml).definition
+def _read(record: DefinitionRecord) -> Plan:
+    for definition in read_bpmn(record.xml).definitions:
+        if definition.name == record.name:
+            return Plan(definition, record.version)
+    raise RunFailed(f'the file of "{record.name}" has no such process')
 
 
 def _digest(xml: bytes) -> str:

@@ -7,9 +7,9 @@ from typing import Any
 from datamodels.entities import RequestedStatus, TaskStatus
 from datamodels.times import iso
 from handover.settings import Settings
-from services.task_orchestrator.definition import Activity, Definition
-from services.task_orchestrator.extension import is_reference
+from services.task_orchestrator.model import Activity, Definition
 from services.task_orchestrator.records import TaskRecord
+from services.task_orchestrator.references import is_reference
 
 Entity = dict[str, Any]
 
@@ -35,7 +35,7 @@ def definition_entities(settings: Settings, definition: Definition, version: int
     if definition.description:
         process["description"] = _property(definition.description)
     tasks: dict[str, Entity] = {}
-    for activity in definition.activities.values():
+    for activity in definition.activities().values():
         entity = _task_definition(settings, activity, process_definition)
         known = tasks.setdefault(entity["id"], entity)
         if (
@@ -101,8 +101,9 @@ def task_entity(
     *,
     at: datetime,
     deadline: datetime,
+    data: Mapping[str, Any] | None = None,
 ) -> Entity:
-    """Return the `pending` Task of `activity` with the present process variables.
+    """Return the `pending` Task of `activity` with the present process variables and data objects.
 
     Raises `ExpressionError` when a variable is missing, `ValueError` when a reference is invalid.
     """
@@ -117,7 +118,7 @@ def task_entity(
         "involves": _property(
             [_link(settings, given.value(variables), activity) for given in activity.involves]
         ),
-        "workParameters": _property(_work_parameters(activity, variables)),
+        "workParameters": _property({**(data or {}), **_work_parameters(activity, variables)}),
         "deadline": _property({"@type": "DateTime", "@value": iso(deadline)}),
     }
     places = [

@@ -10,8 +10,19 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from services.task_orchestrator.definition import Activity, Definition, Flow, Kind, Node, Trigger, variable_of
-from services.task_orchestrator.languages.native import ExpressionError, read
+from services.task_orchestrator.execution.graph import Graph
+from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.model import (
+    EVENTS,
+    Activity,
+    Definition,
+    ErrorEvent,
+    Flow,
+    Kind,
+    LinkEvent,
+    Node,
+    Scope,
+)
 
 MAX_UPCOMING = 8
 """A longer list of possible activities is of no use to a person."""
@@ -26,62 +37,86 @@ def upcoming_activities(
     Boundary events come last: they are modelled for exceptions.
     """
     graph = _Graph(definition)
-    here = [definition.nodes[name] for name in waiting if name in definition.nodes]
-    known = _settled(definition, here, variables)
+    here = [graph.nodes[name] for name in waiting if name in graph.nodes]
+    known = _settled(graph, here, variables)
     found: dict[str, Activity] = {}
-    exceptions = [node for node in here if node.kind is Kind.BOUNDARY]
+    exceptions = [node for node in here if node.kind is Kind.BOUNDARY_EVENT]
     for node in here:
         exceptions += [each for each in graph.boundary_events.get(node.id, ()) if each not in here]
-    for node in [*(each for each in here if each.kind is not Kind.BOUNDARY), *exceptions]:
+    regular = [each for each in here if each.kind is not Kind.BOUNDARY_EVENT and each.scope is None]
+    for node in [*regular, *exceptions]:
         host = node.attached_to or node.id
         for name in _Walk(graph, host, dict(known)).activities_after(node.id):
-            found.setdefault(name, definition.activities[name])
+            found.setdefault(name, graph.activities[name])
     return tuple(found.values())[:MAX_UPCOMING]
 
 
-def _settled(definition: Definition, here: list[Node], variables: Mapping[str, Any]) -> dict[str, Any]:
+def _settled(graph: "_Graph", here: list[Node], variables: Mapping[str, Any]) -> dict[str, Any]:
     """Return the variables that keep their values until the next gateway, for every token.
 
     With parallel tokens only the variables that no element of the model sets are certain.
     """
     setting = here
-    if sum(node.kind is not Kind.BOUNDARY for node in here) > 1:
-        setting = list(definition.nodes.values())
-        if any(node.kind is Kind.SCRIPT for node in setting):
+    if sum(node.kind is not Kind.BOUNDARY_EVENT for node in here) > 1:
+        setting = list(graph.nodes.values())
+        if any(node.kind is Kind.SCRIPT_TASK for node in setting):
             return {}
-    changing = {name for node in setting for name in _set_by(definition, node)}
+    changing: set[str] = set()
+    for node in setting:
+        names = _set_by(node)
+        if names is None:
+            return {}
+        changing.update(names)
     return {name: value for name, value in variables.items() if name not in changing}
 
 
-def _set_by(definition: Definition, node: Node) -> tuple[str, ...]:
-    """Return the variables that change when the token leaves `node`."""
-    if node.kind is Kind.BOUNDARY:
+def _set_by(node: Node) -> tuple[str, ...] | None:
+    """Return the variables that change when the token leaves `node`; None if they cannot be known."""
+    if node.kind is Kind.BOUNDARY_EVENT:
         return ("error",)
-    activity = definition.activities.get(node.id)
-    if activity is None:
-        return ()
-    return tuple(activity.outputs) or (variable_of(node.id),)
+    if node.outputs:
+        return tuple(each.target for each in node.outputs)
+    if node.activity is None:
+        return None if node.event is not None and node.kind in EVENTS else ()
+    if node.activity.outputs:
+        return tuple(node.activity.outputs)
+    return None if node.activity.spreads_outputs else (node.activity.variable,)
 
 
 @dataclass
 class _Graph:
-    """The flows and boundary events of a definition as a graph."""
+    """The nodes of all scopes as one graph: a subprocess leads to its start, the ends within it behind it."""
 
     definition: Definition
 
     @cached_property
+    def nodes(self) -> dict[str, Node]:
+        """Return all nodes by id."""
+        return {node.id: node for node in self.definition.nodes()}
+
+    @cached_property
+    def activities(self) -> dict[str, Activity]:
+        """Return the activities that create Tasks."""
+        return self.definition.activities()
+
+    @cached_property
     def leaving(self) -> dict[str, list[Flow]]:
         """Return the outgoing flows of each node, in the order of the model."""
-        leaving: dict[str, list[Flow]] = {name: [] for name in self.definition.nodes}
-        for flow in self.definition.flows.values():
-            leaving[flow.source].append(flow)
+        leaving: dict[str, list[Flow]] = {name: [] for name in self.nodes}
+        for scope in self.definition.scopes():
+            for flow in scope.flows.values():
+                leaving[flow.source].append(flow)
+            _add_links(scope, leaving)
+        for node in self.nodes.values():
+            if node.scope is not None:
+                _enclose(node, node.scope, leaving)
         return leaving
 
     @cached_property
     def boundary_events(self) -> dict[str, list[Node]]:
         """Return the boundary events of each activity."""
         boundary_events: dict[str, list[Node]] = {}
-        for node in self.definition.nodes.values():
+        for node in self.nodes.values():
             if node.attached_to is not None:
                 boundary_events.setdefault(node.attached_to, []).append(node)
         return boundary_events
@@ -95,11 +130,39 @@ class _Graph:
             if name in seen:
                 continue
             seen.add(name)
-            node = self.definition.nodes[name]
-            if node.kind is Kind.END and node.trigger is not Trigger.ERROR:
+            node = self.nodes[name]
+            flows = self.leaving[name]
+            if not flows and not isinstance(node.event, ErrorEvent):
                 return True
-            stack += [flow.target for flow in self.leaving[name]]
+            stack += [flow.target for flow in flows]
         return False
+
+
+def _add_links(scope: Scope, leaving: dict[str, list[Flow]]) -> None:
+    """Add a flow from each throwing link event to the catching one."""
+    catching = {
+        node.event.name: node.id
+        for node in scope.nodes.values()
+        if node.kind is Kind.CATCH_EVENT and isinstance(node.event, LinkEvent)
+    }
+    for node in scope.nodes.values():
+        if (
+            node.kind is Kind.THROW_EVENT
+            and isinstance(node.event, LinkEvent)
+            and node.event.name in catching
+        ):
+            leaving[node.id].append(Flow("", node.id, catching[node.event.name]))
+
+
+def _enclose(host: Node, scope: Scope, leaving: dict[str, list[Flow]]) -> None:
+    """Lead the flows of a subprocess through its content."""
+    behind = leaving[host.id]
+    for node in scope.nodes.values():
+        if not leaving[node.id] and not isinstance(node.event, ErrorEvent):
+            leaving[node.id] = [Flow(flow.id, node.id, flow.target, flow.condition) for flow in behind]
+    starts = Graph(scope).starts
+    if starts:
+        leaving[host.id] = [Flow("", host.id, start.id) for start in starts]
 
 
 @dataclass
@@ -113,17 +176,17 @@ class _Walk:
 
     def activities_after(self, name: str) -> Iterator[str]:
         """Yield the ids of the first activities after `name`."""
-        node = self.graph.definition.nodes[name]
+        node = self.graph.nodes[name]
         for flow in self._outgoing(node):
             target = flow.target
-            if target in self.graph.definition.activities:
+            if target in self.graph.activities:
                 yield target
             elif target not in self._passed:
                 self._passed.add(target)
                 yield from self.activities_after(target)
 
     def _outgoing(self, node: Node) -> list[Flow]:
-        if node.kind is Kind.SCRIPT:
+        if node.kind is Kind.SCRIPT_TASK:
             self._forget_variables()
         flows = self.graph.leaving[node.id]
         if node.kind is Kind.EXCLUSIVE:
@@ -156,7 +219,7 @@ class _Walk:
         if flow.condition is None:
             return None
         try:
-            return bool(read(flow.condition).value(self.known))
+            return bool(flow.condition.value(self.known))
         except ExpressionError:
             return None
 

@@ -27,17 +27,26 @@ from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator import metrics
 from services.task_orchestrator.active_processes import ActiveProcesses
-from services.task_orchestrator.definition_registry import (
-    DefinitionRegistry,
-    Deployment,
-    plan_of,
-    read_runnable,
-)
+from services.task_orchestrator.correlation import EventStart
+from services.task_orchestrator.definition_registry import DefinitionRegistry, Deployed, Deployment
 from services.task_orchestrator.entities import final_attributes
+from services.task_orchestrator.event_delivery import EventDelivery
+from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.languages.native import is_variable_name
+from services.task_orchestrator.notation.faults import as_json
+from services.task_orchestrator.notation.file import read_bpmn
 from services.task_orchestrator.outbox import Outbox
 from services.task_orchestrator.process import Process, entity_of
-from services.task_orchestrator.records import Message, MessageKind, ProcessRecord, Step
+from services.task_orchestrator.records import (
+    Act,
+    ActKind,
+    DefinitionRecord,
+    Message,
+    MessageKind,
+    MessageOutcome,
+    ProcessRecord,
+    Step,
+)
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.store import EndedProcess, EndedTask, Store
 
@@ -94,6 +103,10 @@ class Orchestrator:
         self._next_seq = 1
         self._disk = ThreadPoolExecutor(1, "orchestrator-disk")
         self.active_processes = ActiveProcesses(settings, self.registry, self.store, self.on_disk)
+        self.events = EventDelivery(
+            self.active_processes.processes, self._start_by_event, settings.message_ttl_s
+        )
+        self.active_processes.on_loaded = self.events.add_process
         self._tasks = BackgroundTasks("orchestrator")
         self.due_changed = asyncio.Event()
         self.on_unowned: Callable[[], None] = lambda: None
@@ -102,7 +115,12 @@ class Orchestrator:
     async def __aenter__(self) -> Self:
         await self.on_disk(self.store.migrate)
         self.registry.add(await self.on_disk(self.store.definitions))
+        for record in self.registry.latest():
+            await self.registry.prepare(record)
+            with suppress(HandoverError):  # such a version cannot be started
+                self.events.add_definition(self.registry.plan_of(record).definition)
         await self.active_processes.load_unfinished()
+        self.events.stored = {each.id: each for each in await self.on_disk(self.store.stored_messages)}
         metrics.register_open_tasks(self.active_processes.open_tasks, self.clock)
         pending = await self.on_disk(self.store.outbox)
         self._next_seq = max((message.seq for message in pending), default=0) + 1
@@ -126,32 +144,42 @@ class Orchestrator:
 
     # Requests of people
 
-    async def deploy(self, xml: bytes, *, only_if_never_seen: bool = False) -> Deployment:
-        """Deploy a BPMN file; raise `BadBpmn` if it cannot be executed.
+    async def deploy(self, xml: bytes, *, only_if_never_seen: bool = False) -> Deployed:
+        """Deploy the processes of a BPMN file; raise `BadBpmn` if one cannot be executed.
 
-        A file that equals the latest version, or with `only_if_never_seen` any version, changes nothing.
+        A process whose file equals its latest version, or with `only_if_never_seen` any version, stays as it
+        is.
         """
-        plan = await asyncio.to_thread(plan_of, xml)
-        definition = plan.definition
+        file = await asyncio.to_thread(read_bpmn, xml)
 
-        def act(step: Step) -> Deployment:
-            record, created = self.registry.next_version(
-                definition, step.definitions, self.clock(), only_if_never_seen=only_if_never_seen
-            )
-            if created:
-                self.registry.keep(plan)
-                step.definitions.append(record)
-                entities = self.registry.entities(record)
-                step.enqueue(f"definition {record.name}", MessageKind.UPSERT, entities[0]["id"], entities)
-            return Deployment(record.name, record.version, created)
+        def act(step: Step) -> Deployed:
+            found = []
+            for definition in file.definitions:
+                record, created = self.registry.next_version(
+                    definition, step.definitions, self.clock(), only_if_never_seen=only_if_never_seen
+                )
+                if created:
+                    self.registry.keep(Plan(definition, record.version))
+                    step.definitions.append(record)
+                    entities = self.registry.entities(record)
+                    step.enqueue(f"definition {record.name}", MessageKind.UPSERT, entities[0]["id"], entities)
+                found.append(Deployment(record.name, record.version, created))
+            return Deployed(tuple(found), file.warnings)
 
         return await self._do(act)
 
     async def check_deployment(self, xml: bytes) -> dict[str, Any]:
         """Return the result that a deployment would have; raise `BadBpmn` if the file cannot be executed."""
-        definition = await asyncio.to_thread(read_runnable, xml)
-        record, created = self.registry.next_version(definition, (), self.clock(), only_if_never_seen=False)
-        return {"name": record.name, "version": record.version, "title": record.title, "created": created}
+        file = await asyncio.to_thread(read_bpmn, xml)
+        found = []
+        for definition in file.definitions:
+            record, created = self.registry.next_version(
+                definition, (), self.clock(), only_if_never_seen=False
+            )
+            found.append(
+                {"name": record.name, "version": record.version, "title": record.title, "created": created}
+            )
+        return {**found[0], "definitions": found, "warnings": as_json(file.warnings)}
 
     async def start(
         self,
@@ -167,31 +195,7 @@ class Orchestrator:
         """
         if key is not None and (known := await self.on_disk(self.store.by_key, key)) is not None:
             return known.id, False
-        for name in parameters:
-            if not is_variable_name(name):
-                raise Problem(
-                    422,
-                    "Bad parameter",
-                    message(
-                        "process.bad_parameter_name",
-                        '"{name}" cannot be the name of a process variable',
-                        name=name,
-                    ),
-                )
-
-        try:
-            orjson.dumps(parameters)
-        except TypeError as error:
-            raise Problem(
-                422,
-                "Bad parameter",
-                message(
-                    "process.parameters_not_json",
-                    "the parameters are no plain JSON: {error}",
-                    error=text_of(error),
-                ),
-            ) from None
-
+        check_variables(parameters)
         with suppress(Problem):  # a process that `key` started meanwhile is returned, whatever its definition
             await self.registry.prepare(self.registry.record(definition, version))
 
@@ -200,38 +204,120 @@ class Orchestrator:
             if earlier is not None:
                 return earlier.record.id, False
             deployed = self.registry.record(definition, version)
-            plan, now = self.registry.plan(deployed), self.clock()
-            variables = plan.definition.arguments(parameters)
-            record = ProcessRecord(
-                id=f"{definition}-{secrets.token_hex(6)}",
-                definition=definition,
-                version=deployed.version,
-                key=key,
-                status=TaskStatus.IN_PROGRESS,
-                parameters=variables,
-                variables=variables,
-                waiting=(),
-                reason=None,
-                started_at=now,
-                ended_at=None,
-                revision=1,
-                state=None,
-            )
-            self.active_processes.processes[record.id] = Process.start(self.settings, plan, record, step, now)
-            return record.id, True
+            variables = self.registry.plan_of(deployed).definition.arguments(parameters)
+            return self._start(step, deployed, variables, key=key), True
 
         return await self._do(act)
+
+    def _start(
+        self,
+        step: Step,
+        deployed: DefinitionRecord,
+        variables: Mapping[str, Any],
+        *,
+        key: str | None = None,
+        partner: str | None = None,
+        at: str | None = None,
+        results: Mapping[str, Any] | None = None,
+    ) -> str:
+        """Start a process in a step and return its id; raise `Problem` if that is impossible."""
+        now = self.clock()
+        record = ProcessRecord(
+            id=f"{deployed.name}-{secrets.token_hex(6)}",
+            definition=deployed.name,
+            version=deployed.version,
+            key=key,
+            status=TaskStatus.IN_PROGRESS,
+            parameters=variables,
+            variables=variables,
+            waiting=(),
+            reason=None,
+            started_at=now,
+            ended_at=None,
+            revision=1,
+            state=None,
+            partner=partner,
+        )
+        plan = self.registry.plan_of(deployed)
+        process = Process.start(
+            self.settings, plan, record, step, now, library=self.registry, at=at, results=results
+        )
+        self.active_processes.processes[record.id] = process
+        return record.id
+
+    def _start_by_event(
+        self, step: Step, start: EventStart, variables: Mapping[str, Any], *, partner: str | None
+    ) -> str:
+        deployed = self.registry.record(start.definition)
+        definition = self.registry.plan_of(deployed).definition
+        given = {name: value for name, value in variables.items() if name in definition.parameters}
+        return self._start(
+            step, deployed, definition.arguments(given), partner=partner, at=start.event, results=variables
+        )
+
+    async def publish(
+        self,
+        name: str,
+        *,
+        key: Any = None,
+        process: str | None = None,
+        variables: Mapping[str, Any],
+        ttl: timedelta | None = None,
+    ) -> tuple[MessageOutcome, str | None]:
+        """Bring a message to the process that waits for it, or start one; otherwise keep it for `ttl`.
+
+        Returns what became of it, and the process. Raises `Problem` 409 if several processes wait for it.
+        """
+
+        def act(step: Step) -> tuple[MessageOutcome, str | None]:
+            now = self.clock()
+            record = self.events.record(name, key, variables, now, ttl=ttl)
+            return self.events.publish(step, record, now, process=process)
+
+        return await self._do(act)
+
+    async def broadcast(self, name: str, variables: Mapping[str, Any]) -> list[str]:
+        """Bring a signal to everyone who waits for it; return the processes that got it or were started."""
+        return await self._do(lambda step: self.events.broadcast(step, name, variables, self.clock()))
 
     async def cancel(self, process_id: str, by: str | None = None) -> None:
         """Cancel a process; raise `Problem` 404 if there is none, 409 if it has ended."""
         await self._do_with(process_id, lambda process, step: process.cancel(by, step, self.clock()))
 
     async def retry(self, process_id: str, task_id: str, by: str) -> None:
-        """Post the failed Task that has ended a process again, and continue the process.
+        """Post a failed Task again that its process waits for.
 
         Raises `Problem` 404 if there is no such process or Task, 409 if it cannot be retried.
         """
-        await self._do_with(process_id, lambda process, step: process.retry(task_id, by, step, self.clock()))
+
+        def act(process: Process, step: Step) -> None:
+            token, now = process.incident_of(task_id), self.clock()
+            process.mend(Act(now, ActKind.RETRY, by, task_id), token, step, now)
+
+        await self._do_with(process_id, act)
+
+    async def mend(
+        self,
+        process_id: str,
+        kind: ActKind,
+        token: str | None,
+        *,
+        by: str | None,
+        why: str | None,
+        to: str | None = None,
+        values: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Do what a person has decided about a token of a process, or about its variables.
+
+        Raises `Problem` 404 if there is no such process or token, 409 if the act is impossible.
+        """
+
+        def act(process: Process, step: Step) -> None:
+            now = self.clock()
+            decided = Act(now, kind, by, to=to, why=why, values=dict(values) if values else None)
+            process.mend(decided, token, step, now)
+
+        await self._do_with(process_id, act)
 
     def _started_with(self, key: str | None) -> Process | None:
         begun = self.active_processes.processes.values()
@@ -289,12 +375,14 @@ class Orchestrator:
             now = self.clock()
             for process in self.active_processes.due(now):
                 process.tick(step, now)
+            self.events.expire(step, now)
 
         await self._do(act)
 
     def next_due(self) -> datetime | None:
-        """Return when the next timer is due."""
-        return self.active_processes.next_due()
+        """Return when the next timer is due, or a stored message expires."""
+        moments = (self.active_processes.next_due(), self.events.next_expiry())
+        return min((moment for moment in moments if moment is not None), default=None)
 
     def awaited(self) -> list[str]:
         """Return the ids of the open Tasks that the broker must have."""
@@ -433,6 +521,7 @@ class Orchestrator:
             for change in changes:
                 try:
                     answers.append((change, change.act(step)))
+                    self.events.settle(step, self.clock())
                 except Problem as problem:
                     _answer(change, problem)
             step.delivered = self.outbox.take_delivered()
@@ -447,13 +536,19 @@ class Orchestrator:
             await self._write_individually([change for change in changes if not change.done.done()], error)
             return
         self._next_seq = step.next_seq
-        self.registry.add(step.definitions)
+        self._add_definitions(step.definitions)
         self.active_processes.apply(step)
+        self.events.apply(step)
         self.active_processes.release(fetched)
         self.due_changed.set()
         self.outbox.send(step.messages)
         for change, answer in answers:
             _answer(change, answer)
+
+    def _add_definitions(self, definitions: Sequence[DefinitionRecord]) -> None:
+        self.registry.add(definitions)
+        for record in definitions:
+            self.events.add_definition(self.registry.plan_of(record).definition)
 
     async def _write_individually(self, changes: list[_PendingChange], error: Exception) -> None:
         """Apply the changes of a failed step one by one, so that only the faulty one fails."""
@@ -503,6 +598,33 @@ class Orchestrator:
         """Delete old processes; with archiving only those whose entities were deleted from the broker."""
         archived_only = self.settings.retention_h > 0
         return self.store.delete_ended(ended_before, MAX_DELETED_PROCESSES, archived_only=archived_only)
+
+
+def check_variables(variables: Mapping[str, Any]) -> None:
+    """Raise `Problem` 422 for names or values that process variables cannot have."""
+    for name in variables:
+        if not is_variable_name(name):
+            raise Problem(
+                422,
+                "Bad parameter",
+                message(
+                    "process.bad_parameter_name",
+                    '"{name}" cannot be the name of a process variable',
+                    name=name,
+                ),
+            )
+    try:
+        orjson.dumps(variables)
+    except TypeError as error:
+        raise Problem(
+            422,
+            "Bad parameter",
+            message(
+                "process.parameters_not_json",
+                "the parameters are no plain JSON: {error}",
+                error=text_of(error),
+            ),
+        ) from None
 
 
 def _is_finished(entity: Mapping[str, Any]) -> bool:

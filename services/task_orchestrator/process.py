@@ -2,7 +2,8 @@
 
 Received changes, due timers and requests of people change a process; the consequences are collected in a
 `Step`. The functions here are pure: they wait for nothing, perform no I/O and get the time as an argument. An
-ended Task never reopens. A process that a failed Task has ended can be retried; it then posts a new Task.
+ended Task never reopens: a retry posts a new one. What cannot continue is an incident of its token; the rest
+of the process continues.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,7 +17,6 @@ from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
 from handover.task_life import FINISHED, is_news
 from services.task_orchestrator import process_alerts
-from services.task_orchestrator.engine import Open, Plan, Run, RunFailed
 from services.task_orchestrator.entities import (
     cancel_request,
     outputs_property,
@@ -24,10 +24,14 @@ from services.task_orchestrator.entities import (
     status_property,
     task_entity,
 )
-from services.task_orchestrator.languages.native import ExpressionError
+from services.task_orchestrator.execution.graph import Plan
+from services.task_orchestrator.execution.run import OpenActivity, OpenIncident, Run
+from services.task_orchestrator.execution.state import Library, RunFailed
+from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.records import (
     Act,
     ActKind,
+    IncidentRecord,
     MessageKind,
     Move,
     ProcessRecord,
@@ -36,7 +40,6 @@ from services.task_orchestrator.records import (
     Timer,
     TimerKind,
 )
-from services.task_orchestrator.retry import run_to_retry
 from services.task_orchestrator.settings import OrchestratorSettings
 
 CANCELLED = "cancelled"
@@ -83,43 +86,61 @@ def entity_of(
 class Process:
     """A process in memory; `run` is None after its end.
 
-    `tasks` are the Tasks that have not ended, `composed` the ids of all its Tasks. `completed_after_cancel`
-    are, by token, the Tasks that were completed although they had been cancelled.
+    `tasks` are the Tasks that have not ended, `composed` the ids of all its Tasks.
     """
 
     settings: OrchestratorSettings
     record: ProcessRecord
     plan: Plan
     run: Run | None
+    library: Library
     tasks: dict[str, TaskRecord] = field(default_factory=dict)
     composed: list[str] = field(default_factory=list)
-    completed_after_cancel: dict[str, TaskRecord] = field(default_factory=dict)
     reported: tuple[TaskStatus, int] | None = None
     """The status and the number of Tasks that were last written to the broker."""
 
     @classmethod
     def start(
-        cls, settings: OrchestratorSettings, plan: Plan, record: ProcessRecord, step: Step, now: datetime
+        cls,
+        settings: OrchestratorSettings,
+        plan: Plan,
+        record: ProcessRecord,
+        step: Step,
+        now: datetime,
+        *,
+        library: Library,
+        at: str | None = None,
+        results: Mapping[str, Any] | None = None,
     ) -> "Process":
-        """Start a process with the parameters of `record`, and post its first Tasks."""
-        process = cls(settings, record, plan, None)
+        """Start a process with the parameters of `record`, and post its first Tasks.
+
+        It starts at the event `at`, which brings the variables `results`, or at the none start event. Raises
+        `Problem` 422 if it cannot be started so.
+        """
+        try:
+            run = Run.start(plan, record.parameters, now, library, at=at, results=results)
+        except RunFailed as failure:
+            raise Problem(422, "Process cannot start", text_of(failure)) from failure
+        process = cls(settings, record, plan, run, library)
         step.new.add(record.id)
         step.touched.add(record.id)
         process._report_process(step, now)
-        try:
-            process.run = plan.start(record.parameters, now)
-        except RunFailed as failure:
-            process._fail(str(failure), step, now)
         process._update(step, now)
         return process
 
     @classmethod
     def resume(
-        cls, settings: OrchestratorSettings, plan: Plan, record: ProcessRecord, tasks: Iterable[TaskRecord]
+        cls,
+        settings: OrchestratorSettings,
+        plan: Plan,
+        record: ProcessRecord,
+        tasks: Iterable[TaskRecord],
+        library: Library,
     ) -> "Process":
         """Return a stored process; raise `RunFailed` if this release cannot continue it."""
         running = record.state if record.ended_at is None else None
-        process = cls(settings, record, plan, plan.resume(running) if running is not None else None)
+        run = Run.resume(plan, running, library) if running is not None else None
+        process = cls(settings, record, plan, run, library)
         for task in tasks:
             process.composed.append(task.id)
             process._track(task)
@@ -214,11 +235,15 @@ class Process:
             elif timer.kind is TimerKind.GRACE and task is not None:
                 self._close_cancelled(task, step, now)
         if any(timer.kind is TimerKind.EVENT for timer in due) and self.run is not None:
-            try:
-                self.run.advance(now)
-            except RunFailed as failure:
-                self._fail(text_of(failure), step, now)
+            self.run.advance(now)
         if due:
+            self._update(step, now)
+
+    def deliver(self, wait: int, variables: Mapping[str, Any], step: Step, now: datetime) -> None:
+        """Let a message or signal occur that the process waits for."""
+        if self.run is not None:
+            step.touched.add(self.record.id)
+            self.run.deliver(wait, variables, now)
             self._update(step, now)
 
     def cancel(self, by: str | None, step: Step, now: datetime) -> None:
@@ -239,42 +264,79 @@ class Process:
         self._end(TaskStatus.FAILED, f"{CANCELLED} by {by}" if by else CANCELLED, step, now)
         self._update(step, now)
 
-    def retry(self, task_id: str, by: str, step: Step, now: datetime) -> None:
-        """Continue the process where the failed Task has ended it, with a new Task for the same activity.
+    def incident_of(self, task_id: str) -> str:
+        """Return the token of the incident that the failed Task `task_id` is the reason of.
 
-        Activities whose Tasks were cancelled then get new Tasks as well, once those have ended. A Task that
-        was completed in spite of its cancellation counts. Raises `Problem` 404 or 409 with the reason.
+        Raises `Problem` 404 if the Task is none of this process, 409 if it is the reason of no incident.
         """
-        run = run_to_retry(self.plan, self.record, self.composed, task_id)
+        if task_id not in self.composed:
+            raise Problem(
+                404,
+                "No such Task",
+                message(
+                    "process.no_such_task",
+                    '{process} has no Task "{task_id}"',
+                    process=self.record.id,
+                    task_id=task_id,
+                ),
+            )
+        for incident in self.record.incidents:
+            if incident.task == task_id:
+                return incident.token
+        why = f"{task_id} is not a failed Task that {self.record.id} waits for"
+        waited_for = [incident.task for incident in self.record.incidents if incident.task is not None]
+        if waited_for:
+            why += f"; retry {waited_for[0]}"
+        raise Problem(409, "Cannot be retried", why)
+
+    def mend(self, act: Act, token: str | None, step: Step, now: datetime) -> None:
+        """Do what a person has decided about a token, or about the variables, and record it.
+
+        Raises `Problem` 404 if there is no such token, 409 if the act is impossible.
+        """
+        run = self.run
+        if run is None:
+            raise Problem(
+                409,
+                "Process has ended",
+                message(
+                    "process.process_has_ended",
+                    "{process} is {status} already",
+                    process=self.record.id,
+                    status=self.record.status,
+                ),
+            )
+        if token is not None:
+            element = run.element(token)
+            if element is None:
+                raise Problem(
+                    404,
+                    "No such token",
+                    message("process.no_such_token", 'there is no token "{token}"', token=token),
+                )
+            act = replace(act, element=element)
         step.touched.add(self.record.id)
-        step.ended.discard(self.record.id)
-        process_alerts.clear_failed(step, self.record, self.urn)
-        self._record_act(Act(now, ActKind.RETRY, by, task_id))
-        self._revise(
-            status=TaskStatus.IN_PROGRESS, reason=None, ended_at=None, failed_by=None, archived_at=None
-        )
-        self.run = run
         try:
-            run.restart_timers(now)
-            for open_ in run.open():
-                done = self.completed_after_cancel.get(open_.token)
-                if done is not None and run.is_open(open_.token):
-                    run.complete(open_.token, self._results(done, done.outputs or {}), now)
+            _mend(run, act, token, now)
         except RunFailed as failure:
-            self._fail(str(failure), step, now)
+            assert self.record.state is not None  # noqa: S101 - a running process has one
+            self.run = Run.resume(self.plan, self.record.state, self.library)
+            raise Problem(409, "Not possible", text_of(failure)) from failure
+        self._record_act(act)
         self._update(step, now)
 
     # Consequences
 
     def _apply(self, task: TaskRecord, change: _StatusChange, step: Step, now: datetime) -> None:
         moves = task.moves + 1
+        observed = [moment for moment in (task.observed_at, change.observed_at) if moment is not None]
         step.moves.append(Move(task.id, moves, change.status, change.observed_at, now))
         if task.alerted:
             process_alerts.clear_overdue(step, task)
         self._record_task(
             task.changed(
                 status=change.status,
-                observed_at=change.observed_at,
+                observed_at=max(observed, default=None),  # the clocks of performers differ
                 moves=moves,
                 alerted=False,
                 lost=0,
@@ -283,86 +345,108 @@ class Process:
             ),
             step,
         )
-        if change.final and self.run is not None and self.run.is_open(task.token):
-            try:
-                self._continue_run(self.run, task, change, step, now)
-            except RunFailed as failure:
-                self._fail(str(failure), step, now)
+        if change.final and self.run is not None and self._is_current(self.run, task):
+            self._continue_run(self.run, task, change, now)
         self._update(step, now)
 
-    def _continue_run(
-        self, run: Run, task: TaskRecord, change: _StatusChange, step: Step, now: datetime
-    ) -> None:
-        activity = self.plan.definition.activities[task.element]
+    def _is_current(self, run: Run, task: TaskRecord) -> bool:
+        """Return whether the activity that the Task was made for is still open."""
+        return run.visit(task.token) == task.visit
+
+    def _continue_run(self, run: Run, task: TaskRecord, change: _StatusChange, now: datetime) -> None:
+        activity = run.activity(task.token)
         # Even if the performer reports "completed", an outcome that is not handled must not start a robot.
         unhandled = activity.unhandled(change.outputs)
         if change.status is TaskStatus.COMPLETED and unhandled is None:
-            run.complete(task.token, self._results(task, change.outputs), now)
+            run.complete(task.token, activity.results(change.outputs), now)
             return
-        if task.cancelled_at is not None:
-            return  # cancelled when the process failed, and retried since: a new Task is posted
         reason = message_in(change.outputs, "reason") or unhandled or NO_REASON
         if "\0" in reason or not isinstance(reason, MessageText):
             reason = str(reason).replace("\0", "")  # PostgreSQL does not accept it
         code = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
-        error = {"activity": task.element, "reason": str(reason), "code": None if code is None else str(code)}
-        if not run.fail(task.token, error, now):
-            self._revise(failed_by=task.id, state=run.snapshot())
-            self._fail(
-                message(
-                    "process.task_failed", '"{task}" failed: {reason}', task=activity.name, reason=reason
-                ),
-                step,
-                now,
-            )
-
-    def _results(self, task: TaskRecord, outputs: Mapping[str, Any]) -> dict[str, Any]:
-        return self.plan.definition.activities[task.element].results(outputs)
+        run.fail(task.token, None if code is None else str(code), reason, now)
 
     def _update(self, step: Step, now: datetime) -> None:
         """Post Tasks for open activities, cancel Tasks of left ones, and record the state of the process."""
-        state = self.record.state if self.record.failed_by is not None else None
-        if self.run is not None:
-            try:
-                self._post_open(self.run, step, now)
-                state = self.run.snapshot()
-            except (RunFailed, ExpressionError, ValueError) as failure:
-                self._fail(str(failure), step, now)
-        if self.run is not None and self.run.completed:
-            self._end(TaskStatus.COMPLETED, None, step, now)
         run = self.run
-        self._cancel_left({open_.token for open_ in run.open()} if run is not None else set(), step, now)
+        state = None
+        if run is not None:
+            self._post_open(run, step, now)
+            state = run.snapshot()
+            step.effects += [(self.record.id, effect) for effect in run.effects]
+            run.effects = []
+            if run.failure is not None:
+                self._fail(run.failure, step, now)
+            elif run.completed:
+                self._end(TaskStatus.COMPLETED, None, step, now)
+        run = self.run
+        self._cancel_left(
+            {(each.token, each.visit) for each in run.open()} if run is not None else set(), step, now
+        )
+        self._update_incidents(step)
         known = self.record.id in step.processes or self.record.id in step.new
         self._revise(
             revision=self.record.revision + (0 if known else 1),
             variables=run.variables() if run is not None else self.record.variables,
             waiting=run.waiting() if run is not None else (),
-            state=state if run is not None or self.record.failed_by is not None else None,
+            state=state if run is not None else None,
         )
         step.processes[self.record.id] = self.record
+        step.to_index[self.record.id] = None
         step.timers[self.record.id] = self.timers()
         if self.reported != (self.record.status, len(self.composed)):
             self._report_process(step, now)
 
+    def _update_incidents(self, step: Step) -> None:
+        """Record the incidents; raise the Alerts of new ones and clear those of others."""
+        known = {incident.token: incident for incident in self.record.incidents}
+        present = {}
+        for each in self.run.incidents() if self.run is not None else ():
+            before = known.get(each.token)
+            is_same = before is not None and (before.since, before.element) == (each.since, each.element)
+            present[each.token] = before if before is not None and is_same else self._incident(each)
+        for token, incident in known.items():
+            if present.get(token) is not incident:
+                process_alerts.clear_incident(step, self.record, self.urn, incident)
+        for token, incident in present.items():
+            if known.get(token) is not incident:
+                process_alerts.raise_incident(step, self.record, self.urn, incident)
+        self._revise(incidents=tuple(present.values()))
+
+    def _incident(self, found: OpenIncident) -> IncidentRecord:
+        failed = found.visit and self._task_id(found.element, found.visit)
+        code = found.details.get("code")
+        return IncidentRecord(
+            token=found.token,
+            element=found.element,
+            name=found.name,
+            reason=found.reason,
+            since=found.since,
+            task=failed if failed in self.composed else None,
+            code=None if code is None else str(code),
+        )
+
     def _post_open(self, run: Run, step: Step, now: datetime) -> None:
-        tokens = {task.token for task in self.tasks.values()}
-        for open_ in run.open():
-            if open_.token not in tokens:
-                self._post(self._new_visit(run, open_), step, now)
+        posted = {(task.token, task.visit) for task in self.tasks.values()}
+        for each in run.open():
+            if (each.token, each.visit) in posted:
+                continue
+            try:
+                self._post(each, step, now)
+            except (ExpressionError, ValueError) as error:
+                run.refuse(each.token, text_of(error), now)
 
-    def _new_visit(self, run: Run, open_: Open) -> Open:
-        """Return `open_`, as a further visit if it already had a Task."""
-        return run.visit_again(open_.token) if self._task_id(open_) in self.composed else open_
+    def _task_id(self, element: str, visit: int) -> str:
+        return self.settings.entity_id("Task", f"{self.record.id}-{element}-{visit}")
 
-    def _task_id(self, open_: Open) -> str:
-        return self.settings.entity_id("Task", f"{self.record.id}-{open_.element}-{open_.visit}")
-
-    def _post(self, open_: Open, step: Step, now: datetime) -> None:
-        activity = self.plan.definition.activities[open_.element]
-        task_id = self._task_id(open_)
+    def _post(self, open_: OpenActivity, step: Step, now: datetime) -> None:
+        activity = open_.activity
+        task_id = self._task_id(open_.element, open_.visit)
         allowed = timedelta(seconds=self.settings.task_deadline_s)
         deadline = activity.deadline.after(now) if activity.deadline is not None else now + allowed
-        entity = task_entity(self.settings, task_id, activity, open_.variables, at=now, deadline=deadline)
+        entity = task_entity(
+            self.settings, task_id, activity, open_.variables, data=open_.data, at=now, deadline=deadline
+        )
         task = TaskRecord(
             id=task_id,
             process=self.record.id,
@@ -375,15 +459,16 @@ class Process:
             created_at=now,
             deadline=deadline,
             entity=entity,
+            name=activity.name,
         )
         step.new.add(task_id)
         self.composed.append(task_id)
         self._record_task(task, step)
         step.enqueue(self.record.id, MessageKind.CREATE, task_id, entity)
 
-    def _cancel_left(self, open_tokens: set[str], step: Step, now: datetime) -> None:
+    def _cancel_left(self, opened: set[tuple[str, int]], step: Step, now: datetime) -> None:
         for task in list(self.tasks.values()):
-            if task.cancelled_at is None and task.token not in open_tokens:
+            if task.cancelled_at is None and (task.token, task.visit) not in opened:
                 self._record_task(task.changed(cancelled_at=now), step)
                 step.enqueue(self.record.id, MessageKind.APPEND, task.id, cancel_request(now))
 
@@ -418,16 +503,31 @@ class Process:
         self._track(task)
 
     def _track(self, task: TaskRecord) -> None:
-        if not task.finished:
+        if task.finished:
+            self.tasks.pop(task.id, None)
+        else:
             self.tasks[task.id] = task
-            return
-        self.tasks.pop(task.id, None)
-        unhandled = self.plan.definition.activities[task.element].unhandled(task.outputs or {})
-        if task.cancelled_at is not None and task.status is TaskStatus.COMPLETED and unhandled is None:
-            self.completed_after_cancel[task.token] = task
 
     def _record_act(self, act: Act) -> None:
         self._revise(acts=(*self.record.acts, act))
 
     def _revise(self, **changes: Any) -> None:
         self.record = replace(self.record, **changes)
+
+
+def _mend(run: Run, act: Act, token: str | None, now: datetime) -> None:
+    values = act.values or {}
+    if act.act is ActKind.SET_VARIABLES or token is None:
+        run.set_variables(values, now, token=token)
+        return
+    if values and act.act is not ActKind.SKIP:
+        run.set_variables(values, now, token=token)
+    match act.act:
+        case ActKind.RETRY:
+            run.retry(token, now)
+        case ActKind.SKIP:
+            run.skip(token, values, now)
+        case ActKind.MOVE:
+            run.move(token, act.to or "", now)
+        case ActKind.CANCEL_BRANCH:
+            run.cancel_token(token, now)

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from handover.alert_catalogue import PROCESS_FAILED, TASK_LOST, TASK_NOT_ACCEPTED, AlertType
+from handover.alert_catalogue import PROCESS_FAILED, PROCESS_INCIDENT, TASK_LOST, TASK_NOT_ACCEPTED, AlertType
 from handover.messages import message, with_code
-from services.task_orchestrator.records import MessageKind, ProcessRecord, Step, TaskRecord
+from services.task_orchestrator.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord
 
 
 def raise_overdue(step: Step, task: TaskRecord) -> None:
@@ -66,9 +66,27 @@ def raise_failed(step: Step, process: ProcessRecord, urn: str) -> None:
     )
 
 
-def clear_failed(step: Step, process: ProcessRecord, urn: str) -> None:
-    """Clear the Alert: the process continues."""
-    step.enqueue(process.id, MessageKind.CLEAR, urn, {"key": _failed_key(process)})
+def raise_incident(step: Step, process: ProcessRecord, urn: str, incident: IncidentRecord) -> None:
+    """Raise the Alert that a token of the process cannot continue."""
+    _raise(
+        step,
+        process.id,
+        PROCESS_INCIDENT,
+        key=_incident_key(process, incident),
+        source=urn,
+        description=message(
+            "alert.process_incident",
+            "The process {process} waits for help at {element}: {reason}",
+            process=process.id,
+            element=incident.name,
+            reason=incident.reason,
+        ),
+    )
+
+
+def clear_incident(step: Step, process: ProcessRecord, urn: str, incident: IncidentRecord) -> None:
+    """Clear the Alert: the token continues, or has gone."""
+    step.enqueue(process.id, MessageKind.CLEAR, urn, {"key": _incident_key(process, incident)})
 
 
 def _raise(
@@ -92,6 +110,10 @@ def _short(task: TaskRecord) -> str:
 
 def _overdue_key(task: TaskRecord) -> str:
     return f"{_short(task)} not accepted"
+
+
+def _incident_key(process: ProcessRecord, incident: IncidentRecord) -> str:
+    return f"{process.id} incident {incident.token}"
 
 
 def _failed_key(process: ProcessRecord) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 
 from datamodels.entities import TaskStatus
 from handover.task_life import FINISHED
+from services.task_orchestrator.execution.machine import Effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,24 +33,49 @@ class ActKind(StrEnum):
 
     CANCEL = "cancel"
     RETRY = "retry"
+    SKIP = "skip"
+    MOVE = "move"
+    CANCEL_BRANCH = "cancelBranch"
+    SET_VARIABLES = "setVariables"
 
 
 @dataclass(frozen=True, slots=True)
 class Act:
-    """An action of a person on a process: who (if known), what, when, and on which Task."""
+    """An action of a person on a process: what, when, at which element and why.
+
+    `by` is the name that was given; nobody has verified it. `values` are variables that were set.
+    """
 
     at: datetime
     act: ActKind
     by: str | None = None
     task: str | None = None
+    element: str | None = None
+    to: str | None = None
+    """The element to which a token was moved."""
+    why: str | None = None
+    values: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class IncidentRecord:
+    """A token of a process that cannot continue; `task` is the failed Task, if one is the reason."""
+
+    token: str
+    element: str
+    name: str
+    reason: str
+    since: datetime
+    task: str | None = None
+    code: str | None = None
+    """The error code that the performer reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessRecord:
     """The stored state of a process.
 
-    `state` is the serialized state of the engine. It is deleted at the end of the process, unless the Task
-    `failed_by` has ended it: that Task may be retried.
+    `state` is the serialized state of the engine; it is deleted at the end of the process.
     """
 
     id: str
@@ -65,7 +91,9 @@ class ProcessRecord:
     ended_at: datetime | None
     revision: int
     state: bytes | None = field(repr=False)
-    failed_by: str | None = None
+    incidents: tuple[IncidentRecord, ...] = ()
+    partner: str | None = None
+    """The process whose message has started it."""
     acts: tuple[Act, ...] = ()
     archived_at: datetime | None = None
     """When the deletion of its entities from the broker was decided; None before."""
@@ -91,6 +119,8 @@ class TaskRecord:
     lost: int = 0
     outputs: Mapping[str, Any] | None = None
     entity: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    name: str = ""
+    """The name of the activity as it is drawn."""
 
     @property
     def finished(self) -> bool:
@@ -142,6 +172,29 @@ class Message:
     body: Any
 
 
+class MessageOutcome(StrEnum):
+    """What became of a message to a process."""
+
+    DELIVERED = "delivered"
+    STARTED = "started"
+    STORED = "stored"
+    DISCARDED = "discarded"
+
+
+@dataclass(frozen=True, slots=True)
+class MessageRecord:
+    """A message to a process that nobody waited for yet."""
+
+    id: str
+    name: str
+    key: Any
+    variables: Mapping[str, Any]
+    sender: str | None
+    """The process that has sent it."""
+    sent_at: datetime
+    expires_at: datetime
+
+
 class TimerKind(StrEnum):
     """What a timer is for."""
 
@@ -177,6 +230,13 @@ class Step:
     timers: dict[str, tuple[Timer, ...]] = field(default_factory=dict)
     messages: list[Message] = field(default_factory=list)
     delivered: list[int] = field(default_factory=list)
+    effects: list[tuple[str, Effect]] = field(default_factory=list)
+    """Messages and signals that processes have thrown, each with the id of the process."""
+    to_index: dict[str, None] = field(default_factory=dict)
+    """Processes that may wait for other messages and signals than before."""
+    messages_stored: dict[str, MessageRecord] = field(default_factory=dict)
+    messages_taken: set[str] = field(default_factory=set)
+    """Stored messages that were delivered or have expired."""
     archived: list[ProcessRecord] = field(default_factory=list)
     """Ended processes, as read from the database, that get `archived_at` now."""
 
@@ -187,4 +247,12 @@ class Step:
 
     def __bool__(self) -> bool:
         """Return whether there is anything to write."""
-        return bool(self.definitions or self.processes or self.tasks or self.messages or self.delivered)
+        return bool(
+            self.definitions
+            or self.processes
+            or self.tasks
+            or self.messages
+            or self.delivered
+            or self.messages_stored
+            or self.messages_taken
+        )

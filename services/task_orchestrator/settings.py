@@ -24,6 +24,12 @@ class OrchestratorSettings(Settings):
     cancel_grace_s: float = Field(
         5.0, ge=0, description="a cancelled Task that no performer has accepted is closed after this time"
     )
+    message_ttl_s: float = Field(
+        3600.0,
+        ge=0,
+        description="a message that no process waits for is kept for this time, unless its sender says "
+        "otherwise",
+    )
     keep_days: float = Field(
         365.0,
         ge=0,

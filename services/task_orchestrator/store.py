@@ -34,8 +34,10 @@ from services.task_orchestrator.records import (
     Act,
     ActKind,
     DefinitionRecord,
+    IncidentRecord,
     Message,
     MessageKind,
+    MessageRecord,
     Move,
     ProcessRecord,
     Step,
@@ -57,7 +59,7 @@ _MOMENTS = frozenset(
     }
 )
 _MAX_IDS = 500
-_DOCUMENTS = frozenset({"parameters", "variables", "waiting", "outputs", "entity", "acts"})
+_DOCUMENTS = frozenset({"parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents"})
 
 
 class Conflict(HandoverError):
@@ -111,6 +113,7 @@ class Store:
                 _insert(connection, schema.timers, [{"process": process, **_row(timer)} for timer in timers])
             _insert(connection, schema.outbox, [_message_row(message) for message in step.messages])
             _write_archived(connection, step.archived)
+            _write_stored_messages(connection, step)
             if step.delivered:
                 connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(step.delivered)))
 
@@ -307,6 +310,21 @@ class Store:
             found[row["process"]] = (*found.get(row["process"], ()), timer)
         return found
 
+    def stored_messages(self) -> list[MessageRecord]:
+        """Return the messages to processes that nobody waited for yet, in the order of their sending."""
+        return [
+            MessageRecord(
+                row["id"],
+                row["name"],
+                orjson.loads(row["key"]),
+                orjson.loads(row["variables"]),
+                row["sender"],
+                _time(row["sent_at"]),
+                _time(row["expires_at"]),
+            )
+            for row in self._rows(select(schema.messages).order_by(schema.messages.c.sent_at))
+        ]
+
     def outbox(self) -> list[Message]:
         """Return the messages that were not delivered yet, in order."""
         return [
@@ -348,6 +366,18 @@ def _write_processes(connection: Connection, step: Step) -> None:
             raise Conflict(
                 f"another orchestrator has changed {process.id} in this database; stop one of them"
             )
+
+
+def _write_stored_messages(connection: Connection, step: Step) -> None:
+    stored = [each for each in step.messages_stored.values() if each.id not in step.messages_taken]
+    _insert(
+        connection,
+        schema.messages,
+        [{**_row(record), "key": orjson.dumps(record.key).decode()} for record in stored],
+    )
+    if step.messages_taken:
+        taken = schema.messages.c.id.in_(step.messages_taken)
+        connection.execute(delete(schema.messages).where(taken))
 
 
 def _write_archived(connection: Connection, archived: Sequence[ProcessRecord]) -> None:
@@ -399,11 +429,18 @@ def _row(record: Any) -> dict[str, Any]:
 
 def _process_row(process: ProcessRecord) -> dict[str, Any]:
     """Return the row of a process; the code and parameters of its reason have a separate column."""
+    incidents = orjson.dumps([_incident_values(incident) for incident in process.incidents]).decode()
+    row = {**_row(process), "incidents": incidents}
     reason = process.reason
     if not isinstance(reason, MessageText):
-        return {**_row(process), "reason_message": None}
+        return {**row, "reason_message": None}
     coded = orjson.dumps(with_code("reason", reason)).decode()
-    return {**_row(process), "reason": str(reason), "reason_message": coded}
+    return {**row, "reason": str(reason), "reason_message": coded}
+
+
+def _incident_values(incident: IncidentRecord) -> dict[str, Any]:
+    values = {name: getattr(incident, name) for name in ("token", "element", "name", "since", "task", "code")}
+    return {**values, **with_code("reason", incident.reason)}
 
 
 def _task_row(task: TaskRecord) -> dict[str, Any]:
@@ -444,12 +481,18 @@ def _process(row: Mapping[str, Any]) -> ProcessRecord:
             "status": TaskStatus(values["status"]),
             "waiting": tuple(values["waiting"]),
             "acts": tuple(_act(act) for act in values["acts"]),
+            "incidents": tuple(_incident(incident) for incident in values["incidents"]),
         }
     )
 
 
 def _act(values: Mapping[str, Any]) -> Act:
-    return Act(_time(values["at"]), ActKind(values["act"]), values["by"], values["task"])
+    return Act(**{**values, "at": _time(values["at"]), "act": ActKind(values["act"])})
+
+
+def _incident(values: Mapping[str, Any]) -> IncidentRecord:
+    others = {name: values[name] for name in ("token", "element", "name", "task", "code")}
+    return IncidentRecord(reason=message_in(values, "reason") or "", since=_time(values["since"]), **others)
 
 
 def _task(row: Mapping[str, Any]) -> TaskRecord:

@@ -9,13 +9,20 @@ from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
 from services.task_orchestrator.counts import ElementCount, PeriodCount, VersionCount, count_elements
-from services.task_orchestrator.definition import Activity, Definition
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.entities import resource_id
-from services.task_orchestrator.extension import is_reference
 from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.lookahead import upcoming_activities
-from services.task_orchestrator.records import Act, DefinitionRecord, Move, ProcessRecord, TaskRecord
+from services.task_orchestrator.model import Activity, Definition
+from services.task_orchestrator.records import (
+    Act,
+    DefinitionRecord,
+    IncidentRecord,
+    Move,
+    ProcessRecord,
+    TaskRecord,
+)
+from services.task_orchestrator.references import is_reference
 from services.task_orchestrator.settings import OrchestratorSettings
 
 View = dict[str, Any]
@@ -32,7 +39,7 @@ def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> V
         "parameters": [],
     }
     try:
-        definition = registry.plan(record).definition
+        definition = registry.plan_of(record).definition
     except HandoverError as error:
         return {**view, "unusable": str(error)}
     return {**view, "parameters": parameter_views(definition)}
@@ -56,7 +63,7 @@ def activity_views(definition: Definition) -> list[View]:
             "lane": activity.lane,
             "description": activity.description,
         }
-        for activity in definition.activities.values()
+        for activity in definition.activities().values()
     ]
 
 
@@ -97,7 +104,8 @@ def process_summary(
         "endedAt": _iso(record.ended_at),
         "archivedAt": _iso(record.archived_at),
         "waiting": list(record.waiting),
-        "retry": record.failed_by,
+        "incidents": [_incident_view(incident) for incident in record.incidents],
+        "retry": next((each.task for each in record.incidents if each.task is not None), None),
     }
 
 
@@ -114,7 +122,7 @@ def process_view(
     for move in moves:
         history.setdefault(move.task, []).append(move)
     counts = count_elements(tasks)
-    activities = definition.activities if definition is not None else {}
+    activities = definition.activities() if definition is not None else {}
     return {
         **process_summary(settings, registry, record),
         "parameters": record.parameters,
@@ -131,7 +139,7 @@ def process_view(
 def _definition(registry: DefinitionRegistry, record: ProcessRecord) -> Definition | None:
     """Return the definition of a process; None if this release cannot read it."""
     try:
-        return registry.plan(registry.record(record.definition, record.version)).definition
+        return registry.plan_of(registry.record(record.definition, record.version)).definition
     except HandoverError:
         return None
 
@@ -170,7 +178,7 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
     return {
         "id": task.id,
         "element": task.element,
-        "name": activity.name if activity is not None else task.element,
+        "name": task.name or task.element,
         "visit": task.visit,
         "description": described if isinstance(described, str) else activity and activity.description,
         "status": task.status.value,
@@ -203,7 +211,29 @@ def _reason(reason: str | None) -> View:
 
 
 def _act_view(act: Act) -> View:
-    return {"at": iso(act.at), "by": act.by, "act": act.act.value, "task": act.task}
+    return {
+        "at": iso(act.at),
+        "by": act.by,
+        "verified": False,  # there are no accounts yet: `by` is what was given
+        "act": act.act.value,
+        "task": act.task,
+        "element": act.element,
+        "to": act.to,
+        "why": act.why,
+        "values": act.values,
+    }
+
+
+def _incident_view(incident: IncidentRecord) -> View:
+    return {
+        "token": incident.token,
+        "element": incident.element,
+        "name": incident.name,
+        **_reason(incident.reason),
+        "since": iso(incident.since),
+        "task": incident.task,
+        "code": incident.code,
+    }
 
 
 def _iso(moment: datetime | None) -> str | None:

@@ -153,6 +153,15 @@ class Cell:
         seen = self.look(process)
         return seen if seen["endedAt"] else None
 
+    def stuck(self, process: str) -> dict[str, Any]:
+        """Wait until the process has an incident and return it."""
+
+        def look() -> dict[str, Any] | None:
+            seen = self.look(process)
+            return seen if seen["incidents"] else None
+
+        return wait_for(look, 60, f"{process} has no incident")
+
     def done(self) -> list[str]:
         """Return what the performer has done, in order: `element-visit`."""
         return self.done_file.read_text().split() if self.done_file.exists() else []

@@ -186,13 +186,13 @@ def test_a_task_nobody_takes_up_raises_an_alert_that_is_cleared_when_somebody_do
     assert len(running.alerts(process)) == 1
 
 
-def test_a_failed_process_raises_an_alert(running: Cell) -> None:
+def test_a_failed_task_raises_an_alert(running: Cell) -> None:
     play(running, {"work-1": {"fails": "the part is not there"}})
     deploy(running, ONE_STEP)
-    seen = running.ended(running.start("p"))
-    assert seen["reason"] == '"work" failed: the part is not there'
+    seen = running.stuck(running.start("p"))
+    assert seen["incidents"][0]["reason"] == "the part is not there"
     (alert,) = eventually(lambda: running.alerts(seen["id"]), "the Alert")
-    assert alert["subCategory"]["value"] == "processFailed"
+    assert alert["subCategory"]["value"] == "processIncident"
 
 
 def test_a_timer_fires_on_time_though_the_orchestrator_was_dead_meanwhile(running: Cell) -> None:

@@ -5,8 +5,10 @@ from typing import Any
 
 from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
-from services.task_orchestrator.definition_registry import read_runnable
-from services.task_orchestrator.engine import Plan
+from services.task_orchestrator.execution.graph import Plan
+from services.task_orchestrator.execution.state import Library
+from services.task_orchestrator.model import Definition
+from services.task_orchestrator.notation.file import read_bpmn
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.records import MessageKind, ProcessRecord, Step
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -15,13 +17,32 @@ from tests.unit.task_orchestrator.drawing import NOW, drawing
 DEFINED_BY = {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"}
 
 
+def only_process(xml: bytes) -> Definition:
+    """Return the definition of a file with one process."""
+    (definition,) = read_bpmn(xml).definitions
+    return definition
+
+
+class OneDefinition(Library):
+    """A library that has one definition."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+
+    def plan(self, name: str, version: int) -> Plan:
+        return self._plan
+
+    def find(self, name: str, version: int | None, tag: str | None) -> Plan:
+        return self._plan
+
+
 class ProcessDriver:
     """A process and the last step it made."""
 
     def __init__(self, body: str, *, beside: str = "", **parameters: Any) -> None:
         self.now = NOW
         self.step = Step(1)
-        plan = Plan(read_runnable(drawing(body, beside=beside)))
+        self.plan = Plan(only_process(drawing(body, beside=beside)))
         record = ProcessRecord(
             id="p-1",
             definition="p",
@@ -38,7 +59,9 @@ class ProcessDriver:
             state=None,
         )
         settings = OrchestratorSettings(_env_file=None)
-        self.process = Process.start(settings, plan, record, self.step, NOW)
+        self.process = Process.start(
+            settings, self.plan, record, self.step, NOW, library=OneDefinition(self.plan)
+        )
 
     def next_step(self) -> Step:
         self.step = Step(self.step.next_seq)

@@ -7,10 +7,10 @@ import pytest
 
 import services.task_orchestrator
 from services.gesture_controller.recognition.gestures import DEFAULT_COMMANDS
-from services.task_orchestrator.bpmn import read_bpmn
-from services.task_orchestrator.definition import MAX_FAULTS_LISTED, BadBpmn, Definition
-from services.task_orchestrator.definition_registry import read_runnable
 from services.task_orchestrator.entities import definition_entities
+from services.task_orchestrator.model import Definition
+from services.task_orchestrator.notation.faults import MAX_FAULTS_LISTED, BadBpmn
+from services.task_orchestrator.notation.file import read_bpmn
 from services.task_orchestrator.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
@@ -25,18 +25,19 @@ from tests.unit.task_orchestrator.drawing import (
     start,
     timer,
 )
+from tests.unit.task_orchestrator.process_driver import only_process
 
 SHIPPED = sorted((Path(services.task_orchestrator.__file__).parent / "processes").glob("*.bpmn"))
 
 
 def faults(body: str, **more: str) -> list[str]:
     with pytest.raises(BadBpmn) as bad:
-        read_runnable(drawing(body, **more))
+        read_bpmn(drawing(body, **more))
     assert bad.value.status == 422
     listed = bad.value.body()["faults"]
     code = {"messageCode", "messageParameters"}
     for error in listed:
-        assert set(error) - (code if code <= set(error) else set()) == {"element", "line", "message"}
+        assert set(error) - (code if code <= set(error) else set()) == {"element", "name", "line", "message"}
     return [str(fault) for fault in bad.value.faults]
 
 
@@ -52,7 +53,7 @@ def test_an_activity_has_the_attributes_of_its_task() -> None:
     body = (
         start() + activity("work", inner, attributes='deadline="PT5M"') + end() + path("start", "work", "end")
     )
-    work = read_bpmn(drawing(body)).activities["work"]
+    work = only_process(drawing(body)).activities()["work"]
     assert work.definition == "work"
     assert [given.value({"operator": "Device:x"}) for given in work.involves] == [
         "Device:glove-1",
@@ -72,30 +73,29 @@ def test_an_activity_has_the_attributes_of_its_task() -> None:
 
 def test_without_named_outputs_all_of_them_go_to_a_variable_named_after_the_element() -> None:
     body = start() + activity("scan-the.bin") + end() + path("start", "scan-the.bin", "end")
-    work = read_bpmn(drawing(body)).activities["scan-the.bin"]
+    work = only_process(drawing(body)).activities()["scan-the.bin"]
     assert work.results({"found": True}) == {"scan_the_bin": {"found": True}}
 
 
 def test_a_process_declares_its_parameters_with_defaults() -> None:
-    definition = read_bpmn(drawing(parameters(tries="3", bin="bin-1") + ONE_STEP))
+    definition = only_process(drawing(parameters(tries="3", bin="bin-1") + ONE_STEP))
     assert definition.label == "7"
     assert definition.arguments({"bin": "bin-2"}) == {"tries": 3, "bin": "bin-2"}
 
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
 def test_the_shipped_processes_can_be_deployed(file: Path) -> None:
-    definition = read_runnable(file.read_bytes())
-    assert definition.activities
+    assert only_process(file.read_bytes()).activities()
 
 
 def bin_picking() -> Definition:
-    return read_runnable(next(file for file in SHIPPED if file.stem == "bin_picking").read_bytes())
+    return only_process(next(file for file in SHIPPED if file.stem == "bin_picking").read_bytes())
 
 
 def test_bin_picking_asks_for_six_gestures_each_under_the_number_of_the_command_map() -> None:
     asked = {
         activity.parameters["commandId"].literal: activity.parameters["gesture"].literal
-        for activity in bin_picking().activities.values()
+        for activity in bin_picking().activities().values()
         if activity.lane == "Operator"
     }
     assert len(asked) == 6
@@ -105,31 +105,15 @@ def test_bin_picking_asks_for_six_gestures_each_under_the_number_of_the_command_
 def test_bin_picking_can_be_drawn() -> None:
     definition = bin_picking()
     text = definition.xml.decode()
-    for node in definition.nodes:
-        assert f'bpmnElement="{node}"' in text
+    for node in definition.nodes():
+        assert f'bpmnElement="{node.id}"' in text
     assert text.count("<bpmn:sequenceFlow ") == text.count("<bpmndi:BPMNEdge ")
 
 
 WORK = activity("work")
 
 WRONG = {
-    "no start event": (WORK + end() + path("work", "end"), "one start event, this one has none"),
-    "two start events": (
-        start() + start("again") + WORK + end() + path("start", "work", "end") + flow("again", "work"),
-        'line 1, "again": a process has one start event, this is another',
-    ),
-    "no end event": (start() + WORK + path("start", "work"), "at least one end event"),
     "dangling flow": (ONE_STEP + flow("work", "nowhere"), 'targetRef "nowhere" is no node'),
-    "nothing leaves": (
-        start() + WORK + end() + path("start", "work"),
-        "no sequence flow leaves this userTask",
-    ),
-    "nothing leads to": (
-        ONE_STEP + activity("lonely") + flow("lonely", "end"),
-        "no sequence flow leads to this userTask",
-    ),
-    "two ways out of a task": (ONE_STEP + end("other") + flow("work", "other"), "put a gateway behind it"),
-    "unreachable ring": (ONE_STEP + activity("a") + activity("b") + path("a", "b", "a"), "cannot be reached"),
     "no condition": (
         start() + gateway("g") + end() + end("other") + path("start", "g", "end") + flow("g", "other", "x"),
         'its flow "g_end" to "end" has no condition',
@@ -137,10 +121,6 @@ WRONG = {
     "wrong default": (
         start() + gateway("g", default="start_g") + end() + path("start", "g", "end"),
         'its default flow "start_g" does not leave it',
-    ),
-    "condition behind a task": (
-        start() + WORK + end() + flow("start", "work") + flow("work", "end", "x"),
-        "only flows that leave an exclusive or inclusive gateway",
     ),
     "bad condition": (
         start()
@@ -159,15 +139,6 @@ WRONG = {
         + path("start", "g", "end")
         + flow("g", "o", "open('x')"),
         "only these functions can be called",
-    ),
-    "no definition": (
-        start() + '<bpmn:userTask id="work"/>' + end() + path("start", "work", "end"),
-        "an activity needs <handover:task",
-    ),
-    "nobody involved": (
-        start() + '<bpmn:task id="work"><bpmn:extensionElements><handover:task definition="x"/>'
-        "</bpmn:extensionElements></bpmn:task>" + end() + path("start", "work", "end"),
-        "no performer",
     ),
     "no reference": (
         start()
@@ -208,29 +179,15 @@ WRONG = {
     ),
     "id twice": (ONE_STEP + activity("work"), 'the id "work" is used twice'),
     "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of A-Z"),
-    "call activity": (ONE_STEP + '<bpmn:callActivity id="c"/>', "callActivity is not supported yet"),
-    "sub-process": (ONE_STEP + '<bpmn:subProcess id="s"/>', "subProcess is not supported yet"),
+    "call activity": (ONE_STEP + '<bpmn:callActivity id="c"/>', "the call activity names no process"),
+    "sub-process": (ONE_STEP + '<bpmn:subProcess id="s"/>', "no start event"),
     "unknown element": (ONE_STEP + '<bpmn:teleport id="t"/>', "teleport is not supported yet"),
     "loop marker": (
         start()
         + WORK.replace("</bpmn:userTask>", "<bpmn:standardLoopCharacteristics/></bpmn:userTask>")
         + end()
         + path("start", "work", "end"),
-        "standardLoopCharacteristics in a userTask is not supported",
-    ),
-    "message catch event": (
-        start()
-        + '<bpmn:intermediateCatchEvent id="m"><bpmn:messageEventDefinition/></bpmn:intermediateCatchEvent>'
-        + end()
-        + path("start", "m", "end"),
-        "intermediateCatchEvent with messageEventDefinition is not supported",
-    ),
-    "cycle timer": (
-        start() + '<bpmn:intermediateCatchEvent id="t"><bpmn:timerEventDefinition>'
-        "<bpmn:timeCycle>R3/PT1M</bpmn:timeCycle></bpmn:timerEventDefinition></bpmn:intermediateCatchEvent>"
-        + end()
-        + path("start", "t", "end"),
-        "timeCycle is not supported",
+        "a loop needs a loopCondition or loopMaximum",
     ),
     "bad timer": (
         start()
@@ -283,13 +240,6 @@ WRONG = {
         + flow("g", "end"),
         'its flow "work_g" comes only after the gateway itself',
     ),
-    "too many nodes": (
-        start()
-        + "".join(activity(f"a{n}") for n in range(310))
-        + end()
-        + path("start", *(f"a{n}" for n in range(310)), "end"),
-        "at most 300 nodes",
-    ),
 }
 
 
@@ -304,7 +254,7 @@ def test_all_faults_are_said_at_once_with_their_lines() -> None:
         "\n" + start() + "\n" + activity("a", attributes='deadline="x"') + "\n<bpmn:callActivity id='c'/>\n"
     )
     said = faults(body)
-    assert len(said) >= 4
+    assert len(said) == 2
     assert any(fault.startswith('line 3, "a"') for fault in said)
     assert any(fault.startswith('line 4, "c"') for fault in said)
 
@@ -317,13 +267,12 @@ def test_all_faults_are_said_at_once_with_their_lines() -> None:
         (b"\xff\xfe\x00", "not well-formed"),
         (b"<a/>", "the root must be bpmn:definitions"),
         (drawing(ONE_STEP)[:-20], "not well-formed"),
-        (b" " * 1_100_000, "at most 1048576 bytes"),
+        (b" " * 5_000_000, "at most 4194304 bytes"),
         (
             drawing("").replace(b'isExecutable="true"', b'isExecutable="false"'),
-            "exactly one executable process",
+            "no process of the 1 in the file is executable",
         ),
-        (drawing(ONE_STEP, beside='<bpmn:message id="m"/>'), "message is not supported yet"),
-        (drawing(ONE_STEP, beside='<bpmn:process id="q" isExecutable="true"/>'), "exactly one executable"),
+        (drawing(ONE_STEP, beside='<bpmn:process id="q" isExecutable="true"/>'), "no start event"),
         (drawing(ONE_STEP, name="a b"), "needs an id"),
     ],
 )
@@ -348,15 +297,10 @@ def test_an_external_entity_is_never_read(tmp_path: Path) -> None:
     assert "the secret" not in str(bad.value.body())
 
 
-def test_elements_called_like_the_engines_own_do_not_disturb_it() -> None:
-    body = start("Start") + activity("Root") + end("End") + path("Start", "Root", "End")
-    assert set(read_runnable(drawing(body)).nodes) == {"Start", "Root", "End"}
-
-
 def test_handles_outcomes_is_true_or_false_and_goes_into_the_task_definition() -> None:
     def definition(attributes: str) -> dict[str, Any]:
         body = start() + activity("work", attributes=attributes) + end() + path("start", "work", "end")
-        read = read_runnable(drawing(body))
+        read = only_process(drawing(body))
         return definition_entities(OrchestratorSettings(_env_file=None), read, 1, "http://here/bpmn")[1]
 
     assert definition('handlesOutcomes="true"')["handlesOutcomes"] == {"type": "Property", "value": True}
@@ -370,24 +314,18 @@ def test_handles_outcomes_is_true_or_false_and_goes_into_the_task_definition() -
 def test_bin_picking_has_a_way_for_every_answer_to_what_allows_the_robot_to_move() -> None:
     read = bin_picking()
     allow = ["confirm_clear", "confirm_pick", "confirm_grip", "confirm_placed"]
-    assert [one.id for one in read.activities.values() if one.handles_outcomes] == allow
+    assert [one.id for one in read.activities().values() if one.handles_outcomes] == allow
 
 
-def test_a_file_that_would_take_long_is_refused_by_its_size() -> None:
-    many = start() + activity("work", '<handover:parameter name="p" value="1"/>' * 20_000)
-    assert faults(many + end() + path("start", "work", "end")) == [
-        "the file: a BPMN file has at most 20000 elements, not 20010"
-    ]
-    flows = "".join(
-        f'<bpmn:sequenceFlow id="f{nth}" sourceRef="start" targetRef="end"/>' for nth in range(1501)
-    )
-    assert faults(start() + end() + flows) == [
-        'line 1, "p": a process has at most 1500 sequence flows, not 1501; split it'
-    ]
+def test_a_file_of_very_many_elements_is_refused_by_its_size() -> None:
+    many = start() + activity("work", '<handover:parameter name="p" value="1"/>' * 100_000)
+    with pytest.raises(BadBpmn, match="elements"):
+        read_bpmn(drawing(many + end() + path("start", "work", "end")))
 
 
 def test_of_very_many_faults_the_answer_lists_the_first() -> None:
+    wrong = "".join(f'<bpmn:callActivity id="c{n}"/>' for n in range(200))
     with pytest.raises(BadBpmn) as bad:
-        read_runnable(drawing("<bpmn:strange/>" * 500))
-    assert len(bad.value.faults) == 502
+        read_bpmn(drawing(ONE_STEP + wrong))
+    assert len(bad.value.faults) >= 200
     assert len(bad.value.body()["faults"]) == MAX_FAULTS_LISTED

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.bpmn import read_bpmn
-from services.task_orchestrator.definition import Definition
-from services.task_orchestrator.engine import Plan
+from services.task_orchestrator.execution.graph import Plan
+from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.lookahead import MAX_UPCOMING, upcoming_activities
+from services.task_orchestrator.model import Definition
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,
@@ -24,6 +24,7 @@ from tests.unit.task_orchestrator.drawing import (
     start,
     timer,
 )
+from tests.unit.task_orchestrator.process_driver import OneDefinition, only_process
 from tests.unit.task_orchestrator.shapes import SHAPES, whole
 
 BIN_PICKING = Path("services/task_orchestrator/processes/bin_picking.bpmn")
@@ -64,18 +65,18 @@ def after(definition: Definition, *waiting: str, **variables: Any) -> list[str]:
     ],
 )
 def test_lookahead_of_bin_picking_has_the_main_path_first(waiting: list[str], ahead: list[str]) -> None:
-    assert after(read_bpmn(BIN_PICKING.read_bytes()), *waiting) == ahead
+    assert after(only_process(BIN_PICKING.read_bytes()), *waiting) == ahead
 
 
 def test_what_the_variables_decide_already_is_decided() -> None:
-    fork = read_bpmn(drawing(FORK))
+    fork = only_process(drawing(FORK))
     assert after(fork, "work") == ["calm", "fast", "slow"]
     assert after(fork, "work", speed=6) == ["fast"]
     assert after(fork, "work", speed=5) == ["calm", "slow"]
 
 
 def test_what_the_waiting_activity_said_last_time_decides_nothing() -> None:
-    fork = read_bpmn(drawing(FORK))
+    fork = only_process(drawing(FORK))
     assert after(fork, "work", speed=5, work={"slow": True}) == ["calm", "slow"]
     assert after(fork, "which", speed=5, work={"slow": True}) == ["slow"]
 
@@ -83,7 +84,7 @@ def test_what_the_waiting_activity_said_last_time_decides_nothing() -> None:
 def test_side_by_side_only_what_nothing_sets_decides() -> None:
     body = FORK.replace(flow("start", "work"), "") + gateway("split", "parallel") + activity("beside")
     body += path("start", "split", "beside", "end") + flow("split", "work")
-    fork = read_bpmn(drawing(body))
+    fork = only_process(drawing(body))
     assert after(fork, "which", "beside", speed=6) == ["fast"]
     assert after(fork, "which", "beside", speed=5, work={"slow": True}) == ["calm", "slow"]
 
@@ -91,14 +92,14 @@ def test_side_by_side_only_what_nothing_sets_decides() -> None:
 def test_behind_a_script_nothing_is_decided() -> None:
     script = '<bpmn:scriptTask id="faster"><bpmn:script>speed = speed + 1</bpmn:script></bpmn:scriptTask>'
     body = FORK.replace(flow("work", "which"), "") + script + path("work", "faster", "which")
-    assert after(read_bpmn(drawing(body)), "work", speed=5) == ["calm", "fast", "slow"]
+    assert after(only_process(drawing(body)), "work", speed=5) == ["calm", "fast", "slow"]
 
 
 def test_what_an_error_or_a_timer_leads_to_comes_last() -> None:
     body = ONE_STEP.replace(path("start", "work", "end"), "")
     body += boundary("late", "work", timer("PT1M")) + activity("remind") + activity("next")
     body += path("start", "work", "next", "end") + path("late", "remind", "end")
-    assert after(read_bpmn(drawing(body)), "late", "work") == ["next", "remind"]
+    assert after(only_process(drawing(body)), "late", "work") == ["next", "remind"]
 
 
 def test_a_ring_of_gateways_comes_to_an_end_and_so_does_the_list() -> None:
@@ -106,15 +107,15 @@ def test_a_ring_of_gateways_comes_to_an_end_and_so_does_the_list() -> None:
     body = start() + gateway("join") + gateway("split", "parallel") + gateway("again", default="again_end")
     body += end() + path("start", "join", "split", "again", "end") + flow("again", "join", "go")
     body += "".join(activity(name) + path("split", name, "end") for name in names)
-    definition = read_bpmn(drawing(body))
+    definition = only_process(drawing(body))
     assert after(definition, "start") == names[:MAX_UPCOMING]
 
 
 @settings(max_examples=3 * settings.default.max_examples)
 @given(shape=SHAPES, go=st.booleans(), choices=st.data())
 def test_every_reached_activity_was_predicted(shape: Any, go: bool, choices: st.DataObject) -> None:
-    plan = Plan(read_bpmn(drawing(whole(shape))))
-    run = plan.start({"go": go}, NOW)
+    plan = Plan(only_process(drawing(whole(shape))))
+    run = Run.start(plan, {"go": go}, NOW, OneDefinition(plan))
     for _ in range(25):
         if run.completed:
             break

@@ -12,10 +12,12 @@ from sqlalchemy import event, text
 from datamodels.entities import TaskStatus
 from handover.database import connect
 from handover.errors import Problem
+from handover.messages import message
 from services.task_orchestrator.records import (
     Act,
     ActKind,
     DefinitionRecord,
+    IncidentRecord,
     MessageKind,
     Move,
     ProcessRecord,
@@ -173,9 +175,14 @@ def test_pages_follow_on_each_other_though_processes_are_started_meanwhile(store
         store.page(before="nobody")
 
 
-def test_who_failed_a_process_and_what_people_did_are_kept(store: Store) -> None:
+INCIDENT = IncidentRecord(
+    "7", "work", "Work", message("task.no_reason", "no reason given"), NOW, TASK.id, "E7"
+)
+
+
+def test_the_incidents_of_a_process_and_what_people_did_are_kept(store: Store) -> None:
     acts = (Act(NOW, ActKind.RETRY, "Ann \u00e4", TASK.id), Act(NOW, ActKind.CANCEL))
-    failed = started("p-1", 0, status=TaskStatus.FAILED, ended_at=NOW, failed_by=TASK.id, acts=acts)
+    failed = started("p-1", 0, status=TaskStatus.FAILED, ended_at=NOW, incidents=(INCIDENT,), acts=acts)
     kept(store, failed)
     assert store.processes(["p-1"]) == [failed]
     assert store.unfinished() == []

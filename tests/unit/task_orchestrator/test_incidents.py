@@ -1,4 +1,4 @@
-"""Retry: a process that a failed Task has ended goes on, with new Tasks, and nothing is done twice."""
+"""Incidents: what cannot continue is retried, skipped, moved or cancelled, and nothing is done twice."""
 
 from typing import Any
 
@@ -38,7 +38,15 @@ BRANCHES = (
 
 def retry(driver: ProcessDriver, name: str, by: str = "Ann") -> None:
     driver.after(seconds=1)
-    driver.process.retry(task_id(name), by, driver.next_step(), driver.now)
+    token = driver.process.incident_of(task_id(name))
+    act = Act(driver.now, ActKind.RETRY, by, task_id(name))
+    driver.process.mend(act, token, driver.next_step(), driver.now)
+
+
+def mend(driver: ProcessDriver, kind: ActKind, element: str, **details: Any) -> None:
+    driver.after(seconds=1)
+    token = next(each.token for each in driver.process.record.incidents if each.element == element)
+    driver.process.mend(Act(driver.now, kind, "Ann", **details), token, driver.next_step(), driver.now)
 
 
 def cleared(step: Step) -> list[str]:
@@ -48,22 +56,15 @@ def cleared(step: Step) -> list[str]:
 def test_a_retried_task_is_a_new_one_and_the_process_goes_on() -> None:
     driver = ProcessDriver(ONE_STEP)
     driver.receive("work-1", "failed", reason="the part slipped")
-    assert driver.process.record.failed_by == task_id("work-1")
     (alert,) = alerts(driver.step)
     retry(driver, "work-1")
     assert created(driver.step) == [task_id("work-2")]
     assert cleared(driver.step) == [alert["key"]]
     record = driver.process.record
-    assert (record.status, record.reason, record.ended_at, record.failed_by) == (
-        TaskStatus.IN_PROGRESS,
-        None,
-        None,
-        None,
-    )
-    assert record.acts == (Act(driver.now, ActKind.RETRY, "Ann", task_id("work-1")),)
+    assert (record.status, record.incidents) == (TaskStatus.IN_PROGRESS, ())
+    assert record.acts == (Act(driver.now, ActKind.RETRY, "Ann", task_id("work-1"), "work"),)
     reported = processes(driver.step)[-1]
     assert reported["status"]["value"] == "inProgress"
-    assert reported["outputParameters"]["value"] == {}
     assert [link["object"] for link in reported["isComposedOf"]["value"]] == [
         task_id("work-1"),
         task_id("work-2"),
@@ -80,90 +81,97 @@ def test_it_can_fail_and_be_retried_again_and_again() -> None:
     for n in range(1, 4):
         driver.after(seconds=1)
         driver.receive(f"work-{n}", "failed", reason="no")
-        assert [alert["sub_category"] for alert in alerts(driver.step)] == ["processFailed"]
+        assert [alert["sub_category"] for alert in alerts(driver.step)] == ["processIncident"]
         retry(driver, f"work-{n}")
     assert driver.open == ["work-4"]
     assert len(driver.process.record.acts) == 3
 
 
-def test_a_cancelled_task_is_posted_again_once_it_has_ended() -> None:
+def test_a_branch_that_failed_too_is_an_incident_of_its_own() -> None:
     driver = ProcessDriver(BRANCHES)
-    driver.receive("b-1", "inProgress")
-    driver.receive("a-1", "failed", reason="no")
-    retry(driver, "a-1")
-    assert created(driver.step) == [task_id("a-2")]
-    assert driver.open == ["a-2", "b-1"]
-    driver.receive("b-1", "failed", reason="cancelled")
-    assert created(driver.step) == [task_id("b-2")]
-    driver.receive("a-2", "completed")
-    driver.receive("b-2", "completed")
-    assert driver.open == ["last-1"]
-
-
-def test_a_cancelled_task_that_has_ended_is_posted_again_at_once() -> None:
-    driver = ProcessDriver(BRANCHES)
-    driver.receive("a-1", "failed", reason="no")
-    driver.after(seconds=6)
-    driver.tick()
-    assert driver.process.over
-    retry(driver, "a-1")
-    assert created(driver.step) == [task_id("a-2"), task_id("b-2")]
-
-
-@pytest.mark.parametrize("when", ["before the retry", "after the retry"])
-def test_what_was_completed_though_called_back_is_not_done_twice(when: str) -> None:
-    driver = ProcessDriver(BRANCHES)
-    driver.receive("b-1", "inProgress")
-    driver.receive("a-1", "failed", reason="no")
-    if when == "before the retry":
-        driver.receive("b-1", "completed", weight=3)
-    retry(driver, "a-1")
-    if when == "after the retry":
-        driver.receive("b-1", "completed", weight=3)
-    assert driver.open == ["a-2"]
-    driver.receive("a-2", "completed")
-    assert driver.open == ["last-1"]
-    assert driver.process.record.variables["b"] == {"weight": 3}
-
-
-def test_a_branch_that_failed_after_the_process_is_posted_again_too() -> None:
-    driver = ProcessDriver(BRANCHES)
-    driver.receive("b-1", "inProgress")
     driver.receive("a-1", "failed", reason="no")
     driver.receive("b-1", "failed", reason="the part slipped")
     retry(driver, "a-1")
+    assert driver.open == ["a-2"]
+    assert [incident.element for incident in driver.process.record.incidents] == ["b"]
+    retry(driver, "b-1")
     assert driver.open == ["a-2", "b-2"]
 
 
-def test_a_boundary_timer_restarts_with_its_activity() -> None:
+def test_a_boundary_timer_goes_on_while_its_activity_has_an_incident() -> None:
     late = boundary("late", "work", timer("PT1M")) + activity("other") + path("late", "other", "end")
     driver = ProcessDriver(ONE_STEP + late)
-    driver.after(seconds=50)
     driver.receive("work-1", "failed", reason="no")
-    driver.after(hours=1)
-    retry(driver, "work-1")
-    assert driver.open == ["work-2"]
-    driver.after(seconds=59)
+    driver.after(seconds=60)
     driver.tick()
-    assert driver.open == ["work-2"]
-    driver.after(seconds=1)
-    driver.tick()
-    assert "other-1" in driver.open
+    assert driver.open == ["other-1"]
+    assert driver.process.record.incidents == ()
 
 
-def test_a_timer_elsewhere_has_gone_on_meanwhile() -> None:
+def test_a_timer_elsewhere_goes_on_meanwhile() -> None:
     wait = f'<bpmn:intermediateCatchEvent id="wait">{timer("PT1H")}</bpmn:intermediateCatchEvent>'
     body = start() + gateway("fork", "parallel") + activity("a") + activity("b") + wait + end()
     body += path("start", "fork", "a", "end") + path("fork", "wait", "b", "end")
     driver = ProcessDriver(body)
     driver.receive("a-1", "failed", reason="no")
     driver.after(hours=2)
-    retry(driver, "a-1")
-    assert driver.open == ["a-2", "b-1"]
+    driver.tick()
+    assert driver.open == ["b-1"]
+
+
+def test_an_activity_is_skipped_with_results() -> None:
+    driver = ProcessDriver(BRANCHES)
+    driver.receive("a-1", "failed", reason="no")
+    mend(driver, ActKind.SKIP, "a", values={"weight": 3}, why="weighed by hand")
+    driver.receive("b-1", "completed")
+    assert driver.open == ["last-1"]
+    assert driver.process.record.variables["weight"] == 3
+    (act,) = driver.process.record.acts
+    assert (act.element, act.why, act.by) == ("a", "weighed by hand", "Ann")
+
+
+def test_a_token_is_moved_to_another_element() -> None:
+    driver = ProcessDriver(BRANCHES)
+    driver.receive("a-1", "failed", reason="no")
+    mend(driver, ActKind.MOVE, "a", to="join")
+    driver.receive("b-1", "completed")
+    assert driver.open == ["last-1"]
+
+
+def test_a_move_to_nowhere_is_refused_and_changes_nothing() -> None:
+    driver = ProcessDriver(BRANCHES)
+    driver.receive("a-1", "failed", reason="no")
+    before = driver.process.record
+    with pytest.raises(Problem, match="nowhere"):
+        mend(driver, ActKind.MOVE, "a", to="nowhere")
+    assert driver.process.record is before
+
+
+def test_variables_are_mended_and_a_gateway_tries_again() -> None:
+    body = start() + activity("work") + gateway("which") + activity("more") + end()
+    body += path("start", "work", "which") + path("more", "end")
+    body += flow("which", "more", "work.n == 2") + flow("which", "end", "work.n == 3")
+    driver = ProcessDriver(body)
+    driver.receive("work-1", "completed", n=7)
+    (incident,) = driver.process.record.incidents
+    assert "work.n == 2" in incident.reason
+    assert driver.process.record.variables["work"] == {"n": 7}
+    mend(driver, ActKind.RETRY, "which", values={"work": {"n": 2}})
+    assert driver.open == ["more-1"]
+
+
+def test_results_beyond_measure_are_an_incident_and_change_nothing() -> None:
+    driver = ProcessDriver(BRANCHES)
+    driver.receive("a-1", "completed", picture="x" * 5_000_000)
+    (incident,) = driver.process.record.incidents
+    assert "4194304 bytes" in incident.reason
+    assert driver.open == ["b-1"]
+    assert "a" not in driver.process.record.variables
 
 
 def refusal(driver: ProcessDriver, name: str) -> Problem:
     before = driver.process.record
+    driver.next_step()
     with pytest.raises(Problem) as refused:
         retry(driver, name)
     assert not driver.step
@@ -178,43 +186,28 @@ def test_a_task_of_another_process_cannot_be_retried() -> None:
     assert refusal(driver, "nothing-1").status == 404
 
 
-def test_a_process_that_runs_or_completed_cannot_be_retried() -> None:
-    driver = ProcessDriver(ONE_STEP)
-    assert "p-1 is inProgress" in refusal(driver, "work-1").detail
-    driver.receive("work-1", "completed")
-    assert "p-1 is completed" in refusal(driver, "work-1").detail
-
-
-def test_a_cancelled_process_cannot_be_retried() -> None:
-    driver = ProcessDriver(ONE_STEP)
-    driver.process.cancel("Ann", driver.next_step(), driver.now)
-    assert driver.process.record.acts == (Act(driver.now, ActKind.CANCEL, "Ann"),)
-    refused = refusal(driver, "work-1")
-    assert (refused.status, "(cancelled by Ann)" in refused.detail) == (409, True)
-    assert driver.process.record.state is None
-
-
-def test_what_failed_by_an_expression_cannot_be_retried() -> None:
-    body = start() + activity("work") + gateway("which", default="which_end") + activity("more") + end()
-    body += path("start", "work", "which", "end") + flow("which", "more", "nothing") + path("more", "end")
-    driver = ProcessDriver(body)
-    driver.receive("work-1", "completed")
-    assert driver.process.record.status is TaskStatus.FAILED
-    assert "nothing" in refusal(driver, "work-1").detail
-    assert driver.process.record.state is None
-
-
-def test_only_the_task_that_ended_the_process_can_be_retried() -> None:
+def test_a_task_that_has_not_failed_cannot_be_retried() -> None:
     driver = ProcessDriver(BRANCHES)
+    assert refusal(driver, "a-1").status == 409
     driver.receive("a-1", "failed", reason="no")
     assert task_id("a-1") in refusal(driver, "b-1").detail
 
 
-def test_a_state_that_this_release_cannot_read_is_refused() -> None:
+def test_an_ended_process_cannot_be_mended() -> None:
+    driver = ProcessDriver(ONE_STEP)
+    driver.process.cancel("Ann", driver.next_step(), driver.now)
+    assert driver.process.record.acts == (Act(driver.now, ActKind.CANCEL, "Ann"),)
+    assert refusal(driver, "work-1").status == 409
+    with pytest.raises(Problem, match="already"):
+        driver.process.mend(Act(driver.now, ActKind.SET_VARIABLES), None, driver.next_step(), driver.now)
+
+
+def test_the_alert_of_an_incident_ends_with_the_process() -> None:
     driver = ProcessDriver(ONE_STEP)
     driver.receive("work-1", "failed", reason="no")
-    driver.process._revise(state=b'{"version":99}')
-    assert "format 99" in refusal(driver, "work-1").detail
+    (alert,) = alerts(driver.step)
+    driver.process.cancel("Ann", driver.next_step(), driver.now)
+    assert cleared(driver.step) == [alert["key"]]
 
 
 class Long:
@@ -233,7 +226,8 @@ class Long:
     def crash(self) -> None:
         assert self.record is not None
         before = self.driver.process
-        self.driver.process = Process.resume(before.settings, before.plan, self.record, self.tasks.values())
+        tasks = self.tasks.values()
+        self.driver.process = Process.resume(before.settings, before.plan, self.record, tasks, before.library)
 
 
 @settings(max_examples=3 * settings.default.max_examples)
@@ -250,11 +244,10 @@ def test_whatever_fails_and_is_retried_everything_is_done_once(choices: st.DataO
         if record.status is TaskStatus.COMPLETED:
             break
         acts = [(name, status) for name in driver.open for status in ("completed", "failed")]
-        if record.failed_by is not None:
-            acts.append(("retry", ""))
+        acts += [(incident.task.removeprefix(task_id("")), "retry") for incident in record.incidents]
         name, status = choices.draw(st.sampled_from(acts))
-        if name == "retry":
-            retry(driver, record.failed_by.removeprefix(task_id("")))
+        if status == "retry":
+            retry(driver, name)
         else:
             assert driver.receive(name, status, n=name)
             done += [name.rsplit("-", 1)[0]] * (status == "completed")
@@ -262,7 +255,7 @@ def test_whatever_fails_and_is_retried_everything_is_done_once(choices: st.DataO
         assert len(done) == len(set(done)), "done twice"
         wanted = [t for t in driver.process.tasks.values() if t.cancelled_at is None]
         assert len({task.element for task in wanted}) == len(wanted)
-        assert (record.status is TaskStatus.FAILED) <= (record.failed_by is not None)
+        assert record.status is not TaskStatus.FAILED
     if driver.process.record.status is TaskStatus.COMPLETED:
         assert sorted(done) == ["a", "b", "last"]
         assert set(driver.process.record.variables) == {"a", "b", "last"}
