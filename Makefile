@@ -31,7 +31,7 @@ define tests_beside_page
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen pictures clean
+.PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-screen pictures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -144,10 +144,13 @@ lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with has
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
 
-bench: bench-broker bench-gestures bench-handover bench-bridge  ## measure everything
+bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge  ## measure everything
 
 bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
 	@$(BIN)/python -m benchmarks.broker
+
+bench-orchestrator: setup  ## the token engine: cost of a step, loops, snapshots
+	@$(BIN)/python -m benchmarks.token_engine $(ARGS)
 
 bench-gestures: setup  ## the gesture controller: frames a second, cost of 50 gloves
 	@$(BIN)/python -m benchmarks.gesture_controller $(if $(DATA),--data $(DATA))
