@@ -8,7 +8,7 @@ from lxml import etree
 
 from handover.messages import message
 from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import Expression
+from services.task_orchestrator.languages.base import Expression, ExpressionError
 from services.task_orchestrator.languages.feel import read_feel
 from services.task_orchestrator.languages.juel import read_juel
 from services.task_orchestrator.model import (
@@ -67,6 +67,9 @@ _LANGUAGES: Mapping[str, Callable[[str], Expression]] = {
     "feel": read_feel,
 }
 """The languages that a condition may name; a URI names that of the file."""
+
+_SIMILAR = frozenset({"javascript", "js", "ecmascript", "graal.js", "groovy"})
+"""Languages whose simple conditions are those of JUEL."""
 
 _GATEWAY_PARTS = frozenset({"incoming", "outgoing"})
 _PLACEHOLDER = Kind.MANUAL_TASK
@@ -360,6 +363,17 @@ def _condition(element: etree._Element, context: Context) -> Expression | None:
     language = (condition.get("language") or "").strip()
     given = text(condition)
     if _is_foreign(language):
+        similar = _similar_condition(language, given)
+        if similar is not None:
+            context.found.warn(
+                element,
+                message(
+                    "bpmn.condition_read_as_juel",
+                    "the condition in {language} is read as JUEL; check that it means the same",
+                    language=language,
+                ),
+            )
+            return similar
         refuse(
             element,
             f"a condition in {language}",
@@ -371,6 +385,17 @@ def _condition(element: etree._Element, context: Context) -> Expression | None:
         return None
     reading = partial(_LANGUAGES.get(language.lower(), context.dialects.main.expression), given)
     return attempt(element, reading, None, context.found)
+
+
+def _similar_condition(language: str, given: str) -> Expression | None:
+    """Return a condition of JavaScript or Groovy that has the same form in JUEL; None for all others."""
+    if language.lower() not in _SIMILAR:
+        return None
+    inner = given.rstrip(";").replace("!==", "!=").replace("===", "==")
+    try:
+        return read_juel("${" + inner + "}")
+    except ExpressionError:
+        return None
 
 
 def _is_foreign(language: str) -> bool:

@@ -8,7 +8,7 @@ from services.task_orchestrator.notation.dialects.handover import Handover
 from services.task_orchestrator.notation.dialects.zeebe import Zeebe
 from services.task_orchestrator.notation.document import parse
 from tests.unit.task_orchestrator.drawing import activity, end, gateway, path, start
-from tests.unit.task_orchestrator.notation.reading import between, extended, faults, file, read
+from tests.unit.task_orchestrator.notation.reading import between, extended, faults, file, read, warnings
 
 MODELER = 'xmlns:modeler="http://camunda.org/schema/modeler/1.0" modeler:executionPlatform'
 
@@ -49,6 +49,15 @@ def test_a_condition_may_name_its_language(language: str, condition: str) -> Non
 
 def test_a_condition_in_another_language_is_refused_by_name() -> None:
     assert "a condition in python is not supported yet" in faults(choice("python", "n"))[0]
+
+
+def test_a_simple_condition_of_javascript_is_read_as_juel_with_a_warning() -> None:
+    body = choice("javascript", "n === 1 &amp;&amp; !late;")
+    condition = read(body).scope.flows["f"].condition
+    assert condition is not None
+    assert condition.value({"n": 1, "late": False}) is True
+    assert "the condition in javascript is read as JUEL" in warnings(body)[0]
+    assert "a condition in groovy is not" in faults(choice("groovy", "list.any { it > 1 }"))[0]
 
 
 def choice(language: str, condition: str) -> str:

@@ -80,8 +80,8 @@ WRONG = {
         + end()
         + path("start", "g", "end")
         + '<bpmn:sequenceFlow id="f" sourceRef="g" targetRef="end"><bpmn:conditionExpression '
-        'language="groovy">x</bpmn:conditionExpression></bpmn:sequenceFlow>',
-        '"f": a condition in groovy is not supported yet',
+        'language="python">x</bpmn:conditionExpression></bpmn:sequenceFlow>',
+        '"f": a condition in python is not supported yet',
     ),
     "id twice": (ONE_STEP + activity("work"), 'the id "work" is used twice'),
     "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of A-Z"),
