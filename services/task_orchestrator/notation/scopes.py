@@ -33,7 +33,7 @@ from services.task_orchestrator.notation.activities import (
     warn_foreign_script,
 )
 from services.task_orchestrator.notation.context import Context
-from services.task_orchestrator.notation.dialects.base import attempt
+from services.task_orchestrator.notation.dialects.base import SIMILAR_TO_JUEL, attempt
 from services.task_orchestrator.notation.dialects.handover import has_task
 from services.task_orchestrator.notation.document import (
     child,
@@ -67,9 +67,6 @@ _LANGUAGES: Mapping[str, Callable[[str], Expression]] = {
     "feel": read_feel,
 }
 """The languages that a condition may name; a URI names that of the file."""
-
-_SIMILAR = frozenset({"javascript", "js", "ecmascript", "graal.js", "groovy"})
-"""Languages whose simple conditions are those of JUEL."""
 
 _GATEWAY_PARTS = frozenset({"incoming", "outgoing"})
 _PLACEHOLDER = Kind.MANUAL_TASK
@@ -389,7 +386,7 @@ def _condition(element: etree._Element, context: Context) -> Expression | None:
 
 def _similar_condition(language: str, given: str) -> Expression | None:
     """Return a condition of JavaScript or Groovy that has the same form in JUEL; None for all others."""
-    if language.lower() not in _SIMILAR:
+    if language.lower() not in SIMILAR_TO_JUEL:
         return None
     inner = given.rstrip(";").replace("!==", "!=").replace("===", "==")
     try:

@@ -16,6 +16,9 @@ from services.task_orchestrator.notation.faults import Findings
 
 Read = TypeVar("Read")
 
+SIMILAR_TO_JUEL = frozenset({"javascript", "js", "ecmascript", "graal.js", "groovy"})
+"""Languages whose simple expressions are those of JUEL."""
+
 
 @dataclass(frozen=True, slots=True)
 class Work:

@@ -4,6 +4,7 @@ Where its engine calls Java code (`class`, `delegateExpression`, a topic, script
 Task is created; its hints and the parameter `operation` name the code.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from functools import partial
 
@@ -16,6 +17,7 @@ from services.task_orchestrator.languages.juel import read_juel, read_set_variab
 from services.task_orchestrator.languages.native_grammar import is_variable_name
 from services.task_orchestrator.model import Assignment, Call, Value
 from services.task_orchestrator.notation.dialects.base import (
+    SIMILAR_TO_JUEL,
     Items,
     Mapped,
     Occurrence,
@@ -242,6 +244,18 @@ class Camunda7:
         resource = _attributes(element).get("resource")
         if format_.lower() in {"", "handover"} and not resource:
             return Script(native_script(element, source, found))
+        assignments = () if variable or resource else set_variables(format_, source)
+        if assignments:
+            found.warn(
+                element,
+                message(
+                    "bpmn.script_read_as_juel",
+                    "the {language} script only sets variables and is read as JUEL; "
+                    "check that it means the same",
+                    language=format_,
+                ),
+            )
+            return Script(assignments)
         return Script(format=format_, text=source or resource or "", variable=variable)
 
     def _result_variable(self, element: etree._Element, found: Findings) -> str | None:
@@ -294,7 +308,7 @@ class Camunda7:
                 name not in _READ
                 or is_start_form
                 or name == "potentialStarter"
-                or (name in {"executionListener", "taskListener"} and listener_assignment(extension) is None)
+                or (name in {"executionListener", "taskListener"} and not listener_assignments(extension))
             ):
                 _warn(extension, f"camunda:{name}", found)
 
@@ -305,23 +319,43 @@ class Camunda7:
         for extension in _ours(element):
             if local(extension) not in {"executionListener", "taskListener"}:
                 continue
-            assignment = listener_assignment(extension)
-            if assignment is not None:
-                is_start = extension.get("event", "start") in {"start", "create", "assignment"}
-                (before if is_start else after).append(assignment)
+            is_start = extension.get("event", "start") in {"start", "create", "assignment"}
+            (before if is_start else after).extend(listener_assignments(extension))
         return tuple(before), tuple(after)
 
 
-def listener_assignment(listener: etree._Element) -> Assignment | None:
-    """Return the variable that a listener sets by `${execution.setVariable(…)}`; None for other listeners."""
-    expression = listener.get("expression")
-    if expression is None or listener.get("event") in {"delete", "timeout", "update"}:
-        return None
+def listener_assignments(listener: etree._Element) -> tuple[Assignment, ...]:
+    """Return the variables that a listener sets, by an expression or script; none for other listeners."""
+    if listener.get("event") in {"delete", "timeout", "update"}:
+        return ()
+    script = next(_named(listener, "script"), None)
+    if script is not None:
+        return set_variables(script.get("scriptFormat") or "", text(script))
+    return _assigned(listener.get("expression") or "")
+
+
+def set_variables(format_: str, source: str) -> tuple[Assignment, ...]:
+    """Return the variables that a script sets if it has lines `execution.setVariable('name', value)` only."""
+    if format_.lower() not in SIMILAR_TO_JUEL:
+        return ()
+    found: list[Assignment] = []
+    for line in re.split(r"[;\n]", source):
+        statement = line.strip()
+        if not statement or statement.startswith("//"):
+            continue
+        assigned = _assigned("${" + statement + "}")
+        if not assigned:
+            return ()
+        found += assigned
+    return tuple(found)
+
+
+def _assigned(expression: str) -> tuple[Assignment, ...]:
     try:
         found = read_set_variable(expression)
     except ExpressionError:
-        return None
-    return None if found is None else Assignment(found[0], Value(expression=found[1]))
+        return ()
+    return () if found is None else (Assignment(found[0], Value(expression=found[1])),)
 
 
 def _warn(element: etree._Element, what: str, found: Findings) -> None:

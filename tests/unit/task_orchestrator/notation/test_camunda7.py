@@ -308,6 +308,30 @@ def test_a_script_of_juel_runs_and_any_other_is_a_task() -> None:
     assert work.parameters["scriptFormat"].literal == "javascript"
 
 
+def test_a_script_that_only_sets_variables_runs() -> None:
+    source = "// count\nexecution.setVariable('a', n + 1);\nexecution.setVariable(\"b\", 'x');"
+    element = (
+        f'<bpmn:scriptTask id="x" scriptFormat="JavaScript" {CAMUNDA}><bpmn:script>{source}</bpmn:script>'
+        "</bpmn:scriptTask>"
+    )
+    script = node(element).script
+    assert script is not None
+    assert [(each.target, each.value.value({"n": 1})) for each in script] == [("a", 2), ("b", "x")]
+    assert "only sets variables and is read as JUEL" in warnings(between(element))[0]
+
+
+def test_a_script_of_a_listener_that_only_sets_variables_runs() -> None:
+    source = (
+        '<camunda:executionListener event="end"><camunda:script scriptFormat="groovy">'
+        "execution.setVariable('a', 1)</camunda:script></camunda:executionListener>"
+    )
+    flows, _ = names(between(extended("task", source)))
+    assert ("x", "x.after") in flows
+    assert warnings(between(extended("task", source))) == []
+    other = source.replace("execution.set", "println(1); execution.set")
+    assert len(warnings(between(extended("task", other)))) == 1
+
+
 def test_a_message_event_with_an_implementation_is_a_task() -> None:
     definition = '<bpmn:messageEventDefinition camunda:type="external" camunda:topic="mail"/>'
     body = between(f'<bpmn:intermediateThrowEvent id="x">{definition}</bpmn:intermediateThrowEvent>')
