@@ -319,7 +319,11 @@ class _Rules:
             return False  # it may be a message end event
         if isinstance(node.event, CompensateEvent | LinkEvent):
             return False
-        return any(each.kind is Kind.END_EVENT for each in self.scope.nodes.values())
+        return self._has_end_events
+
+    @cached_property
+    def _has_end_events(self) -> bool:
+        return any(node.kind is Kind.END_EVENT for node in self.scope.nodes.values())
 
     def _of_boundary(self, node: Node) -> Iterator[Fault]:
         host = self.scope.nodes.get(node.attached_to or "")

@@ -5,6 +5,7 @@ import pytest
 from services.task_orchestrator.model import MessageEvent
 from services.task_orchestrator.notation.faults import MAX_FAULTS_LISTED, BadBpmn
 from services.task_orchestrator.notation.file import BpmnFile, read_bpmn
+from services.task_orchestrator.notation.rules import MAX_NODES
 from tests.unit.task_orchestrator.drawing import end, path, start
 from tests.unit.task_orchestrator.notation.reading import NAMESPACES, between, file
 
@@ -167,3 +168,10 @@ def test_the_answer_names_the_element_as_it_is_drawn() -> None:
     }
     assert answer["faults"][0]["messageCode"] == "bpmn.not_supported"
     assert answer["warnings"][0]["element"] == "d"
+
+
+def test_a_process_of_the_greatest_size_is_read() -> None:
+    steps = [f"a{nth}" for nth in range(MAX_NODES - 2)]
+    tasks = "".join(f'<bpmn:task id="{step}"/>' for step in steps)
+    definition = read_bpmn(file(start() + tasks + end() + path("start", *steps, "end"))).definitions[0]
+    assert len(definition.activities()) == MAX_NODES - 2
