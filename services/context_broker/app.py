@@ -111,7 +111,7 @@ class Broker:
         await self.federation.restore(self.journal)
         await self._restore_subscriptions()
         await self.contexts.tidy()
-        self.snapshots.start(self.journal)
+        await self.snapshots.start(self.journal)
         self.tenants.ends.start()
         await self.federation.start(self.journal)
         self.retention.start()
@@ -125,7 +125,7 @@ class Broker:
         for task in self._running:
             task.cancel("the broker stops")
         self.tenants.ends.stop()
-        self.snapshots.stop()
+        await self.snapshots.stop()
         for tenant in self.tenants:
             tenant.notifier.stop()
             tenant.federation.stop()

@@ -40,10 +40,10 @@ class Snapshots(Protocol):
     def restore(self, journal: Journal) -> None:
         """Load the snapshots; all tenants are loaded already."""
 
-    def start(self, journal: Journal) -> None:
+    async def start(self, journal: Journal) -> None:
         """Start the background work; call it once everything is restored."""
 
-    def stop(self) -> None:
+    async def stop(self) -> None:
         """Stop the background work."""
 
     async def answer(self, operation: Operation, request: RequestContext, carry_out: CarryOut) -> Response:
@@ -59,10 +59,10 @@ class NoSnapshots:
     def restore(self, journal: Journal) -> None:
         warn_of_stored(journal, DocumentKind.SNAPSHOT, "HANDOVER_BROKER_SNAPSHOTS")
 
-    def start(self, journal: Journal) -> None:
+    async def start(self, journal: Journal) -> None:
         return
 
-    def stop(self) -> None:
+    async def stop(self) -> None:
         return
 
     async def answer(self, operation: Operation, request: RequestContext, carry_out: CarryOut) -> Response:

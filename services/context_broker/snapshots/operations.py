@@ -82,11 +82,12 @@ class BrokerSnapshots:
             Operation("POST", clone, "cloneSnapshot", "6.38.3.1", self.clone),
         )
 
-    def start(self, journal: Journal) -> None:
+    async def start(self, journal: Journal) -> None:
         """Schedule the expiry of the loaded snapshots, and clean up after a crash.
 
         Pending notifications are sent, interrupted creations fail, and content without a snapshot is deleted.
         """
+        await self._snapshots.start()
         pending = [restored(*stored) for stored in journal.documents(DocumentKind.SNAPSHOT_NOTIFICATION)]
         for notification in sorted(pending, key=lambda one: one.at):
             self.notifier.add(notification)
@@ -98,11 +99,11 @@ class BrokerSnapshots:
         self._creator.fail_interrupted()
         for tenant in self._tenants:
             if outside(tenant.name)[1] is not None and tenant.name not in ids:
-                self._snapshots.run_in_background(self._snapshots.delete_content(tenant))
+                self._snapshots.tasks.start(self._snapshots.delete_content, tenant)
 
-    def stop(self) -> None:
+    async def stop(self) -> None:
         """Stop all background tasks; unfinished snapshots fail at the next start."""
-        self._snapshots.stop()
+        await self._snapshots.stop()
 
     def restore(self, journal: Journal) -> None:
         """Load the stored snapshots."""

@@ -4,7 +4,8 @@ Creation runs after the response to POST snapshots; clients poll the status unti
 Therefore every failure ends in the status `failure`, with the reason at each query it concerns.
 """
 
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import Any, Final
 
 import orjson
@@ -63,11 +64,11 @@ class SnapshotCreator:
 
     def start(self, request: RequestContext, snapshot: Snapshot, context: Any) -> None:
         """Start to carry out the queries of a snapshot; `context` is the @context they were sent with."""
-        self._start(request.tenant, snapshot, self._fill(request, snapshot, context))
+        self._start(request.tenant, snapshot, partial(self._fill, request, snapshot, context))
 
     def start_copy(self, request: RequestContext, original: Snapshot, snapshot: Snapshot) -> None:
         """Start to copy another snapshot."""
-        self._start(request.tenant, snapshot, self._copy(request, original, snapshot))
+        self._start(request.tenant, snapshot, partial(self._copy, request, original, snapshot))
 
     def fail_interrupted(self) -> None:
         """Set the status of interrupted creations to `failure`: the process that ran them has ended."""
@@ -76,15 +77,15 @@ class SnapshotCreator:
                 if snapshot.status is Status.PREPARING and (tenant.name, snapshot.id) not in self._running:
                     failed = snapshot.failed(_INTERRUPTED)
                     self._snapshots.publish(tenant, failed)
-                    self._snapshots.run_in_background(self._record_failure(tenant, failed))
+                    self._snapshots.tasks.start(self._record_failure, tenant, failed)
 
-    def _start(self, tenant: Tenant, snapshot: Snapshot, work: Awaitable[None]) -> None:
+    def _start(self, tenant: Tenant, snapshot: Snapshot, work: Callable[[], Awaitable[None]]) -> None:
         self._running.add((tenant.name, snapshot.id))
-        self._snapshots.run_in_background(self._run(tenant, snapshot, work))
+        self._snapshots.tasks.start(self._run, tenant, snapshot, work)
 
-    async def _run(self, tenant: Tenant, snapshot: Snapshot, work: Awaitable[None]) -> None:
+    async def _run(self, tenant: Tenant, snapshot: Snapshot, work: Callable[[], Awaitable[None]]) -> None:
         try:
-            await work
+            await work()
         except Exception as error:  # any error must end the status "preparing", for which clients poll
             log.exception("snapshot creation failed", snapshot=snapshot.id)
             problem = error if isinstance(error, Problem) else went_wrong(error, "creating the snapshot")

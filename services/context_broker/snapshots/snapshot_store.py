@@ -5,10 +5,10 @@ A change of a snapshot and its notification are one commit.
 
 import asyncio
 import time
-from collections.abc import Coroutine, Iterable
-from typing import Any, Final
+from collections.abc import Iterable
+from typing import Final
 
-from handover.telemetry import get_logger
+from handover.background_tasks import BackgroundTasks
 from services.context_broker.model.problems import not_stored
 from services.context_broker.model.validation import timestamp_now
 from services.context_broker.snapshots.content import deletion_entries
@@ -17,8 +17,6 @@ from services.context_broker.snapshots.snapshot_notifications import SnapshotNot
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import DocumentKind, Entries
 from services.context_broker.tenants import DEFAULT, Tenant, Tenants
-
-log = get_logger(__name__)
 
 MAX_TIMER_S: Final = 86400.0
 
@@ -31,7 +29,7 @@ class SnapshotStore:
         self.notifier = SnapshotNotifier(tenants)
         self.lock = asyncio.Lock()
         self._by_tenant: dict[str, dict[str, Snapshot]] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self.tasks = BackgroundTasks("snapshots")
 
     def of(self, tenant: Tenant) -> dict[str, Snapshot]:
         """Return the snapshots of a tenant by their id."""
@@ -41,17 +39,14 @@ class SnapshotStore:
         """Load a stored snapshot."""
         self._by_tenant.setdefault(tenant, {}).update(restored(body))
 
-    def stop(self) -> None:
-        """Stop all background tasks; unfinished snapshots fail at the next start."""
-        for task in self._tasks:
-            task.cancel()
-        self.notifier.stop()
+    async def start(self) -> None:
+        """Allow background tasks."""
+        await self.tasks.__aenter__()
 
-    def run_in_background(self, work: Coroutine[Any, Any, None]) -> None:
-        """Run a background task."""
-        task: asyncio.Task[None] = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._on_end)
+    async def stop(self) -> None:
+        """Stop all background tasks; unfinished snapshots fail at the next start."""
+        await self.tasks.__aexit__()
+        self.notifier.stop()
 
     def schedule_expiry(self, tenant: Tenant, snapshot: Snapshot) -> None:
         """Delete a snapshot when it expires, unless it was changed meanwhile."""
@@ -62,7 +57,7 @@ class SnapshotStore:
             loop = asyncio.get_running_loop()
             loop.call_later(min(left_s, MAX_TIMER_S), self.schedule_expiry, tenant, snapshot)
         else:
-            self.run_in_background(self._end(tenant, snapshot))
+            self.tasks.start(self._end, tenant, snapshot)
 
     async def store(self, tenant: Tenant, snapshot: Snapshot, *, notify: bool = False) -> None:
         """Store a snapshot in its current state. Raises a problem (507) if the disk refuses."""
@@ -125,11 +120,6 @@ class SnapshotStore:
         async with self.lock:
             if self.of(tenant).get(snapshot.id) is snapshot:
                 await self.remove(tenant, snapshot)
-
-    def _on_end(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("snapshot task failed", exc_info=error)
 
 
 def entries(tenant: Tenant, snapshot: Snapshot) -> Entries:

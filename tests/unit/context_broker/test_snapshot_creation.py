@@ -36,6 +36,7 @@ async def settled(
 ) -> Snapshot:
     """Create a snapshot; return it once its status is no longer "preparing"."""
     tenant = broker.tenants.of(b"", makes=False)
+    await store.start()
     made = new_snapshot("urn:x:1", {"snapshotQueries": list(queries)})
     await store.store(tenant, made)
     request = RequestContext(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
@@ -44,6 +45,7 @@ async def settled(
         while store.of(tenant)["urn:x:1"].status is Status.PREPARING:
             await asyncio.sleep(0.005)
     async with store.lock:
+        await store.stop()
         return store.of(tenant)["urn:x:1"]
 
 
