@@ -35,6 +35,8 @@ class Context:
     """Data object reference -> data object."""
     data_names: dict[str, str] = field(default_factory=dict)
     """Data object -> its name."""
+    data_scopes: dict[str, set[str]] = field(default_factory=dict)
+    """Process or subprocess -> its data objects."""
     variables: dict[str, str] = field(default_factory=dict)
     """Variable -> the element whose results it has."""
     _times: dict[str, int] = field(default_factory=dict)

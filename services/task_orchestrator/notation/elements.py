@@ -147,8 +147,6 @@ class Contents:
     refused: list[etree._Element] = field(default_factory=list)
     flows: list[etree._Element] = field(default_factory=list)
     associations: list[etree._Element] = field(default_factory=list)
-    data_objects: dict[str, str] = field(default_factory=dict)
-    """Data object -> its name."""
 
     @classmethod
     def of(cls, container: etree._Element, found: Findings) -> "Contents":
@@ -164,12 +162,6 @@ class Contents:
                 contents.flows.append(element)
             elif name == "association":
                 contents.associations.append(element)
-            elif name == "dataObject":
-                contents.data_objects.setdefault(element.get("id") or "", element.get("name") or "")
-            elif name == "dataObjectReference":
-                data = data_object_of(element)
-                if not contents.data_objects.get(data):
-                    contents.data_objects[data] = element.get("name") or ""
             elif name in REFUSED:
                 contents.refused.append(element)
                 refuse(element, name, REFUSED[name], found)

@@ -36,6 +36,7 @@ from services.task_orchestrator.notation.context import Context
 from services.task_orchestrator.notation.dialects.base import SIMILAR_TO_JUEL, attempt
 from services.task_orchestrator.notation.dialects.handover import has_task
 from services.task_orchestrator.notation.document import (
+    BPMN,
     child,
     children,
     flag,
@@ -93,20 +94,22 @@ def read_scope(
         _with_defaults(nodes, flows, context),
         flows,
         handlers=_handlers(contents, nodes),
-        data_objects={data: context.data_names.get(data, data) for data in contents.data_objects},
+        data_objects={data: context.data_names[data] for data in sorted(context.data_scopes.get(name, ()))},
     )
 
 
 def collect_data(process: etree._Element, context: Context) -> None:
     """Collect the data objects of all scopes of a process: nodes refer to those of outer scopes."""
     named: dict[str, str] = {}
-    for element in process.iter("{*}dataObject", "{*}dataObjectReference"):
-        if not is_bpmn(element):
-            continue
-        data = element.get("id") or ""
-        if local(element) == "dataObjectReference":
-            context.data[data] = data_object_of(element)
-            data = context.data[data]
+    declared = {element.get("id") or "": element for element in process.iter(f"{{{BPMN}}}dataObject")}
+    references = list(process.iter(f"{{{BPMN}}}dataObjectReference"))
+    for element in references:
+        data = context.data[element.get("id") or ""] = data_object_of(element)
+        declared.setdefault(data, element)  # a reference without an object stands for its own
+    for data, element in declared.items():
+        context.data_scopes.setdefault(element.getparent().get("id") or "", set()).add(data)
+    for element in (*declared.values(), *references):
+        data = context.data.get(element.get("id") or "", element.get("id") or "")
         named[data] = named.get(data) or " ".join((element.get("name") or "").split())
     context.data_names.update({data: name or data for data, name in named.items()})
 

@@ -184,6 +184,16 @@ def test_a_drawn_association_needs_no_specification() -> None:
     assert inner.nodes["t"].data_outputs == (DataAssociation("d", None),)
 
 
+def test_a_data_object_belongs_to_the_scope_that_declares_it() -> None:
+    reference = '<bpmn:dataObjectReference id="inner" dataObjectRef="d"/><bpmn:dataObjectReference id="own"/>'
+    sub = f'<bpmn:subProcess id="x">{reference}<bpmn:task id="t"/></bpmn:subProcess>'
+    scope = read(DATA + between(sub)).scope
+    inner = scope.nodes["x"].scope
+    assert inner is not None
+    assert set(scope.data_objects) == {"d"}
+    assert set(inner.data_objects) == {"own"}
+
+
 def test_a_data_store_has_no_effect() -> None:
     element = (
         '<bpmn:task id="x"><bpmn:dataOutputAssociation><bpmn:targetRef>store</bpmn:targetRef>'
