@@ -45,9 +45,11 @@ from services.task_orchestrator.records import (
     MessageKind,
     MessageOutcome,
     ProcessRecord,
+    StartTimer,
     Step,
 )
 from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.start_timers import next_timer, start_timers
 from services.task_orchestrator.store import EndedProcess, EndedTask, Store
 
 log = get_logger(__name__)
@@ -101,6 +103,7 @@ class Orchestrator:
         self.outbox = Outbox(settings, broker, self._on_rejected)
         self._changes: asyncio.Queue[_PendingChange] = asyncio.Queue()
         self._next_seq = 1
+        self._start_timers: dict[str, tuple[StartTimer, ...]] = {}
         self._disk = ThreadPoolExecutor(1, "orchestrator-disk")
         self.active_processes = ActiveProcesses(settings, self.registry, self.store, self.on_disk)
         self.events = EventDelivery(
@@ -120,6 +123,7 @@ class Orchestrator:
             with suppress(HandoverError):  # such a version cannot be started
                 self.events.add_definition(self.registry.plan_of(record).definition)
         await self.active_processes.load_unfinished()
+        self._start_timers = await self.on_disk(self.store.start_timers)
         self.events.stored = {each.id: each for each in await self.on_disk(self.store.stored_messages)}
         metrics.register_open_tasks(self.active_processes.open_tasks, self.clock)
         pending = await self.on_disk(self.store.outbox)
@@ -161,6 +165,7 @@ class Orchestrator:
                 if created:
                     self.registry.keep(Plan(definition, record.version))
                     step.definitions.append(record)
+                    step.start_timers[record.name] = start_timers(definition, self.clock())
                     entities = self.registry.entities(record)
                     step.enqueue(f"definition {record.name}", MessageKind.UPSERT, entities[0]["id"], entities)
                 found.append(Deployment(record.name, record.version, created))
@@ -376,13 +381,33 @@ class Orchestrator:
             for process in self.active_processes.due(now):
                 process.tick(step, now)
             self.events.expire(step, now)
+            self._start_by_timers(step, now)
 
         await self._do(act)
 
     def next_due(self) -> datetime | None:
         """Return when the next timer is due, or a stored message expires."""
-        moments = (self.active_processes.next_due(), self.events.next_expiry())
+        starts = (timer.due for timers in self._start_timers.values() for timer in timers)
+        moments = (self.active_processes.next_due(), self.events.next_expiry(), *starts)
         return min((moment for moment in moments if moment is not None), default=None)
+
+    def _start_by_timers(self, step: Step, now: datetime) -> None:
+        """Start the processes whose timer start events are due."""
+        for definition, timers in self._start_timers.items():
+            if all(timer.due > now for timer in timers):
+                continue
+            kept = []
+            for timer in timers:
+                if timer.due > now:
+                    kept.append(timer)
+                    continue
+                try:
+                    self._start_by_event(step, EventStart(definition, timer.event), {}, partner=None)
+                except Problem as problem:
+                    log.warning("timer starts no process", definition=definition, error=str(problem))
+                following = next_timer(timer, now)
+                kept += [] if following is None else [following]
+            step.start_timers[definition] = tuple(kept)
 
     def awaited(self) -> list[str]:
         """Return the ids of the open Tasks that the broker must have."""
@@ -539,6 +564,7 @@ class Orchestrator:
         self._add_definitions(step.definitions)
         self.active_processes.apply(step)
         self.events.apply(step)
+        self._start_timers |= step.start_timers
         self.active_processes.release(fetched)
         self.due_changed.set()
         self.outbox.send(step.messages)

@@ -204,6 +204,18 @@ class TimerKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class StartTimer:
+    """A timer start event of the latest version of a definition; `text` is the cycle of a repeating one."""
+
+    definition: str
+    event: str
+    due: datetime
+    text: str | None = None
+    count: int = 0
+    """How often it was due."""
+
+
+@dataclass(frozen=True, slots=True)
 class Timer:
     """A moment at which a process has to act; `subject` is the id of a Task, or empty."""
 
@@ -228,6 +240,8 @@ class Step:
     """Processes that have ended in this step."""
     moves: list[Move] = field(default_factory=list)
     timers: dict[str, tuple[Timer, ...]] = field(default_factory=dict)
+    start_timers: dict[str, tuple[StartTimer, ...]] = field(default_factory=dict)
+    """All start timers of definitions that have changed."""
     messages: list[Message] = field(default_factory=list)
     delivered: list[int] = field(default_factory=list)
     effects: list[tuple[str, Effect]] = field(default_factory=list)
@@ -255,4 +269,5 @@ class Step:
             or self.delivered
             or self.messages_stored
             or self.messages_taken
+            or self.start_timers
         )

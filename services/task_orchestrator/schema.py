@@ -111,6 +111,15 @@ messages = Table(
     Column("sent_at", String(40), nullable=False),
     Column("expires_at", String(40), nullable=False),
 )
+start_timers = Table(
+    "orchestrator_start_timers",
+    _meta,
+    Column("definition", String(64), primary_key=True),
+    Column("event", String(64), primary_key=True),
+    Column("due", String(40), nullable=False),
+    Column("text", Text),
+    Column("count", Integer, nullable=False),
+)
 timers = Table(
     "orchestrator_timers",
     _meta,

@@ -40,6 +40,7 @@ from services.task_orchestrator.records import (
     MessageRecord,
     Move,
     ProcessRecord,
+    StartTimer,
     Step,
     TaskRecord,
     Timer,
@@ -111,6 +112,10 @@ class Store:
             for process, timers in step.timers.items():
                 connection.execute(delete(schema.timers).where(schema.timers.c.process == process))
                 _insert(connection, schema.timers, [{"process": process, **_row(timer)} for timer in timers])
+            for definition, starts in step.start_timers.items():
+                table = schema.start_timers
+                connection.execute(delete(table).where(table.c.definition == definition))
+                _insert(connection, table, [_row(start) for start in starts])
             _insert(connection, schema.outbox, [_message_row(message) for message in step.messages])
             _write_archived(connection, step.archived)
             _write_stored_messages(connection, step)
@@ -308,6 +313,14 @@ class Store:
         for row in self._rows(select(schema.timers).order_by(schema.timers.c.due)):
             timer = Timer(TimerKind(row["kind"]), row["subject"], _time(row["due"]))
             found[row["process"]] = (*found.get(row["process"], ()), timer)
+        return found
+
+    def start_timers(self) -> dict[str, tuple[StartTimer, ...]]:
+        """Return the start timers by definition."""
+        found: dict[str, tuple[StartTimer, ...]] = {}
+        for row in self._rows(select(schema.start_timers)):
+            timer = StartTimer(**{**row, "due": _time(row["due"])})
+            found[timer.definition] = (*found.get(timer.definition, ()), timer)
         return found
 
     def stored_messages(self) -> list[MessageRecord]:
