@@ -102,7 +102,7 @@ class Store:
         self._announce = announce
         self._deliver = deliver
         self._recorder = recorder
-        self.census = TypeStatistics()
+        self.type_statistics = TypeStatistics()
         self._ends = ends
         self._every = OrderedEntities()
         self._by_type: dict[str, OrderedEntities] = {}
@@ -253,7 +253,7 @@ class Store:
                 after is None and before is not None and before.ends_at is not None and self._ends is not None
             ):
                 self._ends.forget(self, before.id)
-            self.census.note(before, after, written)
+            self.type_statistics.note(before, after, written)
             self._file_by_type(before, after)
             for index in self._indexes.values():
                 index.refile(before, after)
@@ -272,9 +272,9 @@ class Store:
         """
         self._indexes.clear()
         self._place_indexes.clear()
-        self.census, self._by_type = TypeStatistics(), {}
+        self.type_statistics, self._by_type = TypeStatistics(), {}
         for entity in self._every.all():
-            self.census.note(None, entity)
+            self.type_statistics.note(None, entity)
             self._file_by_type(None, entity)
 
     def _file_by_type(self, before: Entity | None, after: Entity | None) -> None:

@@ -5,12 +5,13 @@ that history and entities never differ. The row has the instances of attributes 
 type and datasetId of those that it deleted. Unchanged instances are the same objects before and after a
 change, so that finding the written ones compares identities and not values.
 
-The key of a row is the place of the entity and the time of the change (`seq`), made unique per entity. The
-instanceId of an instance is computed from the key and its position in the row and is not stored. For this
-reason deleted instances leave a None in their row: the positions of the others must not change.
+The key of a row is the sequence number of the entity and the time of the change (`seq`), made unique per
+entity. The instanceId of an instance is computed from the key and its position in the row and is not
+stored. For this reason deleted instances leave a None in their row: the positions of the others must not
+change.
 
-Example: an entity at place 7 is created with a and b, then a is written, then b is deleted. The rows are
-`(7, t1) {attributes: {a: [1], b: [2]}}`, `(7, t2) {attributes: {a: [3]}}` and
+Example: an entity with sequence number 7 is created with a and b, then a is written, then b is deleted. The
+rows are `(7, t1) {attributes: {a: [1], b: [2]}}`, `(7, t2) {attributes: {a: [3]}}` and
 `(7, t3) {attributes: {}, deleted: {b: [[Property, null]]}}`. The instanceId of a's second value is
 `urn:ngsi-ld:Instance:7-<t2 in hex>-0`.
 """
@@ -229,13 +230,13 @@ class Recorder:
         if change is not None:
             entries.history.append(self.row(entity.seq, change, at))
 
-    def row(self, place: int, change: Change, at: str) -> HistoryRow:
-        """Return the row of a change of the entity at `place`."""
+    def row(self, entity_seq: int, change: Change, at: str) -> HistoryRow:
+        """Return the row of a change of an entity."""
         seq = micros_of(at)
         if seq <= self._last < seq + 1_000_000:
             seq = self._last + 1  # several changes in one instant, or a coarse clock
         self._last = seq
-        return HistoryRow(place, seq, *change.observed(seq / 1_000_000), 0, change.stored())
+        return HistoryRow(entity_seq, seq, *change.observed(seq / 1_000_000), 0, change.stored())
 
 
 def change_of(event: Event) -> Change | None:
@@ -284,18 +285,18 @@ def _compare(
         deleted[name] = _kinds(gone)
 
 
-def instance_id(place: int, seq: int, position: int) -> str:
+def instance_id(entity_seq: int, seq: int, position: int) -> str:
     """Return the instanceId of the instance at `position` of a row."""
-    return f"urn:ngsi-ld:Instance:{place:x}-{seq:x}-{position:x}"
+    return f"urn:ngsi-ld:Instance:{entity_seq:x}-{seq:x}-{position:x}"
 
 
-def place_of(instance: str) -> tuple[int, int, int] | None:
-    """Return place, seq and position in an instanceId, None for one that is not from this broker."""
+def parse_instance_id(instance: str) -> tuple[int, int, int] | None:
+    """Return sequence number, seq and position in an instanceId; None for one of another broker."""
     found = _ID.fullmatch(instance)
     if found is None:
         return None
-    place, seq, position = (int(part, 16) for part in found.groups())
-    return place, seq, position
+    entity_seq, seq, position = (int(part, 16) for part in found.groups())
+    return entity_seq, seq, position
 
 
 def micros_of(at: str) -> int:

@@ -1,8 +1,8 @@
 """Reads temporal evolutions from the history (clauses 5.7.3 and 5.7.4 of ETSI GS CIM 009).
 
-How it works: rows are read from the database in the order of place and seq, and one evolution at a time is
-assembled from them. Each attribute and datasetId has a `Series`, which keeps the first (or the last N)
-instances within a limit. Where a series exceeds its limit, its edge is the time of the last instance kept;
+How it works: rows are read from the database in the order of sequence number and seq, and one evolution at a
+time is assembled from them. Each attribute and datasetId has a `Series`, which keeps the first (or the last
+N) instances within a limit. Where a series exceeds its limit, its edge is the time of the last instance kept;
 the earliest edge of all series is the end of the whole response, so that the response is complete up to one
 time. The client continues from there (206 with Content-Range).
 
@@ -191,23 +191,27 @@ def _in_scope(archive: Archive, run: list[Subject], history_request: HistoryRequ
     if wanted is None:
         return run
     # Provided scopes without a time hold for all the time.
-    timeless = {place for subject in run if subject.was_never_current for place in subject.places}
+    timeless = {
+        entity_seq for subject in run if subject.was_never_current for entity_seq in subject.entity_seqs
+    }
     changes: dict[int, list[tuple[int, Scopes]]] = {}
-    for place, seq, _, body in archive.history([place for subject in run for place in subject.places]):
+    for entity_seq, seq, _, body in archive.history(
+        [entity_seq for subject in run for entity_seq in subject.entity_seqs]
+    ):
         if not Change.may_set_scopes(body):
             continue
         for name, _, instance in Change.restored(body).instances(seq):
             if name == SCOPE:
                 observed, value = instance.get("observedAt"), instance["value"]
-                at = micros_of(observed) if observed is not None else 0 if place in timeless else seq
-                changes.setdefault(place, []).append((at, (value,) if isinstance(value, str) else value))
+                at = micros_of(observed) if observed is not None else 0 if entity_seq in timeless else seq
+                changes.setdefault(entity_seq, []).append((at, (value,) if isinstance(value, str) else value))
     return [
         subject
         for subject in run
         if any(
             wanted.wants(scopes)
             for scopes in _scopes_of_window(
-                [change for place in subject.places for change in changes.get(place, ())],
+                [change for entity_seq in subject.entity_seqs for change in changes.get(entity_seq, ())],
                 subject.scopes,
                 history_request.query,
             )
@@ -235,12 +239,14 @@ def _scopes_of_window(
 
 
 def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
-    """Yield the subjects in runs for one database query: many with ascending places, or one with many
-    places."""
+    """Yield the subjects in runs for one database query: many with ascending sequence numbers, or one with
+    several."""
     run: list[Subject] = []
     for subject in subjects:
-        alone = len(subject.places) > 1
-        if run and (alone or len(run) >= ENTITIES_PER_READ or subject.places[0] < run[-1].places[0]):
+        alone = len(subject.entity_seqs) > 1
+        if run and (
+            alone or len(run) >= ENTITIES_PER_READ or subject.entity_seqs[0] < run[-1].entity_seqs[0]
+        ):
             yield run
             run = []
         if alone:
@@ -256,19 +262,19 @@ def _read(archive: Archive, run: Sequence[Subject], history_request: HistoryRequ
     rest = iter(run)
     query = history_request.query
     evolution = Evolution(next(rest))
-    places = [place for subject in run for place in subject.places]
+    entity_seqs = [entity_seq for subject in run for entity_seq in subject.entity_seqs]
     condition, values = query.condition()
     bare = query.aggregation is not None and history_request.wants is None
     now_s = time.time()
-    # The latest rows first for lastN: older ones can then be skipped by their time. With several places the
-    # database would have to sort them.
+    # The latest rows first for lastN: older ones can then be skipped by their time. With several
+    # sequence numbers the database would have to sort them.
     rows = archive.history(
-        places, condition, values, latest_first=query.last is not None and len(places) == 1
+        entity_seqs, condition, values, latest_first=query.last is not None and len(entity_seqs) == 1
     )
     ends_early = query.last is None and history_request.wants is None and query.aggregation is None
     edge: int | None = None
-    for place, seq, observed_from, body in rows:
-        while place not in evolution.subject.places:
+    for entity_seq, seq, observed_from, body in rows:
+        while entity_seq not in evolution.subject.entity_seqs:
             yield _sorted(evolution)
             evolution, edge = Evolution(next(rest)), None
         if edge is not None and query.is_later(edge, seq, observed_from):
@@ -281,7 +287,7 @@ def _read(archive: Archive, run: Sequence[Subject], history_request: HistoryRequ
             if at is None or (series := _series_for(evolution, name, instance, history_request)) is None:
                 continue
             if series.takes(at):
-                instance["instanceId"] = instance_id(place, seq, position)
+                instance["instanceId"] = instance_id(entity_seq, seq, position)
                 series.add((at, seq, instance[VALUE_MEMBER[instance["type"]]] if bare else instance))
                 if ends_early and series.edge is not None:
                     edge = series.edge if edge is None else min(edge, series.edge)

@@ -29,7 +29,13 @@ from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.history_archive import END_OF_TIME, Archive, HistoryRow, TemporalOnlyRow
 from services.context_broker.temporal.evolution_parser import ProvidedEvolution, parse_evolution
-from services.context_broker.temporal.history import SCOPE, Change, Recorder, TemporalOnlyEntity, place_of
+from services.context_broker.temporal.history import (
+    SCOPE,
+    Change,
+    Recorder,
+    TemporalOnlyEntity,
+    parse_instance_id,
+)
 from services.context_broker.temporal.subjects import Subject, subjects_of
 from services.context_broker.tenants import Tenant
 
@@ -122,13 +128,18 @@ class TemporalProvision:
         entity_id, tenant = _entity_id(request), request.tenant
         async with self._exclusive(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
-            for place in subject.places:
+            for entity_seq in subject.entity_seqs:
                 while True:
-                    bound = await asyncio.to_thread(self._archive.bound_of, place, ROWS_PER_COMMIT)
-                    await _commit(tenant, Entries(cleared=[(place, END_OF_TIME if bound is None else bound)]))
+                    bound = await asyncio.to_thread(self._archive.bound_of, entity_seq, ROWS_PER_COMMIT)
+                    await _commit(
+                        tenant, Entries(cleared=[(entity_seq, END_OF_TIME if bound is None else bound)])
+                    )
                     if bound is None:
                         break
-            gone = {place: TemporalOnlyRow(tenant.name, entity_id, None) for place in subject.places}
+            gone = {
+                entity_seq: TemporalOnlyRow(tenant.name, entity_id, None)
+                for entity_seq in subject.entity_seqs
+            }
             await _commit(tenant, Entries(temporal_only=gone))
         return DONE
 
@@ -146,10 +157,10 @@ class TemporalProvision:
         async with self._exclusive(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
             found = 0
-            for place in subject.places:
+            for entity_seq in subject.entity_seqs:
                 after: int | None = -1
                 while after is not None:
-                    rows, after = await asyncio.to_thread(self._rewritten, place, after, cut)
+                    rows, after = await asyncio.to_thread(self._rewritten, entity_seq, after, cut)
                     if rows:
                         found += len(rows)
                         await _commit(tenant, Entries(history=rows))
@@ -174,7 +185,7 @@ class TemporalProvision:
             if not isinstance(document, dict):
                 raise bad_request_data(f"a PATCH takes one instance, not {shown(document)}; send an object")
         async with self._exclusive(tenant, entity_id):
-            place, seq, position, change = await self._row(request, entity_id)
+            entity_seq, seq, position, change = await self._row(request, entity_id)
             instance = change.find(name, position)
             if instance is None:
                 raise _absent_instance(request)
@@ -189,7 +200,7 @@ class TemporalProvision:
                     "an instance keeps its datasetId; leave it out, or add another instance"
                 )
             change.put(position, _patched(instance, part))
-            await _commit(tenant, Entries(history=[_row(place, seq, change)]))
+            await _commit(tenant, Entries(history=[_row(entity_seq, seq, change)]))
         return DONE
 
     async def delete_instance(self, request: RequestContext) -> Response:
@@ -197,10 +208,10 @@ class TemporalProvision:
         entity_id, tenant = _entity_id(request), request.tenant
         name = _attribute(request, (await request.reader_context()).terms)
         async with self._exclusive(tenant, entity_id):
-            place, seq, position, change = await self._row(request, entity_id)
+            entity_seq, seq, position, change = await self._row(request, entity_id)
             if not change.without(name, position):
                 raise _absent_instance(request)
-            await _commit(tenant, Entries(history=[_row(place, seq, change)]))
+            await _commit(tenant, Entries(history=[_row(entity_seq, seq, change)]))
         return DONE
 
     # Storing
@@ -223,9 +234,9 @@ class TemporalProvision:
                 raise bad_request_data(
                     f"{entity_id} is current: set its expiresAt with PATCH entities/{{id}}"
                 )
-            place = live.seq
+            entity_seq = live.seq
         else:
-            place = subject.places[-1] if subject is not None else tenant.store.next_seq()
+            entity_seq = subject.entity_seqs[-1] if subject is not None else tenant.store.next_seq()
             known = (
                 TemporalOnlyEntity((), (), at, at, None) if subject is None else subject.as_temporal_only(at)
             )
@@ -235,20 +246,22 @@ class TemporalProvision:
                 scopes=provided.scopes or known.scopes,
                 expires_at=provided.expires_at or known.expires_at,
             )
-            entries.temporal_only[place] = TemporalOnlyRow(tenant.name, entity_id, known.stored())
+            entries.temporal_only[entity_seq] = TemporalOnlyRow(tenant.name, entity_id, known.stored())
         try:
             if overwrites and subject is not None:
-                rows, added = await asyncio.to_thread(self._overwritten, subject.places, added)
+                rows, added = await asyncio.to_thread(self._overwritten, subject.entity_seqs, added)
                 entries.history += rows
             for number, attributes in enumerate(_pieces(added)):
                 if number % 10 == 9:
                     await asyncio.sleep(0)  # serve other requests in between
-                entries.history.append(self._recorder.row(place, Change(attributes), at))  # type: ignore[arg-type]  # lists without gaps
+                entries.history.append(self._recorder.row(entity_seq, Change(attributes), at))  # type: ignore[arg-type]  # lists without gaps
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {entity_id} is nested too deep; use at most 200 levels") from None
         await _commit(tenant, entries)
 
-    def _overwritten(self, places: Sequence[int], given: Attributes) -> tuple[list[HistoryRow], Attributes]:
+    def _overwritten(
+        self, entity_seqs: Sequence[int], given: Attributes
+    ) -> tuple[list[HistoryRow], Attributes]:
         """Replace stored instances by provided ones of the same time.
 
         Return the changed rows, and the provided instances that replaced nothing.
@@ -265,7 +278,7 @@ class TemporalProvision:
         within = (min(times) - 1e-6, max(times) + 1e-6)
         rows: list[HistoryRow] = []
         taken: set[int] = set()
-        for place, seq, _, body in self._archive.history(places, _SEEN, within, latest_first=True):
+        for entity_seq, seq, _, body in self._archive.history(entity_seqs, _SEEN, within, latest_first=True):
             change, before = Change.restored(body), len(taken)
             for name, position, known in list(change.instances(seq)):
                 seen = moment(known.get("observedAt", ""))
@@ -275,7 +288,7 @@ class TemporalProvision:
                 change.put(position, {**one, "createdAt": known["createdAt"]})
                 taken.add(id(one))
             if len(taken) > before:
-                rows.append(_row(place, seq, change))
+                rows.append(_row(entity_seq, seq, change))
             if len(taken) == len(new):
                 break
         left = {name: [one for one in several if id(one) not in taken] for name, several in given.items()}
@@ -299,22 +312,22 @@ class TemporalProvision:
         """Return the position of the instance in the path, and the change that it is part of."""
         subject = await self._existing(request.tenant, entity_id)
         given = require_uri(request.names[2], "the instanceId in the path")
-        where = place_of(given)
-        if where is None or where[0] not in subject.places:
+        where = parse_instance_id(given)
+        if where is None or where[0] not in subject.entity_seqs:
             raise _absent_instance(request)
-        place, seq, position = where
-        rows = await asyncio.to_thread(self._archive.changes_after, place, seq - 1, 1)
+        entity_seq, seq, position = where
+        rows = await asyncio.to_thread(self._archive.changes_after, entity_seq, seq - 1, 1)
         if not rows or rows[0][0] != seq:
             raise _absent_instance(request)
-        return place, seq, position, Change.restored(rows[0][1])
+        return entity_seq, seq, position, Change.restored(rows[0][1])
 
     def _rewritten(
-        self, place: int, after: int, cut: Callable[[Change], bool]
+        self, entity_seq: int, after: int, cut: Callable[[Change], bool]
     ) -> tuple[list[HistoryRow], int | None]:
         """Return the next rows that `cut` has changed, and the seq to continue after, if any."""
-        found = self._archive.changes_after(place, after, ROWS_PER_COMMIT)
+        found = self._archive.changes_after(entity_seq, after, ROWS_PER_COMMIT)
         changed = [(seq, change) for seq, body in found if cut(change := Change.restored(body))]
-        rows = [_row(place, seq, change) for seq, change in changed]
+        rows = [_row(entity_seq, seq, change) for seq, change in changed]
         return rows, found[-1][0] if len(found) == ROWS_PER_COMMIT else None
 
     @asynccontextmanager
@@ -348,9 +361,9 @@ async def _commit(tenant: Tenant, entries: Entries) -> None:
         raise not_stored(str(error)) from error
 
 
-def _row(place: int, seq: int, change: Change) -> HistoryRow:
+def _row(entity_seq: int, seq: int, change: Change) -> HistoryRow:
     body = None if change.is_empty() else change.stored()
-    return HistoryRow(place, seq, *change.observed(seq / 1_000_000), 1, body)
+    return HistoryRow(entity_seq, seq, *change.observed(seq / 1_000_000), 1, body)
 
 
 def _pieces(attributes: Attributes) -> Iterator[Attributes]:

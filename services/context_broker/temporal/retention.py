@@ -26,7 +26,7 @@ CHANGES_PER_COMMIT: Final = 500
 """Changes deleted in one commit; it takes a few milliseconds, for which other commits wait."""
 PAUSE_S: Final = 0.05
 """Pause between commits, so that they take a small part of the disk's time."""
-PLACES_PER_SCAN: Final = 500
+ENTITIES_PER_SCAN: Final = 500
 """Entities that are scanned before the thread returns."""
 
 
@@ -76,68 +76,68 @@ class Retention:
 
         Raises `NotStored` when the disk refuses; earlier commits stay.
         """
-        pieces, place = 0, -1
+        pieces, entity_seq = 0, -1
         while True:
-            place, has_old = await asyncio.to_thread(self._next_with_old_history, place, before)
+            entity_seq, has_old = await asyncio.to_thread(self._next_with_old_history, entity_seq, before)
             if not has_old:
-                if place < 0:
+                if entity_seq < 0:
                     return pieces
                 await asyncio.sleep(PAUSE_S)
                 continue
-            pieces += await self._delete(place, before)
-            await self._delete_if_empty(place)
+            pieces += await self._delete(entity_seq, before)
+            await self._delete_if_empty(entity_seq)
 
     async def end(self, now_s: float) -> int:
-        """Delete the history of entities whose `expiresAt` has passed; return the number of places.
+        """Delete the history of entities whose `expiresAt` has passed; return the number of entities.
 
         Raises `NotStored` when the disk refuses; earlier commits stay.
         """
         over = await asyncio.to_thread(self._expired, tuple(self._tenants()), now_s)
-        for tenant, entity_id, place in over:
-            await self._delete(place, END_OF_TIME)
+        for tenant, entity_id, entity_seq in over:
+            await self._delete(entity_seq, END_OF_TIME)
             await self._commits.store(
-                Entries(temporal_only={place: TemporalOnlyRow(tenant, entity_id, None)})
+                Entries(temporal_only={entity_seq: TemporalOnlyRow(tenant, entity_id, None)})
             )
         return len(over)
 
     def _expired(self, tenants: Iterable[str], now_s: float) -> list[tuple[str, str, int]]:
-        """Return tenant, id and place of expired history, including earlier places of the same entities."""
+        """Return tenant, id and sequence number of expired history, also earlier ones of the same entity."""
         found: list[tuple[str, str, int]] = []
         for tenant in tenants:
             before: dict[str, list[int]] = {}
-            for place, entity_id, body in self._archive.temporal_only_entities(tenant):
-                before.setdefault(entity_id, []).append(place)
+            for entity_seq, entity_id, body in self._archive.temporal_only_entities(tenant):
+                before.setdefault(entity_id, []).append(entity_seq)
                 if TemporalOnlyEntity.restored(body).has_expired_at(now_s):
                     found += [(tenant, entity_id, one) for one in before.pop(entity_id)]
         return found
 
-    async def _delete(self, place: int, before: int) -> int:
-        """Delete the changes at a place with a seq below `before`; return the number of commits."""
+    async def _delete(self, entity_seq: int, before: int) -> int:
+        """Delete the changes of an entity with a seq below `before`; return the number of commits."""
         pieces = 0
         bound: int | None = 0
         while bound is not None:
-            bound = await asyncio.to_thread(self._archive.bound_of, place, CHANGES_PER_COMMIT, before)
-            await self._commits.store(Entries(cleared=[(place, before if bound is None else bound)]))
+            bound = await asyncio.to_thread(self._archive.bound_of, entity_seq, CHANGES_PER_COMMIT, before)
+            await self._commits.store(Entries(cleared=[(entity_seq, before if bound is None else bound)]))
             pieces += 1
             await asyncio.sleep(PAUSE_S)
         return pieces
 
     def _next_with_old_history(self, after: int, before: int) -> tuple[int, bool]:
-        """Return the next place with something to delete, else the last scanned place, -1 at the end."""
-        place = after
-        for _ in range(PLACES_PER_SCAN):
-            found = self._archive.first_change(place)
+        """Return the next entity with something to delete, else the last scanned one, -1 at the end."""
+        entity_seq = after
+        for _ in range(ENTITIES_PER_SCAN):
+            found = self._archive.first_change(entity_seq)
             if found is None:
                 return -1, False
-            place, seq = found
+            entity_seq, seq = found
             if seq < before:
-                return place, True
-        return place, False
+                return entity_seq, True
+        return entity_seq, False
 
-    async def _delete_if_empty(self, place: int) -> None:
-        gone = await asyncio.to_thread(self._archive.temporal_only_without_history, place)
+    async def _delete_if_empty(self, entity_seq: int) -> None:
+        gone = await asyncio.to_thread(self._archive.temporal_only_without_history, entity_seq)
         if gone is not None:
             tenant, entity_id = gone
             await self._commits.store(
-                Entries(temporal_only={place: TemporalOnlyRow(tenant, entity_id, None)})
+                Entries(temporal_only={entity_seq: TemporalOnlyRow(tenant, entity_id, None)})
             )

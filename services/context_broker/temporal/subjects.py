@@ -1,6 +1,6 @@
 """Subjects: entities with a history, which are current, deleted, or were only ever provided as history.
 
-An entity that was deleted and created again is one subject with several places.
+An entity that was deleted and created again is one subject with several sequence numbers.
 """
 
 import time
@@ -13,7 +13,7 @@ from services.context_broker.temporal.history import TemporalOnlyEntity
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """An entity with a history; each of its creations has one of the `places`.
+    """An entity with a history; each of its creations has one of the `entity_seqs`.
 
     `was_never_current`: it never was a current entity; its history was provided by clients.
     """
@@ -24,7 +24,7 @@ class Subject:
     created_at: str
     modified_at: str
     deleted_at: str | None
-    places: tuple[int, ...]
+    entity_seqs: tuple[int, ...]
     expires_at: str | None = None
     was_never_current: bool = False
 
@@ -36,7 +36,7 @@ class Subject:
             {},
             self.created_at,
             self.modified_at,
-            self.places[-1],
+            self.entity_seqs[-1],
             self.scopes,
             self.expires_at,
         )
@@ -55,13 +55,13 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
     """
     found: dict[str, Subject] = {}
     now_s = time.time()
-    for place, entity_id, body in temporal_only:
+    for entity_seq, entity_id, body in temporal_only:
         stored = TemporalOnlyEntity.restored(body)
         if stored.has_expired_at(now_s):
             found.pop(entity_id, None)
             continue
         known = found.get(entity_id)
-        places = (place,) if known is None else (*known.places, place)
+        entity_seqs = (entity_seq,) if known is None else (*known.entity_seqs, entity_seq)
         created_at = stored.created_at if known is None else known.created_at
         found[entity_id] = Subject(
             entity_id,
@@ -70,13 +70,17 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
             created_at,
             stored.modified_at,
             stored.deleted_at,
-            places,
+            entity_seqs,
             stored.expires_at,
             was_never_current=stored.deleted_at is None,
         )
     for entity in entities:
         known = found.get(entity.id)
-        earlier = () if known is None else tuple(place for place in known.places if place != entity.seq)
+        earlier = (
+            ()
+            if known is None
+            else tuple(entity_seq for entity_seq in known.entity_seqs if entity_seq != entity.seq)
+        )
         found[entity.id] = Subject(
             entity.id,
             entity.types,
@@ -87,4 +91,4 @@ def subjects_of(entities: Iterable[Entity], temporal_only: Iterable[tuple[int, s
             (*earlier, entity.seq),
             entity.expires_at,
         )
-    return sorted(found.values(), key=lambda subject: subject.places[0])
+    return sorted(found.values(), key=lambda subject: subject.entity_seqs[0])

@@ -25,7 +25,7 @@ from services.context_broker.temporal.history import (
     change_of,
     instance_id,
     micros_of,
-    place_of,
+    parse_instance_id,
     time_of,
 )
 from services.context_broker.temporal.history_reader import (
@@ -292,7 +292,7 @@ def test_a_recreated_entity_has_one_history(journal: Journal) -> None:
     assert life.entity is not None
     life.commit()
     (subject,) = subjects_of((life.entity,), journal.archive.temporal_only_entities("", entity_id))
-    assert subject.places == (first, life.place)
+    assert subject.entity_seqs == (first, life.place)
     assert subject.deleted_at is None
     found = read_evolution(
         journal.archive, subject, HistoryRequest(TemporalQuery(time_property="modifiedAt"), lambda _: True)
@@ -330,11 +330,11 @@ def test_changes_of_one_instant_keep_their_order() -> None:
 
 @given(st.integers(0, 2**60 - 1), st.integers(0, 2**60 - 1), st.integers(0, 10**6))
 def test_an_instance_id_contains_its_position(place: int, seq: int, position: int) -> None:
-    assert place_of(instance_id(place, seq, position)) == (place, seq, position)
+    assert parse_instance_id(instance_id(place, seq, position)) == (place, seq, position)
 
 
 @pytest.mark.parametrize(
     "text", ["", "urn:ngsi-ld:Instance:1-2", "urn:ngsi-ld:Instance:1-2-3x", "urn:x:1-2-3"]
 )
 def test_a_foreign_instance_id_is_not_found(text: str) -> None:
-    assert place_of(text) is None
+    assert parse_instance_id(text) is None

@@ -40,7 +40,7 @@ async def test_old_history_and_departed_entities_are_deleted_in_small_commits(
 ) -> None:
     monkeypatch.setattr("services.context_broker.temporal.retention.CHANGES_PER_COMMIT", 3)
     monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
-    monkeypatch.setattr("services.context_broker.temporal.retention.PLACES_PER_SCAN", 1)
+    monkeypatch.setattr("services.context_broker.temporal.retention.ENTITIES_PER_SCAN", 1)
     own = Journal(SqliteDatabase(tmp_path / "broker.db"))
     own.open()
     living, gone, young = (

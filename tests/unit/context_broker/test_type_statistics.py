@@ -25,17 +25,19 @@ def entity(one: str, kinds: list[str], said: dict[str, Any]) -> Entity:
 
 @given(changes)
 def test_counts_equal_the_stored_entities(made: list[tuple[str, Any, bool]]) -> None:
-    census, there = TypeStatistics(), dict[str, Entity]()
+    type_statistics, there = TypeStatistics(), dict[str, Entity]()
     for one, body, keeps in made:
         before = there.pop(one, None)
         after = None if body is None else entity(one, *body)
         if before is not None and after is not None and keeps:
             after = entity(one, list(before.types), {**before.attributes, **after.attributes})
-        census.note(before, after)
+        type_statistics.note(before, after)
         if after is not None:
             there[one] = after
     expected_types = Counter(kind for one in there.values() for kind in one.types)
-    assert {kind: census.entities_of(kind) for kind in census.types()} == dict(expected_types)
+    assert {kind: type_statistics.entities_of(kind) for kind in type_statistics.types()} == dict(
+        expected_types
+    )
     by_attribute = Counter(
         (name, instance["type"])
         for one in there.values()
@@ -43,7 +45,9 @@ def test_counts_equal_the_stored_entities(made: list[tuple[str, Any, bool]]) -> 
         for instance in said
     )
     counted = {
-        (name, kind): number for name in census.attributes() for kind, number in census.kinds_of(name).items()
+        (name, kind): number
+        for name in type_statistics.attributes()
+        for kind, number in type_statistics.kinds_of(name).items()
     }
     assert counted == dict(by_attribute)
     by_type = {
@@ -56,16 +60,16 @@ def test_counts_equal_the_stored_entities(made: list[tuple[str, Any, bool]]) -> 
     assert by_type == {
         (kind, name, said)
         for kind in expected_types
-        for name, kinds in census.attributes_of(kind).items()
+        for name, kinds in type_statistics.attributes_of(kind).items()
         for said in kinds
     }
-    for name in census.attributes():
-        assert set(census.types_with(name)) == {kind for kind, known, _ in by_type if known == name}
+    for name in type_statistics.attributes():
+        assert set(type_statistics.types_with(name)) == {kind for kind, known, _ in by_type if known == name}
 
 
 def test_missing_types_and_attributes_count_as_zero() -> None:
-    census = TypeStatistics()
-    assert census.types() == census.attributes() == census.types_with("u:a") == []
-    assert census.entities_of("u:A") == 0
-    assert not census.attributes_of("u:A")
-    assert not census.kinds_of("u:a")
+    type_statistics = TypeStatistics()
+    assert type_statistics.types() == type_statistics.attributes() == type_statistics.types_with("u:a") == []
+    assert type_statistics.entities_of("u:A") == 0
+    assert not type_statistics.attributes_of("u:A")
+    assert not type_statistics.kinds_of("u:a")
