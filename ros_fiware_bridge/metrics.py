@@ -19,4 +19,7 @@ CONFLATED = Counter(
 )
 PENDING_UPDATES = Gauge("handover_bridge_pending_updates", "Updates of entities that wait for the broker")
 BROKER_UNAVAILABLE = Gauge("handover_bridge_broker_unavailable", "1 while the broker does not answer")
+CHECKS = Counter(
+    "handover_bridge_checks_total", "Checks of the topics and their publishers, one every second"
+)
 TOPIC_SILENT = Gauge("handover_bridge_topic_silent", "1 while the topic of a rule has no publisher", ["rule"])

@@ -17,6 +17,7 @@ from handover.settings import Settings
 from handover.telemetry import get_logger
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.port import RosGraph
+from ros_fiware_bridge.metrics import CHECKS
 from ros_fiware_bridge.rules.entity_extractor import AlertState
 from ros_fiware_bridge.rules.plan import Plan, PlannedRosToNgsild
 from ros_fiware_bridge.running.alert_publisher import AlertPublisher
@@ -259,6 +260,7 @@ class Bridge:
         while True:
             await asyncio.sleep(CHECK_INTERVAL_S)
             await self.topic_rules.check()
+            CHECKS.inc()
             self.drops.report(asyncio.get_running_loop().time())
             self._report_problems()
 

@@ -102,6 +102,16 @@ class Shop:
             return None
         return entity.get(attribute, {}).get("value")
 
+    async def next_check(self) -> None:
+        """Wait until the bridge has checked all topics from beginning to end."""
+        before = self._checks()
+        await self.until(lambda: self._checks() >= before + 2, why="the bridge does not check its topics")
+
+    def _checks(self) -> int:
+        metrics = httpx.get(f"{self.cell.url('ros_fiware_bridge')}/metrics", timeout=120).text
+        (line,) = (one for one in metrics.splitlines() if one.startswith("handover_bridge_checks_total "))
+        return int(float(line.split()[1]))
+
     async def becomes(self, entity_id: str, attribute: str, value: Any, within_s: float = 15.0) -> None:
         """Wait until an attribute has a value."""
 

@@ -162,7 +162,7 @@ async def test_a_silent_topic_raises_an_alert_until_it_has_a_publisher(shop: Any
     words.publish({"data": "here"})
     await shop.becomes(ROBOT, "words", "here")
     await shop.until(lambda: shop.rule("words")["publishers"] == 1)
-    await asyncio.sleep(1.5)  # the bridge checks the topics every second, which is not observable
+    await shop.next_check()
     await words.close()
     await shop.until(stands, 25.0, "no Alert reports the silence")
     assert "no node publishes /words any more" in (await alert())["description"]["value"]
@@ -184,7 +184,7 @@ async def test_disabling_a_rule_clears_the_alerts_of_its_silent_topics(shop: Any
 
     charge = await shop.publisher("/amr_9/charge", "std_msgs/msg/Float64")
     await shop.until(lambda: shop.rule("charges")["publishers"] == 1)
-    await asyncio.sleep(1.5)  # the bridge checks the topics every second, which is not observable
+    await shop.next_check()
     await charge.close()
     await shop.until(stands, 25.0, "no Alert reports the silence")
     assert shop.post("/rules/charges/disable").is_success
