@@ -11,23 +11,23 @@ export UV_NO_PROGRESS := 1
 # Otherwise each of the hundreds of services that the tests start would compile its modules again.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Three workers suit two cores, because tests wait a third of their time. Tests use free ports, so that they do not
-# collide. tests/kit/scheduling.py keeps tests together that share services.
-WORKERS ?= 3
+# Two workers for each core, at most 8, because tests wait for half of their time: for robots, people and time limits.
+# Tests use free ports, so that they do not collide. tests/kit/scheduling.py keeps tests together that share services.
+WORKERS ?= $(shell cores=$$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2); echo $$((cores < 4 ? 2 * cores : 8)))
 PYTEST := $(BIN)/pytest -n $(WORKERS)
 
 # Lint and tests of the TypeScript, with the Node that built the page.
 PAGE := $(BIN)/python -m webui.build
 
-# The page is checked in parallel with the tests; its output is printed at the end.
-PAGE_SAYS := build/page-check.log
-define tests_beside_page
-	@mkdir -p $(dir $(PAGE_SAYS))
-	@$(MAKE) --no-print-directory page-check >$(PAGE_SAYS) 2>&1 & page=$$!; \
+# The page is checked in parallel with the checks of Python and the tests; its output is printed at the end.
+PAGE_LOG := build/page-check.log
+define checks_and_tests
+	@mkdir -p $(dir $(PAGE_LOG))
+	@$(MAKE) --no-print-directory page-check >$(PAGE_LOG) 2>&1 & page=$$!; \
 	trap 'kill $$page' INT TERM; \
-	$(PYTEST) $(1) $(ARGS); tests=$$?; \
+	$(MAKE) --no-print-directory python-check && $(PYTEST) $(1) $(ARGS); tests=$$?; \
 	wait $$page; page=$$?; \
-	cat $(PAGE_SAYS); \
+	cat $(PAGE_LOG); \
 	exit $$((tests ? tests : page))
 endef
 
@@ -67,8 +67,8 @@ demo: $(DEMO_READY)  ## a person and a robot work through the bin-picking proces
 up: setup  ## every service, with the simulated robot only
 	@$(BIN)/handover up $(ARGS)
 
-test: setup python-check  ## every check and every test
-	$(call tests_beside_page)
+test: setup  ## every check and every test
+	$(call checks_and_tests)
 
 # ROS 2 with Fast DDS from wheels, in a separate environment, because it starts more slowly and its types replace
 # ours. The wheels are for Python 3.11 on Linux.
@@ -97,8 +97,8 @@ crashes: setup  ## kill the broker a hundred times while it writes, and check it
 thorough: crashes  ## the crashes, every test of the broker on PostgreSQL, and many more examples
 	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit tests/integration/context_broker $(ARGS)
 
-check: setup python-check  ## lint, types, structure and quick tests, for an everyday change
-	$(call tests_beside_page,-m "not slow")
+check: setup  ## lint, types, structure and quick tests, for an everyday change
+	$(call checks_and_tests,-m "not slow")
 
 lint: python-check  ## lint, types and structure only
 	@$(PAGE) lint
@@ -114,10 +114,10 @@ python-check: setup
 	@$(BIN)/python -m requirements.third_party --check
 	@$(BIN)/python -m docs.site.reference --check
 
+# The linter and the tests use one core each.
 page-check: setup
 	@$(PAGE) size
-	@$(PAGE) lint
-	@$(PAGE) test
+	@$(PAGE) lint & lint=$$!; $(PAGE) test; tests=$$?; wait $$lint && exit $$tests
 
 dist: setup  ## the wheel with the page in it, and the source archive
 	@rm -rf dist

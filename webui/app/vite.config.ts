@@ -26,7 +26,11 @@ export default defineConfig({
           setupFiles: ["src/testing/setup.ts"],
         },
       },
-      { extends: true, test: { name: "pure", include: ["src/**/*.test.ts"], environment: "node" } },
+      // Tests without a document share their modules instead of loading them for each file.
+      {
+        extends: true,
+        test: { name: "pure", include: ["src/**/*.test.ts"], environment: "node", isolate: false },
+      },
     ],
   },
 });
