@@ -233,8 +233,10 @@ class _Rules:
                         ),
                     )
         if owner is not None and not self.scope.nodes:
-            text = message("bpmn.empty_subprocess", "the subprocess is empty, so it ends at once")
-            self.warnings.append(Fault(name, line, text, drawn))
+            text = message(
+                "bpmn.empty_subprocess", "the subprocess is empty; draw its content, or make it a task"
+            )
+            yield Fault(name, line, text, drawn)
         elif not starts and not any(self._can_start(node) for node in self.scope.nodes.values()):
             yield Fault(
                 name,

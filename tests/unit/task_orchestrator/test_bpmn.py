@@ -180,7 +180,7 @@ WRONG = {
     "id twice": (ONE_STEP + activity("work"), 'the id "work" is used twice'),
     "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of A-Z"),
     "call activity": (ONE_STEP + '<bpmn:callActivity id="c"/>', "the call activity names no process"),
-    "sub-process": (ONE_STEP + '<bpmn:subProcess id="s"/>', "no start event"),
+    "sub-process": (ONE_STEP + '<bpmn:subProcess id="s"/>', "the subprocess is empty"),
     "unknown element": (ONE_STEP + '<bpmn:teleport id="t"/>', "teleport is not supported yet"),
     "loop marker": (
         start()

@@ -47,11 +47,10 @@ from services.task_orchestrator.notation.dialects.base import (
 from services.task_orchestrator.notation.document import child_text, extensions, local, namespace
 from services.task_orchestrator.notation.elements import referenced
 from services.task_orchestrator.notation.faults import Findings
+from services.task_orchestrator.references import is_reference
 
 NAMESPACE = "urn:handover:bpmn"
 
-_SHORT = re.compile(r"[A-Z][A-Za-z0-9]*:[A-Za-z0-9_.-]+", re.ASCII)
-_URN = re.compile(r"urn:[a-z0-9][a-z0-9-]{0,31}:[^\s<>\"]+", re.ASCII)
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
 _TYPE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[a-z][a-z0-9+.-]*:[^\s<>\"]+", re.ASCII)
 
@@ -64,11 +63,6 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "process": frozenset({"version"}),
     "on": frozenset({"type", "idPattern", "q", "variable", "correlation"}),
 }
-
-
-def is_reference(text: object) -> bool:
-    """Return whether `text` refers to an entity: `Device:glove-1` or a URN."""
-    return isinstance(text, str) and bool(_SHORT.fullmatch(text) or _URN.fullmatch(text))
 
 
 def has_task(element: etree._Element) -> bool:

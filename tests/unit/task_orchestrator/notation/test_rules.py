@@ -85,6 +85,7 @@ WRONG = {
     ),
     "id twice": (ONE_STEP + activity("work"), 'the id "work" is used twice'),
     "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of A-Z"),
+    "empty subprocess": (between(sub("x", "")), '"x": the subprocess is empty; draw its content'),
     "transaction": (between('<bpmn:transaction id="x"/>'), '"x": transaction is not supported yet; draw'),
     "ad-hoc": (between('<bpmn:adHocSubProcess id="x"/>'), '"x": adHocSubProcess is not supported yet; draw'),
     "complex gateway": (between('<bpmn:complexGateway id="x"/>'), '"x": complexGateway is not supported yet'),
@@ -196,7 +197,6 @@ NOTICED = {
         start() + gateway("g", "parallel") + WORK + end() + path("start", "g", "work") + flow("g", "end"),
         '"work": no sequence flow leaves it',
     ),
-    "empty subprocess": (between(sub("x", "")), '"x": the subprocess is empty, so it ends at once'),
     "condition behind a parallel gateway": (
         start() + gateway("g", "parallel") + end() + flow("start", "g") + flow("g", "end", "x > 1"),
         '"g_end": the condition has no effect behind the parallelGateway',
