@@ -32,9 +32,13 @@ def start_compensation(machine: Machine, token: Token, event: CompensateEvent) -
     """Run the compensations that a throwing event asks for; afterwards `token` finishes."""
     token.compensation = Compensation([])
     for frame in reversed(_targets(machine, token)):
-        taken = [each for each in frame.completions if event.activity in (None, each["activity"])]
-        frame.completions = [each for each in frame.completions if each not in taken]
-        token.compensation.entries += [(frame.id, each) for each in taken]
+        kept: list[Completion] = []
+        for each in frame.completions:
+            if event.activity in (None, each["activity"]):
+                token.compensation.entries.append((frame.id, each))
+            else:
+                kept.append(each)
+        frame.completions = kept
     continue_compensation(machine, token)
 
 

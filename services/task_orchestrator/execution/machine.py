@@ -221,6 +221,13 @@ class Machine:
             return frame.variables
         return ChainMap(*self._own_layers(token), *self._layers(frame))
 
+    def copy_variables(self, token: Token) -> dict[str, Any]:
+        """Return a copy of the variables that a token sees."""
+        copied: dict[str, Any] = {}
+        for layer in reversed([*self._own_layers(token), *self._layers(self.frame_of(token))]):
+            copied.update(layer)
+        return copied
+
     def frame_variables(self, frame: Frame) -> MutableMapping[str, Any]:
         """Return the variables that are visible in a frame."""
         return ChainMap(*self._layers(frame))

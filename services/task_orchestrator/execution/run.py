@@ -543,10 +543,8 @@ def _open_activity(machine: Machine, token: Token) -> OpenActivity:
         each.name or each.data: machine.data_owner(frame, each.data).get(each.data)
         for each in node.data_inputs
     }
-    variables = machine.variables(token)
-    return OpenActivity(
-        str(token.id), machine.element(token), token.visit, node.activity, dict(variables), data
-    )
+    variables = machine.copy_variables(token)
+    return OpenActivity(str(token.id), machine.element(token), token.visit, node.activity, variables, data)
 
 
 def _reason(error: Exception) -> str:
