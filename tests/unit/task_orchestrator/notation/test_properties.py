@@ -164,12 +164,15 @@ def check_scope(scope: Scope) -> None:
         assert node.kind is not Kind.SUB_PROCESS or node.scope is not None
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_read_or_refused(xml: bytes) -> None:
     check(xml)
 
 
-@settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@settings(
+    deadline=None, max_examples=300, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
+)
 @given(st.lists(TREES, max_size=6), st.booleans())
 def test_any_elements_are_read_or_refused(trees: list[tuple], is_process: bool) -> None:  # type: ignore[type-arg]
     root = etree.Element(f"{{{BPMN}}}definitions")
@@ -180,7 +183,7 @@ def test_any_elements_are_read_or_refused(trees: list[tuple], is_process: bool) 
     check(etree.tostring(root))
 
 
-@settings(max_examples=200)
+@settings(deadline=None, max_examples=200)
 @given(
     st.sampled_from([SHIPPED, CAMUNDA, ZEEBE]),
     st.lists(st.tuples(st.floats(0, 1), st.integers(0, 20), st.binary(max_size=6)), max_size=3),
@@ -194,7 +197,7 @@ def test_a_file_with_damaged_bytes_is_read_or_refused(
     check(xml)
 
 
-@settings(max_examples=300)
+@settings(deadline=None, max_examples=300)
 @given(st.sampled_from([SHIPPED, CAMUNDA, ZEEBE]), st.data())
 def test_a_file_with_changed_elements_is_read_or_refused(xml: bytes, data: st.DataObject) -> None:
     root = etree.fromstring(xml)
