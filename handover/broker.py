@@ -157,7 +157,7 @@ class BrokerClient:
         """Delete entities in one request; missing ones are ignored."""
         with suppress(NotFound):  # some brokers answer so when none exists
             answer = await self._call("POST", "/entityOperations/delete", body=list(entity_ids))
-            _require_all_done(answer, "errors", _batch_error, but_for=_is_not_found)
+            _require_all_done(answer, "errors", _batch_error, is_ignored=_is_not_found)
 
     async def ensure_subscription(self, subscription: NgsiLd) -> None:
         """Create this subscription (with its `id`), or update the existing one; idempotent."""
@@ -249,18 +249,18 @@ def _refusal(response: httpx.Response, act: str) -> BrokerError:
 def _require_all_done(
     answer: httpx.Response,
     undone: str,
-    in_words: Callable[[NgsiLd], str],
+    describe: Callable[[NgsiLd], str],
     *,
-    but_for: Callable[[NgsiLd], bool] = lambda _: False,
+    is_ignored: Callable[[NgsiLd], bool] = lambda _: False,
 ) -> None:
     """Raise `BrokerError` for the failures in the list `undone` of a partial success.
 
-    Failures for which `but_for` is true are ignored.
+    Failures for which `is_ignored` is true are ignored.
     """
     if answer.status_code == httpx.codes.MULTI_STATUS:
-        left = [one for one in orjson.loads(answer.content).get(undone, []) if not but_for(one)]
-        if left:
-            raise BrokerError(400, "Refused in part", "; ".join(in_words(one) for one in left))
+        failures = [each for each in orjson.loads(answer.content).get(undone, []) if not is_ignored(each)]
+        if failures:
+            raise BrokerError(400, "Refused in part", "; ".join(map(describe, failures)))
 
 
 def _as_ngsild(entity: Entity | NgsiLd) -> NgsiLd:

@@ -28,8 +28,8 @@ def require_ready(url: str, must_be_true: str | None = None) -> None:
             body = answer.read()
     except urllib.error.HTTPError as refusal:
         with refusal:
-            said = refusal.read(500).decode(errors="replace")
-        raise NotReady(f"{url} answers {refusal.code}: {said}") from None
+            detail = refusal.read(500).decode(errors="replace")
+        raise NotReady(f"{url} answers {refusal.code}: {detail}") from None
     except (OSError, ValueError) as error:
         raise NotReady(f"{url} does not answer: {getattr(error, 'reason', error)}") from None
     if must_be_true is not None:

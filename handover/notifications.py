@@ -101,12 +101,12 @@ class NotificationReceiver:
         Calls during a running query are served by the next one together, so that many notifications cause
         few queries. Raises `BrokerError`.
         """
-        wanted = frozenset(ids)
-        if not wanted:
+        requested = frozenset(ids)
+        if not requested:
             return []
         selected = entity_type, q
         read = self._reads.setdefault(selected, _Read())
-        read.ids |= wanted
+        read.ids |= requested
         async with self._reading:
             if not read.is_done:
                 if self._reads.get(selected) is read:
@@ -114,7 +114,7 @@ class NotificationReceiver:
                 await read.carry_out(self._broker, entity_type, q)
         if read.error is not None:
             raise read.error
-        return [read.found[one] for one in wanted if one in read.found]
+        return [read.found[entity_id] for entity_id in requested if entity_id in read.found]
 
 
 class _Read:

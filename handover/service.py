@@ -81,8 +81,10 @@ def require_media_type(request: Request, accepted: tuple[str, ...]) -> None:
     elif any(_matches(given.partition(";")[0].strip().lower(), one) for one in accepted):
         return
     REFUSED.labels("media type").inc()
-    said = "no Content-Type" if given is None else f'Content-Type "{given[:100]}"'
-    raise Problem(415, "Unsupported media type", f"{said} is not accepted here; send {' or '.join(accepted)}")
+    received = "no Content-Type" if given is None else f'Content-Type "{given[:100]}"'
+    raise Problem(
+        415, "Unsupported media type", f"{received} is not accepted here; send {' or '.join(accepted)}"
+    )
 
 
 def _matches(given: str, accepted: str) -> bool:

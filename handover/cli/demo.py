@@ -12,7 +12,7 @@ import httpx
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient, BrokerError
-from handover.cli.glove import bridge_words
+from handover.cli.glove import bridge_arguments
 from handover.cli.launcher import Launcher
 from handover.cli.progress import ProgressPrinter, Say
 from handover.cli.services import service_named, wanted
@@ -108,4 +108,4 @@ def _program() -> str:
 
 
 def _operator() -> list[str]:
-    return [sys.executable, "-m", "glove_sdk_bridge", *bridge_words(["simulate", "--glove", GLOVE])]
+    return [sys.executable, "-m", "glove_sdk_bridge", *bridge_arguments(["simulate", "--glove", GLOVE])]

@@ -20,14 +20,14 @@ TALKS_TO = {
 }
 
 
-def bridge_words(said: Sequence[str]) -> list[str]:
+def bridge_arguments(arguments: Sequence[str]) -> list[str]:
     """Return the arguments of the user after those from `HANDOVER_…` and `.env`.
 
     The bridge does not read our settings, since it is a separate program. The last of two equal options
     counts, so the user overrides the settings.
     """
-    if not said or said[0] not in {*TALKS_TO, *source_kinds()}:
-        return list(said)
+    if not arguments or arguments[0] not in {*TALKS_TO, *source_kinds()}:
+        return list(arguments)
     settings = ControllerSettings.load()
     if settings.token is not None and not os.environ.get("HANDOVER_GLOVE_TOKEN"):
         os.environ["HANDOVER_GLOVE_TOKEN"] = settings.token
@@ -36,8 +36,10 @@ def bridge_words(said: Sequence[str]) -> list[str]:
         "port": str(settings.glove_port),
         "controller": settings.url_of(settings.controller_port, settings.controller_url),
     }
-    ours = [part for word in TALKS_TO.get(said[0], ("host", "port")) for part in (f"--{word}", known[word])]
-    return [said[0], *ours, *said[1:]]
+    command, *options = arguments
+    names = TALKS_TO.get(command, ("host", "port"))
+    from_settings = [part for name in names for part in (f"--{name}", known[name])]
+    return [command, *from_settings, *options]
 
 
 def change_token(words: Sequence[str], say: Callable[[str], None]) -> None:

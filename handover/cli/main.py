@@ -13,7 +13,7 @@ from handover.cli import bridge, broker, process, secrets, specification
 from handover.cli.check import databases, faults_in
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
-from handover.cli.glove import bridge_words, change_token
+from handover.cli.glove import bridge_arguments, change_token
 from handover.cli.launcher import Launcher
 from handover.cli.services import OPTIONAL_SERVICES, SERVICES, all_services, service_named, wanted
 from handover.errors import HandoverError, Problem, UsageError
@@ -104,7 +104,7 @@ def glove(context: typer.Context) -> None:
     from glove_sdk_bridge.__main__ import main as bridge  # noqa: PLC0415 - only this command needs it
 
     secrets.wait_for_secrets()
-    raise typer.Exit(bridge(bridge_words(context.args), program="handover glove"))
+    raise typer.Exit(bridge(bridge_arguments(context.args), program="handover glove"))
 
 
 @app.command()

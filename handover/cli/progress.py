@@ -64,27 +64,28 @@ class ProgressPrinter:
         return sum((self._when(task) - self._asked_at[task.id]).total_seconds() for task in tasks)
 
     def _asked(self, task: Task) -> str:
-        asked = parameters_of(task)
-        if "gesture" in asked or "commandId" in asked:
-            return f'is asked: "{asked.get("description", "")}"; show {asked.get("gesture", "the gesture")}'
-        return f"takes over: {asked.get('operation', 'work')}"
+        parameters = parameters_of(task)
+        if "gesture" in parameters or "commandId" in parameters:
+            gesture = parameters.get("gesture", "the gesture")
+            return f'is asked: "{parameters.get("description", "")}"; show {gesture}'
+        return f"takes over: {parameters.get('operation', 'work')}"
 
     def _ended(self, task: Task) -> str:
         seconds = (self._when(task) - self._asked_at[task.id]).total_seconds()
-        given = outputs_of(task)
-        said = OUTCOMES.get(str(given.get("outcome", "")))
-        if said is not None:
-            note = f": {given['note']}" if given.get("note") else ""
-            return f"answered {said} {_by(given)}after {seconds:.1f} s{note}"
+        outputs = outputs_of(task)
+        outcome = OUTCOMES.get(str(outputs.get("outcome", "")))
+        if outcome is not None:
+            note = f": {outputs['note']}" if outputs.get("note") else ""
+            return f"answered {outcome} {_by(outputs)}after {seconds:.1f} s{note}"
         if task.status.value is TaskStatus.FAILED:
-            return f"failed after {seconds:.1f} s: {given.get('reason', 'no reason given')}"
-        if given.get("by") == "screen":
+            return f"failed after {seconds:.1f} s: {outputs.get('reason', 'no reason given')}"
+        if outputs.get("by") == "screen":
             return f"confirmed on the screen after {seconds:.1f} s"
-        if "gesture" in given:
-            held_s = given["heldMs"] / 1000
-            return f"showed {given['gesture']} for {held_s:.1f} s, {seconds:.1f} s after being asked"
+        if "gesture" in outputs:
+            held_s = outputs["heldMs"] / 1000
+            return f"showed {outputs['gesture']} for {held_s:.1f} s, {seconds:.1f} s after being asked"
         operation = parameters_of(task).get("operation", "work")
-        found = {True: ", part found", False: ", no part found"}.get(given.get("found", ""), "")
+        found = {True: ", part found", False: ", no part found"}.get(outputs.get("found", ""), "")
         return f"{operation} done in {seconds:.1f} s{found}"
 
     def _line(self, task: Task, words: str) -> None:

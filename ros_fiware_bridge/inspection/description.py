@@ -122,22 +122,22 @@ def _source(source: Source) -> str:
     if source.json_fields is not None:
         members = ", ".join(f"{name}: {path}" for name, path in source.json_fields.items())
         return f"JSON of {members}"
-    said = {key: getattr(source, key) for key in source.model_fields_set if key != "values"}
+    settings = {key: getattr(source, key) for key in source.model_fields_set if key != "values"}
     return ", ".join(
-        str(value) if key in {"attribute", "text"} else f"{key} {value}" for key, value in said.items()
+        str(value) if key in {"attribute", "text"} else f"{key} {value}" for key, value in settings.items()
     )
 
 
 def _rate(rule: RosToNgsild) -> str:
     banded = rule.dead_band or any(one.dead_band for one in rule.attributes.values())
-    said = [
+    parts = [
         f"every {rule.every_ms} ms at most" if rule.every_ms else "",
         "on change" if rule.on_change or banded else "",
         f"every {rule.at_least_every_s:g} s at least" if rule.at_least_every_s else "",
         f"the last {rule.buffer.keep} kept while the broker is unavailable" if rule.buffer.keep > 1 else "",
         "" if rule.create else "only existing entities",
     ]
-    words = ", ".join(one for one in said if one)
+    words = ", ".join(filter(None, parts))
     return f", {words}" if words else ""
 
 

@@ -97,11 +97,11 @@ def _fault(written: Written, error: dict[str, Any]) -> Fault:
 
 
 def _why(error: dict[str, Any], where: Where) -> str:
-    kind, said = error["type"], str(error["msg"])
+    kind, reason = error["type"], str(error["msg"])
     if kind == "missing":
         return "this key is missing; add it"
     if kind == "value_error":
-        return said.removeprefix("Value error, ")
+        return reason.removeprefix("Value error, ")
     if kind == "extra_forbidden":
         part = part_at(Mapping, where[:-1])
         return unknown(str(where[-1]), keys_of(part) if part else [])
@@ -109,7 +109,7 @@ def _why(error: dict[str, Any], where: Where) -> str:
         part = part_at(Mapping, where)
         return f"a mapping with these keys is expected: {', '.join(keys_of(part) if part else [])}"
     given = repr(error.get("input"))
-    return f"{said[:1].lower()}{said[1:]}; the value is {given[:80]}"
+    return f"{reason[:1].lower()}{reason[1:]}; the value is {given[:80]}"
 
 
 def _key(where: Where) -> str:

@@ -107,7 +107,7 @@ class RosRequest:
     def _outputs(
         self, answer: Message, rule: ServiceCall | ActionGoal, status: GoalStatus | None
     ) -> dict[str, Any]:
-        outputs = self._made(self.planned.outputs, answer)
+        outputs = self._values(self.planned.outputs, answer)
         message = str(paths.getter(rule.message)(answer)) if rule.message is not None else ""
         what = rule.service if isinstance(rule, ServiceCall) else rule.action
         if status is GoalStatus.CANCELED:
@@ -119,17 +119,17 @@ class RosRequest:
         return outputs
 
     def _feed_back(self, feedback: Message, on_feedback: OnFeedback) -> None:
-        if made := self._made(self.planned.feedback, feedback):
-            on_feedback(made)
+        if values := self._values(self.planned.feedback, feedback):
+            on_feedback(values)
 
-    def _made(self, attributes: tuple[MadeAttribute, ...], answer: Message) -> dict[str, Any]:
-        made: dict[str, Any] = {}
+    def _values(self, attributes: tuple[MadeAttribute, ...], answer: Message) -> dict[str, Any]:
+        values: dict[str, Any] = {}
         for attribute in attributes:
             try:
-                made[attribute.name] = attribute.make(answer)
+                values[attribute.name] = attribute.make(answer)
             except MESSAGE_ERRORS as error:
                 self.stats.record_error(f"{attribute.name}: {error}", asyncio.get_running_loop().time())
-        return made
+        return values
 
 
 async def _cancel_with_task(job: Job, goal: Goal) -> None:
@@ -205,8 +205,8 @@ class RosTaskPerformer(Performer):
         scope = Scope({**job.parameters, "taskId": job.task.id, "id": job.task.id.rsplit(":", 1)[-1]})
         try:
             return await request.execute(scope, on_feedback, job)
-        except RequestFailed as no:
-            raise TaskFailed(text_of(no), **no.outputs) from no
+        except RequestFailed as failure:
+            raise TaskFailed(text_of(failure), **failure.outputs) from failure
         except TaskCancelled:
             raise
         except HandoverError as error:
@@ -253,9 +253,9 @@ class ChangeTrigger:
             scope = self._queue.popleft()
             try:
                 outputs = await self.request.execute(scope, partial(self._write, scope))
-            except RequestFailed as no:
-                outputs = dict(no.outputs)
-                self._on_result(f"{scope.values['entityId']}: {no}")
+            except RequestFailed as failure:
+                outputs = dict(failure.outputs)
+                self._on_result(f"{scope.values['entityId']}: {failure}")
             except (HandoverError, TaskCancelled) as error:
                 log.info("call for a changed attribute failed", rule=self.request.stats.name, why=str(error))
                 self._on_result(f"{scope.values['entityId']}: {error}")
@@ -265,8 +265,8 @@ class ChangeTrigger:
             self._write(scope, outputs)
 
     def _take(self, _: Mapping[str, Any], scope: Scope) -> None:
-        wanted = "equals" in self._change.model_fields_set
-        if wanted and scope.values.get(self._change.attribute) != self._change.equals:
+        has_condition = "equals" in self._change.model_fields_set
+        if has_condition and scope.values.get(self._change.attribute) != self._change.equals:
             return
         if len(self._queue) >= MAX_QUEUED:
             self._queue.popleft()
@@ -275,9 +275,10 @@ class ChangeTrigger:
         self._has_pending.set()
 
     def _write(self, scope: Scope, outputs: Mapping[str, Any]) -> None:
-        made = {one.name: one for one in (*self.request.planned.outputs, *self.request.planned.feedback)}
+        planned = self.request.planned
+        known = {attribute.name: attribute for attribute in (*planned.outputs, *planned.feedback)}
         attributes = {
-            name: made[name].written(value, None) for name, value in outputs.items() if name in made
+            name: known[name].written(value, None) for name, value in outputs.items() if name in known
         }
         if attributes:
             entity_id, kind = str(scope.values["entityId"]), str(scope.values["type"])

@@ -75,7 +75,7 @@ class TopicForwarder:
 
     def _reader_qos(self) -> Qos:
         topic = self.planned.rule.topic
-        found = next((one for one in self._graph.topics() if one.name == topic), None)
+        found = next((each for each in self._graph.topics() if each.name == topic), None)
         return self.planned.reader_qos(one.qos for one in (found.publishers if found else ()) if not one.ours)
 
     async def _subscribe(self, qos: Qos) -> None:
@@ -235,11 +235,11 @@ class TopicForwarder:
 
     def _new_filter(self) -> UpdateFilter:
         rule = self.planned.rule
-        made = self.extractor.attributes if self.extractor is not None else ()
+        attributes = self.extractor.attributes if self.extractor is not None else ()
         return UpdateFilter(
             every_s=rule.every_ms / 1000,
             on_change=rule.on_change,
-            dead_bands={one.name: one.dead_band for one in made if one.dead_band is not None},
+            dead_bands={each.name: each.dead_band for each in attributes if each.dead_band is not None},
             at_least_every_s=rule.at_least_every_s,
             max_entities=rule.max_entities,
         )

@@ -9,7 +9,7 @@ import yaml
 from dotenv import dotenv_values
 
 from glove_sdk_bridge.command_line import parse
-from handover.cli.glove import bridge_words
+from handover.cli.glove import bridge_arguments
 from handover.cli.services import OPTIONAL_SERVICES
 from handover.cli.services import SERVICES as USUAL
 from handover.settings import origins
@@ -96,7 +96,7 @@ def test_the_only_other_container_of_ours_is_an_operator_whom_the_bridge_underst
         monkeypatch.setenv(name, VARIABLE.sub(lambda met: ENV.get(met[1], met[2] or ""), value))
     words = OURS[other]["command"]
     assert words[:2] == ["handover", "glove"]
-    asked = parse(bridge_words(words[2:]), "handover glove")
+    asked = parse(bridge_arguments(words[2:]), "handover glove")
     assert (asked.command, asked.host, asked.port) == ("simulate", "gesture-controller", 54000)
     assert asked.controller == "http://gesture-controller:54210"
 

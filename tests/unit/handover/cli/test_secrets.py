@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from glove_sdk_bridge.command_line import parse
-from handover.cli.glove import bridge_words
+from handover.cli.glove import bridge_arguments
 from handover.cli.main import app
 from handover.cli.secrets import SECRETS, wait_for_secrets, write_once
 from handover.errors import UsageError
@@ -60,7 +60,7 @@ def test_a_service_reads_a_secret_from_its_file(
     assert ControllerSettings.load().token == (folder / TOKEN).read_text().strip()
     seen = {setting.name: setting for setting in origins([ControllerSettings])}
     assert (seen[TOKEN].origin, seen[TOKEN].value) == ("secret file", "********")
-    asked = parse(bridge_words(["simulate"]), "handover glove")
+    asked = parse(bridge_arguments(["simulate"]), "handover glove")
     assert asked.token == (folder / TOKEN).read_text().strip(), "the simulated operator is let in with it"
     monkeypatch.setenv(TOKEN, "chosen")
     assert ControllerSettings.load().token == "chosen"
