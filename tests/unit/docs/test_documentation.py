@@ -13,7 +13,7 @@ from typer.main import get_command
 from docs.site.hooks import INCLUDED
 from glove_sdk_bridge.command_line import parse
 from handover.cli.main import app
-from services.task_orchestrator.definition_registry import plan_of
+from services.task_orchestrator.notation.file import read_bpmn
 from tests.kit.paths import REPOSITORY
 
 DOCUMENTS = sorted(
@@ -121,9 +121,10 @@ def check_handover(words: list[str]) -> None:
 
 
 def test_process_of_the_tutorial_can_be_deployed() -> None:
-    plan = plan_of((REPOSITORY / "docs" / "tutorials" / "check-part.bpmn").read_bytes())
-    assert plan.definition.name == "check-part"
-    assert list(plan.definition.activities) == ["go_home", "check_part"]
+    file = REPOSITORY / "docs" / "tutorials" / "check-part.bpmn"
+    (definition,) = read_bpmn(file.read_bytes()).definitions
+    assert definition.name == "check-part"
+    assert list(definition.activities()) == ["go_home", "check_part"]
 
 
 def test_tutorial_shows_a_part_of_its_process() -> None:
