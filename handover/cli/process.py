@@ -1,4 +1,4 @@
-"""`handover process`: deploy BPMN files; start, list, show, cancel processes; retry failed Tasks."""
+"""`handover process`: deploy BPMN files; start, list, show, cancel processes; mend what cannot continue."""
 
 import sys
 from pathlib import Path
@@ -12,7 +12,7 @@ from handover.cli.exporters import EXPORTERS, Exporter
 from handover.cli.services import service_named
 from handover.errors import UsageError
 
-app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, retry.", no_args_is_help=True)
+app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, mend.", no_args_is_help=True)
 
 
 @app.command()
@@ -23,7 +23,10 @@ def deploy(file: Annotated[Path, typer.Argument(help="A BPMN 2.0 file.")]) -> No
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {error.strerror}") from None
     answer = _ask("POST", "/definitions", content=bpmn, headers={"Content-Type": "application/xml"})
-    print(f"{answer['name']} version {answer['version']} deployed")
+    for definition in answer["definitions"]:
+        print(f"{definition['name']} version {definition['version']} deployed")
+    for warning in answer["warnings"]:
+        print(f"warning: line {warning['line']}, {warning['element'] or 'the file'}: {warning['message']}")
 
 
 @app.command()
@@ -46,6 +49,9 @@ def list_processes() -> None:
         print(f"definition  {definition['name']:<24} version {definition['version']}")
     for process in _ask("GET", "/processes"):
         print(f"process     {process['id']:<56} {process['status']}")
+        for incident in process["incidents"]:
+            where = f"token {incident['token']} at {incident['name']}"
+            print(f"  incident  {where}: {incident['reason']}")
 
 
 @app.command()
@@ -86,14 +92,74 @@ def cancel(
     print(f"{process} is cancelled")
 
 
+Process = Annotated[str, typer.Argument(help="The id of the process.")]
+Token = Annotated[str, typer.Argument(help="The token of the incident, as `list` shows it.")]
+By = Annotated[str, typer.Option("--by", help="The person who decides it.")]
+Why = Annotated[str | None, typer.Option("--why", help="The reason, for the history.")]
+Variables = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="A variable to set, name=value; the value is JSON or text."),
+]
+
+
 @app.command()
-def retry(
-    process: Annotated[str, typer.Argument(help="The id of the process that failed.")],
-    task: Annotated[str, typer.Argument(help="The id of the Task it failed by, as `show` has it in retry.")],
-    by: Annotated[str, typer.Option("--by", help="The person who retries it.")],
+def retry(process: Process, token: Token, by: By, why: Why = None, variables: Variables = None) -> None:
+    """Try again what could not continue; a failed Task is posted again. Variables are set before."""
+    _mend(process, f"tokens/{token}/retry", by, why, variables)
+
+
+@app.command()
+def skip(process: Process, token: Token, by: By, why: Why = None, variables: Variables = None) -> None:
+    """Continue behind the element, with the variables as its results."""
+    _mend(process, f"tokens/{token}/skip", by, why, variables)
+
+
+@app.command()
+def move(
+    process: Process,
+    token: Token,
+    by: By,
+    to: Annotated[str, typer.Option("--to", help="The id of the element to continue at.")],
+    why: Why = None,
 ) -> None:
-    """Retry the failed Task that has ended a process; the process continues."""
-    answer = _ask("POST", f"/processes/{process}/tasks/{task}/retry", json={"by": by})
+    """Continue at another element of the same scope."""
+    _mend(process, f"tokens/{token}/move", by, why, None, to=to)
+
+
+@app.command("set")
+def set_variables(process: Process, by: By, variables: Variables, why: Why = None) -> None:
+    """Set variables of a running process."""
+    _mend(process, "variables", by, why, variables)
+
+
+@app.command()
+def message(
+    name: Annotated[str, typer.Argument(help="The name of the BPMN message.")],
+    key: Annotated[str | None, typer.Option("--key", help="The correlation key or business key.")] = None,
+    variables: Variables = None,
+) -> None:
+    """Send a message to the process that waits for it, or that it starts."""
+    given = dict(_parameter(each) for each in variables or [])
+    answer = _ask("POST", "/messages", json={"name": name, "key": key, "variables": given})
+    print(f"{answer['outcome']}{': ' + answer['process'] if answer['process'] else ''}")
+
+
+@app.command()
+def signal(
+    name: Annotated[str, typer.Argument(help="The name of the BPMN signal.")], variables: Variables = None
+) -> None:
+    """Send a signal to all processes that wait for it."""
+    given = dict(_parameter(each) for each in variables or [])
+    answer = _ask("POST", "/signals", json={"name": name, "variables": given})
+    print("\n".join(answer["processes"]) or "no process waits for it")
+
+
+def _mend(
+    process: str, what: str, by: str, why: str | None, variables: list[str] | None, **others: str
+) -> None:
+    given = dict(_parameter(each) for each in variables or [])
+    body = {"by": by, "why": why, "variables": given, **others}
+    answer = _ask("POST", f"/processes/{process}/{what}", json=body)
     print(f"{answer['id']} continues: {', '.join(answer['waiting']) or answer['status']}")
 
 
@@ -116,12 +182,19 @@ def _refusal(answer: httpx.Response) -> str:
     except ValueError:
         return f"the orchestrator answered {answer.status_code}: {answer.text[:200]}"
     faults = [
-        f"  line {fault.get('line', '?')}, {fault.get('element') or 'the file'}: {fault['message']}"
+        f"  line {fault.get('line', '?')}, {_drawn(fault)}: {fault['message']}"
         for fault in problem.get("faults", [])
     ]
     if faults:
         return "\n".join([f"{problem.get('title')}:", *faults])
     return str(problem.get("detail") or problem.get("title"))
+
+
+def _drawn(fault: dict[str, Any]) -> str:
+    element, name = fault.get("element"), fault.get("name")
+    if not element:
+        return "the file"
+    return f'{element} ("{name}")' if name and name != element else str(element)
 
 
 def _parameter(text: str) -> tuple[str, Any]:

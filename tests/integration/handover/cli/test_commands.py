@@ -14,9 +14,7 @@ import pytest
 from tests.integration.task_orchestrator.cell import CONTEXT
 
 BAD = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL" targetNamespace="urn:t">
-<process id="headless" isExecutable="true">
-<endEvent id="end"/>
-</process></definitions>"""
+<process id="odd" isExecutable="true"><complexGateway id="which" name="Which one?"/></process></definitions>"""
 
 WAITS = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL"
   xmlns:handover="urn:handover:bpmn" targetNamespace="urn:t">
@@ -60,7 +58,7 @@ def test_a_process_is_deployed_started_listed_shown_and_cancelled(
 
     refused = handover("process", "deploy", str(tmp_path / "bad.bpmn"))
     assert refused.returncode == 2
-    assert "line 2, headless: a process has one start event" in refused.stderr
+    assert 'line 2, which ("Which one?"): complexGateway' in refused.stderr
     assert "Traceback" not in refused.stderr
 
     deployed = handover("process", "deploy", str(tmp_path / "ask.bpmn"))
@@ -76,9 +74,14 @@ def test_a_process_is_deployed_started_listed_shown_and_cancelled(
     assert shown["status"] == "inProgress"
     assert shown["variables"]["colour"] == "green"
 
-    early = handover("process", "retry", process, shown["tasks"][0]["id"], "--by", "Anna")
+    early = handover("process", "retry", process, "99", "--by", "Anna")
     assert early.returncode == 2
-    assert "only a failed process can be retried" in early.stderr
+    assert 'there is no token "99"' in early.stderr
+    corrected = handover("process", "set", process, "--by", "Anna", "--set", "colour=red")
+    assert corrected.returncode == 0, corrected.stderr
+    assert json.loads(handover("process", "show", process).stdout)["variables"]["colour"] == "red"
+    assert handover("process", "message", "hello").stdout == "stored\n"
+    assert handover("process", "signal", "hello").stdout == "no process waits for it\n"
 
     assert handover("process", "cancel", process, "--by", "Anna").returncode == 0
     asked = f"{cell.url('task_orchestrator')}/processes/{process}"  # a command a look would take seconds
@@ -111,9 +114,11 @@ def test_a_failed_task_is_retried(
     eventually(lambda: httpx.get(entity, headers=link, trust_env=False).status_code == 200)
     assert httpx.post(f"{entity}/attrs", json=failed, headers=link, trust_env=False).is_success
     asked = f"{cell.url('task_orchestrator')}/processes/{process}"  # a command a look would take seconds
-    eventually(lambda: httpx.get(asked, trust_env=False).json()["status"] == "failed")
+    eventually(lambda: httpx.get(asked, trust_env=False).json()["incidents"])
+    assert "nobody is there" in handover("process", "list").stdout
+    (incident,) = shown()["incidents"]
 
-    retried = handover("process", "retry", process, task, "--by", "Anna")
+    retried = handover("process", "retry", process, incident["token"], "--by", "Anna")
     assert retried.stdout == f"{process} continues: {shown()['waiting'][0]}\n", retried.stderr
     assert shown()["acts"][0]["by"] == "Anna"
 
