@@ -186,11 +186,11 @@ CASES: dict[str, Case] = {
     "eventBasedGateway": Case(
         FRAME
         + '<bpmn:eventBasedGateway id="first"/>'
-        + catch("told", refer("message", "go"))
+        + catch("reported", refer("message", "go"))
         + catch("late", timer("PT1H"))
         + activity("a")
         + activity("b")
-        + path("start", "first", "told", "a", "end")
+        + path("start", "first", "reported", "a", "end")
         + path("first", "late", "b", "end"),
         ["a-1"],
         GO,
@@ -246,9 +246,9 @@ CASES: dict[str, Case] = {
     "messageThrowIsStoredUntilItIsAwaited": Case(
         FRAME
         + throw("say", refer("message", "go"))
-        + catch("hear", refer("message", "go"))
+        + catch("receive", refer("message", "go"))
         + activity("a")
-        + chain("say", "hear", "a"),
+        + chain("say", "receive", "a"),
         ["a-1"],
         GO,
     ),
