@@ -54,7 +54,7 @@ def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package
     expect(rows).to_have_count(8)
     labels = ["Rail", "Base", "Shoulder", "Elbow", "Forearm roll", "Wrist bend", "Flange roll"]
     expect(joints.get_by_role("rowheader")).to_have_text(labels)
-    expect(rows.nth(1).get_by_role("cell")).to_have_text(["0.400 m", "0.000 m/s", "0.000 … 1.600 m"])
+    expect(rows.nth(1).get_by_role("cell")).to_have_text(["0.400 m", "0.000 m/s", "0 … 1.6 m"])
     expect(rows.nth(3).get_by_role("cell")).to_have_text(["−34.4 °", "0.0 °/s", "−109 … 109 °"])
     expect(rows.nth(7).get_by_role("cell").last).to_have_text("∞")
 
@@ -73,6 +73,10 @@ def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package
 
     in_german = open_page("/system?tab=robots", language="de")
     expect(in_german.get_by_role("rowheader", name="Linearachse")).to_be_visible()
+    facts = in_german.locator(".robot__facts")
+    assert facts.evaluate("facts => facts.scrollWidth <= facts.clientWidth")
+    expect(in_german.locator("canvas")).to_be_visible()
+    keep(in_german, "example-robot-german")
 
 
 def run_lamp(cell: Cell) -> "subprocess.Popen[bytes]":
@@ -95,7 +99,7 @@ def test_the_page_lists_a_service_of_another_package_with_its_health(
     cell.run("context_broker")
     cell.run("task_orchestrator", "gesture_controller", "trajectory_tool", "study", "webui")
     page = open_page("/system")
-    services = page.get_by_role("table", name="Services")
+    services = page.get_by_role("grid", name="Services")
     expect(services.get_by_role("row", name=re.compile("^Study"))).to_be_visible()
     row = services.get_by_role("row", name=re.compile("^lamp"))
     expect(row).to_have_count(1 if wanted else 0)

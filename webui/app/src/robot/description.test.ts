@@ -21,7 +21,7 @@ describe("a joint", () => {
 
   test("has a range unless it turns without end", () => {
     expect(rangeText(elbow, "en")).toBe("−180 … 90 °");
-    expect(rangeText(rail, "en")).toBe("0.000 … 1.600 m");
+    expect(rangeText(rail, "en")).toBe("0 … 1.6 m");
     expect(rangeText({ ...elbow, type: "continuous", lower: null, upper: null }, "en")).toBe("∞");
   });
 });

@@ -1,6 +1,6 @@
 /** What a robot is, as the robot itself describes it: joints with limits, home, gripper and URDF. */
 import { useServiceQuery } from "~/api/useServiceQuery";
-import { degrees, metres, wholeDegrees } from "./units";
+import { degrees, metres, shortMetres, wholeDegrees } from "./units";
 
 /** A joint; limits are null for a continuous one. Units are rad and s, for a prismatic joint m and s. */
 export interface JointDescription {
@@ -63,6 +63,6 @@ export function speedText(joint: JointDescription, speed: number, language: stri
 /** The range of a joint: "−170 … 170 °"; a continuous joint has none. */
 export function rangeText(joint: JointDescription, language: string): string {
   if (joint.lower === null || joint.upper === null) return "∞";
-  const [lower, upper] = [joint.lower, joint.upper].map((end) => (joint.unit === "m" ? metres(end, language) : wholeDegrees(end, language)));
+  const [lower, upper] = [joint.lower, joint.upper].map((end) => (joint.unit === "m" ? shortMetres(end, language) : wholeDegrees(end, language)));
   return `${lower} … ${upper} ${joint.unit === "m" ? "m" : "°"}`;
 }

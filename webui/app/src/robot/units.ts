@@ -12,6 +12,11 @@ export function wholeDegrees(rad: number, language: string): string {
   return signed(number(Math.round((rad * 180) / Math.PI) + 0, language, { maximumFractionDigits: 0 }));
 }
 
+/** "1.6" for a length in m, to the millimetre, without zeros at its end. */
+export function shortMetres(metres: number, language: string): string {
+  return signed(number(Math.round(metres * 1000) / 1000 + 0, language, { maximumFractionDigits: 3 }));
+}
+
 /** "0.497" for a length in m, to the millimetre. */
 export function metres(metres: number, language: string): string {
   const rounded = Math.round(metres * 1000) / 1000 + 0;
