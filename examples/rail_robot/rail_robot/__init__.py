@@ -25,7 +25,7 @@ ROBOT = read_model(
         "shoulder": {"en": "Shoulder", "de": "Schulter", "fi": "Olkapää"},
         "elbow": {"en": "Elbow", "de": "Ellbogen", "fi": "Kyynärpää"},
         "forearm_roll": {"en": "Forearm roll", "de": "Unterarmdrehung", "fi": "Kyynärvarren kierto"},
-        "wrist_bend": {"en": "Wrist bend", "de": "Handgelenkbeugung", "fi": "Ranteen taivutus"},
+        "wrist_bend": {"en": "Wrist bend", "de": "Handgelenk", "fi": "Ranteen taivutus"},
         "flange_roll": {"en": "Flange roll", "de": "Flanschdrehung", "fi": "Laipan kierto"},
     },
 )
