@@ -111,6 +111,8 @@ python-check: setup
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 	@$(BIN)/python -m datamodels.schemas --check
+	@$(BIN)/python -m webui.types --check
+	@$(BIN)/python -m webui.service_types --check
 	@$(BIN)/python -m requirements.third_party --check
 	@$(BIN)/python -m docs.site.reference --check
 

@@ -1,6 +1,6 @@
 """The REST interface of the ROS bridge: its rules with rates, last values and errors, and the live graph."""
 
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -19,9 +19,8 @@ from ros_fiware_bridge.joining import join
 from ros_fiware_bridge.mapping.document import Document
 from ros_fiware_bridge.rules import plan as planning
 from ros_fiware_bridge.running.bridge import Bridge
+from ros_fiware_bridge.running.rule_view import RuleView
 from ros_fiware_bridge.settings import BridgeSettings
-
-RuleView = Mapping[str, Any]
 
 
 class _BridgeHolder:

@@ -37,11 +37,29 @@ KEYWORDS: Final = frozenset(
         "description",
         "enum",
         "items",
+        "prefixItems",
         "propertyNames",
         "title",
         "type",
     }
 )
+
+CONSTRAINTS: Final = frozenset(
+    {
+        "default",
+        "exclusiveMaximum",
+        "exclusiveMinimum",
+        "format",
+        "maxItems",
+        "maxLength",
+        "maximum",
+        "minItems",
+        "minLength",
+        "minimum",
+        "pattern",
+    }
+)
+"""Keywords without a counterpart in TypeScript."""
 
 Schema = Mapping[str, Any]
 
@@ -68,7 +86,7 @@ def typescript() -> str:
     definitions = schemas()
     parts = [HEAD]
     parts.append("\n".join(f"export type {name} = {union};" for union, name in aliases.items()))
-    parts += [_interface(name, schema, aliases) for name, schema in definitions.items()]
+    parts += [interface_of(name, schema, aliases) for name, schema in definitions.items()]
     parts.append(_topics())
     return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
 
@@ -89,7 +107,10 @@ def _schema(view: Any) -> dict[str, Any]:
     return TypeAdapter(view).json_schema()
 
 
-def _interface(name: str, schema: Schema, aliases: Mapping[str, str]) -> str:
+def interface_of(name: str, schema: Schema, aliases: Mapping[str, str]) -> str:
+    """Return the TypeScript interface of an object schema, or the type of an enumeration."""
+    if "enum" in schema:
+        return "\n".join([*_comment(schema.get("description")), f"export type {name} = {_union(schema)};"])
     required = set(schema.get("required", ()))
     lines = [*_comment(schema.get("description")), f"export interface {name} {{"]
     for field, type_ in schema["properties"].items():
@@ -97,6 +118,16 @@ def _interface(name: str, schema: Schema, aliases: Mapping[str, str]) -> str:
     if schema.get("additionalProperties") is True:
         lines.append("  [more: string]: unknown;")
     return "\n".join([*lines, "}"])
+
+
+def reference_of(schema: Schema) -> str:
+    """Return the name of the schema that `$ref` refers to."""
+    return name_of(str(schema["$ref"]).rsplit("/", 1)[-1])
+
+
+def name_of(schema_name: str) -> str:
+    """Return the TypeScript name of a schema; FastAPI adds "-Output" if requests have another version."""
+    return schema_name.removesuffix("-Output").replace("-", "")
 
 
 def _comment(text: str | None) -> list[str]:
@@ -107,24 +138,27 @@ def _comment(text: str | None) -> list[str]:
     return ["/**", *(f" * {line}".rstrip() for line in text.split("\n")), " */"]
 
 
-def _type(schema: Schema, aliases: Mapping[str, str]) -> str:
-    unknown = set(schema) - KEYWORDS
+def _type(schema: Schema, aliases: Mapping[str, str]) -> str:  # noqa: PLR0911 - one for each keyword
+    unknown = set(schema) - KEYWORDS - CONSTRAINTS
     if unknown:
         raise InvalidSchema(f"the keyword {unknown.pop()} is not supported: {schema}")
     if "$ref" in schema:
-        return str(schema["$ref"]).rsplit("/", 1)[-1]
+        return reference_of(schema)
     if "anyOf" in schema:
         return " | ".join(_type(option, aliases) for option in schema["anyOf"])
     if "const" in schema or "enum" in schema:
         union = _union(schema)
         return aliases.get(union, union)
+    if "prefixItems" in schema:
+        return f"[{', '.join(_type(item, aliases) for item in schema['prefixItems'])}]"
     if schema.get("type") == "array":
         item = _type(schema["items"], aliases)
         return f"({item})[]" if " | " in item else f"{item}[]"
     if schema.get("type") == "object":
         key = _type(schema["propertyNames"], aliases) if "propertyNames" in schema else "string"
         value = schema.get("additionalProperties", True)
-        return f"Record<{key}, {'unknown' if value is True else _type(value, aliases)}>"
+        members = "unknown" if value is True else _type(value, aliases)
+        return f"Record<{key}, {members}>"
     return SCALARS[schema["type"]] if "type" in schema else "unknown"
 
 

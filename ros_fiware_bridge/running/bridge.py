@@ -2,10 +2,10 @@
 
 import asyncio
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AsyncExitStack, suppress
 from functools import partial
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from handover.alert_catalogue import ROS_PROBLEM
 from handover.background_tasks import BackgroundTasks
@@ -28,6 +28,7 @@ from ros_fiware_bridge.running.listener import Listeners
 from ros_fiware_bridge.running.parameters import Parameters
 from ros_fiware_bridge.running.ros_requests import ChangeTrigger, RosRequest, RosTaskPerformer
 from ros_fiware_bridge.running.rule_stats import DropReporter, RuleStats
+from ros_fiware_bridge.running.rule_view import RuleView
 from ros_fiware_bridge.running.served_services import ServedService
 from ros_fiware_bridge.running.topic_forwarder import PatternForwarder, TopicForwarder
 from ros_fiware_bridge.running.topic_rules import TopicRules
@@ -152,17 +153,17 @@ class Bridge:
             await (self._start if on else self._stop)(name)
             self.listeners.request_resync()
 
-    def views(self) -> Sequence[Mapping[str, Any]]:
+    def views(self) -> Sequence[RuleView]:
         """Return the view of every rule."""
         return [self.view(name) for name in self.stats]
 
-    def view(self, name: str) -> Mapping[str, Any]:
+    def view(self, name: str) -> RuleView:
         """Return the view of a rule: its statistics, source, target and peers. Raises `Problem`."""
         if name not in self.stats:
             raise self._no_such_rule(name)
-        seen = dict(self.stats[name].view(asyncio.get_running_loop().time()))
+        seen: dict[str, Any] = dict(self.stats[name].view(asyncio.get_running_loop().time()))
         seen |= self._details(name)
-        return seen
+        return cast("RuleView", seen)
 
     def _no_such_rule(self, name: str) -> Problem:
         known = ", ".join(self.stats) or "none"

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 from fastapi import FastAPI, Response, WebSocket
 from fastapi.responses import StreamingResponse
@@ -34,6 +34,7 @@ from services.gesture_controller.people.routes import add_people
 from services.gesture_controller.people.study_condition_routes import add_study_conditions
 from services.gesture_controller.pictures.routes import add_pictures, picture_urls
 from services.gesture_controller.prompting.prompt import CannotComplete
+from services.gesture_controller.recognition.gesture_views import CompositeSiteGesture, PlainSiteGesture
 from services.gesture_controller.recognition.gestures import listed
 from services.gesture_controller.settings import ControllerSettings
 
@@ -130,14 +131,15 @@ def make_app(settings: ControllerSettings) -> FastAPI:
 
 def _add_gestures(app: FastAPI, controller: GestureController) -> None:
     @app.get("/gestures", tags=["gestures"])
-    async def gestures() -> list[dict[str, Any]]:
+    async def gestures() -> list[PlainSiteGesture | CompositeSiteGesture]:
         """List the gestures of the site: name, code (thumb first, 0 straight, 2 bent), command and pictures.
 
         A composite gesture has no code but `left` and `right`, or `sequence`; each part has its code.
         """
+        found = listed(controller.configuration.gestures, controller.configuration.commands)
         return [
-            {**one, "pictures": picture_urls(one["name"])}
-            for one in listed(controller.configuration.gestures, controller.configuration.commands)
+            cast("PlainSiteGesture | CompositeSiteGesture", {**one, "pictures": picture_urls(one["name"])})
+            for one in found
         ]
 
     @app.get("/specifications", tags=["operations"])

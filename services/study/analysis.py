@@ -22,6 +22,7 @@ from services.study.questionnaires import (
     tlx_raw,
     tlx_weighted,
 )
+from services.study.views import AnalysisView, StatisticalTest, SummaryView, SusAnalysis, TlxAnalysis
 
 CONFIDENCE = 0.95
 ALL_SIGNS_UP_TO = 13
@@ -57,7 +58,7 @@ def scores_of(session: Session) -> Scores:
     return Scores(sus_score(given.content["answers"]) if given else None, tlx)
 
 
-def analysis_of(sessions: Sequence[Session]) -> dict[str, Any]:
+def analysis_of(sessions: Sequence[Session]) -> AnalysisView:
     """Return the analysis of `sessions`. Loads SciPy and takes some tenths of a second."""
     scores = [scores_of(session) for session in sessions]
     orders = Counter(session.first for session in sessions if session.first is not None)
@@ -74,7 +75,11 @@ def analysis_of(sessions: Sequence[Session]) -> dict[str, Any]:
         "personalFirst": orders[Condition.PERSONAL],
         "predefinedFirst": orders[Condition.PREDEFINED],
         "age_years": summary(ages),
-        "preference": {which: preferences[which] for which in ("personal", "predefined", "none")},
+        "preference": {
+            "personal": preferences["personal"],
+            "predefined": preferences["predefined"],
+            "none": preferences["none"],
+        },
         "recalibrated": sum(
             bool(one["preference"].content["recalibrated"]) for one in answers if "preference" in one
         ),
@@ -84,19 +89,19 @@ def analysis_of(sessions: Sequence[Session]) -> dict[str, Any]:
     }
 
 
-def sus_analysis(values: Sequence[float]) -> dict[str, Any]:
+def sus_analysis(values: Sequence[float]) -> SusAnalysis:
     """Return mean, spread and grade of SUS scores, and how they compare with the average of 68."""
     described = summary(values)
     return {
         **described,
-        "grade": sus_grade(described["mean"]) if values else None,
+        "grade": None if described["mean"] is None else sus_grade(described["mean"]),
         "scores": list(values),
         "test": against(values, SUS_AVERAGE),
         "normality": normality(values),
     }
 
 
-def summary(values: Sequence[float]) -> dict[str, Any]:
+def summary(values: Sequence[float]) -> SummaryView:
     """Return n, mean, sample SD and the five numbers of a box plot; None where there are too few values.
 
     Quartiles lie between neighbours in proportion (type 7 of Hyndman and Fan, Am. Stat. 50, 1996, 361); the
@@ -127,11 +132,12 @@ def summary(values: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def against(values: Sequence[float], average: float) -> dict[str, Any]:
+def against(values: Sequence[float], average: float) -> StatisticalTest:
     """Return the two-sided one-sample t-test of `values` against `average`, with the mean's interval.
 
     `effect` is Cohen's d, the distance in standard deviations.
     """
+    import numpy as np  # noqa: PLC0415 - heavy, and seldom asked for
     from scipy import stats  # noqa: PLC0415 - heavy, and seldom asked for
 
     name = "one-sample t-test (Welch's t-test against a constant), two-sided"
@@ -139,7 +145,6 @@ def against(values: Sequence[float], average: float) -> dict[str, Any]:
         return {"name": name, "average": average, "why": "needs two different scores at least"}
     result = stats.ttest_1samp(values, average)
     interval = result.confidence_interval(CONFIDENCE)
-    described = summary(values)
     return {
         "name": name,
         "average": average,
@@ -147,11 +152,11 @@ def against(values: Sequence[float], average: float) -> dict[str, Any]:
         "df": int(result.df),
         "p": float(result.pvalue),
         "interval": [float(interval.low), float(interval.high)],
-        "effect": (described["mean"] - average) / described["sd"],
+        "effect": (float(np.mean(values)) - average) / float(np.std(values, ddof=1)),
     }
 
 
-def normality(values: Sequence[float]) -> dict[str, Any]:
+def normality(values: Sequence[float]) -> StatisticalTest:
     """Return the Shapiro-Wilk test: the t-test presumes that nothing speaks against a normal distribution."""
     from scipy import stats  # noqa: PLC0415 - heavy, and seldom asked for
 
@@ -161,7 +166,7 @@ def normality(values: Sequence[float]) -> dict[str, Any]:
     return {"name": "Shapiro-Wilk", "w": float(result.statistic), "p": float(result.pvalue)}
 
 
-def mann_whitney(some: Sequence[float], others: Sequence[float]) -> dict[str, Any]:
+def mann_whitney(some: Sequence[float], others: Sequence[float]) -> StatisticalTest:
     """Return the two-sided Mann-Whitney U test of two samples.
 
     `u` counts the pairs in which the first is larger, ties as half; `effect` is the rank-biserial correlation
@@ -184,7 +189,7 @@ def mann_whitney(some: Sequence[float], others: Sequence[float]) -> dict[str, An
     }
 
 
-def wilcoxon(pairs: Sequence[tuple[float, float]]) -> dict[str, Any]:
+def wilcoxon(pairs: Sequence[tuple[float, float]]) -> StatisticalTest:
     """Return the two-sided Wilcoxon signed-rank test of pairs; those without a difference are left out.
 
     p is exact for up to 13 pairs, with ties too, and for up to 50 without; else the normal approximation.
@@ -197,12 +202,13 @@ def wilcoxon(pairs: Sequence[tuple[float, float]]) -> dict[str, Any]:
         return {"name": name, "n": 0, "why": "needs pairs that differ"}
     is_tied = len({abs(one) for one in differences}) < len(differences)
     if is_tied and len(differences) <= ALL_SIGNS_UP_TO:
-        return {"name": name, "n": len(differences), **_of_all_signs(differences)}
+        w, p = _of_all_signs(differences)
+        return {"name": name, "n": len(differences), "w": w, "p": p}
     result = stats.wilcoxon(differences)
     return {"name": name, "n": len(differences), "w": float(result.statistic), "p": float(result.pvalue)}
 
 
-def _of_all_signs(differences: Sequence[float]) -> dict[str, float]:
+def _of_all_signs(differences: Sequence[float]) -> tuple[float, float]:
     """Return the same test by going through all signs at once; SciPy's own would take seconds over them."""
     import numpy as np  # noqa: PLC0415 - heavy, and seldom asked for
     from scipy import stats  # noqa: PLC0415 - heavy, and seldom asked for
@@ -216,10 +222,10 @@ def _of_all_signs(differences: Sequence[float]) -> dict[str, float]:
     result = stats.permutation_test(
         (signed,), above, permutation_type="samples", vectorized=True, n_resamples=math.inf
     )
-    return {"w": float(min(result.statistic, ranks.sum() - result.statistic)), "p": float(result.pvalue)}
+    return float(min(result.statistic, ranks.sum() - result.statistic)), float(result.pvalue)
 
 
-def _tlx(scores: Sequence[Scores], measure: str) -> dict[str, Any]:
+def _tlx(scores: Sequence[Scores], measure: str) -> TlxAnalysis:
     personal, predefined = (
         [score.tlx[condition][measure] for score in scores if condition in score.tlx]
         for condition in (Condition.PERSONAL, Condition.PREDEFINED)

@@ -4,8 +4,9 @@ import asyncio
 import hashlib
 import importlib.util
 import pickle
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from fastapi import Body, FastAPI, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
@@ -16,6 +17,14 @@ from handover.offload import Offload, OffloadFailed
 from services.study.protocol import FINISHED, STEPS, Language, Session
 from services.study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
 from services.study.study_session import DECLINED, StudySessions
+from services.study.views import (
+    AnalysisView,
+    DeclinedSession,
+    SessionView,
+    SessionWithAnswers,
+    StudyAnalysis,
+    WordingView,
+)
 from services.study.wording import consent_version, wording
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w .-]+$")]
@@ -42,19 +51,19 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     analyses = _Analyses(sessions)
 
     @app.get("/wording", tags=["study"])
-    async def words(language: Language = "en") -> dict[str, Any]:
+    async def words(language: Language = "en") -> WordingView:
         """Return the texts for participants, and the steps, scales and pairs of the questionnaires."""
-        return {
-            **wording(language),
+        questionnaires = {
             "consentVersion": consent_version(language),
             "order": STEPS,
             "scales": TLX_SCALES,
             "scaleStep": TLX_STEP,
             "pairs": TLX_PAIRS,
         }
+        return cast("WordingView", {**wording(language), **questionnaires})
 
     @app.post("/sessions", status_code=201, tags=["study"])
-    async def begin(session: NewSession) -> dict[str, Any]:
+    async def begin(session: NewSession) -> SessionView:
         """Begin a session; its first step is consent."""
         begun = await sessions.begin(
             session.study, session.pseudonym, session.language, session.glove, session.person
@@ -62,19 +71,21 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         return view_of(begun)
 
     @app.get("/sessions", tags=["study"])
-    async def list_sessions(study: Study | None = None) -> list[dict[str, Any]]:
+    async def list_sessions(study: Study | None = None) -> list[SessionView]:
         """List the sessions (of a study), oldest first."""
         return [view_of(session) for session in await sessions.sessions(study)]
 
     @app.get("/sessions/{session}", tags=["study"])
-    async def one(session: str) -> dict[str, Any]:
+    async def one(session: str) -> SessionWithAnswers:
         """Return a session with its step and its answers."""
         found = await sessions.one(session)
         answers = {step: dict(answer.content) for step, answer in found.answers.items()}
         return {**view_of(found), "answers": answers}
 
     @app.post("/sessions/{session}/steps/{step}", tags=["study"])
-    async def answer(session: str, step: str, given: Annotated[dict[str, Any], Body()]) -> dict[str, Any]:
+    async def answer(
+        session: str, step: str, given: Annotated[dict[str, Any], Body()]
+    ) -> SessionView | DeclinedSession:
         """Answer a step; the answer is stored when this returns. Declined consent deletes the session."""
         moved = await sessions.answer(session, step, given)
         if moved is None:
@@ -87,7 +98,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         await sessions.delete(session)
 
     @app.get("/analysis", tags=["study"])
-    async def analysis(study: Study = DEFAULT_STUDY) -> dict[str, Any]:
+    async def analysis(study: Study = DEFAULT_STUDY) -> StudyAnalysis:
         """Return the analysis of a study: SUS, NASA-TLX by condition, tests and box plots."""
         return {"study": study, **await analyses.of(study)}
 
@@ -111,10 +122,9 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         return _file(pdf, "application/pdf", study, "pdf")
 
 
-def view_of(session: Session) -> dict[str, Any]:
+def view_of(session: Session) -> SessionView:
     """Return a session without its answers."""
     is_over = session.step == FINISHED
-    condition = session.condition
     return {
         "id": session.id,
         "study": session.study,
@@ -125,8 +135,8 @@ def view_of(session: Session) -> dict[str, Any]:
         "step": session.step,
         "stepNumber": len(STEPS) if is_over else STEPS.index(session.step) + 1,
         "steps": len(STEPS),
-        "first": session.first.value if session.first else None,
-        "condition": condition.value if condition else None,
+        "first": session.first,
+        "condition": session.condition,
         "pairs": session.pairs() if session.step.startswith("tlx") else None,
         "consentVersion": consent_version(session.language),
         "beganAt": session.began_at,
@@ -143,25 +153,27 @@ class _Analyses:
     def __init__(self, sessions: StudySessions) -> None:
         self._study_sessions = sessions
         self._offload = Offload()
-        self._kept: dict[bytes, dict[str, Any]] = {}
+        self._kept: dict[bytes, AnalysisView] = {}
 
-    async def of(self, study: str) -> dict[str, Any]:
+    async def of(self, study: str) -> AnalysisView:
         """Return the analysis of `study`."""
-        from services.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
-
         _require_installed("scipy")
         sessions = await self._study_sessions.sessions(study)
         key = hashlib.sha256(pickle.dumps(sessions)).digest()
-        found = self._kept.pop(key, None)
-        if found is None:
-            try:
-                found = await self._offload.run(analysis_of, sessions)
-            except OffloadFailed as error:
-                raise Problem(503, "Cannot be analysed", f"{error}; try again later") from None
+        kept = self._kept.pop(key, None)
+        found = kept if kept is not None else await self._analysed(sessions)
         self._kept[key] = found
         while len(self._kept) > MAX_ANALYSES_KEPT:
             del self._kept[next(iter(self._kept))]
         return found
+
+    async def _analysed(self, sessions: Sequence[Session]) -> AnalysisView:
+        from services.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
+
+        try:
+            return await self._offload.run(analysis_of, sessions)
+        except OffloadFailed as error:
+            raise Problem(503, "Cannot be analysed", f"{error}; try again later") from None
 
 
 def _require_installed(library: str) -> None:

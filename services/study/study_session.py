@@ -4,7 +4,7 @@ import asyncio
 import random
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any, Self
+from typing import Any, Final, Self
 from uuid import uuid4
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -23,7 +23,7 @@ from services.study.protocol import (
 from services.study.store import StudyStore
 from services.study.wording import consent_version
 
-DECLINED = "declined"
+DECLINED: Final = "declined"
 
 
 class StudySessions:

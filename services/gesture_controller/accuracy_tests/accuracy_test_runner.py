@@ -28,6 +28,7 @@ from services.gesture_controller.accuracy_tests.trials import (
     Trial,
     draw_order,
 )
+from services.gesture_controller.accuracy_tests.views import TestState, TestSummary
 from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.recognition.gestures import Gestures
@@ -124,7 +125,7 @@ class AccuracyTestRunner:
         hold_ms: float,
         limit_ms: float,
         breaks: bool,
-    ) -> dict[str, Any]:
+    ) -> TestState:
         """Begin a test with `glove` (`gestures` None: all) and return it; raises `Problem`."""
         self._require_no_other_test(glove)
         codes = self._codes(gestures)
@@ -158,7 +159,7 @@ class AccuracyTestRunner:
         log.info("accuracy test begins", test=test.id, glove=glove.name, trials=len(plan.asked))
         return await self.one(test.id)
 
-    async def resume(self, test_id: str) -> dict[str, Any]:
+    async def resume(self, test_id: str) -> TestState:
         """Resume after a break or an interruption; raise `Problem` 409 if the test does not wait."""
         running = self._running.get(test_id)
         if running is None:
@@ -191,7 +192,7 @@ class AccuracyTestRunner:
         self._start(running)
         return await self.one(test_id)
 
-    async def stop(self, test_id: str) -> dict[str, Any]:
+    async def stop(self, test_id: str) -> TestState:
         """Stop a test; its trials are kept and reported. A finished test stays unchanged."""
         test = await self._stored(test_id)
         running = self._running.get(test_id)
@@ -211,11 +212,11 @@ class AccuracyTestRunner:
         if not await self._written(self._store.delete, test_id):
             raise _unknown(test_id)
 
-    async def all(self) -> list[dict[str, Any]]:
+    async def all(self) -> list[TestSummary]:
         """Return all tests, the latest first."""
         return [self._summary(test) for test in await asyncio.to_thread(self._store.tests)]
 
-    async def one(self, test_id: str) -> dict[str, Any]:
+    async def one(self, test_id: str) -> TestState:
         """Return a test and, while it runs, its view; raise `Problem` 404 if there is none."""
         test = await self._stored(test_id)
         running = self._running.get(test_id)
@@ -329,14 +330,14 @@ class AccuracyTestRunner:
             raise _unknown(test_id)
         return test
 
-    def _summary(self, test: AccuracyTest) -> dict[str, Any]:
+    def _summary(self, test: AccuracyTest) -> TestSummary:
         running = self._running.get(test.id)
         progress = running.progress if running else None
         return {
             "id": test.id,
             "glove": test.glove,
             "person": test.person,
-            "phase": (progress.phase if progress else test.phase).value,
+            "phase": progress.phase if progress else test.phase,
             "reason": progress.reason if progress else test.reason,
             "beganAt": test.began_at,
             "endedAt": test.ended_at,

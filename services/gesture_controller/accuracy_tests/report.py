@@ -8,9 +8,14 @@ interval of Wilson (J. Am. Stat. Assoc. 22, 1927, 209), which is valid for few t
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from services.gesture_controller.accuracy_tests.trials import Outcome, Plan, Trial
+from services.gesture_controller.accuracy_tests.views import (
+    ConfusionMatrix,
+    Figures,
+    InteractionTable,
+    Results,
+)
 
 Z_95 = 1.959963984540054
 NO_GESTURE = "no gesture"
@@ -40,7 +45,7 @@ def quantile(values: Iterable[float], part: float) -> float | None:
     return ordered[below] + (ordered[above] - ordered[below]) * (place - below)
 
 
-def report_of(plan: Plan, trials: Sequence[Trial]) -> dict[str, Any]:
+def report_of(plan: Plan, trials: Sequence[Trial]) -> Results:
     """Return the report; times in ms from the request to the end of the hold, shares from 0 to 1."""
     by_gesture = {gesture: [trial for trial in trials if trial.asked == gesture] for gesture in plan.codes}
     return {
@@ -60,7 +65,7 @@ def report_of(plan: Plan, trials: Sequence[Trial]) -> dict[str, Any]:
     }
 
 
-def confusion(plan: Plan, trials: Sequence[Trial]) -> dict[str, Any]:
+def confusion(plan: Plan, trials: Sequence[Trial]) -> ConfusionMatrix:
     """Return the confusion matrix: gestures asked for (rows) and first recognized (columns)."""
     counts = {gesture: Counter[str]() for gesture in plan.codes}
     for trial in trials:
@@ -81,7 +86,7 @@ def first_recognized(trial: Trial) -> str:
     return trial.first.gesture or NO_GESTURE
 
 
-def _table(trials: Sequence[Trial]) -> dict[str, Any]:
+def _table(trials: Sequence[Trial]) -> InteractionTable:
     problems = Counter(trial.asked for trial in trials if trial.outcome is not Outcome.RIGHT)
     successful = len(trials) - problems.total()
     return {
@@ -92,13 +97,15 @@ def _table(trials: Sequence[Trial]) -> dict[str, Any]:
     }
 
 
-def _figures(trials: Sequence[Trial]) -> dict[str, Any]:
+def _figures(trials: Sequence[Trial]) -> Figures:
     outcomes = Counter(trial.outcome for trial in trials)
     right = outcomes[Outcome.RIGHT]
     times = [trial.recognized_ms for trial in trials if trial.recognized_ms is not None]
     return {
         "trials": len(trials),
-        **{outcome.value: outcomes[outcome] for outcome in Outcome},
+        "right": right,
+        "corrected": outcomes[Outcome.CORRECTED],
+        "missed": outcomes[Outcome.MISSED],
         "accuracy": right / len(trials) if trials else None,
         "interval": wilson(right, len(trials)),
         "medianMs": quantile(times, 0.5),

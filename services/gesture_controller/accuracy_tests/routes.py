@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import FastAPI, Response
 from pydantic import BaseModel, ConfigDict, Field
@@ -12,6 +12,7 @@ from services.gesture_controller.accuracy_tests.accuracy_test_runner import MAX_
 from services.gesture_controller.accuracy_tests.report import first_recognized, report_of
 from services.gesture_controller.accuracy_tests.store import AccuracyTest
 from services.gesture_controller.accuracy_tests.trials import Trial
+from services.gesture_controller.accuracy_tests.views import TestReport, TestState, TestSummary, TrialView
 from services.gesture_controller.gloves.known_gloves import KnownGloves
 
 COLUMNS = (
@@ -38,7 +39,7 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
     """Add the routes of accuracy tests."""
 
     @app.post("/tests", status_code=201, tags=["accuracy tests"])
-    async def begin(test: NewTest) -> dict[str, Any]:
+    async def begin(test: NewTest) -> TestState:
         """Begin a test; the glove is in testing mode until its end. `seed` repeats an order."""
         return await runner.begin(
             gloves.named(test.glove),
@@ -51,22 +52,22 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
         )
 
     @app.get("/tests", tags=["accuracy tests"])
-    async def all_tests() -> list[dict[str, Any]]:
+    async def all_tests() -> list[TestSummary]:
         """List all tests, the latest first."""
         return await runner.all()
 
     @app.get("/tests/{test}", tags=["accuracy tests"])
-    async def one(test: str) -> dict[str, Any]:
+    async def one(test: str) -> TestState:
         """Return a test; `live` is its view while it runs."""
         return await runner.one(test)
 
     @app.post("/tests/{test}/continue", tags=["accuracy tests"])
-    async def resume(test: str) -> dict[str, Any]:
+    async def resume(test: str) -> TestState:
         """Resume after a break or an interruption."""
         return await runner.resume(test)
 
     @app.post("/tests/{test}/stop", tags=["accuracy tests"])
-    async def stop(test: str) -> dict[str, Any]:
+    async def stop(test: str) -> TestState:
         """Stop the test; its trials are kept and reported."""
         return await runner.stop(test)
 
@@ -76,13 +77,13 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
         await runner.delete(test)
 
     @app.get("/tests/{test}/report", tags=["accuracy tests"])
-    async def report(test: str) -> dict[str, Any]:
+    async def report(test: str) -> TestReport:
         """Return Table 3, the confusion matrix and the times of the trials so far."""
         stored, trials = await runner.trials(test)
         return {"test": await runner.one(test), **report_of(stored.plan, [trial for trial, _ in trials])}
 
     @app.get("/tests/{test}/trials.json", tags=["accuracy tests"])
-    async def as_json(test: str) -> list[dict[str, Any]]:
+    async def as_json(test: str) -> list[TrialView]:
         """Return every trial as JSON."""
         _, trials = await runner.trials(test)
         return [_as_dict(trial, at) for trial, at in trials]
@@ -128,13 +129,13 @@ def csv_of(test: AccuracyTest, trials: Sequence[tuple[Trial, str]]) -> str:
     return file.getvalue()
 
 
-def _as_dict(trial: Trial, at: str) -> dict[str, Any]:
+def _as_dict(trial: Trial, at: str) -> TrialView:
     return {
         "round": trial.round + 1,
         "trial": trial.number + 1,
         "asked": trial.asked,
         "first": first_recognized(trial),
-        "outcome": trial.outcome.value,
+        "outcome": trial.outcome,
         "recognizedMs": trial.recognized_ms,
         "tries": [{"gesture": one.gesture, "states": one.states, "atMs": one.at_ms} for one in trial.tries],
         "repeats": trial.repeats,

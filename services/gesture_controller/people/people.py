@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import cast
 
 from handover.errors import Problem
 from handover.messages import message, text_of
@@ -21,6 +21,7 @@ from services.gesture_controller.people.person import (
     without_conflicts,
 )
 from services.gesture_controller.people.store import PeopleStore
+from services.gesture_controller.people.views import Finger, NeighbourView
 from services.gesture_controller.persistence import persist
 from services.gesture_controller.recognition.frames import is_glove_name
 from services.gesture_controller.recognition.gestures import Commands, Gestures, WrongGesture, is_code
@@ -283,7 +284,7 @@ class People:
         return without_conflicts(person, self.site.gestures, self._base_commands(name))
 
 
-def neighbour_view(neighbour: Neighbour | None) -> dict[str, Any] | None:
+def neighbour_view(neighbour: Neighbour | None) -> NeighbourView | None:
     """Return a neighbour as in REST responses."""
     if neighbour is None:
         return None
@@ -291,7 +292,7 @@ def neighbour_view(neighbour: Neighbour | None) -> dict[str, Any] | None:
         "gesture": neighbour.name,
         "code": neighbour.code,
         "distance": neighbour.distance,
-        "fingers": list(neighbour.fingers),
+        "fingers": cast("list[Finger]", list(neighbour.fingers)),
         "timesNoise": neighbour.sigmas,
     }
 

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, cast
 
 import orjson
 from fastapi import FastAPI, Request, Response
@@ -26,6 +26,16 @@ from services.gesture_controller.people.people import People, neighbour_view, re
 from services.gesture_controller.people.person import OwnGesture
 from services.gesture_controller.people.profile_file import Profile
 from services.gesture_controller.people.sample import UnclearSample, read_sample
+from services.gesture_controller.people.views import (
+    DefinedGesture,
+    FitView,
+    OwnGestureView,
+    PersonView,
+    PersonWithFreedCommands,
+    PersonWithGestures,
+    Side,
+    WearerView,
+)
 from services.gesture_controller.people.wearers import Wearers
 from services.gesture_controller.recognition.gestures import Shape, listed
 
@@ -124,7 +134,7 @@ def add_people(app: FastAPI, wearers: Wearers, gloves: KnownGloves, records: Glo
     _add_profiles(app, site)
 
     @app.put("/gloves/{glove}/person", tags=["people"])
-    async def wear(glove: str, wearer: Wearer) -> dict[str, Any]:
+    async def wear(glove: str, wearer: Wearer) -> WearerView:
         """Choose the wearer of a glove: their fit, gestures and commands apply at once.
 
         The current Task continues. Another glove of the same hand that they wore has no wearer then.
@@ -136,24 +146,24 @@ def add_people(app: FastAPI, wearers: Wearers, gloves: KnownGloves, records: Glo
             wearers.conditions.require_none(glove=worn.name, person=worn.person)
             wearers.conditions.require_none(person=wearer.person)
         await wearers.wear(worn, wearer.person)
-        return {"glove": worn.name, "hand": worn.hand, "person": worn.person}
+        return {"glove": worn.name, "hand": cast("Side", worn.hand), "person": worn.person}
 
 
 def _add_persons(app: FastAPI, site: _Site) -> None:
     @app.get("/people", tags=["people"])
-    async def list_people() -> list[dict[str, Any]]:
+    async def list_people() -> list[PersonView]:
         """List all people with their gloves, commands and own gestures."""
         return [_view(name, site) for name in site.people.names()]
 
     @app.get("/people/{person}", tags=["people"])
-    async def one(person: str) -> dict[str, Any]:
+    async def one(person: str) -> PersonWithGestures:
         """Return a person with all their gestures."""
         known = site.people.named(person).name
         every = listed(site.people.gestures_of(known), site.people.commands_of(known))
         return {**_view(known, site), "gestures": every}
 
     @app.put("/people/{person}", tags=["people"])
-    async def add(person: str, response: Response, given: Title | None = None) -> dict[str, Any]:
+    async def add(person: str, response: Response, given: Title | None = None) -> PersonView:
         """Add a person, or change their title: 201, or 200 if they were known."""
         response.status_code = 201 if await site.people.add(person, given.title if given else None) else 200
         return _view(person, site)
@@ -172,28 +182,28 @@ def _add_persons(app: FastAPI, site: _Site) -> None:
 
 def _add_commands(app: FastAPI, site: _Site) -> None:
     @app.put("/people/{person}/commands", tags=["people"])
-    async def commands(person: str, given: Mapping[CommandId, GestureName | None]) -> dict[str, Any]:
+    async def commands(person: str, given: Mapping[CommandId, GestureName | None]) -> PersonView:
         """Set all own commands of a person: `{"3": "Horns", "8": null}`."""
         site.require_no_study(person)
         await site.people.set_commands(person, given, whole=True)
         return _view(person, site)
 
     @app.patch("/people/{person}/commands", tags=["people"])
-    async def some_commands(person: str, given: Mapping[CommandId, GestureName | None]) -> dict[str, Any]:
+    async def some_commands(person: str, given: Mapping[CommandId, GestureName | None]) -> PersonView:
         """Set some own commands; the others stay. Send two commands at once to exchange their gestures."""
         site.require_no_study(person)
         await site.people.set_commands(person, given, whole=False)
         return _view(person, site)
 
     @app.put("/people/{person}/commands/{command}", tags=["people"])
-    async def command(person: str, command: CommandId, given: CommandGesture) -> dict[str, Any]:
+    async def command(person: str, command: CommandId, given: CommandGesture) -> PersonView:
         """Set the gesture of a person for one command."""
         site.require_no_study(person)
         await site.people.set_commands(person, {command: given.gesture}, whole=False)
         return _view(person, site)
 
     @app.delete("/people/{person}/commands/{command}", tags=["people"])
-    async def reset_command(person: str, command: CommandId) -> dict[str, Any]:
+    async def reset_command(person: str, command: CommandId) -> PersonView:
         """Use the gesture of the site for a command again."""
         site.require_no_study(person)
         await site.people.reset_command(person, command)
@@ -203,7 +213,7 @@ def _add_commands(app: FastAPI, site: _Site) -> None:
 def _add_gestures(app: FastAPI, site: _Site) -> None:
     @app.put("/people/{person}/gestures/{gesture}", tags=["people"])
     @max_body(MAX_RECORDING_BYTES)
-    async def define(person: str, gesture: str, given: Recording, response: Response) -> dict[str, Any]:
+    async def define(person: str, gesture: str, given: Recording, response: Response) -> DefinedGesture:
         """Define an own gesture of a person: 201, or 200 if it replaces one of that name.
 
         409 names the gesture that it is too near to, and the distance. 422 names the finger that moved, or
@@ -217,10 +227,10 @@ def _add_gestures(app: FastAPI, site: _Site) -> None:
         unreliable = list(_unreliable_fingers([glove] if glove else site.gloves.worn_by(person)))
         is_new, nearest = await site.people.define(person, gesture, own, thresholds, unreliable)
         response.status_code = 201 if is_new else 200
-        return {"person": person, "name": gesture, **own.as_dict(), "nearest": neighbour_view(nearest)}
+        return {"person": person, "name": gesture, **_own_view(own), "nearest": neighbour_view(nearest)}
 
     @app.delete("/people/{person}/gestures/{gesture}", tags=["people"])
-    async def drop_gesture(person: str, gesture: str) -> dict[str, Any]:
+    async def drop_gesture(person: str, gesture: str) -> PersonWithFreedCommands:
         """Delete an own gesture of a person; its commands get the gesture of the site again."""
         site.require_no_study(person)
         freed = await site.people.drop_gesture(person, gesture)
@@ -246,7 +256,7 @@ def _add_profiles(app: FastAPI, site: _Site) -> None:
     @app.put("/people/{person}/profile.yaml", tags=["people"])
     @accepts(*YAML_TYPES)
     @max_body(2 * MAX_PROFILE_BYTES)
-    async def import_profile(person: str, request: Request) -> dict[str, Any]:
+    async def import_profile(person: str, request: Request) -> PersonView:
         """Import a profile in place of everything stored for this person, in one transaction.
 
         422 names the line, the rule and the remedy. The name in the URL counts, not the one in the file.
@@ -352,24 +362,28 @@ def _unreliable_fingers(worn: list[Glove]) -> Iterator[str]:
             yield from (fault.finger for fault in find_lasting_faults(glove.reader.config.calibration))
 
 
-def _view(name: str, site: _Site) -> dict[str, Any]:
+def _view(name: str, site: _Site) -> PersonView:
     person = site.people.named(name)
     given = site.people.commands_of(name)
     return {
         "name": person.name,
         "title": person.title,
         "gloves": [
-            {"glove": glove.name, "hand": glove.hand, "connected": glove.is_connected}
+            {"glove": glove.name, "hand": cast("Side", glove.hand), "connected": glove.is_connected}
             for glove in site.gloves.worn_by(name)
         ],
         "fits": {glove: _fit_view(fit) for glove, fit in site.records.fits_of(name).items()},
         "commands": {str(command): gesture for command, gesture in sorted(given.gestures.items())},
         "ownCommands": {str(command): gesture for command, gesture in person.commands.items()},
-        "ownGestures": {gesture: own.as_dict() for gesture, own in person.gestures.items()},
+        "ownGestures": {gesture: _own_view(own) for gesture, own in person.gestures.items()},
         "faults": site.people.faults_of(name),
     }
 
 
-def _fit_view(fit: Fit) -> dict[str, Any]:
-    thresholds = fit.thresholds.as_dict() if fit.thresholds else None
+def _own_view(own: OwnGesture) -> OwnGestureView:
+    return cast("OwnGestureView", own.as_dict())
+
+
+def _fit_view(fit: Fit) -> FitView:
+    thresholds = cast("Any", fit.thresholds.as_dict()) if fit.thresholds else None
     return {"thresholds": thresholds, "recognizer": fit.recognizer, "changedAt": fit.changed_at or None}

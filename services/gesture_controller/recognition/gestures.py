@@ -13,6 +13,11 @@ from typing import Any, Literal
 from datamodels.states import Outcome
 from handover.messages import message
 from services.gesture_controller.recognition.finger_states import BENT, STRAIGHT
+from services.gesture_controller.recognition.gesture_views import (
+    CompositeGestureView,
+    PartView,
+    PlainGestureView,
+)
 from services.gesture_controller.recognition.thresholds import FINGERS
 
 M2O2P_GESTURES: Mapping[str, str] = {
@@ -356,13 +361,17 @@ def codes_in_use(gestures: Gestures, commands: Commands, prompted: Sequence[Part
     return frozenset({*commanded, *(part.code for part in prompted)})
 
 
-def listed(gestures: Gestures, commands: Commands) -> list[dict[str, Any]]:
+def listed(gestures: Gestures, commands: Commands) -> list[PlainGestureView | CompositeGestureView]:
     """Return the gestures as in REST responses: name, code or parts, and command."""
-    plain = [{"name": name, "code": code, "commandId": commands.ids.get(name)} for name, code in gestures]
-    composed: list[dict[str, Any]] = []
-    for name in gestures.composites:
-        parts = [{"gesture": part.gesture, "code": part.code} for part in gestures.parts_of(name)]
-        is_sequence = isinstance(gestures.composites[name], SequenceGesture)
-        shape = {"sequence": parts} if is_sequence else dict(zip(("left", "right"), parts, strict=True))
-        composed.append({"name": name, **shape, "commandId": commands.ids.get(name)})
-    return plain + composed
+    plain: list[PlainGestureView | CompositeGestureView] = [
+        {"name": name, "code": code, "commandId": commands.ids.get(name)} for name, code in gestures
+    ]
+    return plain + [_composite_view(name, gestures, commands) for name in gestures.composites]
+
+
+def _composite_view(name: str, gestures: Gestures, commands: Commands) -> CompositeGestureView:
+    first, second = (PartView(gesture=part.gesture, code=part.code) for part in gestures.parts_of(name))
+    command = commands.ids.get(name)
+    if isinstance(gestures.composites[name], SequenceGesture):
+        return {"name": name, "sequence": [first, second], "commandId": command}
+    return {"name": name, "left": first, "right": second, "commandId": command}

@@ -1,8 +1,9 @@
 """The generated TypeScript types of the messages between server and page."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
+from pydantic import Field
 from typing_extensions import TypedDict
 
 from webui import types
@@ -42,8 +43,17 @@ def test_typed_dictionaries_become_interfaces(monkeypatch: pytest.MonkeyPatch) -
     assert "  lamps: Lamp[];\n  [lamp: `lamp/${string}`]: Lamp;\n" in text
 
 
+def test_pairs_become_tuples_and_limits_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    fields = {"pair": tuple[int, str], "level": Annotated[int, Field(ge=0, le=9)]}
+    monkeypatch.setattr(views, "VIEWS", (TypedDict("Meter", fields),))  # type: ignore[operator]
+    monkeypatch.setattr(views, "TOPICS", {})
+    text = types.typescript()
+    assert "export interface Meter {\n  pair: [number, string];\n  level: number;\n}\n" in text
+
+
 def test_unsupported_schemas_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    bad = TypedDict("bad", {"pair": tuple[int, int]})  # noqa: UP013 - a class would be a second test module
+    either = Annotated[str, Field(json_schema_extra={"not": {}})]
+    bad = TypedDict("bad", {"either": either})  # type: ignore[valid-type]  # noqa: UP013
     monkeypatch.setattr(views, "VIEWS", (bad,))
     with pytest.raises(types.InvalidSchema, match="not supported"):
         types.typescript()

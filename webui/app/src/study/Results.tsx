@@ -101,7 +101,7 @@ function Found({ analysis }: { analysis: Analysis }) {
       </div>
       <p className="quiet">{t("results.method")}</p>
       <h3>{t("results.preference")}</h3>
-      <p>{t("results.preferred", preference)}</p>
+      <p>{t("results.preferred", { ...preference })}</p>
     </>
   );
 }

@@ -1,4 +1,4 @@
-/** The accuracy test: planned, led, and reported. */
+/** Accuracy tests: starting one, and the list of earlier ones with their reports. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { errorText } from "~/api/http";
@@ -16,7 +16,7 @@ import { useTopicSelector } from "~/live/hooks";
 import { useQueryParameter } from "~/route/queryParameter";
 import { TestReport } from "./TestReport";
 import { Trial } from "./Trial";
-import { beginTest, deleteTest, leadTest, type Gesture, type Phase, type TestSummary } from "./tests";
+import { beginTest, deleteTest, isPlain, leadTest, type Gesture, type Phase, type TestSummary } from "./tests";
 
 const rounds = ["1", "3", "5", "10"] as const;
 const tones: Partial<Record<Phase, Tone>> = { finished: "ok", interrupted: "attention", stopped: "neutral" };
@@ -55,7 +55,7 @@ function Planning({ glove }: { glove: string }) {
   const [failure, setFailure] = useState<string | null>(null);
   const [busy, setBusy] = useState(false);
   const isConnected = useTopicSelector(`glove/${glove}`, (view) => view?.connected) === true;
-  const plain = (gestures ?? []).filter((one) => one.code !== undefined).map((one) => one.name);
+  const plain = (gestures ?? []).filter(isPlain).map((one) => one.name);
   const chosen = plain.filter((one) => !left.includes(one));
   const often = Number(rounds.find((one) => one === howOften) ?? "10");
   const begin = async () => {

@@ -1,4 +1,4 @@
-/** Testing mode: a gesture is chosen, and the page says in green and red whether the glove sees it. */
+/** Test mode: the page shows whether the glove recognizes the chosen gesture. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { errorText } from "~/api/http";
@@ -15,7 +15,7 @@ import { Hand, useGestureName } from "~/hand/Hand";
 import { useTopicSelector } from "~/live/hooks";
 import type { Finger } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
-import { setTesting, type Gesture } from "./tests";
+import { isPlain, setTesting, type Gesture } from "./tests";
 
 const words = ["straight", "between", "bent"] as const;
 
@@ -25,7 +25,7 @@ export function FreeTrial({ glove }: { glove: string }) {
   const [failure, setFailure] = useState<string | null>(null);
   const [asked, setAsked] = useQueryParameter("gesture", "Thumbs up");
   const { value: gestures } = useServiceQuery<Gesture[]>("gesture-controller", "gestures");
-  const plain = (gestures ?? []).filter((one) => one.code !== undefined);
+  const plain = (gestures ?? []).filter(isPlain);
   const wanted = plain.find((one) => one.name === asked) ?? plain[0];
   const isTesting = useTopicSelector(`glove/${glove}`, (view) => view?.testing) === true;
   const side = useTopicSelector(`glove/${glove}`, (view) => view?.hand) ?? "right";
@@ -56,7 +56,7 @@ export function FreeTrial({ glove }: { glove: string }) {
       {wanted !== undefined && (
         <div className="test__two">
           <section className="test__side">
-            <GesturePicker label={t("try.wanted")} value={wanted.name} options={plain.map((one) => ({ value: one.name, hands: [{ code: one.code ?? "", side }] }))} onChange={setAsked} />
+            <GesturePicker label={t("try.wanted")} value={wanted.name} options={plain.map((one) => ({ value: one.name, hands: [{ code: one.code, side }] }))} onChange={setAsked} />
             <Hand key={wanted.name} states={code} side={side} animateFrom="00000" size="min(44vh, 420px)" label={nameOf(wanted.name)} />
           </section>
           <section className={isRight ? "test__side test__side--right" : "test__side test__side--wrong"} aria-live="polite">

@@ -60,7 +60,7 @@ function useColumns(turn: (rule: RuleView, on: boolean) => void): readonly Colum
           <>
             <span className="cell__name">{rule.name}</span>
             <p className="cell__detail">
-              <BreakableText of={rule.from} /> → <BreakableText of={rule.to} />
+              <BreakableText of={rule.from ?? "–"} /> → <BreakableText of={rule.to ?? "–"} />
             </p>
           </>
         ),

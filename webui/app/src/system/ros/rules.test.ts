@@ -12,7 +12,7 @@ const rule: RuleView = {
   receivedPerS: 0,
   forwarded: 0,
   forwardedPerS: 0,
-  dropped: 0,
+  dropped: 0, droppedByCause: {}, conflated: 0, errors: 0,
   lastValue: null,
   lastError: null,
   lastErrorAt: null,

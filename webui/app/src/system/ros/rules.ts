@@ -1,37 +1,19 @@
-/** The rules of the ROS bridge, polled while they are shown. */
+/** The rules of the ROS bridge, polled while the page shows them. */
 import { useMutation } from "@tanstack/react-query";
 import { useCallback } from "react";
+import type { RuleView } from "~/api/generated/ros-bridge";
 import { errorText, requestService } from "~/api/http";
 import { queryClient, useServiceQuery } from "~/api/useServiceQuery";
 
 const POLL_INTERVAL_MS = 2000;
 
-/** A rule as the bridge shows it; rates are per second. */
-export interface RuleView {
-  name: string;
-  section: string;
-  enabled: boolean;
-  from: string;
-  to: string;
-  type: string | null;
-  received: number;
-  receivedPerS: number;
-  forwarded: number;
-  forwardedPerS: number;
-  dropped: number;
-  lastValue: unknown;
-  lastError: string | null;
-  lastErrorAt: string | null;
-  /** Of a rule that subscribes to a topic: its number of publishers, and the last message that could not be decoded. */
-  publishers?: number;
-  lastUnreadable?: string | null;
-}
+export type { RuleView };
 
 export interface Rules {
-  /** None until the bridge has answered. */
+  /** Null until the bridge has responded. */
   rules: readonly RuleView[] | null;
   failure: string | null;
-  /** Switch a rule on or off, for good. */
+  /** Switch a rule on or off; it stays so after a restart. */
   turn: (rule: RuleView, on: boolean) => void;
 }
 
@@ -49,7 +31,7 @@ export function useRules(): Rules {
   return { rules: value, failure: error === null ? failure : errorText(error), turn };
 }
 
-/** A value in a line, whatever it is; a long one ends in "…". */
+/** A value as one line; a long one is cut with "…". */
 export function oneLine(value: unknown, maxLength = 160): string {
   if (value === null || value === undefined) return "";
   const line = typeof value === "string" ? value : JSON.stringify(value);
@@ -58,7 +40,7 @@ export function oneLine(value: unknown, maxLength = 160): string {
 
 export type Standing = "off" | "silent" | "works" | "waits";
 
-/** How a rule stands: switched off, nobody to listen to, at work, or at work with nothing to do yet. */
+/** The state of a rule: off, without a publisher, receiving, or waiting for the first message. */
 export function standing(rule: RuleView): Standing {
   if (!rule.enabled) return "off";
   if (rule.publishers === 0) return "silent";
