@@ -118,7 +118,15 @@ class Process:
         `Problem` 422 if it cannot be started so.
         """
         try:
-            run = Run.start(plan, record.parameters, now, library, at=at, results=results)
+            run = Run.start(
+                plan,
+                record.parameters,
+                now,
+                library,
+                at=at,
+                results=results,
+                identity=_identity(settings, record),
+            )
         except RunFailed as failure:
             raise Problem(422, "Process cannot start", text_of(failure)) from failure
         process = cls(settings, record, plan, run, library)
@@ -139,7 +147,8 @@ class Process:
     ) -> "Process":
         """Return a stored process; raise `RunFailed` if this release cannot continue it."""
         running = record.state if record.ended_at is None else None
-        run = Run.resume(plan, running, library) if running is not None else None
+        identity = _identity(settings, record)
+        run = Run.resume(plan, running, library, identity=identity) if running is not None else None
         process = cls(settings, record, plan, run, library)
         for task in tasks:
             process.composed.append(task.id)
@@ -320,7 +329,8 @@ class Process:
             _mend(run, act, token, now)
         except RunFailed as failure:
             assert self.record.state is not None  # noqa: S101 - a running process has one
-            self.run = Run.resume(self.plan, self.record.state, self.library)
+            identity = _identity(self.settings, self.record)
+            self.run = Run.resume(self.plan, self.record.state, self.library, identity=identity)
             raise Problem(409, "Not possible", text_of(failure)) from failure
         self._record_act(act)
         self._update(step, now)
@@ -531,3 +541,13 @@ def _mend(run: Run, act: Act, token: str | None, now: datetime) -> None:
             run.move(token, act.to or "", now)
         case ActKind.CANCEL_BRANCH:
             run.cancel_token(token, now)
+
+
+def _identity(settings: OrchestratorSettings, record: ProcessRecord) -> dict[str, Any]:
+    """Return what `execution` tells of a process in JUEL."""
+    return {
+        "processInstanceId": record.id,
+        "processBusinessKey": record.key,
+        "businessKey": record.key,
+        "processDefinitionId": settings.entity_id("ProcessDefinition", record.definition),
+    }

@@ -19,7 +19,7 @@ from services.task_orchestrator.execution.state import (
     TokenState,
     prefix_within,
 )
-from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.languages.base import EXECUTION, NOW, ExpressionError
 from services.task_orchestrator.model import MultiInstance, Node
 
 MAX_STEPS = 25_000
@@ -59,6 +59,29 @@ class UncaughtEscalation:
 Effect: TypeAlias = ThrownMessage | ThrownSignal | UncaughtEscalation
 
 
+class VisibleVariables(ChainMap[str, Any]):
+    """The variables that a token or frame sees.
+
+    Beside them expressions read the time of the step, and the properties of `execution` that JUEL has. Those
+    are no variables: they are not listed or copied.
+    """
+
+    def __init__(self, machine: "Machine", token: Token | None, *layers: MutableMapping[str, Any]) -> None:
+        super().__init__(*layers)
+        self._machine = machine
+        self._token = token
+
+    def __missing__(self, key: str) -> Any:
+        if key == NOW:
+            return self._machine.now.isoformat()
+        if key == EXECUTION:
+            return self._machine.execution(self._token)
+        raise KeyError(key)
+
+    def __contains__(self, key: object) -> bool:
+        return key in (NOW, EXECUTION) or super().__contains__(key)
+
+
 @dataclass
 class Machine:
     """The state of one process while it is changed at the moment `now`."""
@@ -66,6 +89,8 @@ class Machine:
     state: State
     library: Library
     now: datetime
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    """What `execution` tells of the process: its id, business key and definition."""
     queue: deque[int] = field(default_factory=deque)
     """The tokens that are about to do something."""
     steps: int = 0
@@ -217,20 +242,25 @@ class Machine:
         The mapping changes with the state and must not be changed.
         """
         frame = self.state.frames[token.frame]
-        if frame.process is not None and not token.local and token.body is None:
-            return frame.variables
-        return ChainMap(*self._own_layers(token), *self._layers(frame))
+        return VisibleVariables(self, token, *self._own_layers(token), *self._layers(frame))
 
-    def copy_variables(self, token: Token) -> dict[str, Any]:
+    def execution(self, token: Token | None) -> dict[str, Any]:
+        """Return the properties of `execution`."""
+        here = {} if token is None else {"id": str(token.id), "currentActivityId": token.node}
+        if token is not None:
+            here["currentActivityName"] = self.node(token).name
+        return {**self.identity, **here}
+
+    def copy_variables(self, token: Token) -> VisibleVariables:
         """Return a copy of the variables that a token sees."""
         copied: dict[str, Any] = {}
         for layer in reversed([*self._own_layers(token), *self._layers(self.frame_of(token))]):
             copied.update(layer)
-        return copied
+        return VisibleVariables(self, token, copied)
 
     def frame_variables(self, frame: Frame) -> MutableMapping[str, Any]:
         """Return the variables that are visible in a frame."""
-        return ChainMap(*self._layers(frame))
+        return VisibleVariables(self, None, *self._layers(frame))
 
     def _own_layers(self, token: Token) -> Iterator[dict[str, Any]]:
         if token.local:

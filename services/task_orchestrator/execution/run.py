@@ -96,8 +96,13 @@ class Subscription:
 class Run:
     """The execution of one process. Not thread-safe."""
 
-    def __init__(self, plan: Plan, state: State, library: Library) -> None:
+    def __init__(
+        self, plan: Plan, state: State, library: Library, identity: Mapping[str, Any] | None = None
+    ) -> None:
         self.plan = plan
+        self._identity = identity or {}
+        self._now = _NEVER
+        """When the last change was made."""
         self.effects: list[Effect] = []
         """Messages, signals and escalations that the process has thrown; the caller takes them away."""
         self._state = state
@@ -115,13 +120,14 @@ class Run:
         *,
         at: str | None = None,
         results: Mapping[str, Any] | None = None,
+        identity: Mapping[str, Any] | None = None,
     ) -> "Run":
         """Return a new run, advanced as far as possible.
 
         It starts at the none start event, or at the event `at` with the variables `results` that it brings.
         Raises `RunFailed` if the process has no such start.
         """
-        run = cls(plan, State(), library)
+        run = cls(plan, State(), library, identity)
         root = Frame(
             run._state.new_id(),
             plan.graph.scope.id,
@@ -154,9 +160,11 @@ class Run:
         return run
 
     @classmethod
-    def resume(cls, plan: Plan, snapshot: bytes, library: Library) -> "Run":
+    def resume(
+        cls, plan: Plan, snapshot: bytes, library: Library, *, identity: Mapping[str, Any] | None = None
+    ) -> "Run":
         """Return the run of a `snapshot`; raise `RunFailed` if this release cannot read it."""
-        run = cls(plan, read_snapshot(snapshot, library), library)
+        run = cls(plan, read_snapshot(snapshot, library), library, identity)
         run._saved = snapshot
         return run
 
@@ -178,7 +186,7 @@ class Run:
 
     def open(self) -> tuple[OpenActivity, ...]:
         """Return the activities that performers work on, in the order in which they were reached."""
-        machine = self._machine(_NEVER)
+        machine = self._machine(self._now)
         working = (token for token in self._state.tokens.values() if token.state is TokenState.WORK)
         return tuple(_open_activity(machine, token) for token in working)
 
@@ -201,7 +209,7 @@ class Run:
 
     def incidents(self) -> tuple[OpenIncident, ...]:
         """Return the tokens that cannot continue."""
-        machine = self._machine(_NEVER)
+        machine = self._machine(self._now)
         return tuple(
             OpenIncident(
                 str(token.id),
@@ -437,7 +445,8 @@ class Run:
     # Steps
 
     def _machine(self, now: datetime) -> Machine:
-        return Machine(self._state, self._library, now)
+        self._now = now
+        return Machine(self._state, self._library, now, self._identity)
 
     def _find(self, token: str) -> Token | None:
         return self._state.tokens.get(int(token)) if token.isdecimal() else None

@@ -36,6 +36,8 @@ NOW = "now()"
 
 Without it, `now()` of JUEL and FEEL reads the clock of the system.
 """
+EXECUTION = "execution"
+"""The key under which `variables` may have the properties of `execution` in JUEL."""
 
 
 class Expression(Protocol):

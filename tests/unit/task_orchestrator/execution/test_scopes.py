@@ -1,6 +1,7 @@
 """Scopes: subprocesses, called processes, their variables and data objects."""
 
 from dataclasses import replace
+from datetime import datetime
 from typing import Any
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.execution.state import RunFailed
+from services.task_orchestrator.languages.juel import read_juel
 from services.task_orchestrator.model import (
     Assignment,
     DataAssociation,
@@ -425,3 +427,19 @@ def test_a_task_without_work_passes() -> None:
     kinds = (Kind.TASK, Kind.MANUAL_TASK, Kind.USER_TASK, Kind.SERVICE_TASK, Kind.BUSINESS_RULE_TASK)
     for kind in kinds:
         assert Driver(scope(start(), node("t", kind), end(), ("start", "t", "end"))).done
+
+
+def test_expressions_read_the_time_of_the_step_and_the_execution_but_no_variable_shows_them() -> None:
+    both = Assignment("key", Value(expression=read_juel("${execution.processBusinessKey}")))
+    element = Assignment("element", Value(expression=read_juel("${execution.currentActivityId}")))
+    moment = Assignment("moment", Value(expression=read_juel("${now()}")))
+    content = scope(start(), work("a", inputs=(both, element, moment)), end(), ("start", "a", "end"))
+    library = Definitions(definition(content))
+    identity = {"processBusinessKey": "order 7"}
+    run = Run.start(library.plans["p"], {}, NOW, library, identity=identity)
+    (opened,) = run.open()
+    assert opened.variables["key"] == "order 7"
+    assert opened.variables["element"] == "a"
+    assert datetime.fromisoformat(opened.variables["moment"]) == NOW
+    assert set(opened.variables) == {"key", "element", "moment"}
+    assert run.variables() == {}
