@@ -3,7 +3,7 @@ import { localizedText } from "~/i18n/server";
 
 export type Service = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool" | "study" | "ros-bridge";
 
-/** Problem details (RFC 7807) as our services answer them, with what they add. */
+/** Problem details (RFC 7807), with the further members of our services. */
 export interface ProblemDetails {
   title: string;
   detail: string;
@@ -21,7 +21,7 @@ export class ApiError extends Error {
   }
 }
 
-/** The server could not be reached at all. */
+/** The server could not be reached. */
 export class NetworkError extends Error {
   constructor() {
     super("the server of this page does not answer; it may be starting, or the network is down");
@@ -29,7 +29,7 @@ export class NetworkError extends Error {
   }
 }
 
-/** Say what went wrong, in the language of the page where the server gave a code. */
+/** The text of an error, in the language of the page if the server sent a code. */
 export function errorText(error: unknown): string {
   if (error instanceof ApiError) return localizedText(error.problem, "detail") ?? error.message;
   return error instanceof Error ? error.message : String(error);
@@ -43,7 +43,7 @@ export interface RequestOptions {
   signal?: AbortSignal;
 }
 
-/** RequestOptions `path` (from `/api/`) and return what it answers: JSON, or text where it is no JSON. */
+/** Request `path` (below `/api/`) and return the response: JSON if it is JSON, else text. */
 export async function request<T>(path: string, { method = "GET", json, body, type, signal }: RequestOptions = {}): Promise<T> {
   const headers: Record<string, string> = { Accept: "application/json" };
   if (json !== undefined) headers["Content-Type"] = "application/json";

@@ -1,4 +1,4 @@
-/** A finger: what its sensor says now, what that is taken for, and its two thresholds with their steps. */
+/** A finger: the present value and state, and its two thresholds. */
 import { Minus, Plus } from "lucide-react";
 import { useId, useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -13,7 +13,7 @@ interface FingerColumnProps {
   glove: string;
   finger: Finger;
   isChosen: boolean;
-  /** Which of the thresholds differ from what is saved. */
+  /** The thresholds that differ from the saved ones. */
   saved: Thresholds[Finger];
   thresholds: Thresholds[Finger];
   step: number;
@@ -80,7 +80,7 @@ interface StepperProps {
 function Stepper({ name, label, value, isChanged, step, onMove }: StepperProps) {
   const { t, i18n } = useTranslation("calibrate");
   const id = useId();
-  /** What is being typed; it counts once the field is left. */
+  /** The text being typed; it is applied when the field loses the focus. */
   const [typed, setTyped] = useState<string | null>(null);
   const commit = () => {
     const to = typedNumber(typed ?? "", i18n.language);

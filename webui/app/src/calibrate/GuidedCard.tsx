@@ -1,4 +1,4 @@
-/** Guided: a fist, the open hand, ten seconds; then, for who wants it sharper, a second of any gesture. */
+/** The guided calibration (fist, open hand; ten seconds), and recordings of single gestures. */
 import { Hand as HandIcon } from "lucide-react";
 import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -111,7 +111,7 @@ function Outcome({ outcome }: { outcome: NonNullable<GuideView["outcome"]> }) {
   );
 }
 
-/** A sample was taken, but thresholds read the hand: they learn nothing from it. */
+/** A sample was recorded, but the recognizer in use (thresholds) does not use samples. */
 function Learnt({ glove, onUse }: { glove: string; onUse: () => void }) {
   const { t } = useTranslation("calibrate");
   const name = useTopicSelector(`glove/${glove}`, (view) => view?.recognizer?.name ?? "");
@@ -125,7 +125,7 @@ function Learnt({ glove, onUse }: { glove: string; onUse: () => void }) {
   );
 }
 
-/** A second of any gesture: what a person's own way of making it looks like. */
+/** Records one second of a gesture as this person makes it. */
 function Sample({ isDisabled, onShow }: { isDisabled: boolean; onShow: (gesture: string) => void }) {
   const { t } = useTranslation("calibrate");
   const gestures = (useServiceQuery<Gesture[]>(SERVICE, "gestures").value ?? []).filter((one) => one.code !== undefined);

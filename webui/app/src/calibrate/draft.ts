@@ -18,13 +18,13 @@ export function moved(thresholds: Thresholds, finger: Finger, bound: Bound, to: 
   return { ...thresholds, [finger]: after };
 }
 
-/** What differs from what is saved, as the controller takes it; null if nothing does. */
+/** The changed thresholds as a request body; null without changes. */
 export function changesOf(saved: Thresholds, draft: Thresholds): Partial<Thresholds> | null {
   const changed = fingers.filter((finger) => bounds.some((bound) => saved[finger][bound] !== draft[finger][bound]));
   return changed.length === 0 ? null : Object.fromEntries(changed.map((finger) => [finger, draft[finger]]));
 }
 
-/** What a finger would be taken for: 0 straight, 1 between, 2 bent. */
+/** The state of a finger: 0 straight, 1 between, 2 bent. */
 export function stateUnder({ upper, lower }: Thresholds[Finger], bend: number): "0" | "1" | "2" {
   if (bend > upper) return "0";
   return bend < lower ? "2" : "1";

@@ -1,10 +1,10 @@
-/** A card: something calm with a title that stands apart from the ground. */
+/** A card with a title. */
 import { useId, type ReactNode } from "react";
 import "./Card.css";
 
 export interface CardProps {
   title?: ReactNode;
-  /** What stands at the right of the title: a state, a button. */
+  /** Shown to the right of the title: a state, a button. */
   aside?: ReactNode;
   children: ReactNode;
   className?: string;

@@ -12,9 +12,9 @@ export interface ConfirmDialogProps {
   onClose: () => void;
   title: string;
   children?: ReactNode;
-  /** What the button that does it says: "Cancel bin picking". */
+  /** The text of the button that confirms: "Cancel bin picking". */
   act: string;
-  /** What the button that does nothing says, where "Cancel" could be mistaken for the act. */
+  /** The text of the button that closes the dialog, if "Cancel" would be ambiguous. */
   dismiss?: string;
   kind?: "main" | "stop";
   size?: "normal" | "large";

@@ -1,4 +1,4 @@
-/** An empty place says what would be here and offers the one act that fills it. */
+/** The text and the action of a page or table without content. */
 import type { ReactNode } from "react";
 import "./EmptyState.css";
 

@@ -1,4 +1,4 @@
-/** An error says what happened, what it means for the work, and what to do. */
+/** An error message: the event, its effect on the work, and the remedy. */
 import { TriangleAlert } from "lucide-react";
 import type { ReactNode } from "react";
 import "./ErrorMessage.css";

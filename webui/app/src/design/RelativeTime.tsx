@@ -1,6 +1,6 @@
 /**
- * A time as "12 s ago". The exact one appears on hover, and while the row that it stands in has the focus; a
- * time that stands alone is a tab stop of its own (`isStop`).
+ * A time as "12 s ago". The exact time appears on hover and while the row of a table has the focus. Outside a
+ * table the time is a tab stop itself (`isStop`).
  */
 import { useTranslation } from "react-i18next";
 import { useNow } from "~/live/clock";

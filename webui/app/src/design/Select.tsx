@@ -1,4 +1,4 @@
-/** One of many, from a list that opens: the browser's own, which every keyboard and screen reader knows. */
+/** The select element of the browser, with a label. */
 import { useId } from "react";
 import "./Field.css";
 

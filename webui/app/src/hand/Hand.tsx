@@ -11,7 +11,7 @@ export interface HandProps {
   /** Five finger states, thumb first: 0 straight, 1 between, 2 bent. */
   states: string;
   side?: Side;
-  /** What the hand shows first; it then moves to `states` once. Without it there is no such opening. */
+  /** The initial states, from which the hand moves to `states` once. */
   animateFrom?: string;
   /** How long a change takes. */
   moveMs?: number;
@@ -56,7 +56,7 @@ export function useFingers(states: string): string {
     .join(", ");
 }
 
-/** What a gesture is called in the language of the page; one that a site has added keeps its own name. */
+/** The name of a gesture in the language of the page; gestures added by the site keep their names. */
 export function useGestureName(): (gesture: string) => string {
   const { t, i18n } = useTranslation("hand");
   return (gesture) => (i18n.exists(`hand:gesture.${gesture}`) ? t(`gesture.${gesture}`) : gesture);

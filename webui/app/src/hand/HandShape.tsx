@@ -1,4 +1,4 @@
-/** The drawing of a hand: what `geometry.ts` gives, as SVG. It knows nothing of time or words. */
+/** A hand as SVG, drawn from `geometry.ts`. */
 import type { Finger } from "~/live/messages";
 import { outline, palm, palmLines, shapeOf, type Bend, type FingerShape, type Phalanx, type Point } from "./geometry";
 

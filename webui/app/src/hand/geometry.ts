@@ -35,7 +35,7 @@ export interface FingerShape {
 
 export const fingers: readonly Finger[] = ["thumb", "index", "middle", "ring", "little"];
 
-/** What is drawn lies within this box. */
+/** The box that contains the drawing. */
 export const box = hand.box;
 
 interface Anatomy {
@@ -89,7 +89,7 @@ export function frameOf(bends: readonly Bend[], margin = 8): { x: number; y: num
   return { x, y: top, width: right - x, height: bottom - top };
 }
 
-/** Return the bends that five finger states stand for; what is no state counts as straight. */
+/** Return the bends of five finger states; invalid states count as straight. */
 export function bendsOf(states: string): Bend[] {
   return fingers.map((_, nth) => ["0", "1", "2"].indexOf(states[nth] ?? "0")).map((bend) => Math.max(0, bend));
 }

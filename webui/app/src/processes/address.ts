@@ -1,4 +1,4 @@
-/** What the Processes page shows, as its path says it: nothing yet, a process, a definition, or a file to look at. */
+/** The content of the Processes page by its path: nothing, a process, a definition, or an uploaded file. */
 
 export type Place =
   | { kind: "nothing" }

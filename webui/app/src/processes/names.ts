@@ -9,7 +9,7 @@ export function performerOf(task: Pick<TaskView, "involves">): string {
   return first === undefined ? "" : shortName(first);
 }
 
-/** What a Task is called: its activity's name, or the activity's id where the file has no name. */
+/** The name of a Task: that of its activity, or the id of the activity if it has no name. */
 export function nameOf(task: Pick<TaskView, "name" | "element">): string {
   return task.name === "" ? task.element : task.name;
 }

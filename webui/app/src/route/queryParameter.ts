@@ -2,7 +2,7 @@
 import { useCallback } from "react";
 import { useSearchParams } from "wouter";
 
-/** A part of the URL's query as state; the default stands for no part at all, and no history is made. */
+/** A query parameter of the URL as state. The default value removes the parameter; the history has no entry. */
 export function useQueryParameter(name: string, standard = ""): [string, (value: string) => void] {
   const [query, setQuery] = useSearchParams();
   const set = useCallback(

@@ -1,4 +1,4 @@
-/** For who leads the study: begin a session, go on with one, delete one, and see what the answers say. */
+/** The page of the study leader: sessions and results. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { errorText } from "~/api/http";

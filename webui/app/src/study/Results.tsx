@@ -1,4 +1,4 @@
-/** What the answers say: SUS with its grade, and the workload with personal and with given gestures. */
+/** The results: SUS with its grade, and NASA-TLX with personal and with predefined gestures. */
 import { useTranslation } from "react-i18next";
 import { Card } from "~/design/Card";
 import "~/design/Figures.css";

@@ -1,4 +1,4 @@
-/** The Test page: what the glove makes of the hand, and how sure and quick that is. No Task is touched. */
+/** The Test page: live recognition and accuracy tests. It does not affect Tasks. */
 import { useTranslation } from "react-i18next";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { StatusBadge } from "~/design/StatusBadge";

@@ -1,4 +1,4 @@
-/** What a test found: Table 3 of the paper, what was taken for what, and how long it took. */
+/** The report of a test: Table 3 of the paper, the confusion matrix and the times. */
 import { useTranslation } from "react-i18next";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Card } from "~/design/Card";

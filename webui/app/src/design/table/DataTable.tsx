@@ -140,7 +140,7 @@ function compareValues(one: { getValue: (id: string) => unknown }, other: { getV
   return typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), undefined, { numeric: true });
 }
 
-/** The rows, under the headings of their groups; a group stands where its first row stands. */
+/** The rows, under the headings of their groups; groups are in the order of their first rows. */
 export function linesOf<T>(rows: readonly T[], keyOf: (row: T) => string, grouping?: Grouping<T>): Line<T>[] {
   const line = (row: T): Line<T> => ({ kind: "row", key: keyOf(row), row });
   if (grouping === undefined) return rows.map(line);

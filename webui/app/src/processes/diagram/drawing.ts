@@ -59,7 +59,7 @@ export class Drawing {
     });
   }
 
-  /** Draw a file; throws what the library says of a file that it cannot read. */
+  /** Draw a file; throws the error of the library if it cannot read the file. */
   async show(xml: string): Promise<void> {
     this.#ready = false;
     this.#shown = NO_MARKS;
@@ -69,7 +69,7 @@ export class Drawing {
     this.fit();
   }
 
-  /** Put marks in place of those that are shown; only what differs is touched. */
+  /** Replace the shown marks; only changed marks are redrawn. */
   mark(marks: Marks): void {
     if (!this.#ready) return;
     const change = difference(this.#shown, marks);

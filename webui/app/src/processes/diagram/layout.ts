@@ -1,6 +1,6 @@
 /** Layout: a BPMN file without a drawing gets one, so that every file can be looked at. */
 
-/** Whether a BPMN file says where its elements are drawn. */
+/** Whether a BPMN file has the positions of its elements. */
 export function hasDrawing(xml: string): boolean {
   return /<(?:[\w.-]+:)?BPMNShape[\s>]/.test(xml);
 }

@@ -11,7 +11,7 @@ export type Look = "token" | "failed" | "done" | "fault" | "picked";
 export interface Badge {
   kind: "token" | "failed" | "count" | "duration" | "fault";
   text: string;
-  /** The whole sentence, for the pointer and for who does not see. */
+  /** The full text, for tooltips and screen readers. */
   title: string;
 }
 

@@ -224,7 +224,7 @@ function Filters({ filter, onStatus, onDefinition, onInvolves, children }: Filte
   );
 }
 
-/** The address of a place, with what the list is filtered by. */
+/** The address of a place, with the filter of the list. */
 function useAddress(): (to: Place) => string {
   const query = new URLSearchParams(useSearch());
   for (const name of [...query.keys()]) if (!OWN_QUERY.includes(name)) query.delete(name);

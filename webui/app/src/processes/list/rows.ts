@@ -14,7 +14,7 @@ export type ProcessRow = Pick<
 export const SORT_ORDERS = ["newest", "oldest", "name", "key"] as const;
 export type ProcessSorting = (typeof SORT_ORDERS)[number];
 
-/** What is asked of the list besides words; "" for any. */
+/** The filter of the list; "" matches all. */
 export interface ProcessFilter {
   status: string;
   /** "bin-picking" or, with a version, "bin-picking@2". */
@@ -78,7 +78,7 @@ export function remembered(history: readonly ProcessRow[], news: readonly Proces
   return together(fresh, history).ended.slice(0, MAX_ENDED);
 }
 
-/** What is shown while somebody is in the list: the same rows in the same places, and how many wait. */
+/** The rows while somebody reads the list: in the same places, with the number of new ones. */
 export function held(shown: Sections, now: Sections): { sections: Sections; waiting: number } {
   const current = new Map([...now.running, ...now.ended].map((row) => [row.id, row]));
   const keep = (rows: readonly ProcessRow[]) => rows.map((row) => current.get(row.id) ?? row);

@@ -1,4 +1,4 @@
-/** The head of a process: what it is, how it stands, and what can be done about it. */
+/** The heading of a process: its definition, state and actions. */
 import { Ban, RotateCcw } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";

@@ -73,7 +73,7 @@ export function TaskPanel({ process, task, onClose }: TaskPanelProps) {
   );
 }
 
-/** Why it failed; where a person has said so, what they answered and their note. */
+/** The reason of the failure, or the answer of the person with their note. */
 function Reason({ task }: { task: TaskView }) {
   const { t } = useTranslation("processes");
   const { outcome, operator, note } = task.outputParameters ?? {};

@@ -1,4 +1,4 @@
-/** The state of a Task in words: also what a person has answered, and whether anybody is there to perform it. */
+/** The state of a Task, with the answer of the person, and whether its performer is connected. */
 import { useTranslation } from "react-i18next";
 import { StatusBadge } from "~/design/StatusBadge";
 import { statusTone } from "~/design/states";
@@ -17,7 +17,7 @@ export function TaskState({ task }: { task: TaskView }) {
   return <StatusBadge tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</StatusBadge>;
 }
 
-/** Return the glove that a Task waits for: it has been taken, but nobody wears the glove that could answer it. */
+/** Return the glove that a Task waits for: the Task is accepted, but the glove is not connected. */
 function useAbsent({ status, involves }: TaskView): string | null {
   const gloves = useFamily("glove");
   if (status !== "inProgress") return null;

@@ -1,4 +1,4 @@
-/** Values: what a process was started with, and what it knows by now. */
+/** The parameters and the present variables of a process. */
 import { useTranslation } from "react-i18next";
 import type { ProcessView } from "~/live/messages";
 import "./Values.css";

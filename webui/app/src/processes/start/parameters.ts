@@ -27,7 +27,7 @@ export function kindOf(parameter: Parameter): Kind {
   }
 }
 
-/** What stands in the field before anything is typed. */
+/** The initial text of the field. */
 export function initialText(parameter: Parameter): string {
   const { default: value } = parameter;
   if (value === null || value === undefined) return "";

@@ -16,7 +16,7 @@ import "./Timeline.css";
 const MAX_BARS = 400;
 const MAX_ZOOM = 64;
 const MARK_PX = 110;
-/** What the performers' names take at the left; the same stands in the style. */
+/** The width of the performers' names; the style has the same value. */
 const NAMES_PX = 112;
 
 export interface TimelineProps {

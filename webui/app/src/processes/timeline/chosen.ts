@@ -1,4 +1,4 @@
-/** What the URL says about which Tasks are looked at, and the Tasks that fit it. */
+/** The filter of the Tasks, stored in the URL, and the matching Tasks. */
 import type { ProcessView, Status, TaskView } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
 import { filtered, statusesOf, type Filter } from "./filter";

@@ -1,6 +1,6 @@
 /**
- * Course: how a Task went, in moments of one clock (ms). It is handed out, taken up, worked on, and ends.
- * Performers note the moments with clocks of their own, so what would run backwards is straightened.
+ * The course of a Task: created, accepted, in progress, ended; times in ms of one clock. Performers use their own
+ * clocks, so times that would run backwards are corrected.
  */
 import type { Status, TaskView } from "~/live/messages";
 
@@ -12,13 +12,13 @@ export interface Stretch {
 
 export interface Course {
   fromMs: number;
-  /** Until when it went, or has gone by now. */
+  /** The end, or the present time while the Task is open. */
   toMs: number;
   ended: boolean;
   stretches: Stretch[];
-  /** How long it lay before somebody began to work on it. */
+  /** The time until its performer began. */
   waitedMs: number;
-  /** How long it was worked on, pauses not counted. */
+  /** The time in progress, without pauses. */
   workedMs: number;
 }
 

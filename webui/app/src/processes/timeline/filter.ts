@@ -1,4 +1,4 @@
-/** Filter: which Tasks of a process one looks at. It stands in the URL, so that it can be sent to a colleague. */
+/** The filter of the Tasks of a process, stored in the URL. */
 import { localizedText } from "~/i18n/server";
 import type { Status, TaskView } from "~/live/messages";
 import { nameOf, performerOf, taskMark } from "../names";
@@ -11,7 +11,7 @@ export interface Filter {
 
 export const statuses: readonly Status[] = ["pending", "assigned", "inProgress", "paused", "completed", "failed"];
 
-/** Read the statuses from a URL; what is no status is left out. */
+/** Read the statuses from a URL; invalid ones are ignored. */
 export function statusesOf(query: string): Status[] {
   const wanted = query.split(",");
   return statuses.filter((status) => wanted.includes(status));

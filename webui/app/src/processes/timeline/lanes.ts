@@ -35,7 +35,7 @@ export function lanesOf(tasks: readonly TaskView[], nowMs: number): Lane[] {
   }));
 }
 
-/** The first row in which nothing goes on any more when `course` begins. */
+/** The first row that is free when `course` begins. */
 function freeRow(bars: readonly Bar[], course: Course): number {
   const until: number[] = [];
   for (const bar of bars) until[bar.row] = Math.max(until[bar.row] ?? -Infinity, bar.course.toMs);

@@ -1,4 +1,4 @@
-/** Upload: a BPMN file is looked at and tried before it is deployed; what is wrong stands at its element. */
+/** Upload: a BPMN file is shown and checked before it is deployed; faults are shown at their elements. */
 import { FileCheck2, FileUp } from "lucide-react";
 import { lazy, Suspense, useEffect, useMemo, useState } from "react";
 import { FileTrigger } from "react-aria-components";

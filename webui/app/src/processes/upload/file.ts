@@ -1,4 +1,4 @@
-/** The text of a BPMN file, read in the encoding that it says it has. */
+/** The text of a BPMN file, in the encoding that its XML declaration names. */
 export async function textOf(file: Blob): Promise<string> {
   const bytes = await file.arrayBuffer();
   const head = new TextDecoder("latin1").decode(bytes.slice(0, 200));
