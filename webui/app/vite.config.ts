@@ -14,6 +14,7 @@ export default defineConfig({
   server: { host: "127.0.0.1", proxy: { "/api": { target: served, ws: true } } },
   test: {
     restoreMocks: true,
+    maxWorkers: "100%", // by default one core is left idle, which is half of a machine with two
     testTimeout: 60_000, // how long a test takes is no concern of it: others run beside it
     projects: [
       // A document is slow to make: only what is drawn is tested in one, and what says so itself.
