@@ -4,6 +4,7 @@ Notifications may be late, duplicated or lost. Older states are ignored, and a k
 A value that the bridge itself wrote from the ROS graph is not sent back to the graph. Pure.
 """
 
+import math
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -17,6 +18,8 @@ from ros_fiware_bridge.rules.message_builder import Scope
 MAX_TRACKED_ENTITIES = 10_000
 ECHO_WINDOW_S = 5.0
 """A value that returns from the graph later than this is not treated as an echo."""
+MISSED_AFTER_S = 10.0
+"""A polled state that was not notified within this time counts as missed."""
 NULL = "urn:ngsi-ld:null"
 _MEMBERS = ("value", "object", "languageMap", "json")
 
@@ -27,6 +30,9 @@ class _Known:
     observed: dict[str, str] = field(default_factory=dict)
     foreign: dict[str, tuple[str, float]] = field(default_factory=dict)
     """Digest and time of the values that other clients wrote, until a value of the graph replaces them."""
+    taken_s: float = -math.inf
+    unnotified: tuple[dict[str, tuple[str, str]], float] | None = None
+    """A polled state that differs from the known one, and when it was first polled."""
 
 
 class ChangeTracker:
@@ -39,14 +45,10 @@ class ChangeTracker:
     def take(self, entity: Mapping[str, Any], now_s: float) -> bool:
         """Record the state of an entity (normalized); return whether it has changed for the ROS graph."""
         entity_id = str(entity.get("id"))
-        seen = {
-            name: attribute
-            for name, attribute in entity.items()
-            if (not self._attributes or name in self._attributes) and _has_value(attribute)
-        }
         known = self._known.setdefault(entity_id, _Known())
+        known.taken_s, known.unnotified = now_s, None
         changed = False
-        for name, attribute in seen.items():
+        for name, attribute in self._watched(entity).items():
             at = str(attribute.get("observedAt", ""))
             if _is_older(at, known.observed.get(name, "")):
                 continue
@@ -56,10 +58,34 @@ class ChangeTracker:
                 if not origin.is_ours(attribute):
                     changed, known.foreign[name] = True, (origin.coarse_digest(_value_of(attribute)), now_s)
             known.digests[name], known.observed[name] = now, at
-        self._known.move_to_end(entity_id)
-        while len(self._known) > MAX_TRACKED_ENTITIES:
-            self._known.popitem(last=False)
+        self._trim(entity_id)
         return changed
+
+    def was_taken_since(self, entity_id: str, read_s: float) -> bool:
+        """Return whether a state was recorded since `read_s`; what was read then may be older."""
+        return (known := self._known.get(entity_id)) is not None and known.taken_s >= read_s
+
+    def is_missed(self, entity: Mapping[str, Any], now_s: float) -> bool:
+        """Return whether a polled state was never notified.
+
+        A poll overtakes notifications that are still on their way. A state counts as missed if polls have
+        returned it for `MISSED_AFTER_S`, and no notification of the entity has arrived in that time.
+        """
+        entity_id = str(entity.get("id"))
+        known = self._known.setdefault(entity_id, _Known())
+        self._trim(entity_id)
+        state = {
+            name: (origin.digest(attribute), str(attribute.get("observedAt", "")))
+            for name, attribute in self._watched(entity).items()
+        }
+        if all(
+            (known.digests.get(name), known.observed.get(name)) == digests for name, digests in state.items()
+        ):
+            known.unnotified = None
+            return False
+        if known.unnotified is None or known.unnotified[0] != state:
+            known.unnotified = state, now_s
+        return now_s - known.unnotified[1] >= MISSED_AFTER_S
 
     def is_echo(self, entity_id: str, attribute: str, value: Any, now_s: float) -> bool:
         """Return whether this value is what another client has just written."""
@@ -71,6 +97,18 @@ class ChangeTracker:
         """Record that a value of the ROS graph replaces what other clients wrote."""
         if (known := self._known.get(entity_id)) is not None:
             known.foreign.pop(attribute, None)
+
+    def _watched(self, entity: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+        return {
+            name: attribute
+            for name, attribute in entity.items()
+            if (not self._attributes or name in self._attributes) and _has_value(attribute)
+        }
+
+    def _trim(self, latest: str) -> None:
+        self._known.move_to_end(latest)
+        while len(self._known) > MAX_TRACKED_ENTITIES:
+            self._known.popitem(last=False)
 
 
 def scope_of(entity: Mapping[str, Any], now_s: float) -> Scope:

@@ -25,9 +25,6 @@ from ros_fiware_bridge.rules.message_builder import Scope
 
 log = get_logger(__name__)
 
-NOTIFICATIONS_PENDING_S = 5.0
-"""For this time after a notification with trusted content, others of the same entity may be pending."""
-
 Effect = Callable[[Mapping[str, Any], Scope], None]
 """Called with a changed entity (normalized)."""
 
@@ -38,6 +35,9 @@ class Listener:
     The state that the broker holds at the start counts as a change only with `at_start`. A notification names
     the entities to read; with `trust_notifications` its content is passed on instead. Reading costs a query,
     and of values that change faster than queries are answered only the newest is seen.
+
+    States are passed on in the order in which the broker had them: a polled state never follows a newer one,
+    and with `trust_notifications` never precedes values whose notifications are on their way.
     """
 
     def __init__(
@@ -62,8 +62,6 @@ class Listener:
         self._at_start = at_start
         self._trust_notifications = trust_notifications
         self._began = False
-        self._notified_at_s: dict[str, float] = {}
-        """When the content of a notification of each entity was passed on last."""
 
     def subscription(self, subscription_id: str, endpoint: Mapping[str, Any]) -> dict[str, Any]:
         """Return the subscription as NGSI-LD."""
@@ -83,12 +81,8 @@ class Listener:
         }
 
     async def poll(self, broker: BrokerClient) -> None:
-        """Poll the broker. Raises `BrokerError`.
-
-        An entity whose notifications are trusted is skipped while they arrive: its present state would
-        overtake those that are pending.
-        """
-        chosen = self.selector
+        """Poll the broker. Raises `BrokerError`."""
+        began_s, chosen = time.monotonic(), self.selector
         if chosen.id is not None and chosen.q is None:
             entities = []
             with suppress(NotFound):
@@ -98,11 +92,14 @@ class Listener:
                 type=chosen.type, id=chosen.id, id_pattern=chosen.id_pattern, q=chosen.q
             )
         first, self._began = not self._began, True
-        since_s = time.monotonic() - NOTIFICATIONS_PENDING_S
-        self._notified_at_s = {name: at_s for name, at_s in self._notified_at_s.items() if at_s > since_s}
         for entity in entities:
-            if entity.get("id") not in self._notified_at_s:
-                self.take(entity, baseline=first and not self._at_start)
+            if not self._is_chosen(entity) or self.tracker.was_taken_since(str(entity["id"]), began_s):
+                continue
+            if self._trust_notifications and not first:
+                if not self.tracker.is_missed(entity, time.monotonic()):
+                    continue
+                log.warning("notification missed", rule=self.name, entity=entity["id"])
+            self.take(entity, baseline=first and not self._at_start)
 
     async def read(self, notified: Iterable[Mapping[str, Any]], receiver: NotificationReceiver) -> None:
         """Retrieve the entities of a notification and pass on changes. Raises `BrokerError`.
@@ -111,9 +108,7 @@ class Listener:
         robot.
         """
         if self._trust_notifications:
-            now_s = time.monotonic()
             for entity in notified:
-                self._notified_at_s[str(entity.get("id"))] = now_s
                 self.take(entity)
             return
         ids = ids_of([entity for entity in notified if self._is_chosen(entity)])

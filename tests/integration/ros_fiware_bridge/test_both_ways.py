@@ -108,6 +108,16 @@ async def test_a_rule_for_every_value_skips_none(shop: Any) -> None:
     assert httpx.post(url, json=forged, timeout=120).status_code == 403
 
 
+async def test_a_rule_for_every_value_publishes_a_value_that_was_not_notified(shop: Any) -> None:
+    _, received = await shop.subscribe("/count", "std_msgs/msg/Int32", Qos(depth=1000))
+    counter = {"id": "urn:ngsi-ld:Device:demo:counter-1", "type": "Device"}
+    await shop.broker.upsert([{**counter, "count": {"type": "Property", "value": -1}}])
+    await shop.until(lambda: received == [{"data": -1}])
+    await shop.broker.delete_subscription("urn:ngsi-ld:Subscription:demo:ros-bridge-rule-every")
+    await shop.broker.upsert([{**counter, "count": {"type": "Property", "value": -2}}])
+    await shop.until(lambda: received == [{"data": -1}, {"data": -2}], 60.0)
+
+
 async def test_the_type_of_a_topic_is_taken_from_the_graph(shop: Any) -> None:
     publisher = await shop.robot.publisher("/words", "std_msgs/msg/String", LATCHED)
     await shop.until(lambda: shop.rule("untyped")["type"] == "std_msgs/msg/String")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ros_fiware_bridge.rules import origin
-from ros_fiware_bridge.rules.change_tracker import ChangeTracker
+from ros_fiware_bridge.rules.change_tracker import MISSED_AFTER_S, ChangeTracker
 
 
 def entity(value: Any, at: str | None = None, **more: Any) -> dict[str, Any]:
@@ -23,6 +23,33 @@ def test_a_later_observation_is_a_change_and_an_earlier_one_is_not() -> None:
     tracker = ChangeTracker(["speed"])
     changed = [tracker.take(entity(3, f"2026-01-01T00:00:0{second}Z"), 0.0) for second in (2, 3, 1, 3)]
     assert changed == [True, True, False, False]
+
+
+def test_a_polled_state_is_missed_only_without_notifications_for_a_while() -> None:
+    tracker = ChangeTracker(["speed"])
+    tracker.take(entity(1), 0.0)
+    assert not tracker.is_missed(entity(4), 1.0), "the notifications of 2, 3 and 4 may be on their way"
+    tracker.take(entity(2), 2.0)
+    assert not tracker.is_missed(entity(4), 3.0)
+    assert not tracker.is_missed(entity(4), 3.0 + MISSED_AFTER_S - 0.1)
+    assert not tracker.is_missed(entity(5), 3.0 + MISSED_AFTER_S), "the value still changes"
+    assert tracker.is_missed(entity(5), 3.0 + 2 * MISSED_AFTER_S)
+    assert tracker.take(entity(5), 3.0 + 2 * MISSED_AFTER_S)
+    assert not tracker.is_missed(entity(5), 100.0), "the known state is not missed"
+
+
+def test_a_state_of_an_entity_that_was_never_notified_is_missed_after_a_while() -> None:
+    tracker = ChangeTracker(["speed"])
+    assert not tracker.is_missed(entity(1), 0.0)
+    assert tracker.is_missed(entity(1), MISSED_AFTER_S)
+
+
+def test_a_read_that_began_before_the_last_state_was_taken_is_recognized() -> None:
+    tracker = ChangeTracker(["speed"])
+    assert not tracker.was_taken_since("e", 0.0)
+    tracker.take(entity(1), 5.0)
+    assert tracker.was_taken_since("e", 4.0)
+    assert not tracker.was_taken_since("e", 6.0)
 
 
 def test_a_change_of_another_attribute_is_ignored() -> None:
