@@ -17,6 +17,7 @@ from tests.kit.cell import Cell, new_cell
 from tests.kit.paths import RECORDINGS
 from tests.kit.ports import next_free_port
 from tests.kit.skipping import is_allowed_to_skip
+from tests.kit.time_limits import scale_alarm
 from tests.kit.waiting import wait_for
 
 DEFAULT_EXAMPLES = 25
@@ -50,6 +51,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     from tests.kit.scheduling import GroupScheduling
 
     return GroupScheduling(config, log)
+
+
+@pytest.hookimpl(wrapper=True, optionalhook=True)
+def pytest_timeout_set_timer(settings: Any) -> Generator[None, Any, Any]:
+    """Let the time limit of each test grow with the load of the machine."""
+    result = yield
+    scale_alarm(settings.timeout)
+    return result
 
 
 STARTS_SERVICES = frozenset({"cell", "shared_cell", "host_cell", "own_broker"})

@@ -44,13 +44,13 @@ def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
     """Answer a Task as its performer would, in the broker."""
     entity = f"{cell.url('context_broker')}/ngsi-ld/v1/entities/{task}"
     # Its own performer takes it up first, and would write over what was answered before that.
-    wait_for(lambda: '"inProgress"' in httpx.get(entity).text)
+    wait_for(lambda: '"inProgress"' in httpx.get(entity, timeout=120).text)
     stamp = iso(datetime.now(UTC))
     body = {
         "status": {"type": "Property", "value": status, "observedAt": stamp},
         "outputParameters": {"type": "Property", "value": outputs, "observedAt": stamp},
     }
-    httpx.post(f"{entity}/attrs", json=body).raise_for_status()
+    httpx.post(f"{entity}/attrs", json=body, timeout=120).raise_for_status()
 
 
 @pytest.fixture(scope="module")  # while Playwright is there, its loop runs and no other test may run one
@@ -77,13 +77,13 @@ def screen(cell: Cell) -> Cell:
 def quiet_screen(screen: Cell) -> Cell:
     """A screen at which nobody is asked for anything: what tests before have begun is cancelled."""
     processes = f"{screen.url('task_orchestrator')}/processes"
-    for process in httpx.get(processes, params={"status": "inProgress"}).json():
-        httpx.post(f"{processes}/{process['id']}/cancel").raise_for_status()
+    for process in httpx.get(processes, params={"status": "inProgress"}, timeout=120).json():
+        httpx.post(f"{processes}/{process['id']}/cancel", timeout=120).raise_for_status()
     for busy in (
         f"{screen.url('gesture_controller')}/gloves/glove-1",
         f"{screen.url('trajectory_tool')}/robots/ur10-1",
     ):
-        wait_for(lambda busy=busy: httpx.get(busy).json()["task"] is None)  # type: ignore[misc]
+        wait_for(lambda busy=busy: httpx.get(busy, timeout=120).json()["task"] is None)  # type: ignore[misc]
     return screen
 
 

@@ -25,7 +25,9 @@ def cell(shared_cell: Cell) -> Cell:
 
 def thresholds(cell: Cell) -> dict[str, Any]:
     """Return the thresholds that the controller reads glove-1 with."""
-    return dict(httpx.get(f"{cell.url('gesture_controller')}/gloves/glove-1").json()["thresholds"])
+    return dict(
+        httpx.get(f"{cell.url('gesture_controller')}/gloves/glove-1", timeout=120).json()["thresholds"]
+    )
 
 
 @pytest.mark.usefixtures("glove_screen")
@@ -99,24 +101,25 @@ def test_a_guided_calibration_names_the_unreliable_finger(
     keep: Callable[[Page, str], Path],
     accessible: Callable[[Page], None],
 ) -> None:
-    glove = TcpGlove(glove_screen.ports["glove"])
     page = open_page("/calibrate?glove=glove-1")
-    page.get_by_role("button", name="Start calibration").click()
-    page.get_by_text("Make a fist").wait_for()
-    keep(page, "calibrate-guided")
-    shown = {"fist": "22202", "open": "00000"}  # a ring finger that stays as it is
+    with TcpGlove(glove_screen.ports["glove"]) as glove:
+        page.get_by_role("button", name="Start calibration").click()
+        page.get_by_text("Make a fist", exact=True).wait_for()  # the text beside the button contains it too
+        keep(page, "calibrate-guided")
+        shown = {"fist": "22202", "open": "00000"}  # a ring finger that stays as it is
 
-    def is_led() -> bool:
-        guide = httpx.get(f"{glove_screen.url('gesture_controller')}/gloves/glove-1").json()["calibration"]
-        glove.show(shown[guide["step"]], 0.2)
-        return guide["outcome"] is not None
+        def is_led() -> bool:
+            guide = httpx.get(f"{glove_screen.url('gesture_controller')}/gloves/glove-1", timeout=120).json()[
+                "calibration"
+            ]
+            glove.show(shown[guide["step"]], 0.2)
+            return guide["outcome"] is not None
 
-    wait_for(is_led)
-    warning = page.locator(".guided__outcome li").filter(has_text="ring finger")
-    expect(warning).to_contain_text("always shows the same value")
-    accessible(page)
-    keep(page, "calibrate-sensor-warning")
-    glove.close()
+        wait_for(is_led)
+        warning = page.locator(".guided__outcome li").filter(has_text="ring finger")
+        expect(warning).to_contain_text("always shows the same value")
+        accessible(page)
+        keep(page, "calibrate-sensor-warning")
 
 
 @pytest.mark.parametrize("language", ["en", "de", "fi"])

@@ -72,9 +72,11 @@ def test_every_example_has_a_readme_that_the_index_links() -> None:
 def test_recognizer_reads_a_glove(extended_cell: Cell) -> None:
     cell = extended_cell
     cell.start("context_broker", "gesture_controller")
-    with httpx.Client(base_url=cell.url("gesture_controller"), trust_env=False) as controller:
+    with (
+        httpx.Client(base_url=cell.url("gesture_controller"), timeout=120, trust_env=False) as controller,
+        TcpGlove(cell.ports["glove"]) as glove,
+    ):
         assert "nearest" in controller.get("/recognizers").json()
-        glove = TcpGlove(cell.ports["glove"])
         hands = {"fist": [[BENT] * 5] * 20, "open": [[STRAIGHT] * 5] * 20}
         controller.post("/gloves/glove-1/calibration", json=hands).raise_for_status()
         controller.put("/gloves/glove-1/recognizer", json={"name": "nearest"}).raise_for_status()
@@ -85,7 +87,6 @@ def test_recognizer_reads_a_glove(extended_cell: Cell) -> None:
 
         wait_for(lambda: recognition()["gesture"] == "Thumbs up", why=lambda: str(recognition()))
         assert "no finger differs by more than" in recognition()["why"]
-        glove.close()
 
 
 def test_glove_source_sends_datagrams_as_frames(extended_cell: Cell) -> None:
@@ -97,7 +98,7 @@ def test_glove_source_sends_datagrams_as_frames(extended_cell: Cell) -> None:
 
     def frames() -> int:
         sender.sendto(b"1700,400,400,400,400", ("127.0.0.1", port))
-        glove = httpx.get(f"{cell.url('gesture_controller')}/gloves/glove-1")
+        glove = httpx.get(f"{cell.url('gesture_controller')}/gloves/glove-1", timeout=120)
         return int(glove.json()["frames"]) if glove.is_success else 0
 
     try:
@@ -117,7 +118,7 @@ async def test_robot_moves_for_a_task(extended_cell: Cell, driver: str) -> None:
     target = [1.1, 0.3, -0.5, 1.2, 0.4, 0.5, 4.0]
     task = await create_task(cell, "move", "rail-1", operation="moveTo", joints=target)
     assert await task_ends_as(cell, task) == "completed"
-    robot = httpx.get(f"{cell.url('trajectory_tool')}/robots/rail-1").json()
+    robot = httpx.get(f"{cell.url('trajectory_tool')}/robots/rail-1", timeout=120).json()
     assert robot["joints"]["position"] == pytest.approx(target)
     assert robot["joints"]["name"][0] == "rail"
 
@@ -144,7 +145,7 @@ async def test_robot_moves_for_a_task(extended_cell: Cell, driver: str) -> None:
         "maxAcceleration": 1.5,
         "maxJerk": 60.0,
     }
-    urdf = httpx.get(parameters["urdf"])
+    urdf = httpx.get(parameters["urdf"], timeout=120)
     assert urdf.headers["content-type"].startswith("application/xml")
     assert ET.fromstring(urdf.text).get("name") == "rail"
 
@@ -186,7 +187,7 @@ async def test_ros_adapter_carries_topics_both_ways(extended_cell: Cell) -> None
 def test_exporter_writes_the_history_of_a_process(extended_cell: Cell) -> None:
     cell = extended_cell
     cell.start("context_broker", "task_orchestrator")
-    orchestrator = httpx.Client(base_url=cell.url("task_orchestrator"), trust_env=False)
+    orchestrator = httpx.Client(base_url=cell.url("task_orchestrator"), trust_env=False, timeout=120)
     process = orchestrator.post("/processes", json={"definition": "bin-picking"}).json()["id"]
     wait_for(lambda: orchestrator.get(f"/processes/{process}").json()["tasks"])
     file = cell.data_dir / "log.xes"

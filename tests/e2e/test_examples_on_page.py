@@ -41,7 +41,7 @@ def move(cell: Cell, name: str, joints: list[float]) -> None:
         },
         "workParameters": {"type": "Property", "value": {"operation": "moveTo", "joints": joints}},
     }
-    httpx.post(f"{cell.url('context_broker')}/ngsi-ld/v1/entities", json=task).raise_for_status()
+    httpx.post(f"{cell.url('context_broker')}/ngsi-ld/v1/entities", json=task, timeout=120).raise_for_status()
 
 
 def test_the_page_shows_the_joints_and_the_3d_view_of_a_robot_of_another_package(

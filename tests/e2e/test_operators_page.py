@@ -30,8 +30,8 @@ def cell(shared_cell: Cell) -> Cell:
 def completed_by(cell: Cell) -> list[tuple[str, str]]:
     """How and by whom each Task of the operator was completed in the last process, a completed one."""
     orchestrator = cell.url("task_orchestrator")
-    last = httpx.get(f"{orchestrator}/processes").json()[0]["id"]
-    process = httpx.get(f"{orchestrator}/processes/{last}").json()
+    last = httpx.get(f"{orchestrator}/processes", timeout=120).json()[0]["id"]
+    process = httpx.get(f"{orchestrator}/processes/{last}", timeout=120).json()
     assert process["status"] == "completed", process
     outputs = [task["outputParameters"] for task in process["tasks"]]
     return [(each["by"], each.get("operator", "")) for each in outputs if "by" in each]
@@ -202,7 +202,8 @@ def test_with_the_glove_only(
     accessible: Callable[[Page], None],
 ) -> None:
     gestures = {
-        each["name"]: each["code"] for each in httpx.get(f"{cell.url('gesture_controller')}/gestures").json()
+        each["name"]: each["code"]
+        for each in httpx.get(f"{cell.url('gesture_controller')}/gestures", timeout=120).json()
     }
     page = open_page(WORK)
     page.get_by_role("heading", name="Nothing to do right now").wait_for()

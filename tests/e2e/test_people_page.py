@@ -29,7 +29,7 @@ def cell(shared_cell: Cell) -> Cell:
 
 def person(cell: Cell, name: str) -> dict[str, Any]:
     """Return a person as the controller has them."""
-    answer = httpx.get(f"{cell.url('gesture_controller')}/people/{name}")
+    answer = httpx.get(f"{cell.url('gesture_controller')}/people/{name}", timeout=120)
     return dict(answer.raise_for_status().json())
 
 
@@ -67,14 +67,14 @@ def test_a_person_is_added_and_exchanges_two_gestures(
 
 @pytest.mark.usefixtures("glove_screen")
 def test_two_browsers_show_the_same_without_a_reload(cell: Cell, open_page: OpenPage) -> None:
-    httpx.put(f"{cell.url('gesture_controller')}/people/eva", json={}).raise_for_status()
+    httpx.put(f"{cell.url('gesture_controller')}/people/eva", json={}, timeout=120).raise_for_status()
     one, other = open_page("/people?person=eva"), open_page("/people?person=eva")
     for page in (one, other):
         expect(page.get_by_role("button", name="Command 3 Thumbs up")).to_be_visible()
     pick(one, "Command 3", "Horns")
     expect(other.get_by_role("button", name="Command 3 Horns")).to_be_visible()
     # What is changed without a browser reaches both as well.
-    httpx.put(f"{cell.url('gesture_controller')}/people/fred", json={}).raise_for_status()
+    httpx.put(f"{cell.url('gesture_controller')}/people/fred", json={}, timeout=120).raise_for_status()
     for page in (one, other):
         page.mouse.move(1200, 700)  # a table with the pointer in it keeps its rows
         expect(page.get_by_role("row", name=re.compile("^fred"))).to_be_visible(timeout=120_000)
@@ -84,7 +84,7 @@ def test_two_browsers_show_the_same_without_a_reload(cell: Cell, open_page: Open
 def test_a_custom_gesture_is_defined_by_fingers_and_rejected_if_ambiguous(
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None]
 ) -> None:
-    httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}).raise_for_status()
+    httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}, timeout=120).raise_for_status()
     page = open_page("/people?person=ben", forgives=(REFUSED,))
     page.get_by_label("Name", exact=True).fill("Mine")
     page.get_by_role("radiogroup", name="thumb").get_by_role("radio", name="straight").click()
@@ -104,21 +104,20 @@ def test_a_custom_gesture_is_defined_by_fingers_and_rejected_if_ambiguous(
 def test_a_gesture_is_recorded_and_exported_in_the_profile(glove_screen: Cell, open_page: OpenPage) -> None:
     controller = glove_screen.url("gesture_controller")
     for name in ("carl", "dora"):
-        httpx.put(f"{controller}/people/{name}", json={}).raise_for_status()
-    httpx.put(f"{controller}/gloves/glove-1/person", json={"person": "carl"}).raise_for_status()
-    glove = TcpGlove(glove_screen.ports["glove"])
-    page = open_page("/people?person=carl")
-    page.get_by_role("radio", name="Recording").click()
-    page.get_by_label("Name", exact=True).fill("Three")
-    page.get_by_role("button", name="Record now").click()
-    delete = page.get_by_role("button", name="Delete Three")
+        httpx.put(f"{controller}/people/{name}", json={}, timeout=120).raise_for_status()
+    httpx.put(f"{controller}/gloves/glove-1/person", json={"person": "carl"}, timeout=120).raise_for_status()
+    with TcpGlove(glove_screen.ports["glove"]) as glove:
+        page = open_page("/people?person=carl")
+        page.get_by_role("radio", name="Recording").click()
+        page.get_by_label("Name", exact=True).fill("Three")
+        page.get_by_role("button", name="Record now").click()
+        delete = page.get_by_role("button", name="Delete Three")
 
-    def is_recorded() -> bool:
-        glove.show("00002", 0.1)
-        return delete.is_visible()
+        def is_recorded() -> bool:
+            glove.show("00002", 0.1)
+            return delete.is_visible()
 
-    wait_for(is_recorded)
-    glove.close()
+        wait_for(is_recorded)
     expect(page.get_by_text("Three added; the closest other gesture is")).to_be_visible()
     assert person(glove_screen, "carl")["ownGestures"]["Three"]["code"] == "00002"
     with page.expect_download() as download:
@@ -145,8 +144,10 @@ def test_a_gesture_is_found_among_many_by_its_picture_or_its_name(
     *,
     touch: bool,
 ) -> None:
-    httpx.put(f"{glove_screen.url('gesture_controller')}/people/eve", json={}).raise_for_status()
-    httpx.put(f"{glove_screen.url('gesture_controller')}/people/eve/commands", json={}).raise_for_status()
+    httpx.put(f"{glove_screen.url('gesture_controller')}/people/eve", json={}, timeout=120).raise_for_status()
+    httpx.put(
+        f"{glove_screen.url('gesture_controller')}/people/eve/commands", json={}, timeout=120
+    ).raise_for_status()
     size = {"width": 390, "height": 844} if touch else {"width": 1280, "height": 800}
     page = open_page("/people?person=eve", viewport=size, has_touch=touch, language="de")
     page.get_by_role("button", name=re.compile("^Befehl 3 ")).click()

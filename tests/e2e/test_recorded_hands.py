@@ -67,14 +67,16 @@ def test_five_recorded_gestures_complete_five_tasks(
         timeout=120,
     )
     assert deployed.status_code == 201, deployed.text
-    process = httpx.post(f"{orchestrator}/processes", json={"definition": "five-confirmations"}).json()["id"]
+    process = httpx.post(
+        f"{orchestrator}/processes", json={"definition": "five-confirmations"}, timeout=120
+    ).json()["id"]
 
     def asked() -> str | None:
-        task = httpx.get(glove).json()["task"]
+        task = httpx.get(glove, timeout=120).json()["task"]
         return task and task["gesture"]
 
     def frames() -> int:
-        return int(httpx.get(glove).json()["frames"])
+        return int(httpx.get(glove, timeout=120).json()["frames"])
 
     poses = list(GESTURE_OF_POSE)
     for pose, wrong in zip(poses, poses[1:] + poses[:1], strict=True):
@@ -91,9 +93,13 @@ def test_five_recorded_gestures_complete_five_tasks(
                 hand.terminate()
                 hand.communicate(timeout=120)
 
-    eventually(lambda: httpx.get(f"{orchestrator}/processes/{process}").json()["status"] == "completed")
+    eventually(
+        lambda: httpx.get(f"{orchestrator}/processes/{process}", timeout=120).json()["status"] == "completed"
+    )
     tasks = httpx.get(
-        f"{cell.url('context_broker')}/ngsi-ld/v1/entities", params={"type": "Task", "options": "keyValues"}
+        f"{cell.url('context_broker')}/ngsi-ld/v1/entities",
+        params={"type": "Task", "options": "keyValues"},
+        timeout=120,
     ).json()
     ended = {task["workParameters"]["gesture"]: task for task in tasks}
     assert set(ended) == set(GESTURE_OF_POSE.values())

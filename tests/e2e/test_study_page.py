@@ -106,7 +106,7 @@ def test_a_participant_completes_the_study_and_the_answers_are_shown(
     page.get_by_text("Mean 75.00").wait_for()
     accessible(page)
     keep(page, "study-results")
-    (session,) = httpx.get(f"{glove_screen.url('study')}/sessions").json()
+    (session,) = httpx.get(f"{glove_screen.url('study')}/sessions", timeout=120).json()
     assert (session["step"], session["pseudonym"]) == ("finished", "P01")
     page.get_by_role("button", name="Delete P01").click()
     page.get_by_role("dialog").get_by_role("button", name="Delete P01").click()
@@ -120,10 +120,10 @@ def test_a_participant_reads_the_study_in_their_own_language(
     accessible: Callable[[Page], None],
 ) -> None:
     url = glove_screen.url("study")
-    begun = httpx.post(f"{url}/sessions", json={"language": "fi"}).raise_for_status().json()
+    begun = httpx.post(f"{url}/sessions", json={"language": "fi"}, timeout=120).raise_for_status().json()
     consent = {"agreed": True, "text": begun["consentVersion"]}
     for step, content in (("consent", consent), ("introduction", {}), ("sample", {})):
-        httpx.post(f"{url}/sessions/{begun['id']}/steps/{step}", json=content).raise_for_status()
+        httpx.post(f"{url}/sessions/{begun['id']}/steps/{step}", json=content, timeout=120).raise_for_status()
     page = open_page(f"/study?session={begun['id']}", viewport={"width": 390, "height": 844}, theme="dark")
     page.get_by_role("heading", name="Millainen järjestelmä oli?").wait_for()
     expect(page.get_by_role("button", name="Seuraava")).to_be_disabled()
@@ -139,8 +139,8 @@ def test_a_participant_can_pause_or_withdraw_at_any_time(
 ) -> None:
     url = glove_screen.url("gesture_controller")
     glove = f"{url}/gloves/glove-1"
-    httpx.put(f"{url}/people/kim", json={}).raise_for_status()
-    httpx.put(f"{glove}/person", json={"person": "kim"}).raise_for_status()
+    httpx.put(f"{url}/people/kim", json={}, timeout=120).raise_for_status()
+    httpx.put(f"{glove}/person", json={"person": "kim"}, timeout=120).raise_for_status()
     page = open_page("/study")
     code = code_of(page)
     page.get_by_text("kim has no personal gestures yet").wait_for()
@@ -164,7 +164,7 @@ def test_a_participant_can_pause_or_withdraw_at_any_time(
     keep(page, "study-at-work")
     page.get_by_role("button", name="Pause or leave").click()
     page.get_by_role("heading", name="Paused").wait_for()
-    wait_for(lambda: httpx.get(glove).json()["paused"])
+    wait_for(lambda: httpx.get(glove, timeout=120).json()["paused"])
     accessible(page)
     keep(page, "study-paused")
     page.reload()
@@ -175,12 +175,14 @@ def test_a_participant_can_pause_or_withdraw_at_any_time(
     page.get_by_text("Wrong code").wait_for()
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Continue").click()
-    wait_for(lambda: not httpx.get(glove).json()["paused"])
+    wait_for(lambda: not httpx.get(glove, timeout=120).json()["paused"])
     page.get_by_role("button", name="Pause or leave").click()
     page.get_by_role("button", name="Leave the study and delete my answers").click()
     page.get_by_role("dialog").get_by_role("button", name="Leave the study and delete my answers").click()
     page.get_by_role("heading", name="You have left the study").wait_for()
-    kept = [one["pseudonym"] for one in httpx.get(f"{glove_screen.url('study')}/sessions").json()]
+    kept = [
+        one["pseudonym"] for one in httpx.get(f"{glove_screen.url('study')}/sessions", timeout=120).json()
+    ]
     assert "Kim" not in kept
     leave(page, code)
     page.get_by_role("navigation").wait_for()

@@ -24,15 +24,17 @@ Accessible = Callable[[Page], None]
 
 def start_process(cell: Cell) -> str:
     """Start the bin-picking process; return its id."""
-    answer = httpx.post(f"{cell.url('task_orchestrator')}/processes", json={"definition": "bin-picking"})
+    answer = httpx.post(
+        f"{cell.url('task_orchestrator')}/processes", json={"definition": "bin-picking"}, timeout=120
+    )
     return str(answer.raise_for_status().json()["id"])
 
 
 def complete(cell: Cell, words: str) -> None:
     """Complete by hand what glove-1 is asked for, once it is asked for what has these words."""
     glove = f"{cell.url('gesture_controller')}/gloves/glove-1"
-    wait_for(lambda: words in (httpx.get(glove).json()["task"] or {}).get("description", ""))
-    httpx.post(f"{glove}/complete", json={"by": "Anna"}).raise_for_status()
+    wait_for(lambda: words in (httpx.get(glove, timeout=120).json()["task"] or {}).get("description", ""))
+    httpx.post(f"{glove}/complete", json={"by": "Anna"}, timeout=120).raise_for_status()
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +69,7 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
 ) -> None:
     process = start_process(cell)
     views = f"{cell.url('task_orchestrator')}/processes/{process}"
-    answer(cell, httpx.get(views).json()["tasks"][0]["id"], "failed", reason="nobody was there")
+    answer(cell, httpx.get(views, timeout=120).json()["tasks"][0]["id"], "failed", reason="nobody was there")
 
     page = open_page("/system?tab=alerts", who="", forgives=FORGIVEN)
     row = page.get_by_role("row", name="Process failed").first
@@ -94,6 +96,7 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
         f"{cell.url('context_broker')}/ngsi-ld/v1/entities",
         params={"type": "Alert"},
         headers={"Link": f'<{context}>; rel="http://www.w3.org/ns/json-ld#context"'},
+        timeout=120,
     ).json()
     assert stored["humanVerified"]["by"]["value"] == "Aino", stored
 

@@ -23,9 +23,8 @@ def cell(shared_cell: Cell) -> Cell:
 
 @pytest.fixture
 def glove(glove_screen: Cell) -> Iterator[TcpGlove]:
-    made = TcpGlove(glove_screen.ports["glove"])
-    yield made
-    made.close()
+    with TcpGlove(glove_screen.ports["glove"]) as made:
+        yield made
 
 
 def test_a_gesture_is_marked_recognized_or_not(

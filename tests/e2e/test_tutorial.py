@@ -33,20 +33,20 @@ def handover(cell: Cell, *words: str) -> str:
 def test_process_of_the_tutorial_is_performed(cell: Cell, outcome: str) -> None:
     cell.start("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool")
     orchestrator, controller = cell.url("task_orchestrator"), cell.url("gesture_controller")
-    httpx.put(f"{controller}{GLOVE}", json={}).raise_for_status()
+    httpx.put(f"{controller}{GLOVE}", json={}, timeout=120).raise_for_status()
     assert "check-part version 1 deployed" in handover(cell, "process", "deploy", str(PROCESS))
     process = handover(cell, "process", "start", "check-part").split()[0]
 
     def is_asked() -> bool:
-        return bool(httpx.get(f"{controller}{GLOVE}").json()["task"])
+        return bool(httpx.get(f"{controller}{GLOVE}", timeout=120).json()["task"])
 
-    wait_for(is_asked, 60, why=lambda: httpx.get(f"{orchestrator}/processes/{process}").text)
+    wait_for(is_asked, 60, why=lambda: httpx.get(f"{orchestrator}/processes/{process}", timeout=120).text)
     answer = {"by": "Anna", "outcome": outcome}
-    httpx.post(f"{controller}{GLOVE}/complete", json=answer).raise_for_status()
+    httpx.post(f"{controller}{GLOVE}/complete", json=answer, timeout=120).raise_for_status()
 
     def status() -> str:
-        return str(httpx.get(f"{orchestrator}/processes/{process}").json()["status"])
+        return str(httpx.get(f"{orchestrator}/processes/{process}", timeout=120).json()["status"])
 
     wait_for(lambda: status() == "completed", 60, why=status)
-    variables = httpx.get(f"{orchestrator}/processes/{process}").json()["variables"]
+    variables = httpx.get(f"{orchestrator}/processes/{process}", timeout=120).json()["variables"]
     assert variables["check_part"]["outcome"] == outcome

@@ -87,11 +87,11 @@ def test_page_is_served_from_the_wheel(environment: Path, cell: Cell) -> None:
         try:
             assert up.stdout is not None
             assert any(line.startswith("ready") for line in up.stdout)
-            page = httpx.get(f"{cell.url('webui')}/work")
+            page = httpx.get(f"{cell.url('webui')}/work", timeout=120)
             assert page.status_code == 200
             script = re.search(r'src="(/assets/[^"]+\.js)"', page.text)
             assert script is not None
-            assert httpx.get(f"{cell.url('webui')}{script[1]}").status_code == 200
+            assert httpx.get(f"{cell.url('webui')}{script[1]}", timeout=120).status_code == 200
         finally:
             up.send_signal(signal.SIGINT)
 

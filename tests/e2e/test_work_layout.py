@@ -134,15 +134,17 @@ def asked(quiet_screen: Cell) -> Callable[[], str]:
     orchestrator = quiet_screen.url("task_orchestrator")
     xml = drawing(start() + ASKED_ONCE + end() + path("start", "look", "end"), name="looking")
     httpx.post(
-        f"{orchestrator}/definitions", content=xml, headers={"Content-Type": "application/xml"}
+        f"{orchestrator}/definitions", content=xml, headers={"Content-Type": "application/xml"}, timeout=120
     ).raise_for_status()
 
     def ask() -> str:
         begun = (
-            httpx.post(f"{orchestrator}/processes", json={"definition": "looking"}).raise_for_status().json()
+            httpx.post(f"{orchestrator}/processes", json={"definition": "looking"}, timeout=120)
+            .raise_for_status()
+            .json()
         )
         glove = f"{quiet_screen.url('gesture_controller')}/gloves/glove-1"
-        wait_for(lambda: httpx.get(glove).json()["task"] is not None)
+        wait_for(lambda: httpx.get(glove, timeout=120).json()["task"] is not None)
         return str(begun["id"])
 
     return ask
@@ -242,9 +244,9 @@ def test_paused_and_failed_states_are_readable_from_a_distance(
     assert_visible(page, "Resume")
     page.get_by_role("button", name="Resume").last.click()
     page.locator("[data-situation=asked]").wait_for()
-    task = httpx.get(glove).json()["task"]["id"]
+    task = httpx.get(glove, timeout=120).json()["task"]["id"]
     answer = {"by": "Anna", "task": task, "outcome": "notGood", "note": "There is a scratch on the left side"}
-    httpx.post(f"{glove}/complete", json=answer).raise_for_status()
+    httpx.post(f"{glove}/complete", json=answer, timeout=120).raise_for_status()
     page.locator("[data-situation=failed]").wait_for()
     for language, theme in LOOKS[2:5]:
         look(page, language, theme)
@@ -289,7 +291,7 @@ def test_a_person_reports_not_good_with_a_note(
     page.get_by_text(f"Reported: {outcome}").first.wait_for()
     page.locator("[data-situation=failed]").wait_for()
     page.get_by_text(f"Look at the part: {outcome}, reported by Anna. “scratched”").wait_for()
-    found = httpx.get(f"{cell.url('task_orchestrator')}/processes/{process}").json()
+    found = httpx.get(f"{cell.url('task_orchestrator')}/processes/{process}", timeout=120).json()
     (task,) = found["tasks"]
     assert (found["status"], task["status"]) == ("failed", "failed")
     fits = page.evaluate("window.fits")
@@ -328,7 +330,7 @@ def test_testing_mode_can_be_ended_on_the_page(
 ) -> None:
     asked()
     glove = f"{cell.url('gesture_controller')}/gloves/glove-1"
-    httpx.put(f"{glove}/modes", json={"testing": True}).raise_for_status()
+    httpx.put(f"{glove}/modes", json={"testing": True}, timeout=120).raise_for_status()
     page = open_page(WORK, viewport=SIZES["phone"])
     page.get_by_text("Test mode: gestures are shown but not sent.").wait_for()
     readable(page, "phone")
@@ -336,7 +338,7 @@ def test_testing_mode_can_be_ended_on_the_page(
     keep(page, "work-testing")
     page.get_by_role("button", name="Leave test mode").click()
     page.get_by_role("button", name="Complete by hand").wait_for()
-    assert httpx.get(glove).json()["testing"] is False
+    assert httpx.get(glove, timeout=120).json()["testing"] is False
 
 
 @pytest.mark.usefixtures("quiet_screen")
@@ -371,7 +373,9 @@ def test_answer_gestures_and_a_lost_glove_are_readable_from_a_distance(
         page.get_by_text("Reported: Not good").first.wait_for()
         wearer.show("22222")
         page.locator("[data-situation=failed]").wait_for()
-        (task,) = httpx.get(f"{cell.url('task_orchestrator')}/processes/{process}").json()["tasks"]
+        (task,) = httpx.get(f"{cell.url('task_orchestrator')}/processes/{process}", timeout=120).json()[
+            "tasks"
+        ]
         assert (task["status"], task["outputParameters"]["outcome"]) == ("failed", "notGood")
         assert task["outputParameters"]["by"] == "gesture"
         asked()

@@ -1,22 +1,40 @@
 """A glove for tests: a TCP client with a clock of its own."""
 
 import socket
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import orjson
+
+from tests.kit.waiting import scaled
 
 STRAIGHT, BENT = 2000, 100
 
 
 class TcpGlove:
-    """Shows hands to the controller; its clock runs as fast as frames are sent."""
+    """Shows hands to the controller; its clock runs as fast as frames are sent.
+
+    Use it in a `with` statement: a socket that a failed test leaves open is a warning in a later test.
+    """
 
     def __init__(self, port: int, name: str = "glove-1", hand: str = "right", token: str = "") -> None:
-        self.link = socket.create_connection(("127.0.0.1", port), timeout=10)
-        self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.t_s = 0.0
-        self.say({"type": "hello", "version": 1, "glove": name, "hand": hand, "token": token})
-        self.answer = orjson.loads(self.link.recv(4096))
+        self.link = socket.create_connection(("127.0.0.1", port), timeout=scaled(10))
+        try:
+            self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self.t_s = 0.0
+            self.say({"type": "hello", "version": 1, "glove": name, "hand": hand, "token": token})
+            self.answer = orjson.loads(self.link.recv(4096))
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     def show(self, code: str, seconds: float) -> None:
         """Make five finger states for `seconds` of its own time, at 50 Hz."""

@@ -40,12 +40,16 @@ class Bound:
         self._spent_s = 0.0
         self._last_s = time.monotonic()
 
-    def check(self, reason: Reason) -> None:
-        """Raise AssertionError with `reason` if the limit has been exceeded."""
+    def remaining_s(self) -> float:
+        """Return the rest of the limit in seconds of an idle machine; 0 if it has been exceeded."""
         now_s = time.monotonic()
         self._spent_s += (now_s - self._last_s) / slowdown()
         self._last_s = now_s
-        if self._spent_s >= self.within_s:
+        return max(self.within_s - self._spent_s, 0.0)
+
+    def check(self, reason: Reason) -> None:
+        """Raise AssertionError with `reason` if the limit has been exceeded."""
+        if self.remaining_s() == 0.0:
             text = reason() if callable(reason) else reason
             raise AssertionError(f"{text} (waited {self.within_s:g} s of an idle machine)")
 

@@ -72,8 +72,8 @@ def test_ten_thousand_connections_do_not_disturb_a_working_glove(
         before = glove.sent
         eventually(lambda: glove.broken or glove.sent > before + 50)
         assert not glove.broken, glove.broken
-        eventually(lambda: httpx.get(state).json()["frames"] > before + 40)
-        seen = httpx.get(state).json()
+        eventually(lambda: httpx.get(state, timeout=120).json()["frames"] > before + 40)
+        seen = httpx.get(state, timeout=120).json()
         assert seen["connected"]
         assert seen["dropped"] in (0, {}), seen
     finally:

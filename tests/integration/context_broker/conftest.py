@@ -86,7 +86,7 @@ class BrokerProcess:
         return httpx.Client(base_url=self.api, timeout=120, trust_env=False)
 
     def metric(self, name: str) -> float:
-        text = httpx.get(f"{self.url}/metrics", trust_env=False).text
+        text = httpx.get(f"{self.url}/metrics", trust_env=False, timeout=120).text
         return sum(
             float(value) for value in re.findall(rf"^{name}(?:{{[^}}]*}})? (\S+)$", text, re.MULTILINE)
         )

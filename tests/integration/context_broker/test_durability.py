@@ -78,7 +78,7 @@ def test_notifications_pending_at_a_power_failure_are_sent_after_it(
         eventually(lambda: set(received(throttled)) == set(range(300)))
         assert received(gone) == []
         path = f"/subscriptions/{subscription}"
-        eventually(lambda: http.get(path).json()["notification"]["timesSent"] >= 300)
+        eventually(lambda: http.get(path).json()["notification"].get("timesSent", 0) >= 300)
     own_broker.stop()
     before = len(subscriber.received)
     own_broker.start()
@@ -258,7 +258,7 @@ def test_a_broker_on_a_full_disk_starts_serves_reads_and_recovers_by_itself(
         assert past.status_code == (503 if ends == "killed" else 200)
         fill(small_disk)
         (small_disk / "filler").unlink()
-        eventually(lambda: httpx.get(f"{broker.url}/readyz", trust_env=False).is_success)
+        eventually(lambda: httpx.get(f"{broker.url}/readyz", trust_env=False, timeout=120).is_success)
         entity = {"id": "urn:ngsi-ld:Waiting:demo:more", "type": "Waiting", "n": 3}
         assert http.post("/entities", json=entity).status_code == 201
         assert (
@@ -296,11 +296,11 @@ def test_a_full_disk_refuses_writes_until_there_is_space(
             created.append(entity["id"])
         assert answer.status_code == 507
         assert created
-        refused = httpx.get(f"{broker.url}/readyz", trust_env=False)
+        refused = httpx.get(f"{broker.url}/readyz", trust_env=False, timeout=120)
         assert refused.status_code == 503
         assert re.search(rf"{small_disk} \(\d+ bytes free\)", refused.json()["storage"])
         (small_disk / "filler").unlink()
-        eventually(lambda: httpx.get(f"{broker.url}/readyz", trust_env=False).is_success)
+        eventually(lambda: httpx.get(f"{broker.url}/readyz", trust_env=False, timeout=120).is_success)
         assert http.post("/entities", json=entity).status_code == 201
         created.append(entity["id"])
     broker.kill()

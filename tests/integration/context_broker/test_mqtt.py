@@ -129,7 +129,8 @@ def test_a_notification_is_published_with_its_metadata(
     assert message["body"]["type"] == "Notification"
     assert message["body"]["data"] == [{"id": entity, "type": kind, "a": {"type": "Property", "value": 1}}]
     assert [quality for topic, quality, _ in mosquitto.received if topic == f"cell/{kind}"] == [qos]
-    eventually(lambda: http.get(path).json()["notification"]["timesSent"] == 1)
+    # The broker counts a notification after it has been published.
+    eventually(lambda: http.get(path).json()["notification"].get("timesSent") == 1)
 
 
 def test_json_ld_has_its_context_in_the_body(
@@ -154,7 +155,7 @@ def test_pending_messages_are_published_in_order_when_the_server_returns(
     for number in range(1, 20):
         assert http.patch(f"/entities/{entity}/attrs", json={"n": number}).status_code == 204
     result = eventually(
-        lambda: (found := http.get(path).json()["notification"])["timesFailed"] and found,
+        lambda: (found := http.get(path).json()["notification"]).get("timesFailed") and found,
         why="nothing failed",
     )
     assert result["status"] == "failed"

@@ -336,8 +336,8 @@ def test_headers_and_queries_without_end_are_refused(shared_broker: Any, http: h
 
 
 def test_health_and_metrics_are_there(shared_broker: Any, http: httpx.Client) -> None:
-    assert httpx.get(f"{shared_broker.url}/healthz", trust_env=False).json() == {"status": "ok"}
-    assert httpx.get(f"{shared_broker.url}/readyz", trust_env=False).status_code == 200
+    assert httpx.get(f"{shared_broker.url}/healthz", trust_env=False, timeout=120).json() == {"status": "ok"}
+    assert httpx.get(f"{shared_broker.url}/readyz", trust_env=False, timeout=120).status_code == 200
     http.get("/types")
     assert shared_broker.metric("handover_broker_requests_total") >= 1
     identity = http.get("/info/sourceIdentity").json()

@@ -39,4 +39,4 @@ def test_requests_are_answered_alike_on_both_ways(
         assert client.get("/entities/urn:ngsi-ld:Lamp:3").json()["text"]["value"] == "x" * 500_000
         foreign = client.get("/types", headers={"Origin": "https://elsewhere.example"})
         assert foreign.status_code == 403
-    assert httpx.get(f"{own_broker.url}/readyz", trust_env=False).is_success
+    assert httpx.get(f"{own_broker.url}/readyz", trust_env=False, timeout=120).is_success

@@ -91,7 +91,7 @@ def subscription(url: str, kind: str = "Part") -> dict[str, Any]:
 
 
 def is_ready(broker: BrokerProcess) -> bool:
-    return httpx.get(f"{broker.url}/readyz", trust_env=False).is_success
+    return httpx.get(f"{broker.url}/readyz", trust_env=False, timeout=120).is_success
 
 
 def notified(subscriber: Any) -> list[int]:
@@ -108,7 +108,7 @@ def test_a_second_broker_is_a_standby_and_reports_it(pair: Pair) -> None:
         assert http.post("/entities", json=entity("1")).status_code == 503
     assert [one.metric("handover_broker_standby") for one in (first, second)] == [0, 1]
     assert "standby: waiting for the lock of the database" in second.log()
-    assert httpx.get(f"{second.url}/healthz", trust_env=False).is_success
+    assert httpx.get(f"{second.url}/healthz", trust_env=False, timeout=120).is_success
 
 
 def test_a_standby_serves_everything_acknowledged_when_the_first_broker_is_killed(

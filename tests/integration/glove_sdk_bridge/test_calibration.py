@@ -68,7 +68,7 @@ def test_a_person_makes_a_fist_and_opens_the_hand_and_the_glove_fits(
     assert "make a fist" in glove.said[0]
     assert "open your hand" in glove.said[1]
     assert "glove-1 is calibrated" in glove.said[2]
-    made = httpx.get(f"{controller.url}/gloves/glove-1").json()["thresholds"]
+    made = httpx.get(f"{controller.url}/gloves/glove-1", timeout=120).json()["thresholds"]
     for finger, bent, straight in zip(made, FIST, OPEN, strict=True):
         assert bent < made[finger]["lower"] < made[finger]["upper"] < straight
 

@@ -208,7 +208,7 @@ async def test_notifications_that_cannot_be_read_are_refused_and_nothing_stops(
     broker: BrokerClient, cell: Cell
 ) -> None:
     notifications = f"{cell.url('lamp')}/notifications"
-    async with httpx.AsyncClient() as http:
+    async with httpx.AsyncClient(timeout=120) as http:
         keyed = await key_of(broker)
         for body in (b"not JSON", b"[]", b'{"data": 3}', b"\xff\xfe", b'{"data": [3]}'):
             headers = keyed | {"Content-Type": "application/json"}
@@ -241,7 +241,7 @@ async def test_a_notification_neither_begins_nor_cancels_a_task_the_broker_does(
         **running.to_normalized(),
         "requestedStatus": {"type": "Property", "value": "cancelled", "observedAt": "2030-01-01T12:00:00Z"},
     }
-    async with httpx.AsyncClient() as http:
+    async with httpx.AsyncClient(timeout=120) as http:
         notifications = f"{cell.url('lamp')}/notifications"
         forged = {"data": [invented, cancelled]}
         assert (await http.post(notifications, json=forged)).status_code == 403

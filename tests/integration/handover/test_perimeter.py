@@ -107,7 +107,7 @@ def test_a_service_answers_to_the_name_in_its_address(cell: Cell) -> None:
 
 @pytest.mark.parametrize("service", SERVICES[1:])
 def test_no_route_acts_on_plain_text_or_a_form(cell: Cell, service: str) -> None:
-    schema = httpx.get(f"{cell.url(service)}/openapi.json").json()
+    schema = httpx.get(f"{cell.url(service)}/openapi.json", timeout=120).json()
     routes = [
         (method.upper(), re.sub(r"\{.*?\}", "x", path))
         for path, methods in schema["paths"].items()
@@ -121,7 +121,7 @@ def test_no_route_acts_on_plain_text_or_a_form(cell: Cell, service: str) -> None
             refused = asked(cell, service, method, path, content_type=media_type)
             assert refused.status == 415, (method, path, media_type)
             assert json.loads(refused.text)["status"] == 415  # type: ignore[attr-defined]
-        no_type = httpx.request(method, f"{cell.url(service)}{path}", content=b"x")
+        no_type = httpx.request(method, f"{cell.url(service)}{path}", content=b"x", timeout=120)
         assert no_type.status_code == 415, (method, path)
 
 
@@ -142,7 +142,7 @@ def test_no_operation_of_the_broker_acts_on_plain_text(cell: Cell, tmp_path: obj
 @pytest.mark.parametrize("service", WEBSOCKETS)
 def test_a_websocket_opens_for_our_own_page_and_for_programs_only(cell: Cell, service: str) -> None:
     if service == "gesture_controller":
-        httpx.put(f"{cell.url(service)}/gloves/glove-1", json={}).raise_for_status()
+        httpx.put(f"{cell.url(service)}/gloves/glove-1", json={}, timeout=120).raise_for_status()
     url = f"ws://127.0.0.1:{cell.ports[service]}{WEBSOCKETS[service]}"
     for headers in (FOREIGN, {"Origin": "null"}, {"Host": "evil.example"}):
         with pytest.raises(InvalidStatus) as refused:

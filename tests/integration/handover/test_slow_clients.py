@@ -116,7 +116,7 @@ def test_a_newcomer_gets_in_when_the_server_is_full(
         assert answers(cell, service), "those that are idle give way"
         links = crowd(service, 60, HALF_A_HEAD)
         assert answers(cell, service), "those that have sent nothing complete give way"
-        with httpx.Client(base_url=cell.url(service)) as http:
+        with httpx.Client(base_url=cell.url(service), timeout=120) as http:
             for _ in range(3):
                 assert http.get(path).is_success
                 crowd(service, 30, b"")
@@ -190,7 +190,9 @@ def test_a_connection_that_is_used_stays(cell: Cell) -> None:
     cell.start("context_broker", "gesture_controller")
     for service in ("context_broker", "gesture_controller"):
         with ExitStack() as stack:
-            clients = [stack.enter_context(httpx.Client(base_url=cell.url(service))) for _ in range(20)]
+            clients = [
+                stack.enter_context(httpx.Client(base_url=cell.url(service), timeout=120)) for _ in range(20)
+            ]
             ports = set()
             for _ in range(3):
                 for client in clients:

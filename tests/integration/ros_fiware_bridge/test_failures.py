@@ -97,7 +97,7 @@ async def test_a_broker_that_answers_503_for_a_minute_misses_only_what_the_mappi
         await shop.until(lambda: shop.rule("level")["received"] == before + sent)
         assert shop.rule("level")["forwarded"] == 1, "the broker has accepted nothing since"
         assert 3 <= len(asked) < sent, "the bridge retries with backoff"
-        assert httpx.get(f"{shop.cell.url('ros_fiware_bridge')}/readyz").status_code == 503
+        assert httpx.get(f"{shop.cell.url('ros_fiware_bridge')}/readyz", timeout=120).status_code == 503
     shop.cell.start("context_broker")
     await shop.becomes(ROBOT, "level", 1 + sent)
     await shop.becomes("urn:ngsi-ld:Device:demo:r2", "n", sent - 1)
@@ -106,7 +106,9 @@ async def test_a_broker_that_answers_503_for_a_minute_misses_only_what_the_mappi
     assert (level["dropped"], level["conflated"]) == (0, sent - 1), "of a level only the newest is kept"
     assert shop.rule("every")["droppedByCause"] == {"broker_away": sent - 5}, "the buffer keeps five"
     url = f"{shop.cell.url('context_broker')}/ngsi-ld/v1/temporal/entities/urn:ngsi-ld:Device:demo:r2"
-    history = httpx.get(url, params={"timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "lastN": "5"})
+    history = httpx.get(
+        url, params={"timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "lastN": "5"}, timeout=120
+    )
     assert sorted(one["value"] for one in history.json()["n"]) == list(range(sent - 5, sent))
 
     async def alerted() -> bool:
@@ -252,12 +254,12 @@ async def test_a_forged_notification_publishes_nothing(shop: Any) -> None:
     uri, (pair,) = endpoint["uri"], endpoint["receiverInfo"]
     keyed = {pair["key"]: pair["value"]}
     for strange in STRANGE:
-        assert httpx.post(uri, json=strange, headers=keyed).status_code in {204, 400}
-    assert httpx.post(uri, json={"data": [FORGED]}).status_code == 403
-    assert httpx.post(uri, json={"data": [FORGED]}, headers=keyed).status_code == 204
-    other_rule = httpx.post(f"{uri}-that-is-none", json={"data": [FORGED]}, headers=keyed)
+        assert httpx.post(uri, json=strange, headers=keyed, timeout=120).status_code in {204, 400}
+    assert httpx.post(uri, json={"data": [FORGED]}, timeout=120).status_code == 403
+    assert httpx.post(uri, json={"data": [FORGED]}, headers=keyed, timeout=120).status_code == 204
+    other_rule = httpx.post(f"{uri}-that-is-none", json={"data": [FORGED]}, headers=keyed, timeout=120)
     assert other_rule.status_code == 404
     assert shop.rule("small")["forwarded"] == forwarded
     await shop.broker.upsert([FORGED])
-    assert httpx.post(uri, json={"data": [FORGED]}, headers=keyed).status_code == 204
+    assert httpx.post(uri, json={"data": [FORGED]}, headers=keyed, timeout=120).status_code == 204
     assert shop.rule("small")["forwarded"] > forwarded

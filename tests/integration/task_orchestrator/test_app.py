@@ -475,7 +475,7 @@ async def test_many_notifications_at_once_cost_few_queries(
 
 async def queries(broker: BrokerClient) -> float:
     """How many queries for entities the broker has answered."""
-    async with httpx.AsyncClient(trust_env=False) as http:
+    async with httpx.AsyncClient(trust_env=False, timeout=120) as http:
         text = (await http.get(f"{broker.url}/metrics")).text
     return sum(
         float(line.split()[-1])

@@ -41,7 +41,7 @@ def tool(shared_cell: Cell) -> Cell:
     def answers() -> bool:
         assert process.poll() is None, cell.log("trajectory_tool")
         try:
-            return httpx.get(f"{cell.url('trajectory_tool')}/healthz").is_success
+            return httpx.get(f"{cell.url('trajectory_tool')}/healthz", timeout=120).is_success
         except httpx.TransportError:
             return False
 
@@ -56,27 +56,27 @@ def joint_states(cell: Cell, query: str = "", robot: str = "ur10-1") -> ClientCo
 
 @pytest.mark.slow
 def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
-    robots = httpx.get(f"{tool.url('trajectory_tool')}/robots").json()
+    robots = httpx.get(f"{tool.url('trajectory_tool')}/robots", timeout=120).json()
     assert [robot["id"] for robot in robots] == ["ur10-1"]
-    robot = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1").json()
+    robot = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1", timeout=120).json()
     assert robot["device"] == "urn:ngsi-ld:Device:demo:ur10-1"
     assert robot["deviceState"] == "idle"
     assert robot["gripper"] == {"closed": False, "holds": None}
     assert robot["task"] is None
     assert len(robot["toolPose"]["position"]) == 3
-    by_urn = httpx.get(f"{tool.url('trajectory_tool')}/robots/{robot['device']}")
+    by_urn = httpx.get(f"{tool.url('trajectory_tool')}/robots/{robot['device']}", timeout=120)
     assert by_urn.json()["id"] == "ur10-1"
 
-    described = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/description").json()
+    described = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/description", timeout=120).json()
     assert [joint["name"] for joint in described["joints"]] == NAMES
     assert described["revision"] == robot["revision"]
     assert described["model"] == robot["model"] == "UR10"
     assert described["home"] == robot["joints"]["position"]
-    urdf = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/urdf")
+    urdf = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/urdf", timeout=120)
     assert urdf.text == described["urdf"]
     assert urdf.headers["content-type"].startswith("application/xml")
 
-    scene = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/scene").json()
+    scene = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/scene", timeout=120).json()
     assert [len(fixture["nests"]) for fixture in scene["fixtures"].values()] == [4]
     assert {part["place"] for part in scene["parts"]} == set(scene["bins"])
 
@@ -93,15 +93,15 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
         first, second = (json.loads(slow.recv(timeout=120))["stamp"] for _ in range(2))
         assert second - first > 0.1
 
-    unready = httpx.get(f"{tool.url('trajectory_tool')}/readyz")
+    unready = httpx.get(f"{tool.url('trajectory_tool')}/readyz", timeout=120)
     assert unready.status_code == 503
     assert "broker" in unready.json()
 
 
 @pytest.mark.slow
 def test_an_invalid_request_is_refused_with_the_reason(tool: Cell) -> None:
-    assert httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9/scene").status_code == 404
-    unknown = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9")
+    assert httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9/scene", timeout=120).status_code == 404
+    unknown = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9", timeout=120)
     assert unknown.status_code == 404
     assert unknown.headers["content-type"] == "application/problem+json"
     assert "there is ur10-1" in unknown.json()["detail"]
@@ -110,7 +110,7 @@ def test_an_invalid_request_is_refused_with_the_reason(tool: Cell) -> None:
             stream.recv(timeout=120)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == code
-    garbage = httpx.post(f"{tool.url('trajectory_tool')}/notifications", json={"data": []})
+    garbage = httpx.post(f"{tool.url('trajectory_tool')}/notifications", json={"data": []}, timeout=120)
     assert garbage.status_code == 403
 
 

@@ -83,7 +83,7 @@ class Shop:
         return reached
 
     def robot(self) -> dict[str, Any]:
-        answer = httpx.get(f"{self.cell.url('trajectory_tool')}/robots/ur10-1")
+        answer = httpx.get(f"{self.cell.url('trajectory_tool')}/robots/ur10-1", timeout=120)
         return dict(answer.raise_for_status().json())
 
     async def in_motion(self) -> dict[str, Any]:
@@ -139,7 +139,7 @@ async def test_the_robots_part_of_the_process_is_done(new_shop: Shop) -> None:
     placed = await new_shop.done("place", location="fixture-1")
     assert placed["location"] == "fixture-1"
     assert placed["progress"] == 1.0
-    metrics = httpx.get(f"{new_shop.cell.url('trajectory_tool')}/metrics").text
+    metrics = httpx.get(f"{new_shop.cell.url('trajectory_tool')}/metrics", timeout=120).text
     assert 'handover_trajectory_tool_tasks_total{operation="scan",outcome="completed"} 2.0' in metrics
 
 
@@ -258,13 +258,13 @@ async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(new_shop
     await new_shop.done("pick", bin="bin-1")
     task = await new_shop.ask("home")
     await new_shop.in_motion()
-    refused = httpx.post(url)
+    refused = httpx.post(url, timeout=120)
     assert refused.status_code == 409
     assert task in refused.json()["detail"]
     await new_shop.comes_to(task, TaskStatus.COMPLETED)
 
     def free() -> httpx.Response | None:
-        freed = httpx.post(url)
+        freed = httpx.post(url, timeout=120)
         return freed if freed.status_code == 200 else None
 
     freed = await until(free, why="the gripper is not freed")

@@ -17,8 +17,8 @@ def test_archived_processes_are_shown(cell: Cell, look: Any) -> None:
     cell.start("context_broker", "task_orchestrator", "webui")
     entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
     with (
-        httpx.Client(base_url=cell.url("task_orchestrator"), trust_env=False) as orchestrator,
-        httpx.Client(base_url=entities, trust_env=False) as broker,
+        httpx.Client(base_url=cell.url("task_orchestrator"), trust_env=False, timeout=120) as orchestrator,
+        httpx.Client(base_url=entities, trust_env=False, timeout=120) as broker,
     ):
         xml = {"Content-Type": "application/xml"}
         orchestrator.post("/definitions", content=drawing(ONE_STEP), headers=xml).raise_for_status()

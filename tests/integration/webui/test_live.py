@@ -132,7 +132,9 @@ def test_a_killed_broker_is_shown_as_down_and_followed_again_after_its_restart(
     cell.kill("context_broker")
     viewer.read_until(lambda: viewer.service("context-broker")["state"] == "down")
     assert "does not respond" in viewer.service("context-broker")["detail"]
-    assert httpx.get(f"{cell.url('webui')}/readyz").is_success  # the page must be there to say so
+    assert httpx.get(
+        f"{cell.url('webui')}/readyz", timeout=120
+    ).is_success  # the page must be there to say so
     cell.start("context_broker")
     broker.move(TASK, "assigned", "2999-01-01T00:00:01.000Z")
     viewer.read_until(lambda: viewer.service("context-broker")["state"] == "up")
@@ -162,7 +164,7 @@ def test_a_restarted_server_reports_missed_events_once(
     assert task_moves(viewer, other) == ["task.pending"]
     seqs = [event["seq"] for event in viewer.events]
     assert seqs == sorted(set(seqs))
-    asked = httpx.get(f"{cell.url('webui')}/api/events", params={"after": last}).json()
+    asked = httpx.get(f"{cell.url('webui')}/api/events", params={"after": last}, timeout=120).json()
     assert [event["seq"] for event in asked] == [seq for seq in seqs if seq > last]
     assert all(event["at"] for event in asked)
 

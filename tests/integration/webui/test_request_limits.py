@@ -114,11 +114,11 @@ def test_aborted_uploads_log_no_error(
         for sent in (b"<bpmn", MORE_THAN_IS_BUFFERED):
             link = upload(port, path, sent)
             url = f"http://127.0.0.1:{port}"
-            assert httpx.get(f"{url}/healthz").is_success, "what was sent has been read by now"
+            assert httpx.get(f"{url}/healthz", timeout=120).is_success, "what was sent has been read by now"
             link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             link.close()
     eventually(lambda: value_of(cell.url("webui"), "handover_webui_proxied_requests_active") == 0, 60)
     for service in ("webui", "task_orchestrator"):
-        assert httpx.get(f"{cell.url(service)}/healthz").is_success
+        assert httpx.get(f"{cell.url(service)}/healthz", timeout=120).is_success
         assert "Traceback" not in cell.log(service)
         assert "request failed" not in cell.log(service)

@@ -38,7 +38,7 @@ class Cell:
             connect(settings.database("webui")), lambda _, event: self.published.append(dict(event))
         )
         self.broker = BrokerClient(settings)
-        self.http = httpx.AsyncClient()
+        self.http = httpx.AsyncClient(timeout=120)
         services = ServiceMonitor(settings.service_urls, self.http, self.broker, self.state, self.log)
         self.devices = Devices(self.state, self.log, services)
         self.tasks = Tasks(self.log, self.devices, services, self.hints.append)

@@ -85,7 +85,7 @@ def test_a_process_is_deployed_started_listed_shown_and_cancelled(
 
     assert handover("process", "cancel", process, "--by", "Anna").returncode == 0
     asked = f"{cell.url('task_orchestrator')}/processes/{process}"  # a command a look would take seconds
-    eventually(lambda: httpx.get(asked, trust_env=False).json()["status"] == "failed")
+    eventually(lambda: httpx.get(asked, trust_env=False, timeout=120).json()["status"] == "failed")
     again = handover("process", "cancel", process)
     assert again.returncode == 2
     assert "failed already" in again.stderr
@@ -111,10 +111,10 @@ def test_a_failed_task_is_retried(
         "outputParameters": {"type": "Property", "value": {"reason": "nobody is there"}},
     }
     link = {"Link": CONTEXT}
-    eventually(lambda: httpx.get(entity, headers=link, trust_env=False).status_code == 200)
-    assert httpx.post(f"{entity}/attrs", json=failed, headers=link, trust_env=False).is_success
+    eventually(lambda: httpx.get(entity, headers=link, trust_env=False, timeout=120).status_code == 200)
+    assert httpx.post(f"{entity}/attrs", json=failed, headers=link, trust_env=False, timeout=120).is_success
     asked = f"{cell.url('task_orchestrator')}/processes/{process}"  # a command a look would take seconds
-    eventually(lambda: httpx.get(asked, trust_env=False).json()["incidents"])
+    eventually(lambda: httpx.get(asked, trust_env=False, timeout=120).json()["incidents"])
     assert "nobody is there" in handover("process", "list").stdout
     (incident,) = shown()["incidents"]
 
