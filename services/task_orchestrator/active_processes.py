@@ -62,6 +62,11 @@ class ActiveProcesses:
         """Return the processes with a timer that is due."""
         return [self.processes[process_id] for process_id, due in self._dues.items() if due <= now]
 
+    def postpone(self, process_id: str, until: datetime) -> None:
+        """Regard the timers of a process as due at `until`, since they could not be processed."""
+        if process_id in self._dues:
+            self._dues[process_id] = until
+
     def next_due(self) -> datetime | None:
         """Return when the next timer is due."""
         return min(self._dues.values(), default=None)
@@ -123,6 +128,9 @@ class ActiveProcesses:
             process = Process.resume(self._settings, plan, record, tasks, self._registry)
         except HandoverError as error:
             log.critical("process not resumed", process=record.id, error=str(error))
+            return
+        except Exception:  # one damaged process must not stop the others
+            log.exception("process not resumed", process=record.id)
             return
         if include_over or not process.over:
             self.processes[record.id] = process

@@ -58,6 +58,8 @@ MAX_STEP_CHANGES = 200
 DELETE_DELIVERED_AFTER_S = 0.1
 DELETE_EXPIRED_EVERY_S = 3600.0
 MAX_DELETED_PROCESSES = 100
+RETRY_TICK_AFTER_S = 60.0
+"""Pause before the timers of a process are processed again that could not be."""
 MAX_DELETED_ENTITIES = 50
 """Entities deleted in one request, so that the broker serves other requests in between."""
 
@@ -332,8 +334,17 @@ class Orchestrator:
 
     async def receive(self, entities: Iterable[Mapping[str, Any]]) -> int:
         """Apply Tasks as the broker has them; return how many had changed. Foreign Tasks are ignored."""
-        tasks = self.changed_tasks(entities)
-        return await self._do(lambda step: self._apply(tasks, step)) if tasks else 0
+        by_process: dict[str, list[Task]] = {}
+        for task in self.changed_tasks(entities):
+            owner = self.active_processes.owner(task.id)
+            if owner is not None:
+                by_process.setdefault(owner.record.id, []).append(task)
+
+        def applying(tasks: list[Task]) -> Callable[[Step], int]:
+            return lambda step: self._apply(tasks, step)
+
+        answers = await self._do_each({name: applying(tasks) for name, tasks in by_process.items()})
+        return sum(answers.values())
 
     def changed_tasks(self, entities: Iterable[Mapping[str, Any]]) -> list[Task]:
         """Return the Tasks of the orchestrator among `entities` that have changed."""
@@ -365,25 +376,33 @@ class Orchestrator:
     async def missing(self, task_ids: Iterable[str]) -> None:
         """Handle that the broker does not have these Tasks of the orchestrator."""
 
-        def act(step: Step) -> None:
-            for task_id in task_ids:
+        def handling(task_id: str) -> Callable[[Step], None]:
+            def act(step: Step) -> None:
                 owner = self.active_processes.owner(task_id)
                 if owner is not None:
                     owner.missing(task_id, step, self.clock())
 
-        await self._do(act)
+            return act
+
+        await self._do_each({task_id: handling(task_id) for task_id in task_ids})
 
     async def tick(self) -> None:
         """Process the timers that are due."""
 
+        now = self.clock()
+
+        def ticking(process: Process) -> Callable[[Step], None]:
+            return lambda step: process.tick(step, now)
+
         def act(step: Step) -> None:
-            now = self.clock()
-            for process in self.active_processes.due(now):
-                process.tick(step, now)
             self.events.expire(step, now)
             self._start_by_timers(step, now)
 
         await self._do(act)
+        due = {process.record.id: process for process in self.active_processes.due(now)}
+        answers = await self._do_each({name: ticking(process) for name, process in due.items()})
+        for process_id in due.keys() - answers.keys():
+            self.active_processes.postpone(process_id, now + timedelta(seconds=RETRY_TICK_AFTER_S))
 
     def next_due(self) -> datetime | None:
         """Return when the next timer is due, or a stored message expires."""
@@ -509,6 +528,26 @@ class Orchestrator:
         done: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._changes.put_nowait(_PendingChange(act, done, process))
         return await done
+
+    async def _do_each(self, acts: Mapping[str, Callable[[Step], T]]) -> dict[str, T]:
+        """Apply changes that are independent: one that fails prevents no other; return the answers.
+
+        Raises `Problem` if all fail, as when the database is unavailable.
+        """
+        answers = await asyncio.gather(*(self._do(act) for act in acts.values()), return_exceptions=True)
+        done: dict[str, T] = {}
+        failed: list[Problem] = []
+        for name, answer in zip(acts, answers, strict=True):
+            if isinstance(answer, Problem):
+                log.error("change not applied", subject=name, error=str(answer))
+                failed.append(answer)
+            elif isinstance(answer, BaseException):
+                raise answer
+            else:
+                done[name] = answer
+        if failed and not done:
+            raise failed[0]
+        return done
 
     async def _do_with(self, process_id: str, act: Callable[[Process, Step], T]) -> T:
         """Change a process that may be over; raise `Problem` 404 if there is none."""

@@ -14,8 +14,19 @@ from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
 from services.task_orchestrator.orchestrator import Orchestrator, utc_now
+from services.task_orchestrator.process import Process
 from services.task_orchestrator.settings import OrchestratorSettings
-from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path, start, timer
+from tests.unit.task_orchestrator.drawing import (
+    ONE_STEP,
+    activity,
+    boundary,
+    drawing,
+    end,
+    flow,
+    path,
+    start,
+    timer,
+)
 
 NOBODY = "http://127.0.0.1:9"
 
@@ -85,6 +96,32 @@ async def test_one_that_cannot_be_written_does_not_hold_up_the_others(
     assert answers[2].status == 503
     run_sql(settings, "DELETE FROM orchestrator_inbox WHERE received_at = 'then'")
     assert await orchestrator.receive([completed(task_of(processes[2]))]) == 1
+
+
+async def test_one_poisoned_process_stops_neither_the_reconciliation_nor_the_timers_of_the_others(
+    orchestrator: Orchestrator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await orchestrator.deploy(
+        drawing(ONE_STEP + boundary("late", "work", timer("PT0S")) + flow("late", "end"))
+    )
+    poisoned, healthy, other = [(await orchestrator.start("p", {}))[0] for _ in range(3)]
+    for name in ("tick", "receive"):
+        original = getattr(Process, name)
+
+        def act(self: Process, *arguments: Any, original: Any = original) -> Any:
+            if self.record.id == poisoned:
+                raise ZeroDivisionError("poison")
+            return original(self, *arguments)
+
+        monkeypatch.setattr(Process, name, act)
+    assert await orchestrator.receive([completed(task_of(each)) for each in (poisoned, healthy)]) == 1
+    await orchestrator.tick()
+    records = await orchestrator.on_disk(orchestrator.store.processes, [poisoned, healthy, other])
+    assert {record.id: record.status.value for record in records} == {
+        poisoned: "inProgress",
+        healthy: "completed",
+        other: "completed",
+    }
 
 
 @pytest.mark.parametrize("status", [["done"], {"code": 1}, 7, None])
