@@ -14,7 +14,8 @@ import pytest
 from tests.integration.task_orchestrator.cell import CONTEXT
 
 BAD = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL" targetNamespace="urn:t">
-<process id="odd" isExecutable="true"><complexGateway id="which" name="Which one?"/></process></definitions>"""
+<process id="odd" isExecutable="true"><complexGateway id="which" name="Which one?"/></process>
+</definitions>"""
 
 WAITS = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL"
   xmlns:handover="urn:handover:bpmn" targetNamespace="urn:t">
