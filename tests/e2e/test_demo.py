@@ -12,6 +12,8 @@ from typing import Any
 import psutil
 import pytest
 
+from tests.kit.waiting import scaled
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 SERVICES = {"context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "study", "webui"}
@@ -41,7 +43,7 @@ def handover(cell: Any) -> Iterator[Start]:
     yield start
     for process in started:
         process.terminate()
-        process.communicate(timeout=120)
+        process.communicate(timeout=scaled(120))
 
 
 def read_until_ready(process: subprocess.Popen[str]) -> None:
@@ -61,7 +63,7 @@ def services_of(process: subprocess.Popen[str]) -> dict[str, psutil.Process]:
 def test_the_demo_completes_and_runs_again_on_the_same_data(handover: Start, cell: Any) -> None:
     for _ in range(2):
         process = handover("demo", "--once", "--data-dir", str(cell.data_dir / "data"))
-        story, _ = process.communicate(timeout=180)
+        story, _ = process.communicate(timeout=scaled(180))
         assert process.returncode == 0, story
         assert "process   completed" in story
         assert "no part found" in story
@@ -112,7 +114,7 @@ def test_killed_services_are_restarted_and_the_process_completes(
         story.append(line)
         if left and left[0][0] in line:
             services_of(process)[left.pop(0)[1]].kill()
-    assert process.wait(timeout=180) == 0, "".join(story)
+    assert process.wait(timeout=scaled(180)) == 0, "".join(story)
     output = "".join(story)
     assert output.count("SIGKILL") == len(killed), output
     assert "process   completed" in output
@@ -127,7 +129,7 @@ def test_killed_services_are_restarted_and_the_process_completes(
 def test_a_port_in_use_is_reported_in_one_line(handover: Start, cell: Any, taken: str, setting: str) -> None:
     with socket.create_server(("127.0.0.1", cell.ports[taken])):
         process = handover("demo", "--once")
-        said, _ = process.communicate(timeout=120)
+        said, _ = process.communicate(timeout=scaled(120))
     assert process.returncode == 2
     complaint = said.strip().splitlines()[-1]
     assert str(cell.ports[taken]) in complaint
@@ -138,7 +140,7 @@ def test_a_port_in_use_is_reported_in_one_line(handover: Start, cell: Any, taken
 def test_an_unusable_data_directory_is_reported_in_one_line(handover: Start, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a directory")
     process = handover("up", "--data-dir", str(tmp_path / "file"))
-    said, _ = process.communicate(timeout=120)
+    said, _ = process.communicate(timeout=scaled(120))
     assert process.returncode == 2
     assert len(said.strip().splitlines()) == 1
     assert "--data-dir" in said

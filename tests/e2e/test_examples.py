@@ -106,7 +106,7 @@ def test_glove_source_sends_datagrams_as_frames(extended_cell: Cell) -> None:
     finally:
         sender.close()
         bridge.terminate()
-        bridge.communicate(timeout=20)
+        bridge.communicate(timeout=scaled(20))
 
 
 @pytest.mark.parametrize("driver", ["simulated", "steady"])
@@ -192,14 +192,14 @@ def test_exporter_writes_the_history_of_a_process(extended_cell: Cell) -> None:
     wait_for(lambda: orchestrator.get(f"/processes/{process}").json()["tasks"])
     file = cell.data_dir / "log.xes"
     export = handover(cell, "process", "export", process, "--format", "xes", "--output", str(file))
-    export.communicate(timeout=60)
+    export.communicate(timeout=scaled(60))
     assert export.returncode == 0
     log = ET.parse(file).getroot()
     namespace = {"xes": "http://www.xes-standard.org/"}
     names = [one.get("value") for one in log.findall("xes:trace/xes:event/xes:string", namespace)]
     assert "Confirm that the cell is clear" in names
     csv = handover(cell, "process", "export", process)
-    assert b"confirm_clear" in csv.communicate(timeout=60)[0]
+    assert b"confirm_clear" in csv.communicate(timeout=scaled(60))[0]
     orchestrator.close()
 
 
@@ -215,7 +215,7 @@ def lamp(extended_cell: Cell) -> Iterator[Cell]:
         yield cell
     finally:
         service.terminate()
-        service.communicate(timeout=20)
+        service.communicate(timeout=scaled(20))
 
 
 async def test_service_performs_a_task(lamp: Cell) -> None:
@@ -224,7 +224,7 @@ async def test_service_performs_a_task(lamp: Cell) -> None:
 
 
 def test_settings_of_an_installed_service_are_listed(extended_cell: Cell) -> None:
-    printed, _ = handover(extended_cell, "settings").communicate(timeout=60)
+    printed, _ = handover(extended_cell, "settings").communicate(timeout=scaled(60))
     assert "HANDOVER_LAMP_PORT" in printed.decode()
     assert os.fspath(extended_cell.data_dir) in printed.decode()
 

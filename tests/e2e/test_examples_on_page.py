@@ -13,6 +13,7 @@ from playwright.sync_api import Page, expect
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 from tests.kit.ports import next_free_port
+from tests.kit.waiting import scaled
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -109,7 +110,7 @@ def test_the_page_lists_a_service_of_another_package_with_its_health(
         keep(page, "example-service")
     finally:
         lamp.terminate()
-        lamp.wait(timeout=30)
+        lamp.wait(timeout=scaled(30))
     if wanted:
         expect(row).to_contain_text("does not respond")
     else:

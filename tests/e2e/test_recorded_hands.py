@@ -10,6 +10,8 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.kit.waiting import scaled
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 GESTURE_OF_POSE = {
@@ -58,7 +60,7 @@ def test_five_recorded_gestures_complete_five_tasks(
     orchestrator, glove = cell.url("task_orchestrator"), f"{cell.url('gesture_controller')}/gloves/glove-1"
     file = recordings / "person_b.csv"
 
-    _, said = glove_command(cell, "calibrate", "--from", str(file)).communicate(timeout=120)
+    _, said = glove_command(cell, "calibrate", "--from", str(file)).communicate(timeout=scaled(120))
     assert b"glove-1 is calibrated" in said, said
     deployed = httpx.post(
         f"{orchestrator}/definitions",
@@ -91,7 +93,7 @@ def test_five_recorded_gestures_complete_five_tasks(
                     eventually(lambda pose=pose: asked() != GESTURE_OF_POSE[pose])
             finally:
                 hand.terminate()
-                hand.communicate(timeout=120)
+                hand.communicate(timeout=scaled(120))
 
     eventually(
         lambda: httpx.get(f"{orchestrator}/processes/{process}", timeout=120).json()["status"] == "completed"

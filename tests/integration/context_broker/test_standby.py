@@ -13,6 +13,8 @@ import httpx
 import psycopg
 import pytest
 
+from tests.kit.waiting import scaled
+
 from .conftest import BrokerProcess
 from .test_crashes import CUTS
 from .writers import ALL_WAYS, Writer, compare, things_of
@@ -160,7 +162,7 @@ def test_brokers_that_are_killed_in_turn_lose_nothing_and_repeat_little(
         work_until(goal, writers, eventually)
         serving.kill()
         for writer in writers:
-            writer.join(30)
+            writer.join(scaled(30))
             assert not writer.is_alive()
             assert writer.failures == []
         eventually(lambda other=other: is_ready(other), why="the standby does not take over")
@@ -220,7 +222,7 @@ def test_a_standby_stops_on_sigterm(pair: Pair) -> None:
     process = pair.standby(1).process
     assert process is not None
     process.terminate()
-    process.wait(20)
+    process.wait(scaled(20))
 
 
 def test_when_the_database_crashes_under_load_nothing_acknowledged_is_lost(
@@ -282,7 +284,7 @@ def failed_start(broker: BrokerProcess) -> str:
     """Return what a broker says that refuses to start."""
     process = broker.spawn()
     try:
-        assert process.wait(20) == 2
+        assert process.wait(scaled(20)) == 2
     finally:
         process.kill()
     return broker.log().strip().splitlines()[-1]

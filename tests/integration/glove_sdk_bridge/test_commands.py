@@ -13,6 +13,7 @@ import pytest
 from glove_sdk_bridge.__main__ import main
 from glove_sdk_bridge.frames import Frame, Hello
 from glove_sdk_bridge.recording import RecordingWriter
+from tests.kit.waiting import scaled
 
 Bridge = Callable[..., subprocess.Popen[bytes]]
 REPOSITORY = Path(__file__).parents[3]
@@ -88,7 +89,7 @@ def test_ctrl_c_and_sigterm_end_it_quietly(
     process = bridge("replay", str(file), "--loop", "--port", str(desk.port))
     eventually(lambda: len(desk.frames) > 3)
     process.send_signal(number)
-    _, complaints = process.communicate(timeout=120)
+    _, complaints = process.communicate(timeout=scaled(120))
     assert process.returncode == 0
     assert b"Traceback" not in complaints
 
@@ -128,7 +129,7 @@ def test_a_replay_waits_for_the_controller_rather_than_play_to_nobody(
     assert process.stderr is not None
     assert b"trying again until it does" in process.stderr.readline()
     closed_desk.open()
-    _, complaints = process.communicate(timeout=120)
+    _, complaints = process.communicate(timeout=scaled(120))
     assert process.returncode == 0
     assert b"5 frames sent, 0 dropped" in complaints
     assert len(closed_desk.frames) == 5

@@ -20,7 +20,7 @@ from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.shared_mapping import BOTH_WAYS, REQUESTS
 from tests.kit.cell import new_cell
-from tests.kit.waiting import until
+from tests.kit.waiting import scaled, until
 
 
 class Shop:
@@ -63,7 +63,7 @@ class Shop:
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
         """Return a publisher of the robot that has a subscriber."""
         publisher = await self.robot.publisher(topic, type_name, qos)
-        assert await publisher.matched(10.0), f"no node subscribes to {topic}"
+        assert await publisher.matched(scaled(10.0)), f"no node subscribes to {topic}"
         return publisher
 
     async def subscribe(
@@ -76,7 +76,7 @@ class Shop:
             messages.append(received.message)
 
         subscription = await self.robot.subscribe(topic, type_name, on_message, qos)
-        assert await subscription.matched(10.0), f"no node publishes {topic}"
+        assert await subscription.matched(scaled(10.0)), f"no node publishes {topic}"
         return subscription, messages
 
     def rule(self, name: str) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import pytest
 
 from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Qos
 from tests.integration.ros_fiware_bridge.conftest import Shop
+from tests.kit.waiting import scaled
 
 pytestmark = pytest.mark.slow
 
@@ -121,7 +122,7 @@ async def test_a_rule_for_every_value_publishes_a_value_that_was_not_notified(sh
 async def test_the_type_of_a_topic_is_taken_from_the_graph(shop: Any) -> None:
     publisher = await shop.robot.publisher("/words", "std_msgs/msg/String", LATCHED)
     await shop.until(lambda: shop.rule("untyped")["type"] == "std_msgs/msg/String")
-    assert await publisher.matched(10.0)
+    assert await publisher.matched(scaled(10.0))
     publisher.publish({"data": "hello"})
     await shop.becomes(ROBOT, "words", "hello")
 
@@ -172,7 +173,7 @@ async def test_a_value_is_not_sent_back_to_its_side(shop: Any) -> None:
 async def test_the_parameters_of_the_node_are_read_only(shop: Any) -> None:
     async def call(service: str, kind: str, request: dict[str, Any]) -> Any:
         return await shop.robot.call(
-            f"/handover_bridge/{service}", f"rcl_interfaces/srv/{kind}", request, 30.0
+            f"/handover_bridge/{service}", f"rcl_interfaces/srv/{kind}", request, scaled(30.0)
         )
 
     listed = await call("list_parameters", "ListParameters", {"prefixes": ["rules"]})

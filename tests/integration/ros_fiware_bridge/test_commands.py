@@ -13,6 +13,7 @@ import yaml
 from handover.cli.main import main
 from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
 from tests.integration.ros_fiware_bridge.graph.test_genuine_cyclone import genuine
+from tests.kit.waiting import scaled
 
 pytestmark = pytest.mark.slow
 
@@ -66,7 +67,7 @@ async def test_check_reports_each_error_with_its_line(own_shop: Any, handover: H
 def test_a_failed_command_prints_one_line(tmp_path: Path) -> None:
     typed = [sys.executable, "-m", "handover.cli", "bridge", "check", "nowhere.yaml"]
     ended = subprocess.run(
-        typed, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=90
+        typed, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=scaled(90)
     )
     assert (ended.returncode, ended.stdout) == (2, "")
     assert len(ended.stderr.splitlines()) == 1
@@ -85,7 +86,7 @@ def test_logs_of_a_command_go_to_standard_error(tmp_path: Path) -> None:
         "main()\n"
     )
     ended = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=90
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=scaled(90)
     )
     assert "a line of the log" in ended.stderr
     (rule,) = yaml.safe_load(ended.stdout)["ros_to_ngsild"].values()

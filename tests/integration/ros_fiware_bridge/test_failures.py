@@ -16,6 +16,7 @@ import pytest
 
 from ros_fiware_bridge.graph.joining import JoinSettings, join
 from ros_fiware_bridge.types.type_store import TypeStore
+from tests.kit.waiting import scaled
 
 pytestmark = pytest.mark.slow
 
@@ -139,7 +140,7 @@ async def test_a_message_of_50_megabytes_is_refused_and_the_next_one_accepted(sh
     big = await join(TypeStore(), asked)
     try:
         raw = await big.publisher("/raw", "std_msgs/msg/UInt8MultiArray")
-        assert await raw.matched(10.0)
+        assert await raw.matched(scaled(10.0))
         raw.publish({"data": np.zeros(50 * 2**20, np.uint8)})
         await shop.until(lambda: shop.rule("raw")["unreadable"] == 1, 30.0)
         assert "16777216 are allowed" in shop.rule("raw")["lastUnreadable"]

@@ -11,6 +11,7 @@ from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
 from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, Message, ServedGoal
 from tests.integration.ros_fiware_bridge.conftest import Shop
+from tests.kit.waiting import scaled
 
 pytestmark = pytest.mark.slow
 
@@ -161,7 +162,7 @@ async def test_a_change_of_an_attribute_calls_a_service_once(shop: Any) -> None:
 
 async def test_a_node_requests_a_task_and_receives_its_result(shop: Any) -> None:
     answering = asyncio.create_task(
-        shop.robot.call("/ask_for_help", "std_srvs/srv/SetBool", {"data": True}, 30.0)
+        shop.robot.call("/ask_for_help", "std_srvs/srv/SetBool", {"data": True}, scaled(30.0))
     )
 
     async def asked() -> Any:

@@ -16,6 +16,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
+from tests.kit.waiting import scaled
 from webui.live.live_socket import LiveSocket
 from webui.live.live_state import LiveState
 from webui.live.viewers import Viewers
@@ -257,7 +258,7 @@ async def test_a_page_that_does_not_read_is_disconnected(
             assert number > 30
             assert worst_s < 1.0
             with pytest.raises(ConnectionClosed):
-                await asyncio.wait_for(read_to_the_end(slow), 20)
+                await asyncio.wait_for(read_to_the_end(slow), scaled(20))
         async with connect(url, proxy=None, max_size=None, ping_interval=None) as again:
             first = orjson.loads(await again.recv())
             assert first["type"] == "snapshot"

@@ -1,4 +1,3 @@
-import asyncio
 import os
 import random
 import subprocess
@@ -15,6 +14,7 @@ from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, jo
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.kit.skipping import ROS_TYPES
+from tests.kit.waiting import scaled, until
 
 # An installed ROS uses this machine alone, like our own DDS by its settings.
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -124,13 +124,12 @@ def only_cyclone(adapter: Adapter) -> None:
 
 
 async def true(holds: Callable[[], Any], timeout_s: float = 20.0) -> None:
-    async with asyncio.timeout(timeout_s):
-        while not holds():
-            await asyncio.sleep(0.01)
+    await until(holds, timeout_s)
 
 
-async def repeated(graph: RosGraph, text: str, times: int, timeout_s: float = 10) -> list[str]:
-    answer = await graph.call("/repeat", REPEAT, {"prefixes": [text], "depth": times}, timeout_s)
+async def repeated(graph: RosGraph, text: str, times: int, timeout_s: float | None = None) -> list[str]:
+    request = {"prefixes": [text], "depth": times}
+    answer = await graph.call("/repeat", REPEAT, request, timeout_s or scaled(10))
     return list(answer["result"]["names"])
 
 

@@ -13,6 +13,8 @@ from typing import Any
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
+from tests.kit.waiting import scaled
+
 ROSAPI = "/rosapi/"
 
 
@@ -186,4 +188,4 @@ async def running(*, ros1: bool = False) -> AsyncIterator[RosbridgeServer]:
     try:
         yield server
     finally:
-        await asyncio.wait_for(server.stop(), 10)
+        await asyncio.wait_for(server.stop(), scaled(10))

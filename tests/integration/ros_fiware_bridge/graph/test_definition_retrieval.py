@@ -13,6 +13,7 @@ from ros_fiware_bridge.inspection import definition_retrieval
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import running_script, true
 from tests.kit.skipping import NO_ROS
+from tests.kit.waiting import scaled
 
 pytestmark = [
     pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS),
@@ -51,7 +52,7 @@ async def test_a_message_is_decoded_with_definitions_of_its_node(domain_id: int,
     try:
         got: asyncio.Queue[Any] = asyncio.Queue()
         await graph.subscribe("/nested", NESTED, got.put_nowait)
-        received = await asyncio.wait_for(got.get(), 30)
+        received = await asyncio.wait_for(got.get(), scaled(30))
         assert received.message["basic_types_value"]["int32_value"] == 7
         assert not graph.problems()
     finally:

@@ -29,6 +29,7 @@ from tests.integration.ros_fiware_bridge.graph.conftest import (
     running_peer,
     true,
 )
+from tests.kit.waiting import scaled
 
 JOINTS = "sensor_msgs/msg/JointState"
 pytestmark = pytest.mark.usefixtures("peer")
@@ -153,7 +154,7 @@ async def test_a_blocked_subscriber_delays_the_publisher_only_briefly(
     graph: RosGraph, peer: subprocess.Popen[str]
 ) -> None:
     publisher = await graph.publisher("/say", JOINTS, Qos(history=History.KEEP_ALL))
-    assert await publisher.matched(10)
+    assert await publisher.matched(scaled(10))
     message = {"position": np.zeros(50_000)}
 
     def say_much() -> None:

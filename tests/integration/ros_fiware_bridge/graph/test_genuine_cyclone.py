@@ -13,6 +13,7 @@ from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
 from ros_fiware_bridge.graph.port import GoalStatus, RosGraph
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import running_script, true
+from tests.kit.waiting import scaled
 
 TRIGGER = "std_srvs/srv/Trigger"
 OF_REQUEST = "RIHS01_d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199"
@@ -36,7 +37,7 @@ async def graph(store: TypeStore, domain_id: int) -> AsyncIterator[RosGraph]:
 
 async def test_a_service_and_an_action_of_a_genuine_node_are_called(graph: RosGraph, domain_id: int) -> None:
     with genuine(domain_id):
-        assert await graph.call("/trigger", TRIGGER, {}, 20) == {"success": True, "message": "done"}
+        assert await graph.call("/trigger", TRIGGER, {}, scaled(20)) == {"success": True, "message": "done"}
         action = await graph.action_client("/fibonacci", "test_msgs/action/Fibonacci")
         ended = await (await action.send_goal({"order": 6}, timeout_s=120)).result(120)
         assert ended.status is GoalStatus.SUCCEEDED
@@ -47,7 +48,7 @@ async def test_a_service_and_an_action_of_a_genuine_node_are_called(graph: RosGr
 
 async def test_the_hash_of_the_service_is_accepted_as_well(graph: RosGraph, domain_id: int) -> None:
     with genuine(domain_id, OF_SERVICE.removeprefix("RIHS01_")):
-        assert (await graph.call("/trigger", TRIGGER, {}, 20))["success"]
+        assert (await graph.call("/trigger", TRIGGER, {}, scaled(20)))["success"]
 
 
 async def test_another_definition_is_refused_and_both_our_hashes_are_named(
@@ -56,7 +57,7 @@ async def test_another_definition_is_refused_and_both_our_hashes_are_named(
     with genuine(domain_id, "0" * 64):
         await true(lambda: "/trigger" in {one.name for one in graph.services()})
         with pytest.raises(TypeHashDiffers, match=f"/trigger: .* serves {TRIGGER} with ") as error:
-            await graph.call("/trigger", TRIGGER, {}, 20)
+            await graph.call("/trigger", TRIGGER, {}, scaled(20))
         assert OF_REQUEST in str(error.value)
         assert OF_SERVICE in str(error.value)
 
@@ -68,7 +69,7 @@ async def test_our_endpoints_publish_the_same_hashes_as_genuine_ones(
         return {"success": True}
 
     await graph.serve("/ours", TRIGGER, answer)
-    assert await graph.call("/ours", TRIGGER, {}, 20)
+    assert await graph.call("/ours", TRIGGER, {}, scaled(20))
 
     def published() -> dict[tuple[str, bool], str | None]:
         snapshot = graph._node.discovery.snapshot()  # type: ignore[attr-defined]  # no port shows it

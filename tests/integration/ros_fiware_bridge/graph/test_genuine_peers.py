@@ -16,6 +16,7 @@ from ros_fiware_bridge.rules import plan
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import running_peer, true
 from tests.kit.skipping import NO_ROS
+from tests.kit.waiting import scaled
 
 pytestmark = [
     pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS),
@@ -42,7 +43,7 @@ async def test_messages_pass_to_and_from_a_genuine_node(graph: RosGraph) -> None
     got: list[Any] = []
     await graph.subscribe("/echo", JOINTS, got.append)
     publisher = await graph.publisher("/say", JOINTS)
-    assert await publisher.matched(20)
+    assert await publisher.matched(scaled(20))
     message = {"header": {"frame_id": "Grüße"}, "name": ["a", "bc"], "position": [0.5, -1.5]}
 
     async def say() -> None:
@@ -50,7 +51,7 @@ async def test_messages_pass_to_and_from_a_genuine_node(graph: RosGraph) -> None
             publisher.publish(message)
             await asyncio.sleep(0.2)
 
-    await asyncio.wait_for(say(), 20)
+    await asyncio.wait_for(say(), scaled(20))
     assert got[0].message["name"] == ["a", "bc"]
     assert got[0].message["position"].tolist() == [0.5, -1.5]
     assert got[0].message["header"]["frame_id"] == "Grüße"
@@ -59,9 +60,9 @@ async def test_messages_pass_to_and_from_a_genuine_node(graph: RosGraph) -> None
 async def test_latched_and_best_effort_messages_of_a_genuine_node_are_received(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/cell/greeting", "std_msgs/msg/String", got.put_nowait, LATCHED)
-    assert (await asyncio.wait_for(got.get(), 20)).message == {"data": "welcome"}
+    assert (await asyncio.wait_for(got.get(), scaled(20))).message == {"data": "welcome"}
     await graph.subscribe("/noise", "std_msgs/msg/Float32", got.put_nowait, SENSOR_DATA)
-    assert (await asyncio.wait_for(got.get(), 20)).message == {"data": 0.5}
+    assert (await asyncio.wait_for(got.get(), scaled(20))).message == {"data": 0.5}
 
 
 async def test_a_genuine_node_is_listed_with_its_hashes_and_qos(graph: RosGraph, store: TypeStore) -> None:

@@ -14,6 +14,7 @@ from ros_fiware_bridge.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import repeated, running_peer, true
 from tests.integration.ros_fiware_bridge.graph.test_genuine_cyclone import TRIGGER, genuine
 from tests.kit.skipping import NO_ROS
+from tests.kit.waiting import scaled
 
 pytestmark = [
     pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS),
@@ -60,12 +61,12 @@ async def test_a_service_of_ours_answers_a_client_on_fast_dds(graph: RosGraph) -
     got: asyncio.Queue[Any] = asyncio.Queue()
     subscription = await graph.subscribe("/asked", "std_msgs/msg/String", got.put_nowait)
     ask = await graph.publisher("/ask", "std_msgs/msg/String")
-    assert await subscription.matched(60)
-    assert await ask.matched(60)
+    assert await subscription.matched(scaled(60))
+    assert await ask.matched(scaled(60))
     # The first call may end before the service has moved to the middleware of the client.
     for _ in range(10):
         ask.publish({"data": "/ours"})
-        if (await asyncio.wait_for(got.get(), 60)).message == {"data": "here"}:
+        if (await asyncio.wait_for(got.get(), scaled(60))).message == {"data": "here"}:
             break
     else:
         pytest.fail(f"the client on Fast DDS got no answer: {served.last_error}")
@@ -77,7 +78,7 @@ async def test_a_service_on_cyclone_dds_is_called_without_rclpy(store: TypeStore
     settings = JoinSettings(node="bridge", domain_id=domain_id + 1, interfaces=("127.0.0.1",))
     graph = await join(store, settings)
     try:
-        assert (await graph.call("/trigger", TRIGGER, {}, 20))["message"] == "done"
+        assert (await graph.call("/trigger", TRIGGER, {}, scaled(20)))["message"] == "done"
         assert not any("rclpy" in node.name for node in graph.nodes())
     finally:
         await graph.close()
@@ -96,7 +97,7 @@ async def test_one_side_serves_at_a_time(graph: RosGraph, store: TypeStore, doma
     client = await join(store, settings, Adapter.CYCLONE)
     try:
         for _ in range(3):
-            assert (await client.call("/counted", TRIGGER, {}, 20))["success"]
+            assert (await client.call("/counted", TRIGGER, {}, scaled(20)))["success"]
         assert asked == 3
     finally:
         await client.close()

@@ -28,6 +28,7 @@ from ros_fiware_bridge.graph.qos import LATCHED
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import true
 from tests.integration.ros_fiware_bridge.graph.rosbridge_server import RosbridgeServer, running
+from tests.kit.waiting import scaled
 
 JOINTS = "sensor_msgs/msg/JointState"
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -66,13 +67,13 @@ async def test_a_message_is_received_unchanged(graph: RosGraph, robot: RosGraph)
     got: asyncio.Queue[Any] = asyncio.Queue()
     subscription = await graph.subscribe("/joints", JOINTS, got.put_nowait)
     publisher = await robot.publisher("/joints", JOINTS)
-    assert await subscription.matched(10)
-    assert await publisher.matched(10)
+    assert await subscription.matched(scaled(10))
+    assert await publisher.matched(scaled(10))
     stamp = {"sec": 12, "nanosec": 34}
     publisher.publish(
         {"header": {"stamp": stamp, "frame_id": "Grüße"}, "name": ["a", "b"], "position": [0.5, -1]}
     )
-    received = await asyncio.wait_for(got.get(), 10)
+    received = await asyncio.wait_for(got.get(), scaled(10))
     assert received.message["header"]["stamp"] == stamp
     assert received.message["header"]["frame_id"] == "Grüße"
     assert received.message["name"] == ["a", "b"]
@@ -86,9 +87,9 @@ async def test_octets_are_received_unchanged(graph: RosGraph, robot: RosGraph) -
     got: asyncio.Queue[Any] = asyncio.Queue()
     subscription = await graph.subscribe("/image", "sensor_msgs/msg/Image", got.put_nowait)
     publisher = await robot.publisher("/image", "sensor_msgs/msg/Image")
-    assert await subscription.matched(10)
+    assert await subscription.matched(scaled(10))
     publisher.publish({"data": bytes(range(256))})
-    assert (await asyncio.wait_for(got.get(), 10)).message["data"] == bytes(range(256))
+    assert (await asyncio.wait_for(got.get(), scaled(10))).message["data"] == bytes(range(256))
 
 
 async def test_a_late_subscriber_receives_the_latched_message(graph: RosGraph, robot: RosGraph) -> None:
@@ -97,7 +98,7 @@ async def test_a_late_subscriber_receives_the_latched_message(graph: RosGraph, r
     await asyncio.sleep(0)
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/greeting", "std_msgs/msg/String", got.put_nowait, LATCHED)
-    assert (await asyncio.wait_for(got.get(), 10)).message == {"data": "welcome"}
+    assert (await asyncio.wait_for(got.get(), scaled(10))).message == {"data": "welcome"}
 
 
 async def test_services_answer_or_return_the_reason(graph: RosGraph, robot: RosGraph) -> None:
@@ -124,7 +125,7 @@ async def test_services_answer_or_return_the_reason(graph: RosGraph, robot: RosG
         await graph.call("/slow", "std_srvs/srv/Trigger", {}, 0.2)
     with pytest.raises(BadMessage, match='no field "date"'):
         await graph.call("/lamp", "std_srvs/srv/SetBool", {"date": True})
-    waiting = asyncio.ensure_future(graph.call("/slow", "std_srvs/srv/Trigger", {}, 20))
+    waiting = asyncio.ensure_future(graph.call("/slow", "std_srvs/srv/Trigger", {}, scaled(20)))
     await asyncio.sleep(0.05)
     await graph.close()
     with pytest.raises(GraphClosed):
@@ -193,8 +194,8 @@ async def test_everything_is_restored_after_a_restart_of_the_server(
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/word", "std_msgs/msg/String", got.put_nowait)
     publisher = await robot.publisher("/word", "std_msgs/msg/String")
-    assert await publisher.matched(10)
-    waiting = asyncio.ensure_future(graph.call("/never", "std_srvs/srv/Trigger", {}, 20))
+    assert await publisher.matched(scaled(10))
+    waiting = asyncio.ensure_future(graph.call("/never", "std_srvs/srv/Trigger", {}, scaled(20)))
     await server.stop()
     with pytest.raises(ServiceUnavailable):
         await waiting
@@ -211,7 +212,7 @@ async def test_everything_is_restored_after_a_restart_of_the_server(
             publisher.publish({"data": "back"})
             await asyncio.sleep(0.05)
 
-    await asyncio.wait_for(publish_until_received(), 15)
+    await asyncio.wait_for(publish_until_received(), scaled(15))
     assert got.get_nowait().message == {"data": "back"}
 
 
@@ -225,8 +226,8 @@ async def test_nan_and_oversized_messages_are_refused(server: RosbridgeServer, r
     async with client(server, "narrow", max_message_bytes=500_000) as narrow:
         got: list[Any] = []
         subscription = await narrow.subscribe("/image", "sensor_msgs/msg/Image", got.append)
-        assert await subscription.matched(10)
-        assert await image.matched(10)
+        assert await subscription.matched(scaled(10))
+        assert await image.matched(scaled(10))
         image.publish({"data": bytes(6_000_000)})  # its fragments are discarded
         image.publish({"data": bytes(1_000_000)})  # refused once it is complete
         image.publish({"data": bytes(1_000)})
@@ -246,8 +247,8 @@ async def test_invalid_messages_are_refused_and_the_connection_stays_open(
     async with connect(server.url, proxy=None) as odd:
         for message in ({"data": "many"}, {"date": 1}, [1], None, {"data": None}, {"data": 7}):
             await odd.send(json.dumps({"op": "publish", "topic": "/number", "msg": message}))
-        assert math.isnan((await asyncio.wait_for(got.get(), 10)).message["data"])
-        assert (await asyncio.wait_for(got.get(), 10)).message == {"data": 7.0}
+        assert math.isnan((await asyncio.wait_for(got.get(), scaled(10))).message["data"])
+        assert (await asyncio.wait_for(got.get(), scaled(10))).message == {"data": 7.0}
     assert subscription.refused == 4
 
 
@@ -264,12 +265,15 @@ async def test_ros_1_formats_are_converted() -> None:
             header = {"seq": 1, "stamp": stamp, "frame_id": "base"}
             joints = {"header": header, "name": ["a"], "position": [1.5], "velocity": [], "effort": []}
             await robot.send(json.dumps({"op": "publish", "topic": "/joints", "msg": joints}))
-            received = await asyncio.wait_for(got.get(), 10)
+            received = await asyncio.wait_for(got.get(), scaled(10))
             assert received.message["header"]["stamp"] == {"sec": 5, "nanosec": 6}
             assert received.message["position"].tolist() == [1.5]
-            assert json.loads(await asyncio.wait_for(robot.recv(), 10))["msg"] == joints
+            assert json.loads(await asyncio.wait_for(robot.recv(), scaled(10)))["msg"] == joints
             publisher.publish(received.message)
-            assert json.loads(await asyncio.wait_for(robot.recv(), 10))["msg"]["header"]["stamp"] == stamp
+            assert (
+                json.loads(await asyncio.wait_for(robot.recv(), scaled(10)))["msg"]["header"]["stamp"]
+                == stamp
+            )
         await true(lambda: "/joints" in {one.name for one in graph.topics()})
         (topic,) = (one for one in graph.topics() if one.name == "/joints")
         assert topic.type_names == (JOINTS,)

@@ -20,6 +20,7 @@ from tests.integration.ros_fiware_bridge.graph.conftest import (
     running_peer,
     true,
 )
+from tests.kit.waiting import scaled
 
 FIBONACCI = "test_msgs/action/Fibonacci"
 pytestmark = pytest.mark.usefixtures("peer")
@@ -64,12 +65,12 @@ async def test_our_services_answer_other_nodes(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     subscription = await graph.subscribe("/asked", "std_msgs/msg/String", got.put_nowait)
     ask = await graph.publisher("/ask", "std_msgs/msg/String")
-    assert await subscription.matched(10)
-    assert await ask.matched(10)
+    assert await subscription.matched(scaled(10))
+    assert await ask.matched(scaled(10))
     ask.publish({"data": "/ours"})
-    assert (await asyncio.wait_for(got.get(), 10)).message == {"data": "here"}
+    assert (await asyncio.wait_for(got.get(), scaled(10))).message == {"data": "here"}
     ask.publish({"data": "/failing"})
-    assert (await asyncio.wait_for(got.get(), 10)).message == {"data": "CallTimeout"}
+    assert (await asyncio.wait_for(got.get(), scaled(10))).message == {"data": "CallTimeout"}
     assert (good.calls, good.failed) == (1, 0)
     assert (bad.calls, bad.failed) == (1, 1)
     assert bad.last_error == "RuntimeError: no"
@@ -148,7 +149,7 @@ async def test_a_killed_server_fails_the_goal_and_its_successor_is_found(
             peer.kill()
             # DDS detects a silent program after ten seconds (Fast DDS: twenty).
             with pytest.raises(ServiceUnavailable, match=r"the server of .* went away before"):
-                await asyncio.wait_for(waiting, 40)
+                await asyncio.wait_for(waiting, scaled(40))
         with running_peer(adapter, elsewhere):
             ended = await (await action.send_goal({"order": 4}, timeout_s=120)).result(120)
             assert ended.status is GoalStatus.SUCCEEDED
@@ -174,4 +175,4 @@ async def test_a_goal_fails_when_another_server_replaces_its_own(graph: RosGraph
             first._opened.clear()  # type: ignore[attr-defined]
             await first.close()
             with pytest.raises(ServiceUnavailable, match="went away before it answered"):
-                await asyncio.wait_for(waiting, 40)
+                await asyncio.wait_for(waiting, scaled(40))

@@ -21,6 +21,7 @@ from tests.integration.ros_fiware_bridge.graph.conftest import (
     running_peer,
     true,
 )
+from tests.kit.waiting import scaled
 
 JOINTS = "sensor_msgs/msg/JointState"
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -31,15 +32,15 @@ async def test_a_message_is_echoed_unchanged(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     subscription = await graph.subscribe("/echo", JOINTS, got.put_nowait)
     publisher = await graph.publisher("/say", JOINTS)
-    assert await subscription.matched(10)
-    assert await publisher.matched(10)
+    assert await subscription.matched(scaled(10))
+    assert await publisher.matched(scaled(10))
     message = {
         "header": {"stamp": {"sec": 12, "nanosec": 34}, "frame_id": "Grüße"},
         "name": ["shoulder", "elbow"],
         "position": [0.5, -1.5],
     }
     publisher.publish(message)
-    received = await asyncio.wait_for(got.get(), 10)
+    received = await asyncio.wait_for(got.get(), scaled(10))
     assert received.topic == "/echo"
     assert received.type_name == JOINTS
     assert received.message["header"] == message["header"]
@@ -58,7 +59,7 @@ async def test_a_message_is_echoed_unchanged(graph: RosGraph) -> None:
 async def test_a_late_subscriber_receives_the_latched_message(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/cell/greeting", "std_msgs/msg/String", got.put_nowait, LATCHED)
-    received = await asyncio.wait_for(got.get(), 10)
+    received = await asyncio.wait_for(got.get(), scaled(10))
     assert received.message == {"data": "welcome"}
     await asyncio.sleep(0.1)
     assert got.empty()
@@ -66,7 +67,7 @@ async def test_a_late_subscriber_receives_the_latched_message(graph: RosGraph) -
 
 async def both_know(numbers: list[int], count: Publisher) -> None:
     """Wait until the publisher of the peer has matched our subscription too."""
-    assert await count.matched(10)
+    assert await count.matched(scaled(10))
     async with asyncio.timeout(120):
         while not numbers:
             count.publish({"data": 1})
@@ -113,7 +114,7 @@ async def test_a_slow_subscriber_keeps_the_last_messages_and_counts_the_dropped_
 async def test_best_effort_messages_are_received(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/noise", "std_msgs/msg/Float32", got.put_nowait, SENSOR_DATA)
-    assert (await asyncio.wait_for(got.get(), 10)).message == {"data": 0.5}
+    assert (await asyncio.wait_for(got.get(), scaled(10))).message == {"data": 0.5}
 
 
 async def test_incompatible_qos_is_reported_with_both_sides(graph: RosGraph) -> None:
@@ -154,7 +155,7 @@ async def test_our_own_messages_are_received_and_marked_as_ours(graph: RosGraph)
     await graph.subscribe("mine", "std_msgs/msg/String", got.put_nowait, LATCHED)
     publisher = await graph.publisher("/mine", "std_msgs/msg/String", LATCHED)
     publisher.publish({"data": "echo"})
-    received = await asyncio.wait_for(got.get(), 10)
+    received = await asyncio.wait_for(got.get(), scaled(10))
     assert received.message == {"data": "echo"}
     assert received.ours in (True, None)
 
@@ -168,5 +169,5 @@ async def test_a_custom_type_is_supported(
         async with joined(store=TypeStore([folder])) as graph:
             got: asyncio.Queue[Any] = asyncio.Queue()
             await graph.subscribe("/part", "cell_msgs/msg/Part", got.put_nowait)
-            message = (await asyncio.wait_for(got.get(), 10)).message
+            message = (await asyncio.wait_for(got.get(), scaled(10))).message
             assert (message["name"], message["count"], message["size_m"].tolist()) == ("", 7, [0, 0, 0])
