@@ -97,12 +97,17 @@ class Components:
         devices = Devices(self.state, self.events, services)
         processes = Processes(settings, http, self.state, self.events, services)
         tasks = Tasks(self.events, devices, services, processes.refresh)
-        self.alerts = Alerts(self.state, self.events, self.broker)
+        self.alerts = Alerts(self.state, self.events, self.broker, processes.refresh)
         handlers = (devices, tasks, ProcessEntities(processes), self.alerts)
         self.entities = BrokerEntities(settings, self.broker, handlers, services)
         context = SourceContext(settings, http, self.state, self.viewers, services)
         people = People(context)
-        self.proxy = ServiceProxy(urls, people.on_write)
+
+        def on_write(service: str, path: str) -> None:
+            people.on_write(service)
+            processes.on_write(service, path)
+
+        self.proxy = ServiceProxy(urls, on_write)
         on_demand = (Gloves(context), Robots(context), people)
         self._sources = (services, self.entities, self.alerts, processes, *on_demand)
         self.state.publish("cell", cell_view(settings))

@@ -46,7 +46,7 @@ def until_done(page: Page, act: Callable[[], None]) -> None:
                 return
             case "asked":
                 act()
-            case "failed" | "serviceLost" | "linkLost":
+            case "failed" | "incident" | "serviceLost" | "linkLost":
                 pytest.fail(page.locator("main").inner_text())
             case _:
                 page.wait_for_timeout(250)

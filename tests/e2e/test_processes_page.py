@@ -12,6 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.e2e.conftest import OpenPage, answer
 from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY
+from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -100,22 +101,118 @@ def test_a_process_is_started_monitored_and_cancelled(
 
 
 @pytest.mark.usefixtures("quiet_screen")
-def test_a_failed_task_is_marked_at_its_element_and_retried(
-    cell: Cell, open_page: OpenPage, keep: Keep
+def test_an_incident_is_marked_at_its_element_and_retried(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
     page = open_page(f"/processes/{process['id']}", who="")
     has_look(page, "confirm_clear", "token")
     answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
-    has_look(page, "confirm_clear", "failed")
-    expect(page.locator(".process__reason")).to_contain_text("nobody was there")
-    keep(page, "processes-failed")
+    has_look(page, "confirm_clear", "incident")
+    expect(page.locator(".incident")).to_contain_text("nobody was there")
+    expect(page.locator(".process__name")).to_contain_text("Incident")
+    page.get_by_role("button", name="Filter and sort").click()
+    page.get_by_label("State").first.select_option("incident")
+    expect(page.locator(".process-list__link[href*='/processes/bin-picking-']")).to_have_count(1)
+    accessible(page)
+    keep(page, "processes-incident")
     page.get_by_role("button", name="Retry “Confirm that the cell is clear”").click()
     page.get_by_label("Your name").fill("Liisa")
     page.get_by_role("button", name="Use this name").click()
     has_look(page, "confirm_clear", "token")
     expect(page.locator(".process__act")).to_contain_text("Retried by Liisa")
     expect(page.locator(".timeline__bar")).to_have_count(2)
+    expect(page.locator(".incident")).to_have_count(0)
+
+
+@pytest.mark.usefixtures("quiet_screen")
+def test_an_engineer_resolves_incidents_with_a_name_and_a_reason(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
+    answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
+    page = open_page(f"/processes/{process['id']}", who="")
+    has_look(page, "confirm_clear", "incident")
+    dialog = page.get_by_role("dialog")
+
+    # Variables are validated before they are set, then the Task is posted again.
+    page.get_by_role("button", name="Edit and retry").click()
+    confirm = dialog.get_by_role("button", name="Set variables and retry")
+    variables = dialog.get_by_label("Variables (JSON)")
+    dialog.get_by_label("Reason").fill("another person is there now")
+    dialog.get_by_label("Your name").fill("Liisa")
+    expect(confirm).to_be_enabled()
+    given = variables.input_value()
+    variables.fill(given.replace('"robot"', "robot"))
+    expect(dialog).to_contain_text("Not valid JSON in line")
+    expect(confirm).to_be_disabled()
+    variables.fill(given.rstrip().removesuffix("}").rstrip() + ',\n  "shift": 2\n}')
+    expect(dialog).to_contain_text("Will be set: shift")
+    accessible(page)
+    keep(page, "processes-incident-variables")
+    confirm.click()
+    expect(dialog).to_have_count(0)
+    has_look(page, "confirm_clear", "token")
+    process = ask(cell, "GET", f"processes/{process['id']}")
+    assert process["variables"]["shift"] == 2
+
+    # Another incident: the token is moved to an element that is chosen on the diagram.
+    answer(cell, process["tasks"][1]["id"], "failed", reason="still nobody")
+    has_look(page, "confirm_clear", "incident")
+    page.get_by_role("button", name="Move …").click()
+    has_look(page, "confirm_grip", "target")
+    element(page, "confirm_grip").click()
+    has_look(page, "confirm_grip", "picked")
+    expect(page.get_by_label("Continue at")).to_have_value("confirm_grip")
+    keep(page, "processes-incident-move")
+    page.get_by_role("button", name="Move …").click()
+    dialog.get_by_label("Reason").fill("the part is gripped already")
+    expect(dialog.get_by_label("Your name")).to_have_value("Liisa")
+    keep(page, "processes-incident-move-dialog")
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    has_look(page, "confirm_grip", "token")
+    expect(page.locator(".incident")).to_have_count(0)
+
+    # The history has what was done, by whom and why; nobody has verified the name.
+    page.get_by_role("radio", name="History").click()
+    rows = page.get_by_role("table", name="History").get_by_role("row")
+    expect(rows).to_have_count(3)
+    expect(rows.nth(1)).to_contain_text("Liisa (not verified)")
+    expect(rows.nth(1)).to_contain_text('{"shift":2}')
+    expect(rows.nth(2)).to_contain_text("Moved from “Confirm that the cell is clear” to “Confirm")
+    expect(rows.nth(2)).to_contain_text("the part is gripped already")
+    accessible(page)
+    keep(page, "processes-history")
+
+
+@pytest.mark.usefixtures("quiet_screen")
+def test_a_step_is_skipped_with_results_and_a_branch_is_ended(cell: Cell, open_page: OpenPage) -> None:
+    process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
+    answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
+    page = open_page(f"/processes/{process['id']}")
+    dialog = page.get_by_role("dialog")
+    page.locator(".incident").wait_for()
+    page.keyboard.press("i")
+    expect(page.get_by_role("button", name="Retry “Confirm that the cell is clear”")).to_be_focused()
+    page.get_by_role("button", name="Skip …").click()
+    dialog.get_by_label("Results of the step (JSON)").fill('{"seen": true}')
+    dialog.get_by_label("Reason").fill("seen on the camera")
+    dialog.get_by_role("button", name="Skip “Confirm that the cell is clear”").click()
+    expect(dialog).to_have_count(0)
+    process = ask(cell, "GET", f"processes/{process['id']}")
+    assert process["variables"]["seen"] is True
+    assert (process["acts"][-1]["act"], process["acts"][-1]["by"]) == ("skip", "Anna")
+
+    ask(cell, "POST", f"processes/{process['id']}/cancel")
+    process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
+    answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
+    page.goto(f"/processes/{process['id']}")
+    page.get_by_role("button", name="End branch …").click()
+    dialog.get_by_label("Reason").fill("the shift is over")
+    dialog.get_by_role("button", name="End the branch").click()
+    expect(page.locator(".process__act")).to_contain_text("Branch ended by Anna")
+    wait_for(lambda: ask(cell, "GET", f"processes/{process['id']}")["endedAt"] is not None)
 
 
 @pytest.mark.usefixtures("quiet_screen")
@@ -128,7 +225,10 @@ def test_errors_of_a_file_are_marked_at_its_elements(
     upload(page, bad)
     fault = page.locator(".upload__faults button")
     expect(fault).to_have_count(1)
-    name = (fault.locator(".upload__where").inner_text()).split(" · ")[0]
+    where = fault.locator(".upload__where").inner_text()
+    found = re.fullmatch(r"(.+) \((\w+)\) · line \d+", where)
+    assert found is not None, where
+    name = found[2]
     has_look(page, name, "fault")
     page.get_by_role("button", name="Zoom in").click(click_count=4)
     fault.click()

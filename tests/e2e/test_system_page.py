@@ -72,9 +72,9 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
     answer(cell, httpx.get(views, timeout=120).json()["tasks"][0]["id"], "failed", reason="nobody was there")
 
     page = open_page("/system?tab=alerts", who="", forgives=FORGIVEN)
-    row = page.get_by_role("row", name="Process failed").first
+    row = page.get_by_role("row", name="Incident in a process").first
     row.click()
-    alert = page.get_by_role("complementary", name="Process failed")
+    alert = page.get_by_role("complementary", name="Incident in a process")
     expect(alert).to_contain_text("Confirm that the cell is clear")
     accessible(page)
     alert.get_by_role("button", name="Acknowledge").click()
@@ -87,11 +87,11 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
 
     cell.restart("webui")
     page.goto("/system?tab=alerts")
-    page.get_by_role("row", name="Process failed").first.click()
+    page.get_by_role("row", name="Incident in a process").first.click()
     expect(alert).to_contain_text("Acknowledged by Aino")
     context = f"{cell.url('task_orchestrator')}/context.jsonld"
     page.get_by_role("link", name="Open the process").click()
-    expect(page.locator(".process__reason")).to_contain_text("nobody was there")
+    expect(page.locator(".incident__reason")).to_contain_text("nobody was there")
     [stored] = httpx.get(
         f"{cell.url('context_broker')}/ngsi-ld/v1/entities",
         params={"type": "Alert"},

@@ -224,7 +224,7 @@ def test_the_prompt_is_readable_from_the_station_and_answered_without_scrolling(
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_paused_and_failed_states_are_readable_from_a_distance(
+def test_paused_and_stopped_states_are_readable_from_a_distance(
     cell: Cell,
     asked: Callable[[], str],
     open_page: OpenPage,
@@ -247,12 +247,12 @@ def test_paused_and_failed_states_are_readable_from_a_distance(
     task = httpx.get(glove, timeout=120).json()["task"]["id"]
     answer = {"by": "Anna", "task": task, "outcome": "notGood", "note": "There is a scratch on the left side"}
     httpx.post(f"{glove}/complete", json=answer, timeout=120).raise_for_status()
-    page.locator("[data-situation=failed]").wait_for()
+    page.locator("[data-situation=incident]").wait_for()
     for language, theme in LOOKS[2:5]:
         look(page, language, theme)
         assert "There is a scratch on the left side" in page.locator(".full-page-state").inner_text()
         fills_the_stage(page, size, "stop")
-        keep(page, f"work-failed-{size}-{language}-{theme}")
+        keep(page, f"work-incident-{size}-{language}-{theme}")
 
 
 def fills_the_stage(page: Page, size: str, tone: str) -> None:
@@ -289,11 +289,12 @@ def test_a_person_reports_not_good_with_a_note(
     page.evaluate(FITS)
     dialog.get_by_role("button", name=act).click()
     page.get_by_text(f"Reported: {outcome}").first.wait_for()
-    page.locator("[data-situation=failed]").wait_for()
+    page.locator("[data-situation=incident]").wait_for()
     page.get_by_text(f"Look at the part: {outcome}, reported by Anna. “scratched”").wait_for()
     found = httpx.get(f"{cell.url('task_orchestrator')}/processes/{process}", timeout=120).json()
     (task,) = found["tasks"]
-    assert (found["status"], task["status"]) == ("failed", "failed")
+    assert (found["status"], task["status"]) == ("inProgress", "failed")
+    assert [incident["task"] for incident in found["incidents"]] == [task["id"]]
     fits = page.evaluate("window.fits")
     assert fits["answered"] <= 2, "so few words are as large as can be"
     outputs = task["outputParameters"]
@@ -372,7 +373,7 @@ def test_answer_gestures_and_a_lost_glove_are_readable_from_a_distance(
         keep(page, "work-hold-not-good")
         page.get_by_text("Reported: Not good").first.wait_for()
         wearer.show("22222")
-        page.locator("[data-situation=failed]").wait_for()
+        page.locator("[data-situation=incident]").wait_for()
         (task,) = httpx.get(f"{cell.url('task_orchestrator')}/processes/{process}", timeout=120).json()[
             "tasks"
         ]

@@ -38,6 +38,9 @@ MAX_BUFFERED_BODY_BYTES: Final = 256 * 1024
 CONNECTION_LIMITS: Final = httpx.Limits(
     max_connections=UPLOADS.per_service + READS.per_service, max_keepalive_connections=16
 )
+OnWrite = Callable[[str, str], None]
+"""Called after a successful write, with the service and the path."""
+
 _OWN_HEADERS: Final = frozenset({"server", "date"})
 _NOTIFICATION_PATH: Final = re.compile(r"^notifications(/|$)")
 
@@ -45,7 +48,7 @@ _NOTIFICATION_PATH: Final = re.compile(r"^notifications(/|$)")
 class ServiceProxy:
     """One HTTP client per service; an asynchronous context manager."""
 
-    def __init__(self, urls: Mapping[str, str], on_write: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(self, urls: Mapping[str, str], on_write: OnWrite = lambda *_: None) -> None:
         self._urls = urls
         self._on_write = on_write
         self._clients: dict[str, httpx.AsyncClient] = {}
@@ -108,7 +111,7 @@ class ServiceProxy:
             self._active.release(active)
             raise
         if request.method not in {"GET", "HEAD"} and response.is_success:
-            self._on_write(service)
+            self._on_write(service, unquote(path))
         return _ProxiedResponse(response, service, self._active, active)
 
     async def _send(

@@ -303,19 +303,44 @@ class TaskView(TypedDict):
 
 
 class Act(TypedDict):
-    """A person cancelled a process, or retried its failed `task`."""
+    """An action of a person on a process; nobody has checked the name `by` while `verified` is false.
+
+    `to` is the element that a token was moved to, `values` are the variables that were set.
+    """
 
     at: str
     by: str | None
-    act: Literal["cancel", "retry"]
+    verified: bool
+    act: Literal["cancel", "retry", "skip", "move", "cancelBranch", "setVariables"]
     task: str | None
+    element: str | None
+    to: str | None
+    why: str | None
+    values: dict[str, Any] | None
+
+
+class Incident(TypedDict):
+    """A token that cannot continue at `element`; `task` is the failed Task if one is the reason.
+
+    `element` is the path `call.element` in a called process. `code` is the error code of the performer.
+    """
+
+    token: str
+    element: str
+    name: str
+    reason: str
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+    since: str
+    task: str | None
+    code: str | None
 
 
 class ProcessView(TypedDict):
     """Topic `process/<id>`: a running process, or one of the last ten that ended.
 
     `waiting` has the BPMN elements with a token, `next` the activities that may follow, the likeliest first.
-    `retry` is the Task that can be retried.
+    `incidents` are the tokens that cannot continue. `retry` is the first of their failed Tasks.
     """
 
     id: str
@@ -336,6 +361,7 @@ class ProcessView(TypedDict):
     activities: int
     elements: dict[str, ElementCount]
     tasks: list[TaskView]
+    incidents: list[Incident]
     retry: str | None
     acts: list[Act]
 

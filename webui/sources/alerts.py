@@ -63,10 +63,18 @@ class Alerts(EntityHandler, Source):
 
     ngsi_type = "Alert"
 
-    def __init__(self, state: LiveState, events: EventLog, broker: BrokerClient) -> None:
+    def __init__(
+        self,
+        state: LiveState,
+        events: EventLog,
+        broker: BrokerClient,
+        on_process: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self._state = state
         self._events = events
         self._broker = broker
+        self._on_process = on_process
+        """Called with the URN of a process when an Alert about it has changed."""
         self._digests: dict[str, int] = {}
         self._active: dict[str, Alert] = {}
         self._past: OrderedDict[str, str] = OrderedDict()
@@ -204,6 +212,8 @@ class Alerts(EntityHandler, Source):
         if alert_id in self._active or alert_id in self._past:
             self._state.publish(f"alert/{alert_id}", view)
         self._log(view)
+        if ":Process:" in view["source"]:
+            self._on_process(view["source"])
         timestamp = _next_change(alert)
         if timestamp is None:
             self._due.pop(alert_id, None)

@@ -35,7 +35,7 @@ REFRESH_BATCH_SIZE: Final = 10
 INITIAL_RETRY_S, MAX_RETRY_S = 0.5, 2.0
 REQUEST_TIMEOUT_S: Final = 10.0
 
-LEVELS: Final[Mapping[str, Level]] = {"failed": "stop", "paused": "attention"}
+LEVELS: Final[Mapping[str, Level]] = {"failed": "stop", "incident": "stop", "paused": "attention"}
 
 ProcessView = dict[str, Any]
 
@@ -79,6 +79,13 @@ class Processes(Source):
             loop = asyncio.get_running_loop()
             for delay_s in REREAD_DELAYS_S:
                 loop.call_later(delay_s, self._add_hints, hinted)
+
+    def on_write(self, service: str, path: str) -> None:
+        """Read the process that a request of a page has changed; its entity may be the same as before."""
+        resource, _, rest = path.strip("/").partition("/")
+        process, _, _ = rest.partition("/")
+        if service == ORCHESTRATOR and resource == "processes" and process:
+            self._add_hints({short_name(process)})
 
     async def run(self) -> None:
         """Read changed processes at once, and all of them every `reconcile_s`."""
@@ -184,22 +191,47 @@ class Processes(Source):
 
     def _log(self, view: ProcessView) -> None:
         status, ended = str(view["status"]), view.get("endedAt")
+        title = _title(view)
+        self._log_incidents(view, title)
         if self._logged.get(view["id"]) == (status, str(ended)):
             return
         self._logged[view["id"]] = (status, str(ended))
-        title = _title(view)
         self._record(view, "started", normalized_timestamp(view["startedAt"]), f"{title} started")
         if status in FINISHED:
             reason = message_in(view, "reason") or ""
             words = "completed" if status == "completed" else f"failed: {reason or 'no reason given'}"
             self._record(view, status, normalized_timestamp(ended), f"{title} {words}", reason=reason)
 
-    def _record(self, view: ProcessView, act: str, at: str, text: str, *, reason: str = "") -> None:
+    def _log_incidents(self, view: ProcessView, title: str) -> None:
+        for incident in view.get("incidents", ()):
+            name = str(incident["name"] or incident["element"])
+            reason = message_in(incident, "reason") or ""
+            self._record(
+                view,
+                "incident",
+                normalized_timestamp(incident["since"]),
+                f'{title}: incident at "{name}": {reason}',
+                reason=reason,
+                token=str(incident["token"]),
+                more={"name": name},
+            )
+
+    def _record(
+        self,
+        view: ProcessView,
+        act: str,
+        at: str,
+        text: str,
+        *,
+        reason: str = "",
+        token: str = "",
+        more: Mapping[str, Any] | None = None,
+    ) -> None:
         title = _title(view)
         if self._events.record(
             Event(
                 subject=str(view["entity"]),
-                mark=f"{act}@{at}",
+                mark=f"{act}@{at}" + (f"@{token}" if token else ""),
                 key=f"process.{act}",
                 source=title,
                 text=text,
@@ -209,6 +241,7 @@ class Processes(Source):
                     "process": view["id"],
                     "definition": view["definition"],
                     "title": title,
+                    **(more or {}),
                     **with_code("reason", reason),
                 },
             )

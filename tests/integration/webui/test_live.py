@@ -108,6 +108,37 @@ def test_a_page_receives_a_snapshot_and_every_change(
     viewer.read_until(lambda: viewer.topics[JOINTS]["stamp"] > stamp)
 
 
+def test_an_incident_and_what_a_person_does_about_it_arrive(
+    whole_cell: Any, look: Callable[[], Any], broker: Broker, browser: httpx.Client
+) -> None:
+    viewer = look()
+    processes = "/api/task-orchestrator/processes"
+    begun = browser.post(processes, json={"definition": "bin-picking"}).raise_for_status().json()
+    viewer.read_until(lambda: viewer.process().get("tasks", [{}])[0].get("status") == "inProgress")
+    [task] = viewer.process()["tasks"]
+    broker.move(task["id"], "failed", "2999-01-01T00:00:00.000Z", reason="nobody was there")
+    viewer.read_until(lambda: viewer.process()["incidents"])
+    [incident] = viewer.process()["incidents"]
+    assert (incident["element"], incident["task"]) == ("confirm_clear", task["id"])
+    assert viewer.process()["status"] == "inProgress"
+    viewer.read_until(lambda: "process.incident" in viewer.event_keys())
+    [event] = [event for event in viewer.events if event["key"] == "process.incident"]
+    assert event["level"] == "stop"
+    assert event["values"]["name"] == "Confirm that the cell is clear"
+    assert event["values"]["reason"] == "nobody was there"
+    TypeAdapter(type_of_topic(f"process/{begun['id']}")).validate_python(viewer.process(), strict=True)
+
+    # No entity in the broker changes with a variable: the server reads what a page has written.
+    decision = {"by": "Anna", "why": "another shift", "variables": {"shift": 2}}
+    browser.post(f"{processes}/{begun['id']}/variables", json=decision).raise_for_status()
+    viewer.read_until(lambda: viewer.process()["variables"].get("shift") == 2)
+    [act] = viewer.process()["acts"]
+    assert (act["act"], act["by"], act["verified"], act["why"]) == (
+        "setVariables", "Anna", False, "another shift",
+    )  # fmt: skip
+    TypeAdapter(type_of_topic(f"process/{begun['id']}")).validate_python(viewer.process(), strict=True)
+
+
 def test_all_topics_match_their_types(
     whole_cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:

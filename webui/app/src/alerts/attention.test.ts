@@ -25,6 +25,7 @@ test("urgent is what is new and of high or critical priority", () => {
 test("the page explains the kinds that it knows, the subcategory before the category", () => {
   expect(kindOf({ category: "device", subCategory: "gloveSilent" })).toBe("gloveSilent");
   expect(kindOf({ category: "process", subCategory: "processFailed" })).toBe("processFailed");
+  expect(kindOf({ category: "process", subCategory: "processIncident" })).toBe("processIncident");
   expect(kindOf({ category: "task", subCategory: "taskNotAccepted" })).toBe("taskNotAccepted");
   expect(kindOf({ category: "traffic", subCategory: "accident" })).toBe("other");
 });

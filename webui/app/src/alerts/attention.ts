@@ -33,7 +33,7 @@ export function isUrgent(alert: AlertView): boolean {
 }
 
 /** The kinds of Alerts that the page explains; any other is shown with its own description. */
-const knownKinds = new Set(["gloveSilent", "unknownGesture", "taskNotAccepted", "taskLost", "processFailed"]);
+const knownKinds = new Set(["gloveSilent", "unknownGesture", "taskNotAccepted", "taskLost", "processFailed", "processIncident"]);
 
 /** The key under which the page explains an Alert: its subcategory's, else its category's, else "other". */
 export function kindOf({ category, subCategory }: Pick<AlertView, "category" | "subCategory">): string {

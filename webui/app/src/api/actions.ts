@@ -7,9 +7,39 @@ export function startProcess(definition: string, parameters: Record<string, unkn
   return requestService("task-orchestrator", "processes", { method: "POST", json });
 }
 
-export function retryTask(process: string, task: string, by: string): Promise<ProcessView> {
-  const path = `processes/${encodeURIComponent(process)}/tasks/${encodeURIComponent(task)}/retry`;
-  return requestService("task-orchestrator", path, { method: "POST", json: { by } });
+/** What a person decides about a token or the variables of a process: the name, the reason, and variables to set. */
+export interface Decision {
+  by: string;
+  why?: string;
+  variables?: Record<string, unknown>;
+}
+
+/** Let a token with an incident try again; a failed Task is posted again as a new Task. */
+export function retryToken(process: string, token: string, decision: Decision): Promise<ProcessView> {
+  return decide(process, `tokens/${encodeURIComponent(token)}/retry`, decision);
+}
+
+/** Let a token leave its element; the variables are the results. */
+export function skipToken(process: string, token: string, decision: Decision): Promise<ProcessView> {
+  return decide(process, `tokens/${encodeURIComponent(token)}/skip`, decision);
+}
+
+/** Move a token to another element of its scope. */
+export function moveToken(process: string, token: string, decision: Decision & { to: string }): Promise<ProcessView> {
+  return decide(process, `tokens/${encodeURIComponent(token)}/move`, decision);
+}
+
+/** End a token where it is. */
+export function cancelToken(process: string, token: string, decision: Decision): Promise<ProcessView> {
+  return decide(process, `tokens/${encodeURIComponent(token)}/cancel`, decision);
+}
+
+export function setVariables(process: string, decision: Decision): Promise<ProcessView> {
+  return decide(process, "variables", decision);
+}
+
+function decide(process: string, path: string, json: Decision): Promise<ProcessView> {
+  return requestService("task-orchestrator", `processes/${encodeURIComponent(process)}/${path}`, { method: "POST", json });
 }
 
 export function cancelProcess(process: string, by: string): Promise<ProcessView> {

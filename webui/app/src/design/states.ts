@@ -1,5 +1,6 @@
 /** How the states of Tasks, Processes, Devices and Alerts look: one place, so that every page agrees. */
 import type { AlertPriority, AlertState, DeviceState, ServiceHealth, Severity, Status } from "~/live/messages";
+import type { ProcessState } from "~/live/processState";
 import type { Tone } from "./StatusBadge";
 
 export const statusTone: Record<Status, Tone> = {
@@ -10,6 +11,8 @@ export const statusTone: Record<Status, Tone> = {
   paused: "attention",
   failed: "stop",
 };
+
+export const processTone: Record<ProcessState, Tone> = { ...statusTone, incident: "stop" };
 
 export const deviceTone: Record<DeviceState, Tone> = {
   ok: "ok",

@@ -222,12 +222,21 @@ export interface RobotView {
   remainingS: number | null;
 }
 
-/** A person cancelled a process, or retried its failed `task`. */
+/**
+ * An action of a person on a process; nobody has checked the name `by` while `verified` is false.
+ *
+ * `to` is the element that a token was moved to, `values` are the variables that were set.
+ */
 export interface Act {
   at: string;
   by: string | null;
-  act: "cancel" | "retry";
+  verified: boolean;
+  act: "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables";
   task: string | null;
+  element: string | null;
+  to: string | null;
+  why: string | null;
+  values: Record<string, unknown> | null;
 }
 
 /** An activity of a process; `involves` has the URNs of the resources that are known. */
@@ -246,6 +255,23 @@ export interface ElementCount {
   failed: number;
   lastMs: number | null;
   medianMs: number | null;
+}
+
+/**
+ * A token that cannot continue at `element`; `task` is the failed Task if one is the reason.
+ *
+ * `element` is the path `call.element` in a called process. `code` is the error code of the performer.
+ */
+export interface Incident {
+  token: string;
+  element: string;
+  name: string;
+  reason: string;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
+  since: string;
+  task: string | null;
+  code: string | null;
 }
 
 /** A status of a Task, and when it was reached. */
@@ -279,7 +305,7 @@ export interface TaskView {
  * Topic `process/<id>`: a running process, or one of the last ten that ended.
  *
  * `waiting` has the BPMN elements with a token, `next` the activities that may follow, the likeliest first.
- * `retry` is the Task that can be retried.
+ * `incidents` are the tokens that cannot continue. `retry` is the first of their failed Tasks.
  */
 export interface ProcessView {
   id: string;
@@ -300,6 +326,7 @@ export interface ProcessView {
   activities: number;
   elements: Record<string, ElementCount>;
   tasks: TaskView[];
+  incidents: Incident[];
   retry: string | null;
   acts: Act[];
 }

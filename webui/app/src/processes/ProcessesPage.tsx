@@ -39,6 +39,7 @@ export default function ProcessesPage() {
   useKeys([
     { key: "/", does: t("keys.find"), act: () => document.querySelector<HTMLInputElement>(".process-list input")?.focus() },
     { key: "u", does: t("keys.upload"), act: upload },
+    { key: "i", does: t("keys.incident"), act: () => document.querySelector<HTMLElement>(".incident__acts button")?.focus() },
   ]);
   return (
     <DropZone

@@ -28,6 +28,10 @@ export interface Trial {
   version: number;
   title: string;
   created: boolean;
+  /** All processes of the file; the first is the one above. */
+  definitions: { name: string; version: number; title: string; created: boolean }[];
+  /** Parts of the file without effect, as faults are listed. */
+  warnings: unknown;
 }
 
 /** A process: live while it is, else as the orchestrator remembers it. */
@@ -54,7 +58,8 @@ export function processesBefore(
   search = "",
 ): Promise<ProcessRow[]> {
   const [definition = "", version = ""] = filter.definition.split("@");
-  const asked = { before: before ?? "", status: filter.status, definition, version, involves: filter.involves, search };
+  const status = filter.status === "incident" ? "inProgress" : filter.status;
+  const asked = { before: before ?? "", status, definition, version, involves: filter.involves, search };
   const query = new URLSearchParams({ limit: String(limit) });
   for (const [name, value] of Object.entries(asked)) if (value !== "") query.set(name, value);
   return requestService(SERVICE, `processes?${query.toString()}`);

@@ -11,16 +11,17 @@ import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
 import { number } from "~/design/numbers";
 import { StatusBadge } from "~/design/StatusBadge";
-import { healthTone, priorityTone, statusTone } from "~/design/states";
+import { healthTone, priorityTone, processTone, statusTone } from "~/design/states";
 import { duration, exactTime } from "~/design/times";
 import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import { useFamily, useTopic } from "~/live/hooks";
 import type { ProcessView } from "~/live/messages";
+import { processState } from "~/live/processState";
 import { shortName } from "~/live/urn";
 import { pathOf } from "~/processes/address";
 import { FirstSteps } from "./FirstSteps";
-import { byPerformer, failedSince, startOfDay, waitingTasks } from "./overview";
+import { byPerformer, failedSince, startOfDay, waitingTasks, withIncidents } from "./overview";
 import "./StartPage.css";
 
 /** So many of each are listed; the page of the rest is one press away. */
@@ -118,7 +119,7 @@ function Running() {
       {(process) => (
         <li key={process.id}>
           <ProcessName process={process} />
-          <StatusBadge tone={statusTone[process.status]}>{t(`processStatus.${process.status}`)}</StatusBadge>
+          <StatusBadge tone={processTone[processState(process)]}>{t(`processStatus.${processState(process)}`)}</StatusBadge>
           <span className="quiet small">{t("start.running.progress", { done: process.done, all: process.activities })}</span>
         </li>
       )}
@@ -156,14 +157,15 @@ function WaitingFor() {
   );
 }
 
-/** Alerts, services that are away, and processes that failed today. */
+/** Alerts, services that are away, processes with incidents, and those that failed today. */
 function Wrong() {
   const { t } = useTranslation("common");
   const titleOf = useAlertTitle();
   const { count, byPriority, worst } = attentionOf(useFamily("alert"));
   const services = (useTopic("services") ?? []).filter((service) => service.state !== "up");
   const failed = failedSince(useFamily("process"), startOfDay(useNow()));
-  const isFine = count === 0 && services.length === 0 && failed.length === 0;
+  const stopped = withIncidents(useFamily("process"));
+  const isFine = count === 0 && services.length === 0 && failed.length === 0 && stopped.length === 0;
   return (
     <Card className="start__card" title={t("start.wrong.title")}>
       {isFine && (
@@ -199,6 +201,13 @@ function Wrong() {
             </span>
           </li>
         ))}
+        {stopped.slice(0, MAX_LISTED).map((process) => (
+          <li key={process.id}>
+            <ProcessName process={process} />
+            <StatusBadge tone="stop">{t("processStatus.incident")}</StatusBadge>
+            <span className="start__why quiet small">{process.incidents[0] && localizedText(process.incidents[0], "reason")}</span>
+          </li>
+        ))}
         {failed.slice(0, MAX_LISTED).map((process) => (
           <li key={process.id}>
             <ProcessName process={process} />
@@ -207,6 +216,7 @@ function Wrong() {
           </li>
         ))}
       </ul>
+      {stopped.length > MAX_LISTED && <Link href="/processes?state=incident">{t("start.more", { count: stopped.length - MAX_LISTED })}</Link>}
       {failed.length > MAX_LISTED && <Link href="/processes?state=failed">{t("start.more", { count: failed.length - MAX_LISTED })}</Link>}
     </Card>
   );

@@ -1,5 +1,6 @@
 /** What the dashboard shows of the cell: which Tasks wait for whom and since when, and which processes need a look. */
 import type { ProcessView, TaskView } from "~/live/messages";
+import { processState } from "~/live/processState";
 import { shortName } from "~/live/urn";
 
 export interface Waiting {
@@ -42,6 +43,12 @@ export function failedSince(processes: readonly ProcessView[], since: string): P
   return processes
     .filter((process) => process.status === "failed" && (process.endedAt ?? "") >= since)
     .sort((a, b) => ((a.endedAt ?? "") > (b.endedAt ?? "") ? -1 : 1));
+}
+
+/** The running processes with incidents, the oldest incident first. */
+export function withIncidents(processes: readonly ProcessView[]): ProcessView[] {
+  const since = (process: ProcessView) => process.incidents[0]?.since ?? "";
+  return processes.filter((process) => processState(process) === "incident").sort((a, b) => (since(a) < since(b) ? -1 : 1));
 }
 
 /** The first moment of the day that `now` (in ms) is in, where the reader is. */

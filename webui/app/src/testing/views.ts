@@ -1,5 +1,5 @@
 /** Tasks and processes for tests, as the orchestrator answers them. */
-import type { ProcessView, TaskView } from "~/live/messages";
+import type { Incident, ProcessView, TaskView } from "~/live/messages";
 
 const START = Date.parse("2026-03-02T08:00:00Z");
 
@@ -52,8 +52,22 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
     activities: 11,
     elements: {},
     tasks: [],
+    incidents: [],
     retry: null,
     acts: [],
+    ...over,
+  };
+}
+
+export function incident(over: Partial<Incident> = {}): Incident {
+  return {
+    token: "7",
+    element: "pick",
+    name: "Pick the part",
+    reason: "the gripper is empty",
+    since: at(30),
+    task: "urn:ngsi-ld:Task:demo:bin-picking-1-pick-1",
+    code: null,
     ...over,
   };
 }

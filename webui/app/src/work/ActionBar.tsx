@@ -1,9 +1,13 @@
 /** The acts of a situation, in one place at the foot of the page: the main one is always visible. */
-import { CircleX, MessageSquareWarning } from "lucide-react";
+import { Ban, CircleX, MessageSquareWarning } from "lucide-react";
+import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { useLocation } from "wouter";
-import { declareGlove } from "~/api/actions";
+import { cancelProcess, declareGlove } from "~/api/actions";
 import { Button } from "~/design/Button";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
+import type { ProcessView } from "~/live/messages";
+import { useWithName } from "~/shell/userName";
 import { useParticipantMode } from "~/study/participantMode";
 import type { ReportedOutcome } from "./ReportPanel";
 import type { Situation } from "./situation";
@@ -50,24 +54,18 @@ function OtherActs({ situation, acts, acting, report }: ActionBarProps) {
           </>
         )
       );
-    case "failed": {
-      const { process, startable } = situation;
-      const again = process.retry === null ? undefined : startable.find(({ name }) => name === process.definition);
+    case "incident":
+    case "failed":
       return (
         <>
           {mayLeave && (
-            <Button size="large" onPress={() => go(`/processes/${process.id}`)}>
+            <Button size="large" onPress={() => go(`/processes/${situation.process.id}`)}>
               {t("by.processes")}
             </Button>
           )}
-          {again !== undefined && (
-            <Button size="large" isDisabled={acting.busy} onPress={() => acts.start?.(again)}>
-              {t("by.startAgain", { title: again.title })}
-            </Button>
-          )}
+          {situation.kind === "incident" && <CancelButton process={situation.process} acting={acting} />}
         </>
       );
-    }
     case "serviceLost":
       return (
         mayLeave && (
@@ -85,4 +83,31 @@ function OtherActs({ situation, acts, acting, report }: ActionBarProps) {
     default:
       return null;
   }
+}
+
+/** Cancels a process that cannot continue, so that another one can be started; asks once. */
+function CancelButton({ process, acting }: { process: ProcessView; acting: ActionState }) {
+  const { t } = useTranslation("work");
+  const [asks, setAsks] = useState(false);
+  const { withName, question } = useWithName("large");
+  return (
+    <>
+      <Button size="large" icon={<Ban aria-hidden size="1.1em" />} isDisabled={acting.busy} onPress={() => setAsks(true)}>
+        {t("by.cancel", { title: process.title })}
+      </Button>
+      <ConfirmDialog
+        isOpen={asks}
+        onClose={() => setAsks(false)}
+        title={t("cancel.title", { title: process.title })}
+        act={t("by.cancel", { title: process.title })}
+        dismiss={t("cancel.keep")}
+        kind="stop"
+        size="large"
+        onAct={() => withName((name) => cancelProcess(process.id, name))}
+      >
+        <p>{t("cancel.means")}</p>
+      </ConfirmDialog>
+      {question}
+    </>
+  );
 }

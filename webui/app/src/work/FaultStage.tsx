@@ -3,10 +3,10 @@ import { CirclePause, CloudOff, HandHelping, Hourglass, OctagonX, ServerCrash, U
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { localizedText } from "~/i18n/server";
-import type { ProcessView, TaskView } from "~/live/messages";
+import type { Incident, ProcessView, TaskView } from "~/live/messages";
 import { isSame } from "~/live/urn";
 import { useMessageText } from "./messageText";
-import type { Situation } from "./situation";
+import { stepOf, type Situation } from "./situation";
 import { FullPageState } from "./FullPageState";
 
 export function FaultStage({ situation, choose }: { situation: Situation; choose: (glove: string) => void }) {
@@ -52,6 +52,8 @@ export function FaultStage({ situation, choose }: { situation: Situation; choose
       );
     case "failed":
       return <Failed process={situation.process} />;
+    case "incident":
+      return <Stopped process={situation.process} incident={situation.incident} />;
     case "noGlove": {
       const glove = situation.chosen ?? "glove-1";
       return (
@@ -89,16 +91,36 @@ function Failed({ process }: { process: ProcessView }) {
       icon={<OctagonX aria-hidden />}
       title={t("failed.title", { title: process.title })}
       means={reported ?? t("failed.reason", { reason: localizedText(process, "reason") ?? t("failed.unknown") })}
-      todo={t(process.retry === null ? "failed.noRetry" : "failed.retry")}
+      todo={t("failed.do")}
       detail={t("failed.means")}
     />
   );
 }
 
-function useReported(process: ProcessView): string | null {
+/** An incident: the step that cannot continue, and why; other steps of the process may continue. */
+function Stopped({ process, incident }: { process: ProcessView; incident: Incident }) {
+  const { t } = useTranslation("work");
+  const reported = useReported(process, incident.task);
+  const others = process.incidents.length - 1;
+  const where = t("incident.where", { step: stepOf(incident) });
+  const why = reported ?? t("incident.reason", { step: stepOf(incident), reason: localizedText(incident, "reason") ?? t("failed.unknown") });
+  return (
+    <FullPageState
+      tone="stop"
+      icon={<OctagonX aria-hidden />}
+      title={reported === null ? t("incident.title", { title: process.title }) : where}
+      means={why}
+      todo={t("incident.do")}
+      detail={others > 0 ? `${t("incident.means")} ${t("incident.others", { count: others })}` : t("incident.means")}
+    />
+  );
+}
+
+/** Return the report of a person with which a Task has failed: the Task `of`, or the last one without it. */
+function useReported(process: ProcessView, of: string | null = null): string | null {
   const { t } = useTranslation("work");
   const failed = process.tasks.filter(({ status, outputParameters }) => status === "failed" && isReport(outputParameters?.["outcome"]));
-  const task: TaskView | undefined = failed.find(({ id }) => isSame(id, process.retry)) ?? failed.at(-1);
+  const task: TaskView | undefined = of === null ? failed.at(-1) : failed.find(({ id }) => isSame(id, of));
   const given = task?.outputParameters;
   if (task === undefined || given == null) return null;
   const { outcome, note, operator } = given;

@@ -3,8 +3,9 @@ import { Bot, Hand as HandIcon, Pause, Play, Users, Workflow } from "lucide-reac
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { StatusBadge } from "~/design/StatusBadge";
-import { deviceTone, statusTone } from "~/design/states";
+import { deviceTone, processTone } from "~/design/states";
 import type { GloveView, ProcessView, RobotView } from "~/live/messages";
+import { processState } from "~/live/processState";
 import type { OperatorActions } from "./useOperatorActions";
 
 export interface StatusStripProps {
@@ -35,7 +36,7 @@ export function StatusStrip({ glove, robot, process, pause, busy, unknown, onCha
         ) : process === null ? (
           <StatusBadge tone="neutral">{t("strip.noProcess")}</StatusBadge>
         ) : (
-          <StatusBadge tone={statusTone[process.status]} icon={<Workflow aria-hidden size="1.2em" />}>
+          <StatusBadge tone={processTone[processState(process)]} icon={<Workflow aria-hidden size="1.2em" />}>
             {process.status === "completed" ? (
               process.title
             ) : (

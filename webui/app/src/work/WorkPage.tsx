@@ -168,6 +168,8 @@ function stepOf(situation: Situation): string {
     case "completed":
     case "failed":
       return `${situation.kind} ${situation.process.id}`;
+    case "incident":
+      return `incident ${situation.process.id} ${situation.incident.token} ${situation.incident.since}`;
     default:
       return situation.kind;
   }

@@ -99,6 +99,11 @@ export const failed = process({
   retry: robotTask.id,
 });
 
+export const stopped = process({
+  incidents: [views.incident({ element: robotTask.element, name: robotTask.name, reason: "the robot could not pick", task: robotTask.id })],
+  retry: robotTask.id,
+});
+
 export function definition(part: Partial<DefinitionView> = {}): DefinitionView {
   return { name: "bin-picking", version: 1, title: "Bin picking", label: null, deployedAt: at, parameters: [], ...part };
 }

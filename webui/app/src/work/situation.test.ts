@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
-import { completed, definition, failed, glove, process, robotTask, scene, service, task, userTask } from "./scene.fixture";
+import * as views from "~/testing/views";
+import { completed, definition, failed, glove, process, robotTask, scene, service, stopped, task, userTask } from "./scene.fixture";
 import { latest, parametersFor, situationOf, startable, type Scene, type Situation } from "./situation";
 
 const table: [string, Partial<Scene>, Situation["kind"]][] = [
@@ -29,6 +30,11 @@ const table: [string, Partial<Scene>, Situation["kind"]][] = [
   ["when the process has failed", { processes: [failed] }, "failed"],
   ["when the process was cancelled", { processes: [{ ...failed, reason: "cancelled by Anna", retry: null }] }, "idle"],
   ["when the process is done", { processes: [completed] }, "completed"],
+  ["when a step has stopped with an incident", { processes: [stopped] }, "incident"],
+  ["when another branch asks this glove beside an incident", { gloves: [glove({ task })], processes: [{ ...stopped, tasks: [userTask] }] }, "asked"],
+  ["when a robot moves beside an incident", { processes: [{ ...stopped, tasks: [robotTask] }] }, "robot"],
+  ["when another person is asked beside an incident", { processes: [{ ...stopped, tasks: [{ ...userTask, involves: ["urn:ngsi-ld:Person:demo:ben"] }] }] }, "incident"],
+  ["when an older process moves the robot beside an incident", { processes: [process({ id: "p-1", tasks: [robotTask] }), { ...stopped, startedAt: "2026-01-02T10:00:00Z" }] }, "robot"],
   ["when one has failed and the next one runs", { processes: [failed, process({ tasks: [robotTask] })] }, "robot"],
   ["with nothing to do", {}, "idle"],
 ];
@@ -50,6 +56,17 @@ describe("the situation", () => {
     const other = process({ id: "p-2", startedAt: "2026-01-02T10:00:00Z", tasks: [robotTask], parameters: {} });
     const seen = situationOf(scene({ processes: [mine, other] }));
     expect(seen.kind === "robot" && seen.process.id).toBe("p-1");
+  });
+
+  it("has the incident at a step of this glove before others", () => {
+    const other = views.incident({ token: "3", element: "scan", task: robotTask.id });
+    const mine = views.incident({ token: "4", element: "confirm", task: userTask.id });
+    const ended = "2026-01-01T10:00:09Z";
+    const tasks = [{ ...robotTask, endedAt: ended }, { ...userTask, endedAt: ended }];
+    const seen = situationOf(scene({ processes: [process({ tasks, incidents: [other, mine] })] }));
+    expect(seen.kind === "incident" && seen.incident.token).toBe("4");
+    const without = situationOf(scene({ processes: [process({ incidents: [other] })] }));
+    expect(without.kind === "incident" && without.incident.token).toBe("3");
   });
 
   it("is no other person's turn while the Task of this glove is on its way", () => {

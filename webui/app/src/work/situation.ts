@@ -5,7 +5,7 @@
  * be started. No time and no drawing here.
  */
 import type {
-  Activity, DefinitionView, GloveTask, GloveView, ProcessView, RobotView, ServiceHealth, TaskView,
+  Activity, DefinitionView, GloveTask, GloveView, Incident, ProcessView, RobotView, ServiceHealth, TaskView,
 } from "~/live/messages";
 import type { ConnectionState } from "~/live/store";
 import { isSame } from "~/live/urn";
@@ -49,6 +49,7 @@ export type Situation =
   | ({ kind: "asked"; answerWaits: boolean } & Asked)
   | { kind: "robot"; glove: GloveView; process: ProcessView; task: TaskView; robot: RobotView | null; next: Activity | null }
   | { kind: "between"; glove: GloveView; process: ProcessView; task: TaskView | null; next: Activity | null }
+  | { kind: "incident"; glove: GloveView; process: ProcessView; incident: Incident }
   | ({ kind: "failed"; process: ProcessView } & Offer)
   | ({ kind: "completed"; process: ProcessView } & Offer)
   | ({ kind: "idle" } & Offer);
@@ -70,8 +71,12 @@ export function situationOf(scene: Scene): Situation {
   if (glove.task !== null) return askedOf(scene, glove, glove.task, orchestratorLost !== null);
   if (orchestratorLost !== null) return orchestratorLost;
   const process = processOf(scene, glove);
-  if (process !== null) return othersTurn(scene, glove, process) ?? { kind: "between", glove, process, task: null, next: nextOf(process) };
-  return endedOf(scene, glove);
+  if (process === null) return endedOf(scene, glove);
+  const turn = othersTurn(scene, glove, process);
+  if (turn !== null && turn.kind !== "between") return turn; // nobody reaches into the cell while a robot moves
+  const incident = incidentOf(process, glove);
+  if (incident !== null) return { kind: "incident", glove, process, incident };
+  return turn ?? { kind: "between", glove, process, task: null, next: nextOf(process) };
 }
 
 /** Return the glove of this page: the one it was asked for, else the only one. */
@@ -133,11 +138,29 @@ function othersTurn(scene: Scene, glove: GloveView, process: ProcessView): Situa
   return task === null ? null : { kind: "between", glove, process, task, next: nextOf(process) };
 }
 
-/** Return the process that goes on and that this glove has a part in; else any that goes on. */
+/**
+ * Return the running process that this glove has a part in, else any running one. One with a robot at work comes
+ * first if the latest has an incident.
+ */
 function processOf(scene: Scene, glove: GloveView): ProcessView | null {
   const running = scene.processes.filter(({ endedAt }) => endedAt === null);
   const mine = running.filter((process) => involves(process, glove));
-  return latest(mine.length > 0 ? mine : running);
+  const own = mine.length > 0 ? mine : running;
+  const last = latest(own);
+  if (last === null || last.incidents.length === 0) return last;
+  return latest(own.filter((process) => othersTurn(scene, glove, process)?.kind === "robot")) ?? last;
+}
+
+/** Return the name of the step at which an incident is. */
+export function stepOf({ name, element }: Pick<Incident, "name" | "element">): string {
+  return name === "" ? element : name;
+}
+
+/** Return the incident to show: one at a Task of this glove, else the first. */
+export function incidentOf(process: ProcessView, glove: GloveView): Incident | null {
+  const isMine = ({ task }: Incident) =>
+    process.tasks.some(({ id, involves: who }) => isSame(id, task) && who.some((one) => namesOf(glove).some((name) => isSame(one, name))));
+  return process.incidents.find(isMine) ?? process.incidents[0] ?? null;
 }
 
 function involves(process: ProcessView, glove: GloveView): boolean {
@@ -162,7 +185,7 @@ function endedOf(scene: Scene, glove: GloveView): Situation {
 }
 
 function wasCancelled(process: ProcessView): boolean {
-  return process.retry === null && /^cancelled\b/.test(process.reason ?? "");
+  return /^cancelled\b/.test(process.reason ?? "");
 }
 
 function nextOf(process: ProcessView | null): Activity | null {

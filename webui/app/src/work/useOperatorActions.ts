@@ -1,6 +1,6 @@
 /** What the operator can do in a situation: the main act, answering on the screen, pausing and resuming. */
 import { useTranslation } from "react-i18next";
-import { retryTask, startOperator, startProcess } from "~/api/actions";
+import { retryToken, startOperator, startProcess } from "~/api/actions";
 import type { DefinitionView, Outcome } from "~/live/messages";
 import { answerByHand, endTesting, pauseGlove, requestStatus, resumeGlove } from "./actions";
 import { startKey } from "./confirmation";
@@ -73,6 +73,7 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
       case "idle":
       case "completed":
       case "failed":
+      case "incident":
       case "between":
         return situation.glove.paused ? act(true, () => resumeGlove(situation.glove.glove)) : null;
       default:
@@ -88,14 +89,12 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
         return complete;
       case "paused":
         return pause;
-      case "failed": {
-        const { process } = situation;
-        const { retry } = process;
-        if (retry !== null) {
-          return { name: t("by.retry"), do: () => perform(() => withName((name) => retryTask(process.id, retry, name))) };
-        }
-        return startAct("by.startAgain");
+      case "incident": {
+        const { process, incident } = situation;
+        return { name: t("by.retry"), do: () => perform(() => withName((name) => retryToken(process.id, incident.token, { by: name }))) };
       }
+      case "failed":
+        return startAct("by.startAgain");
       case "completed":
         return situation.glove.testing ? leaveTesting(situation.glove.glove) : startAct("by.startAgain");
       case "idle":

@@ -1,4 +1,4 @@
-import { act, render, screen } from "@testing-library/react";
+import { act, render, screen, within } from "@testing-library/react";
 import userEvent from "@testing-library/user-event";
 import i18next from "i18next";
 import { afterEach, beforeAll, beforeEach, describe, expect, it, vi } from "vitest";
@@ -7,7 +7,8 @@ import { Live } from "~/live/hooks";
 import type { GloveView } from "~/live/messages";
 import { LiveStore } from "~/live/store";
 import { setUserName } from "~/shell/userName";
-import { completed, definition, failed, glove, process, robot, robotTask, service, task, userTask } from "./scene.fixture";
+import { incident } from "~/testing/views";
+import { completed, definition, failed, glove, process, robot, robotTask, service, stopped, task, userTask } from "./scene.fixture";
 import WorkPage from "./WorkPage";
 
 const hold = { announceMs: 500, confirmMs: 1500, spent: false };
@@ -214,6 +215,37 @@ describe("the operator's page", () => {
     } as const;
     await open(["glove/glove-1", glove()], ["process/1", { ...failed, reason: "notGood: scratched", retry: null, tasks: [reported] }]);
     expect(screen.getByRole("alert").textContent).toContain("Confirm: Not good, reported by Anna. “scratched”");
+  });
+
+  it("shows the step with an incident and why, and retries it under a name", async () => {
+    const sent: unknown[] = [];
+    vi.stubGlobal("fetch", (url: string, { body }: { body: string }) => {
+      sent.push([url, JSON.parse(body)]);
+      return Promise.resolve(Response.json({}));
+    });
+    setUserName("Anna");
+    const other = incident({ token: "9", element: "place", name: "Place the part", task: null });
+    await open(["glove/glove-1", glove()], ["process/1", { ...stopped, incidents: [...stopped.incidents, other] }]);
+    const state = screen.getByRole("alert").textContent;
+    expect(state).toContain("Bin picking: a step has failed");
+    expect(state).toContain("Scan the bin: the robot could not pick");
+    expect(state).toContain("1 more step has failed.");
+    await userEvent.click(screen.getByRole("button", { name: "Retry the step" }));
+    expect(sent).toEqual([["/api/task-orchestrator/processes/bin-picking-1/tokens/7/retry", { by: "Anna" }]]);
+  });
+
+  it("asks once before it cancels a process with an incident", async () => {
+    const sent: unknown[] = [];
+    vi.stubGlobal("fetch", (url: string, { body }: { body: string }) => {
+      sent.push([url, JSON.parse(body)]);
+      return Promise.resolve(Response.json({}));
+    });
+    setUserName("Anna");
+    await open(["glove/glove-1", glove()], ["process/1", stopped]);
+    await userEvent.click(screen.getByRole("button", { name: "Cancel Bin picking" }));
+    expect(sent).toEqual([]);
+    await userEvent.click(within(screen.getByRole("dialog")).getByRole("button", { name: "Cancel Bin picking" }));
+    expect(sent).toEqual([["/api/task-orchestrator/processes/bin-picking-1/cancel", { by: "Anna" }]]);
   });
 
   it("offers the way out of test mode, where nothing else can be done", async () => {

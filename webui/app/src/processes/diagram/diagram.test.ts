@@ -2,12 +2,14 @@
 import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
 import type { ElementCount } from "~/live/messages";
+import { incident } from "~/testing/views";
 import { drawn, hasDrawing, withFlowsNamed } from "./layout";
-import { difference, marksOfFaults, marksOfProcess, marksOfStatistics, NO_MARKS, withPicked, type MarkWords } from "./marks";
+import { difference, marksOfFaults, marksOfProcess, marksOfStatistics, NO_MARKS, withPicked, withTargets, type MarkWords } from "./marks";
 
 const words: MarkWords = {
   token: (count) => `${count} here`,
   failed: (count) => `${count} failed`,
+  incident: (count) => `${count} incidents`,
   count: (count) => ({ text: String(count), title: `${count} done` }),
   duration: (last, median) => ({ text: `${last ?? 0} ms`, title: `median ${median ?? 0}` }),
 };
@@ -41,6 +43,22 @@ describe("the marks of a process", () => {
     expect(marks.get("scan")?.looks).toEqual(["failed"]);
     expect(marks.get("home")?.looks).toEqual(["done"]);
     expect(marks.get("home")?.badges[0]?.kind).toBe("failed");
+  });
+
+  it("show incidents before tokens, those of a called process at the call", () => {
+    const shown = marksOfProcess(
+      {
+        waiting: ["pick", "pack", "pack.wrap"],
+        elements: { pick: count({ failed: 1 }) },
+        incidents: [incident({ element: "pick" }), incident({ token: "8", element: "pack.wrap" }), incident({ token: "9", element: "pack.fold" })],
+      },
+      words,
+      (element) => element.split(".")[0] ?? element,
+    );
+    expect([...shown.keys()].sort()).toEqual(["pack", "pick"]);
+    expect(shown.get("pick")?.looks).toEqual(["incident"]);
+    expect(shown.get("pick")?.badges.map(({ kind, text }) => [kind, text])).toEqual([["incident", ""], ["failed", "1"]]);
+    expect(shown.get("pack")?.badges).toEqual([{ kind: "incident", text: "2", title: "2 incidents" }]);
   });
 
   it("leave alone what has not been reached", () => {
@@ -130,4 +148,16 @@ describe("a file without incoming and outgoing", () => {
     expect(named).not.toBe(bare);
     expect(withFlowsNamed(named)).toBe(named);
   });
+});
+
+it("targets of a token keep the marks that they have", () => {
+  const shown = withTargets(marksOfProcess({ waiting: ["pick"], elements: {} }, words), ["pick", "place"]);
+  expect(shown.get("pick")?.looks).toEqual(["token", "target"]);
+  expect(shown.get("place")).toEqual({ looks: ["target"], badges: [] });
+});
+
+it("warnings are numbered after the faults, and mark no element as faulty", () => {
+  const marks = marksOfFaults([{ element: "scan", message: "a" }], [{ element: "store", message: "b" }, { element: "scan", message: "c" }]);
+  expect(marks.get("store")).toEqual({ looks: [], badges: [{ kind: "warning", text: "2", title: "b" }] });
+  expect(marks.get("scan")).toMatchObject({ looks: ["fault"], badges: [{ text: "1" }, { kind: "warning", text: "3" }] });
 });

@@ -4,12 +4,12 @@
  */
 import type { ElementCount, ProcessView } from "~/live/messages";
 
-/** A class on the element itself: it holds a token, it failed, it has a fault, it is picked. */
-export type Look = "token" | "failed" | "done" | "fault" | "picked";
+/** A class on the element itself: it has a token, an incident or a fault, it failed, it is picked, a token may move to it. */
+export type Look = "token" | "incident" | "failed" | "done" | "fault" | "picked" | "target";
 
 /** A small badge at the element. */
 export interface Badge {
-  kind: "token" | "failed" | "count" | "duration" | "fault";
+  kind: "token" | "incident" | "failed" | "count" | "duration" | "fault" | "warning";
   text: string;
   /** The full text, for tooltips and screen readers. */
   title: string;
@@ -29,20 +29,33 @@ export const NO_MARKS: Marks = new Map();
 export interface MarkWords {
   token: (count: number) => string;
   failed: (count: number) => string;
+  incident: (count: number) => string;
   count: (count: number) => { text: string; title: string };
   duration: (lastMs: number | null, medianMs: number | null) => { text: string; title: string };
 }
 
-/** The marks of a process: its tokens, what was done how often and how long it took, and what failed. */
-export function marksOfProcess(process: Pick<ProcessView, "waiting" | "elements">, words: MarkWords): Marks {
+/**
+ * The marks of a process: its tokens and incidents, what was done how often and how long it took, and what failed.
+ * `drawnAt` returns the element of the drawing at which an element of a called process is shown.
+ */
+export function marksOfProcess(
+  process: Pick<ProcessView, "waiting" | "elements"> & Partial<Pick<ProcessView, "incidents">>,
+  words: MarkWords,
+  drawnAt: (element: string) => string = (element) => element,
+): Marks {
   const marks = new Map<string, ElementMarks>();
-  const tokens = tally(process.waiting);
-  for (const element of new Set([...tokens.keys(), ...Object.keys(process.elements)])) {
+  const incidents = tally((process.incidents ?? []).map(({ element }) => drawnAt(element)));
+  const tokens = tally(process.waiting.filter((element) => drawnAt(element) === element));
+  for (const element of new Set([...tokens.keys(), ...incidents.keys(), ...Object.keys(process.elements)])) {
     const at = process.elements[element];
     const badges = at === undefined ? [] : badgesOf(at, words);
     const looks: Look[] = [];
     const held = tokens.get(element) ?? 0;
-    if (held > 0) {
+    const stopped = incidents.get(element) ?? 0;
+    if (stopped > 0) {
+      looks.push("incident");
+      badges.unshift({ kind: "incident", text: stopped === 1 ? "" : String(stopped), title: words.incident(stopped) });
+    } else if (held > 0) {
       looks.push("token");
       badges.unshift({ kind: "token", text: held === 1 ? "" : String(held), title: words.token(held) });
     } else if (at !== undefined && at.failed > 0 && at.completed === 0) {
@@ -66,14 +79,17 @@ export function marksOfStatistics(elements: Readonly<Record<string, ElementCount
   return marks;
 }
 
-/** The marks of faults: each element that has one, numbered as the list beside the diagram is. */
-export function marksOfFaults(faults: readonly { element: string | null; message: string }[]): Marks {
+type Located = readonly { element: string | null; message: string }[];
+
+/** The marks of faults, then of warnings: each element that has one, numbered as the lists beside the diagram are. */
+export function marksOfFaults(faults: Located, warnings: Located = []): Marks {
   const marks = new Map<string, ElementMarks>();
-  faults.forEach(({ element, message }, nth) => {
+  [...faults, ...warnings].forEach(({ element, message }, nth) => {
     if (element === null) return;
-    const badge: Badge = { kind: "fault", text: String(nth + 1), title: message };
-    const badges = [...(marks.get(element)?.badges ?? []), badge];
-    marks.set(element, { looks: ["fault"], badges });
+    const isFault = nth < faults.length;
+    const at = marks.get(element) ?? { looks: [], badges: [] };
+    const badge: Badge = { kind: isFault ? "fault" : "warning", text: String(nth + 1), title: message };
+    marks.set(element, { looks: isFault ? ["fault"] : at.looks, badges: [...at.badges, badge] });
   });
   return marks;
 }
@@ -83,6 +99,16 @@ export function withPicked(marks: Marks, element: string | null): Marks {
   if (element === null) return marks;
   const at = marks.get(element);
   return new Map(marks).set(element, { looks: [...(at?.looks ?? []), "picked"], badges: at?.badges ?? [] });
+}
+
+/** The same marks with the elements that a token can be moved to. */
+export function withTargets(marks: Marks, targets: readonly string[]): Marks {
+  const all = new Map(marks);
+  for (const element of targets) {
+    const at = all.get(element);
+    all.set(element, { looks: [...(at?.looks ?? []), "target"], badges: at?.badges ?? [] });
+  }
+  return all;
 }
 
 export interface Difference {

@@ -11,6 +11,7 @@ export function useMarkWords(over: "process" | "all"): MarkWords {
     const said = (ms: number | null) => (ms === null ? "–" : duration(ms, i18n.language));
     return {
       token: (count) => t("marks.token", { count }),
+      incident: (count) => t("marks.incident", { count }),
       failed: (count) => t("marks.failed", { count }),
       count: (count) => ({ text: String(count), title: t("marks.done", { count }) }),
       duration: (lastMs, medianMs) => ({

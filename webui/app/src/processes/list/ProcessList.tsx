@@ -9,11 +9,12 @@ import { Field } from "~/design/Field";
 import { Select } from "~/design/Select";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
-import { statusTone } from "~/design/states";
+import { processTone } from "~/design/states";
 import { useIsReading } from "~/design/table/useStableOrder";
 import { VirtualGrid, type Line } from "~/design/table/VirtualGrid";
 import { useFamily } from "~/live/hooks";
 import type { DefinitionView } from "~/live/messages";
+import { processState, type ProcessState } from "~/live/processState";
 import { shortName } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
 import { pathOf, samePlace, type Place } from "../address";
@@ -24,7 +25,7 @@ import "./ProcessList.css";
 
 /** So many definitions stand above the processes; the others are shown when asked for. */
 const MAX_DEFINITIONS = 5;
-const STATUSES = ["inProgress", "paused", "completed", "failed"] as const;
+const STATES = ["incident", "inProgress", "paused", "completed", "failed"] as const;
 /** The parts of the URL's query that belong to the list and stay when another process is opened. */
 const OWN_QUERY = ["find", "state", "of", "involves", "sort"];
 
@@ -48,7 +49,7 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
   const { sections, waiting, release } = useHeld(
     history.sections, place.kind === "process" ? place.id : null, isReading, JSON.stringify([filter, sorting]),
   );
-  const said = (status: ProcessRow["status"]) => t(`common:processStatus.${status}`);
+  const said = (state: ProcessState) => t(`common:processStatus.${state}`);
   const running = found(sections.running, find, said);
   const ended = found(sections.ended, find, said);
   const address = useAddress();
@@ -111,7 +112,7 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
         nameOf={(item) =>
           item.kind === "definition"
             ? item.definition.title
-            : `${item.row.title}, ${markOf(item.row, i18n.language)}, ${said(item.row.status)}`
+            : `${item.row.title}, ${markOf(item.row, i18n.language)}, ${said(processState(item.row))}`
         }
         onOpen={(item) => go(address(placeOf(item)))}
         onEnd={history.more ? history.loadOlder : undefined}
@@ -145,11 +146,12 @@ function Definition({ definition }: { definition: DefinitionView }) {
 function Process({ row }: { row: ProcessRow }) {
   const { t, i18n } = useTranslation(["processes", "common"]);
   const activity = activityOf(row);
+  const state = processState(row);
   return (
     <>
       <span className="process-list__title">{row.key ?? row.title}</span>
       <span className="process-list__more">
-        <StatusBadge tone={statusTone[row.status]}>{t(`common:processStatus.${row.status}`)}</StatusBadge>
+        <StatusBadge tone={processTone[state]}>{t(`common:processStatus.${state}`)}</StatusBadge>
         <span className="process-list__time quiet">
           <RelativeTime at={row.endedAt ?? row.startedAt} />
         </span>
@@ -216,7 +218,7 @@ function Filters({ filter, onStatus, onDefinition, onInvolves, children }: Filte
   if (filter.involves !== "") people.add(filter.involves);
   return (
     <div className="process-list__filters">
-      <Select label={t("list.state")} value={filter.status} options={[all, ...STATUSES.map((value) => ({ value, name: t(`common:processStatus.${value}`) }))]} onChange={onStatus} />
+      <Select label={t("list.state")} value={filter.status} options={[all, ...STATES.map((value) => ({ value, name: t(`common:processStatus.${value}`) }))]} onChange={onStatus} />
       <Select label={t("list.definition")} value={filter.definition} options={[all, ...versions]} onChange={onDefinition} />
       <Select label={t("list.involves")} value={filter.involves} options={[all, ...[...people].sort().map((value) => ({ value, name: shortName(value) }))]} onChange={onInvolves} />
       {children}

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { at, process, task } from "~/testing/views";
+import { at, incident, process, task } from "~/testing/views";
 import { activityOf, found, held, MAX_ENDED, passes, remembered, sameSections, together, type ProcessRow, type ProcessSorting } from "./rows";
 
 const running = (id: string, second: number): ProcessRow => process({ id, startedAt: at(second) });
@@ -31,6 +31,10 @@ it("passes by state, definition, version and person", () => {
   expect(passes(row, { ...any, definition: "bin" })).toBe(false);
   expect(passes(row, { ...any, involves: "urn:ngsi-ld:Person:demo:bob" })).toBe(false);
   expect(passes(row, { ...any, status: "failed" })).toBe(false);
+  const stopped = process({ incidents: [incident()] });
+  expect([row, stopped].map((one) => passes(one, { ...any, status: "incident" }))).toEqual([false, true]);
+  expect(passes(stopped, { ...any, status: "inProgress" })).toBe(true);
+  expect(passes({ ...stopped, status: "failed" }, { ...any, status: "incident" })).toBe(false);
   expect(activityOf(row)).toBe("Pick the part");
 });
 

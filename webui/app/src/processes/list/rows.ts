@@ -2,20 +2,22 @@
  * Rows: the list of definitions and processes. It keeps its place while somebody is in it: what is new is
  * counted and waits, what has ended stays where it stood.
  */
-import type { DefinitionView, ProcessView, Status } from "~/live/messages";
+import type { DefinitionView, ProcessView } from "~/live/messages";
+import { processState, type ProcessState } from "~/live/processState";
 
 /** A process in a line, as the live view and the orchestrator's list both have it. */
 export type ProcessRow = Pick<
   ProcessView,
   "id" | "definition" | "version" | "title" | "key" | "status" | "reason" | "startedAt" | "endedAt"
 > &
-  Partial<Pick<ProcessView, "tasks">>;
+  Partial<Pick<ProcessView, "tasks" | "incidents">>;
 
 export const SORT_ORDERS = ["newest", "oldest", "name", "key"] as const;
 export type ProcessSorting = (typeof SORT_ORDERS)[number];
 
 /** The filter of the list; "" matches all. */
 export interface ProcessFilter {
+  /** A status, or "incident". */
   status: string;
   /** "bin-picking" or, with a version, "bin-picking@2". */
   definition: string;
@@ -58,16 +60,16 @@ function sortRows(rows: ProcessRow[], sorting: ProcessSorting): ProcessRow[] {
 export function passes(row: ProcessRow, { status, definition, involves }: ProcessFilter): boolean {
   const [name, version] = definition.split("@");
   return (
-    (status === "" || row.status === status) &&
+    (status === "" || row.status === status || processState(row) === status) &&
     (definition === "" || (row.definition === name && (version === undefined || row.version === Number(version)))) &&
     (involves === "" || row.tasks === undefined || row.tasks.some((task) => task.involves.includes(involves)))
   );
 }
 
-/** The activities that a process is at, by name; "" where that is not known. */
+/** The activities that a process is at, by name, those with an incident first; "" where that is not known. */
 export function activityOf(row: ProcessRow): string {
   const open = (row.tasks ?? []).filter((task) => task.endedAt === null && !task.cancelled);
-  return [...new Set(open.map((task) => task.name || task.element))].join(", ");
+  return [...new Set([...(row.incidents ?? []), ...open].map(({ name, element }) => name || element))].join(", ");
 }
 
 /** The history, with processes that have ended meanwhile; bounded, the latest stay. */
@@ -97,12 +99,12 @@ export function sameSections(one: Sections, other: Sections): boolean {
 const MIN_ID_PART = 8;
 
 /** The processes whose title, definition, key or status has every word of the text, or whose id has it as it is. */
-export function found<T extends ProcessRow>(rows: readonly T[], text: string, said: (status: Status) => string): T[] {
+export function found<T extends ProcessRow>(rows: readonly T[], text: string, said: (state: ProcessState) => string): T[] {
   const words = wordsOf(text);
   const id = text.trim();
   return rows.filter(
     (row) =>
-      has(words, [row.title, row.definition, row.key ?? "", said(row.status)]) || (id.length >= MIN_ID_PART && row.id.includes(id)),
+      has(words, [row.title, row.definition, row.key ?? "", said(processState(row))]) || (id.length >= MIN_ID_PART && row.id.includes(id)),
   );
 }
 
@@ -129,7 +131,7 @@ function sameRows(one: readonly ProcessRow[], other: readonly ProcessRow[]): boo
       const twin = other[nth];
       return (
         row.id === twin?.id && row.status === twin.status && row.endedAt === twin.endedAt &&
-        row.reason === twin.reason && row.title === twin.title
+        row.reason === twin.reason && row.title === twin.title && processState(row) === processState(twin)
       );
     })
   );

@@ -1,15 +1,19 @@
 /** A process: where it is, on its diagram, and what became of its Tasks, below. */
-import { lazy, Suspense, useMemo } from "react";
+import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
+import { useServiceQuery, type ServiceQuery } from "~/api/useServiceQuery";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
-import type { ProcessView } from "~/live/messages";
+import type { Incident, ProcessView } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
-import { marksOfProcess, withPicked } from "../diagram/marks";
+import { elementsOf, NO_ELEMENTS, pathOf, targetsFor, type BpmnElements } from "../diagram/elements";
+import { marksOfProcess, withPicked, withTargets } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
+import { Acts } from "../incidents/Acts";
+import { Incidents, type Moving } from "../incidents/Incidents";
 import { taskMark } from "../names";
-import { useBpmn, useProcess } from "../records";
+import { SERVICE, useBpmn, useProcess } from "../records";
 import { TasksBar } from "../timeline/TasksBar";
 import { TasksView } from "../timeline/TasksView";
 import { ProcessHead } from "./ProcessHead";
@@ -19,7 +23,7 @@ import "./ProcessPanel.css";
 
 const Diagram = lazy(() => import("../diagram/Diagram"));
 
-export const VIEWS = ["timeline", "table", "values"] as const;
+export const VIEWS = ["timeline", "table", "values", "acts"] as const;
 export type View = (typeof VIEWS)[number];
 
 export function ProcessPanel({ id }: { id: string }) {
@@ -37,15 +41,34 @@ function Shown({ process }: { process: ProcessView }) {
   const view = VIEWS.find((one) => one === asked) ?? "timeline";
   const [picked, setPicked] = useQueryParameter("task");
   const task = process.tasks.find((one) => taskMark(one) === picked) ?? null;
+  const bpmn = useBpmn(process.definition, process.version);
+  const elements = useMemo(() => (bpmn.value === null ? NO_ELEMENTS : elementsOf(bpmn.value)), [bpmn.value]);
+  const { moving, setMoving, setTarget } = useMoving(process, elements);
+  const pick = (element: string | null) => {
+    const last = process.tasks.findLast((one) => one.element === element);
+    setPicked(last === undefined ? "" : taskMark(last));
+  };
+  const showsTasks = view === "timeline" || view === "table";
   return (
     <div className="process">
       <ProcessHead process={process} />
+      <Incidents
+        process={process}
+        elements={elements}
+        moving={moving}
+        onMove={setMoving}
+        onTarget={setTarget}
+        onPick={({ element }) => pick(element)}
+      />
       <ProcessDiagram
         process={process}
+        bpmn={bpmn}
+        elements={elements}
+        moving={moving}
         picked={task?.element ?? null}
         onPick={(element) => {
-          const last = process.tasks.findLast((one) => one.element === element);
-          setPicked(last === undefined ? "" : taskMark(last));
+          if (moving === null) pick(element);
+          else if (element !== null && moving.targets.some(({ id }) => id === element)) setTarget(element);
         }}
       />
       <section className="process__tasks" aria-label={t("views.label")}>
@@ -56,15 +79,13 @@ function Shown({ process }: { process: ProcessView }) {
             options={VIEWS.map((value) => ({ value, name: t(`views.${value}`) }))}
             onChange={setView}
           />
-          {view !== "values" && <TasksBar process={process} />}
+          {showsTasks && <TasksBar process={process} />}
         </div>
         <div className="process__below">
-          {view === "values" ? (
-            <Values process={process} />
-          ) : (
-            <TasksView process={process} view={view} picked={picked} onPick={setPicked} />
-          )}
-          {task !== null && view !== "values" && (
+          {view === "values" && <Values process={process} />}
+          {view === "acts" && <Acts process={process} elements={elements} />}
+          {showsTasks && <TasksView process={process} view={view} picked={picked} onPick={setPicked} />}
+          {task !== null && showsTasks && (
             <TaskPanel process={process} task={task} onClose={() => setPicked("")} />
           )}
         </div>
@@ -73,21 +94,47 @@ function Shown({ process }: { process: ProcessView }) {
   );
 }
 
+/** The token that is being moved; the choice ends when the token has no incident any more. */
+function useMoving(process: ProcessView, elements: BpmnElements) {
+  const [token, setToken] = useState<string | null>(null);
+  const [to, setTarget] = useState("");
+  const incident = process.incidents.find((one) => one.token === token);
+  const { drawn, inner } = pathOf(elements, incident?.element ?? "");
+  const called = useCalledElements(inner === null ? null : (elements.get(drawn)?.calls ?? null));
+  const targets = inner === null ? targetsFor(elements, drawn) : targetsFor(called, inner);
+  const moving: Moving | null = incident === undefined ? null : { incident, targets, to };
+  const setMoving = (one: Incident | null) => {
+    setToken(one?.token ?? null);
+    setTarget("");
+  };
+  return { moving, setMoving, setTarget };
+}
+
+/** The elements of a called process, in its latest version. */
+function useCalledElements(name: string | null): BpmnElements {
+  const { value } = useServiceQuery<string>(SERVICE, name === null ? null : `definitions/${encodeURIComponent(name)}/bpmn`);
+  return useMemo(() => (value === null ? NO_ELEMENTS : elementsOf(value)), [value]);
+}
+
 interface ProcessDiagramProps {
   process: ProcessView;
+  bpmn: ServiceQuery<string>;
+  elements: BpmnElements;
+  moving: Moving | null;
   picked: string | null;
   onPick: (element: string | null) => void;
 }
 
-function ProcessDiagram({ process, picked, onPick }: ProcessDiagramProps) {
+function ProcessDiagram({ process, bpmn, elements, moving, picked, onPick }: ProcessDiagramProps) {
   const { t } = useTranslation("processes");
   const words = useMarkWords("process");
-  const bpmn = useBpmn(process.definition, process.version);
-  const { waiting, elements } = process;
-  const marks = useMemo(
-    () => withPicked(marksOfProcess({ waiting, elements }, words), picked),
-    [waiting, elements, words, picked],
-  );
+  const { waiting, elements: counts, incidents } = process;
+  const to = moving === null ? picked : moving.to || null;
+  const targets = moving?.targets.map(({ id }) => id).join(" ") ?? "";
+  const marks = useMemo(() => {
+    const own = marksOfProcess({ waiting, elements: counts, incidents }, words, (element) => pathOf(elements, element).drawn);
+    return withPicked(withTargets(own, targets === "" ? [] : targets.split(" ").filter((id) => elements.has(id))), to);
+  }, [waiting, counts, incidents, words, elements, targets, to]);
   if (bpmn.failure !== null) return <ErrorMessage>{t("diagram.unread", { why: bpmn.failure })}</ErrorMessage>;
   return (
     <div className="process__diagram">

@@ -6,12 +6,12 @@ import { duration } from "~/design/times";
 import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
-import { shortName } from "~/live/urn";
+import { isSame, shortName } from "~/live/urn";
+import { RetryButton } from "../incidents/RetryButton";
 import { nameOf } from "../names";
 import { CLOCK } from "../timeline/axis";
 import { courseOf } from "../timeline/course";
 import { Json } from "./Values";
-import { RetryButton, taskOf } from "./ProcessHead";
 import { TaskState } from "./TaskState";
 import "./TaskPanel.css";
 
@@ -25,6 +25,7 @@ export function TaskPanel({ process, task, onClose }: TaskPanelProps) {
   const { t, i18n } = useTranslation(["processes", "common"]);
   const now = useNow();
   const course = courseOf(task, now);
+  const stopped = process.incidents.find((incident) => isSame(incident.task, task.id));
   const clock = (at: string) => new Date(at).toLocaleTimeString(i18n.language, CLOCK);
   const said = (ms: number) => duration(task.endedAt === null ? Math.floor(ms / 1000) * 1000 : ms, i18n.language);
   return (
@@ -35,7 +36,7 @@ export function TaskPanel({ process, task, onClose }: TaskPanelProps) {
         <Button kind="quiet" label={t("task.close")} icon={<X aria-hidden size={18} />} onPress={onClose} />
       </header>
       <Reason task={task} />
-      {taskOf(process, process.retry)?.id === task.id && <RetryButton process={process} task={task} kind="plain" />}
+      {stopped !== undefined && <RetryButton process={process} token={stopped.token} step={nameOf(task)} kind="plain" />}
       {task.description !== null && <p>{task.description}</p>}
       <dl className="task__facts">
         <dt>{t("task.who")}</dt>

@@ -1,24 +1,56 @@
 /** The parameters and the present variables of a process. */
+import { Braces } from "lucide-react";
+import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
+import { setVariables } from "~/api/actions";
+import { Button } from "~/design/Button";
 import type { ProcessView } from "~/live/messages";
+import { MendDialog } from "../incidents/MendDialog";
 import "./Values.css";
 
 export function Values({ process }: { process: ProcessView }) {
   const { t } = useTranslation("processes");
+  const [edits, setEdits] = useState(false);
   return (
     <div className="values">
       <Listed title={t("values.parameters")} values={process.parameters} empty={t("values.noParameters")} />
-      <Listed title={t("values.variables")} values={process.variables} empty={t("values.noVariables")} />
+      <Listed title={t("values.variables")} values={process.variables} empty={t("values.noVariables")}>
+        {process.endedAt === null && (
+          <Button icon={<Braces aria-hidden size={18} />} onPress={() => setEdits(true)}>
+            {t("values.edit")}
+          </Button>
+        )}
+      </Listed>
+      {edits && (
+        <MendDialog
+          title={t("mend.set.title", { title: process.title })}
+          act={t("mend.set.act")}
+          means={t("mend.set.means")}
+          variables={{ label: t("mend.variables"), hint: t("mend.variablesHint"), before: process.variables, isRequired: true }}
+          onClose={() => setEdits(false)}
+          onAct={(decision) => setVariables(process.id, decision)}
+        />
+      )}
     </div>
   );
 }
 
-function Listed({ title, values, empty }: { title: string; values: Record<string, unknown>; empty: string }) {
+interface ListedProps {
+  title: string;
+  values: Record<string, unknown>;
+  empty: string;
+  children?: ReactNode;
+}
+
+function Listed({ title, values, empty, children }: ListedProps) {
   const { t } = useTranslation("processes");
   const names = Object.keys(values).sort();
   return (
     <section>
-      <h2>{title}</h2>
+      <header className="values__head">
+        <h2>{title}</h2>
+        {children}
+      </header>
       {names.length === 0 ? (
         <p className="quiet">{empty}</p>
       ) : (

@@ -11,7 +11,7 @@ import { StatusBadge } from "~/design/StatusBadge";
 import type { DefinitionView } from "~/live/messages";
 import { marksOfFaults, withPicked } from "../diagram/marks";
 import type { Trial } from "../records";
-import { faultsOf, type BpmnFault } from "./faults";
+import { faultsOf, listedFaults, type BpmnFault } from "./faults";
 import { textOf } from "./file";
 import "./UploadPanel.css";
 
@@ -30,6 +30,7 @@ interface Looked {
   xml: string;
   trial: Trial | null;
   faults: BpmnFault[];
+  warnings: BpmnFault[];
   failure: string | null;
 }
 
@@ -97,7 +98,9 @@ function Verdict({ looked, onDeployed }: { looked: Looked; onDeployed: (definiti
   };
   return (
     <>
+      {trial.definitions.length > 1 && <p className="quiet">{t("upload.several", { titles: trial.definitions.map(({ title }) => title).join(", ") })}</p>}
       <StatusBadge tone="ok">{t(trial.created ? "upload.fine" : "upload.known", { title: trial.title, version: trial.version })}</StatusBadge>
+      {looked.warnings.length > 0 && <StatusBadge tone="attention">{t("upload.warned", { count: looked.warnings.length })}</StatusBadge>}
       <Button kind="main" icon={<FileCheck2 aria-hidden size={18} />} isDisabled={busy} onPress={deploy}>
         {t(trial.created ? "upload.deploy" : "upload.see", { title: trial.title, version: trial.version })}
       </Button>
@@ -108,34 +111,31 @@ function Verdict({ looked, onDeployed }: { looked: Looked; onDeployed: (definiti
 
 function Faulted({ looked }: { looked: Looked }) {
   const { t } = useTranslation("processes");
-  const first = looked.faults.find((fault) => fault.element !== null)?.element ?? null;
+  const { faults, warnings } = looked;
+  const isPlaced = faults.some((fault) => fault.element !== null);
   const [centred, setCentred] = useState<{ element: string; at: number } | null>(null);
   const picked = centred?.element ?? null;
-  const marks = useMemo(() => withPicked(marksOfFaults(looked.faults), picked), [looked.faults, picked]);
+  const marks = useMemo(() => withPicked(marksOfFaults(faults, warnings), picked), [faults, warnings, picked]);
+  const show = (element: string) => setCentred({ element, at: Date.now() });
   return (
-    <div className={looked.faults.length === 0 ? "upload__body" : "upload__body upload__body--faulty"}>
-      {looked.faults.length > 0 && (
-        <section className="upload__faults" aria-label={t("upload.faults")}>
-          <h2>{t("upload.faults")}</h2>
-          <ol>
-            {looked.faults.map((fault, nth) => (
-              <li key={nth}>
-                {fault.element === null ? (
-                  <Fault fault={fault} nth={nth} />
-                ) : (
-                  <button
-                    type="button"
-                    aria-pressed={picked === fault.element}
-                    onClick={() => setCentred({ element: fault.element ?? "", at: Date.now() })}
-                  >
-                    <Fault fault={fault} nth={nth} />
-                  </button>
-                )}
-              </li>
-            ))}
-          </ol>
-          <p className="quiet small">{t(first === null ? "upload.mend" : "upload.mendAt")}</p>
-        </section>
+    <div className={faults.length + warnings.length === 0 ? "upload__body" : "upload__body upload__body--faulty"}>
+      {faults.length + warnings.length > 0 && (
+        <div className="upload__lists">
+          {faults.length > 0 && (
+            <section className="upload__faults" aria-label={t("upload.faults")}>
+              <h2>{t("upload.faults")}</h2>
+              <FaultList faults={faults} first={1} picked={picked} onPick={show} />
+              <p className="quiet small">{t(isPlaced ? "upload.mendAt" : "upload.mend")}</p>
+            </section>
+          )}
+          {warnings.length > 0 && (
+            <section className="upload__faults upload__faults--warnings" aria-label={t("upload.warnings")}>
+              <h2>{t("upload.warnings")}</h2>
+              <p className="quiet small">{t("upload.warningsMean")}</p>
+              <FaultList faults={warnings} first={faults.length + 1} picked={picked} onPick={show} />
+            </section>
+          )}
+        </div>
       )}
       <div className="upload__diagram">
         <Suspense fallback={<p className="processes__loading quiet">{t("diagram.loading")}</p>}>
@@ -146,15 +146,43 @@ function Faulted({ looked }: { looked: Looked }) {
   );
 }
 
-function Fault({ fault, nth }: { fault: BpmnFault; nth: number }) {
+interface FaultListProps {
+  faults: readonly BpmnFault[];
+  /** The number of the first one. */
+  first: number;
+  picked: string | null;
+  onPick: (element: string) => void;
+}
+
+function FaultList({ faults, first, picked, onPick }: FaultListProps) {
+  return (
+    <ol start={first}>
+      {faults.map((fault, nth) => (
+        <li key={nth}>
+          {fault.element === null ? (
+            <Fault fault={fault} number={first + nth} />
+          ) : (
+            <button type="button" aria-pressed={picked === fault.element} onClick={() => onPick(fault.element ?? "")}>
+              <Fault fault={fault} number={first + nth} />
+            </button>
+          )}
+        </li>
+      ))}
+    </ol>
+  );
+}
+
+function Fault({ fault, number }: { fault: BpmnFault; number: number }) {
   const { t } = useTranslation("processes");
+  const { element, name, line } = fault;
+  const where = element === null ? t("upload.wholeFile") : name === null ? element : t("upload.element", { name, id: element });
   return (
     <span className="upload__fault">
-      <b aria-hidden>{nth + 1}</b>
+      <b aria-hidden>{number}</b>
       <span>
         <span className="upload__where">
-          {fault.element ?? t("upload.wholeFile")}
-          {fault.line !== null && ` · ${t("upload.line", { line: fault.line })}`}
+          {where}
+          {line !== null && ` · ${t("upload.line", { line })}`}
         </span>
         {fault.message}
       </span>
@@ -164,16 +192,18 @@ function Fault({ fault, nth }: { fault: BpmnFault; nth: number }) {
 
 /** Read a file and have the orchestrator try it; nothing is deployed. */
 async function look(file: File): Promise<Looked> {
-  const seen = { file, xml: await textOf(file), trial: null, faults: [], failure: null };
+  const seen = { file, xml: await textOf(file), trial: null, faults: [], warnings: [], failure: null };
   try {
     const trial = await requestService<Trial>("task-orchestrator", "definitions?dry=true", {
       method: "POST",
       body: file,
       type: "application/xml",
     });
-    return { ...seen, trial };
+    return { ...seen, trial, warnings: listedFaults(trial.warnings) };
   } catch (error) {
-    if (error instanceof ApiError && error.problem.status === 422) return { ...seen, faults: faultsOf(error) };
+    if (error instanceof ApiError && error.problem.status === 422) {
+      return { ...seen, faults: faultsOf(error), warnings: listedFaults(error.problem["warnings"]) };
+    }
     return { ...seen, failure: errorText(error) };
   }
 }

@@ -1,21 +1,28 @@
 import { describe, expect, it } from "vitest";
 import { ApiError } from "~/api/http";
-import { faultsOf } from "./faults";
+import { faultsOf, listedFaults } from "./faults";
 import { textOf } from "./file";
 
 const refusal = (more: object) => new ApiError({ title: "BPMN cannot be deployed", detail: "line 3: no", status: 422, ...more });
 
 describe("the faults of a file", () => {
   it("come as the orchestrator lists them", () => {
-    const faults = [{ element: "scan", line: 67, message: "nobody does it" }, { element: null, line: null, message: "no start" }];
+    const faults = [{ element: "scan", name: "Scan the bin", line: 67, message: "nobody does it" }, { element: null, name: null, line: null, message: "no start" }];
     expect(faultsOf(refusal({ faults }))).toEqual(faults);
   });
 
   it("are at least one, whatever the answer looks like", () => {
-    const whole = [{ element: null, line: null, message: "line 3: no" }];
+    const whole = [{ element: null, name: null, line: null, message: "line 3: no" }];
     expect(faultsOf(refusal({}))).toEqual(whole);
     expect(faultsOf(refusal({ faults: "many" }))).toEqual(whole);
     expect(faultsOf(refusal({ faults: [{ line: 3 }, 7, null] }))).toEqual(whole);
+  });
+});
+
+describe("warnings of a file", () => {
+  it("are listed as faults are, with the name of the element in the drawing", () => {
+    expect(listedFaults([{ element: "store", name: "", line: 4, message: "no effect" }])).toEqual([{ element: "store", name: null, line: 4, message: "no effect" }]);
+    expect(listedFaults(undefined)).toEqual([]);
   });
 });
 

@@ -63,7 +63,7 @@ export function AlertDetail({ alert, title, onClose }: { alert: AlertView; title
       )}
       <div className="alert__actions">
         <AlertButtons alerts={[alert]} acts={acts} />
-        {kind === "processFailed" && (
+        {(kind === "processFailed" || kind === "processIncident") && (
           <Link href={pathOf({ kind: "process", id: shortName(alert.source) })}>{t("alert.openProcess")}</Link>
         )}
       </div>

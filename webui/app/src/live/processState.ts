@@ -1,0 +1,8 @@
+/** The state of a process as people see it: its status, or that a part of it cannot continue. */
+import type { ProcessView, Status } from "./messages";
+
+export type ProcessState = Status | "incident";
+
+export function processState({ status, incidents }: Pick<ProcessView, "status"> & Partial<Pick<ProcessView, "incidents">>): ProcessState {
+  return status !== "completed" && status !== "failed" && (incidents?.length ?? 0) > 0 ? "incident" : status;
+}

@@ -1,0 +1,87 @@
+/** Asks for what is recorded with an act on a process: the variables that it sets, the name and the reason. */
+import { useState, type ReactNode } from "react";
+import { useTranslation } from "react-i18next";
+import type { Decision } from "~/api/actions";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
+import { Field } from "~/design/Field";
+import { TextBox } from "~/design/TextBox";
+import { setUserName, useUserName } from "~/shell/userName";
+import { editedVariables, variablesText, type Edited } from "./variables";
+
+export interface MendDialogProps {
+  title: string;
+  /** What the button that does it says. */
+  act: string;
+  kind?: "main" | "stop";
+  /** What follows from it. */
+  means: string;
+  /** The variables to edit, with their label; absent where the act sets none. */
+  variables?: { label: string; hint: string; before: Readonly<Record<string, unknown>>; isRequired?: boolean };
+  children?: ReactNode;
+  onClose: () => void;
+  onAct: (decision: Decision) => Promise<unknown>;
+}
+
+const MAX_ROWS = 14;
+
+export function MendDialog({ title, act, kind = "main", means, variables, children, onClose, onAct }: MendDialogProps) {
+  const { t } = useTranslation(["processes", "common"]);
+  const known = useUserName();
+  const [name, setName] = useState(known);
+  const [why, setWhy] = useState("");
+  // What was there when the dialog was opened: a process that continues does not change the text.
+  const [before] = useState(variables?.before ?? {});
+  const [text, setText] = useState(() => variablesText(before));
+  const edited = editedVariables(text, before);
+  const fault = useFaultText(edited);
+  const changes = "values" in edited ? edited.values : {};
+  const count = Object.keys(changes).length;
+  const lacksChange = variables?.isRequired === true && count === 0;
+  const decide = async () => {
+    setUserName(name);
+    await onAct({ by: name.trim(), why: why.trim(), ...(count === 0 ? {} : { variables: changes }) });
+  };
+  return (
+    <ConfirmDialog
+      isOpen
+      onClose={onClose}
+      title={title}
+      act={act}
+      kind={kind}
+      isDisabled={name.trim() === "" || why.trim() === "" || fault !== undefined || lacksChange}
+      onAct={decide}
+    >
+      <p>{means}</p>
+      {children}
+      {variables !== undefined && (
+        <TextBox
+          label={variables.label}
+          hint={count === 0 ? variables.hint : t("mend.changes", { names: Object.keys(changes).join(", ") })}
+          value={text}
+          onChange={setText}
+          error={fault}
+          rows={Math.min(MAX_ROWS, Math.max(4, text.split("\n").length))}
+          isCode
+          autoFocus
+        />
+      )}
+      <TextBox label={t("mend.why")} value={why} onChange={setWhy} maxLength={1000} isRequired validationBehavior="aria" autoFocus={variables === undefined} />
+      <Field label={t("common:who.label")} hint={t("mend.nameHint")} value={name} onChange={setName} maxLength={100} isRequired validationBehavior="aria" />
+    </ConfirmDialog>
+  );
+}
+
+function useFaultText(edited: Edited): string | undefined {
+  const { t } = useTranslation("processes");
+  if ("values" in edited) return undefined;
+  switch (edited.fault) {
+    case "syntax":
+      return edited.line === null ? t("mend.fault.syntax") : t("mend.fault.syntaxAt", { line: edited.line });
+    case "notAnObject":
+      return t("mend.fault.notAnObject");
+    case "name":
+      return t("mend.fault.name", { name: edited.name });
+    case "removed":
+      return t("mend.fault.removed", { name: edited.name });
+  }
+}
