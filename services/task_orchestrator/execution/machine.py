@@ -90,7 +90,7 @@ class Machine:
     library: Library
     now: datetime
     identity: Mapping[str, Any] = field(default_factory=dict)
-    """What `execution` tells of the process: its id, business key and definition."""
+    """The properties of `execution`: the id of the process, business key and definition."""
     queue: deque[int] = field(default_factory=deque)
     """The tokens that are about to do something."""
     steps: int = 0

@@ -31,8 +31,8 @@ def test_only_the_schemas_of_used_routes_are_written(monkeypatch: pytest.MonkeyP
         "required": ["color"],
     }
     document = {
-        "paths": {"/lamps/{lamp}": response("Lamp"), "/doors": response("Door")},
-        "components": {"schemas": {"Lamp": lamp, "Color-Output": color, "Door": {}, "Problem": {}}},
+        "paths": {"/lamps/{lamp}": response("Lamp"), "/boxes": response("Box")},
+        "components": {"schemas": {"Lamp": lamp, "Color-Output": color, "Box": {}, "Problem": {}}},
     }
     assert service_types.typescript("lamps", document).endswith(
         '\n\nexport type Color = "red" | "green";\n\n'
