@@ -544,7 +544,7 @@ def _mend(run: Run, act: Act, token: str | None, now: datetime) -> None:
 
 
 def _identity(settings: OrchestratorSettings, record: ProcessRecord) -> dict[str, Any]:
-    """Return what `execution` tells of a process in JUEL."""
+    """Return the properties of `execution` in JUEL."""
     return {
         "processInstanceId": record.id,
         "processBusinessKey": record.key,
