@@ -7,12 +7,16 @@ from typing import Annotated, Any
 import httpx
 import orjson
 import typer
+import yaml
 
 from handover.cli.exporters import EXPORTERS, Exporter
 from handover.cli.services import service_named
 from handover.errors import UsageError
 
 app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, mend.", no_args_is_help=True)
+
+mapping = typer.Typer(help="The mapping from names in process files to performers.", no_args_is_help=True)
+app.add_typer(mapping, name="mapping")
 
 
 @app.command()
@@ -27,6 +31,10 @@ def deploy(file: Annotated[Path, typer.Argument(help="A BPMN 2.0 file.")]) -> No
         print(f"{definition['name']} version {definition['version']} deployed")
     for warning in answer["warnings"]:
         print(f"warning: line {warning['line']}, {warning['element'] or 'the file'}: {warning['message']}")
+    for line in answer["allocation"]:
+        print(f"{line['name']}: {line['reason']}")
+        if line["warning"] and line["warning"] != line["reason"]:
+            print(f"  warning: {line['warning']}")
 
 
 @app.command()
@@ -152,6 +160,32 @@ def signal(
     given = dict(_parameter(each) for each in variables or [])
     answer = _ask("POST", "/signals", json={"name": name, "variables": given})
     print("\n".join(answer["processes"]) or "no process waits for it")
+
+
+@mapping.command("show")
+def show_mapping(
+    version: Annotated[int | None, typer.Option("--version", help="An earlier version.")] = None,
+) -> None:
+    """Write the mapping from names in process files to performers, as YAML."""
+    table = _ask("GET", "/mapping", params={} if version is None else {"version": version})
+    print(yaml.safe_dump(table, sort_keys=False, allow_unicode=True), end="")
+
+
+@mapping.command("set")
+def set_mapping(
+    file: Annotated[Path, typer.Argument(help="A YAML file with `entries`.")], by: By, why: Why = None
+) -> None:
+    """Replace the mapping, and confirm that its performers may get work."""
+    try:
+        given = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UsageError(f"{file} is no YAML: {error}") from None
+    if not isinstance(given, dict) or not isinstance(given.get("entries"), list):
+        raise UsageError(f"{file} has no list `entries`; see docs/how-to/processes.md")
+    table = _ask("PUT", "/mapping", json={"by": by, "why": why, "entries": given["entries"]})
+    print(f"mapping version {table['version']}: {len(table['entries'])} entries")
 
 
 def _mend(

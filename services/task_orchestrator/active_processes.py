@@ -11,6 +11,7 @@ from prometheus_client import Counter
 
 from handover.errors import HandoverError
 from handover.telemetry import get_logger
+from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.metrics import HandoverTimer
 from services.task_orchestrator.process import Process
@@ -30,8 +31,14 @@ class ActiveProcesses:
     """All processes that have not ended, or that have Tasks that have not ended."""
 
     def __init__(
-        self, settings: OrchestratorSettings, registry: DefinitionRegistry, store: Store, on_disk: OnDisk
+        self,
+        settings: OrchestratorSettings,
+        registry: DefinitionRegistry,
+        store: Store,
+        on_disk: OnDisk,
+        allocator: Allocator,
     ) -> None:
+        self._allocator = allocator
         self._settings = settings
         self._registry = registry
         self._store = store
@@ -125,7 +132,9 @@ class ActiveProcesses:
             definition = self._registry.record(record.definition, record.version)
             await self._registry.prepare(definition)
             plan = self._registry.plan_of(definition)
-            process = Process.resume(self._settings, plan, record, tasks, self._registry)
+            process = Process.resume(
+                self._settings, plan, record, tasks, self._registry, allocator=self._allocator
+            )
         except HandoverError as error:
             log.critical("process not resumed", process=record.id, error=str(error))
             return

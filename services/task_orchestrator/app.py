@@ -15,11 +15,12 @@ from datamodels.entities import TaskStatus
 from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.durations import parse_duration
-from handover.errors import Problem
+from handover.errors import Problem, UsageError
 from handover.messages import message
 from handover.service import XML_TYPES, accepts, create_app
 from handover.storage import storage_check
 from handover.telemetry import get_logger
+from services.task_orchestrator.allocation.mapping import MappingRequest, read_mapping_file
 from services.task_orchestrator.archive import Archiver
 from services.task_orchestrator.model import Fault
 from services.task_orchestrator.notation.document import MAX_BYTES
@@ -31,6 +32,7 @@ from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.views import (
     activity_views,
     definition_view,
+    mapping_view,
     period_view,
     process_summary,
     process_view,
@@ -40,6 +42,7 @@ from services.task_orchestrator.views import (
 log = get_logger(__name__)
 
 MAX_PARAMETERS_BYTES = 1024 * 1024
+MAX_MAPPING_BYTES = 4 * 1024 * 1024
 MAX_VERSION = 2**31 - 1
 SHIPPED = Path(__file__).parent / "processes"
 
@@ -136,11 +139,25 @@ class Components:
     async def lifespan(self, _: FastAPI) -> AsyncIterator[None]:
         """Deploy the definitions of the folders and run until the service ends."""
         async with self.broker, self.orchestrator:
+            if self.settings.mapping_file is not None:
+                await self._load_mapping(self.settings.mapping_file)
             await self._deploy_folder(SHIPPED)
             if self.settings.process_dir is not None:
                 await self._deploy_folder(self.settings.process_dir)
             async with self.reconciler, self.archiver:
                 yield
+
+    async def _load_mapping(self, file: Path) -> None:
+        """Store the mapping of a file if there is none yet."""
+        if self.orchestrator.allocator.mapping.version:
+            return
+        try:
+            read = read_mapping_file(await asyncio.to_thread(file.read_text, encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, UsageError) as error:
+            log.warning("mapping file not read", file=str(file), error=str(error))
+            return
+        await self.orchestrator.set_mapping(read.entries, by=read.by, why=read.why)
+        log.info("mapping stored", file=str(file), entries=len(read.entries), confirmed_by=read.by)
 
     async def _deploy_folder(self, folder: Path) -> None:
         if not await asyncio.to_thread(folder.is_dir):
@@ -179,6 +196,7 @@ def make_app(settings: OrchestratorSettings) -> FastAPI:
     )
     _add_definitions(app, at.orchestrator)
     _add_processes(app, at)
+    _add_mapping(app, at.orchestrator)
 
     @app.post("/messages", tags=["events"])
     @max_body(MAX_PARAMETERS_BYTES)
@@ -230,7 +248,15 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
             definition_view(registry, registry.record(each.name, each.version))
             for each in deployed.deployments
         ]
-        view = {**views[0], "definitions": views, "warnings": as_json(deployed.warnings)}
+        allocation = [
+            line
+            for each in deployed.deployments
+            for line in orchestrator.allocator.report(
+                registry.plan_of(registry.record(each.name, each.version)).definition
+            )
+        ]
+        warnings = as_json(deployed.warnings)
+        view = {**views[0], "definitions": views, "warnings": warnings, "allocation": allocation}
         return JSONResponse(view, 201 if deployed.created else 200)
 
     @app.get("/definitions", tags=["definitions"])
@@ -260,6 +286,38 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     async def bpmn(name: str, version: int | None = None) -> Response:
         """Return the BPMN file as it was deployed."""
         return Response(registry.record(name, version).xml, media_type="application/xml")
+
+
+def _add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
+    @app.get("/mapping", tags=["allocation"])
+    async def mapping(
+        version: Annotated[int | None, Query(ge=1, le=MAX_VERSION)] = None,
+    ) -> dict[str, Any]:
+        """Return the mapping from names in process files to performers, or an earlier version of it."""
+        if version is None:
+            return mapping_view(orchestrator.allocator.mapping)
+        table = await orchestrator.on_disk(orchestrator.store.mapping, version)
+        if table is None:
+            raise Problem(
+                404,
+                "No such version",
+                message(
+                    "allocation.no_such_mapping",
+                    "there is no version {version} of the mapping; the latest is {latest}",
+                    version=version,
+                    latest=orchestrator.allocator.mapping.version,
+                ),
+            )
+        return mapping_view(table)
+
+    @app.put("/mapping", tags=["allocation"])
+    @max_body(MAX_MAPPING_BYTES)
+    async def set_mapping(body: MappingRequest) -> dict[str, Any]:
+        """Replace the mapping; it applies to Tasks that are posted later."""
+        table = await orchestrator.set_mapping(
+            body.entries, by=body.by.strip(), why=body.why, version=body.version
+        )
+        return mapping_view(table)
 
 
 def _add_processes(app: FastAPI, at: Components) -> None:

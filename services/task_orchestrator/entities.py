@@ -9,17 +9,9 @@ from datamodels.times import iso
 from handover.settings import Settings
 from services.task_orchestrator.model import Activity, Definition
 from services.task_orchestrator.records import TaskRecord
-from services.task_orchestrator.references import is_reference
+from services.task_orchestrator.references import is_reference, resource_id
 
 Entity = dict[str, Any]
-
-
-def resource_id(settings: Settings, reference: str) -> str:
-    """Return the URN of a reference such as `Device:glove-1`; a URN is returned unchanged."""
-    if reference.startswith("urn:"):
-        return reference
-    kind, _, name = reference.partition(":")
-    return settings.entity_id(kind, name)
 
 
 def definition_entities(settings: Settings, definition: Definition, version: int, url: str) -> list[Entity]:
@@ -102,8 +94,11 @@ def task_entity(
     at: datetime,
     deadline: datetime,
     data: Mapping[str, Any] | None = None,
+    candidates: Mapping[str, Any] | None = None,
 ) -> Entity:
     """Return the `pending` Task of `activity` with the present process variables and data objects.
+
+    `candidates` describe the people who may claim a Task that involves nobody.
 
     Raises `ExpressionError` when a variable is missing, `ValueError` when a reference is invalid.
     """
@@ -121,6 +116,8 @@ def task_entity(
         "workParameters": _property({**(data or {}), **_work_parameters(activity, variables)}),
         "deadline": _property({"@type": "DateTime", "@value": iso(deadline)}),
     }
+    if candidates is not None:
+        entity["workParameters"]["value"]["candidates"] = dict(candidates)
     places = [
         _place(settings, place.location.value(variables), place.function, activity)
         for place in activity.happens_at

@@ -27,6 +27,8 @@ from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator import metrics
 from services.task_orchestrator.active_processes import ActiveProcesses
+from services.task_orchestrator.allocation.allocator import Allocator
+from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.correlation import EventStart
 from services.task_orchestrator.definition_registry import DefinitionRegistry, Deployed, Deployment
 from services.task_orchestrator.entities import final_attributes
@@ -107,7 +109,10 @@ class Orchestrator:
         self._next_seq = 1
         self._start_timers: dict[str, tuple[StartTimer, ...]] = {}
         self._disk = ThreadPoolExecutor(1, "orchestrator-disk")
-        self.active_processes = ActiveProcesses(settings, self.registry, self.store, self.on_disk)
+        self.allocator = Allocator()
+        self.active_processes = ActiveProcesses(
+            settings, self.registry, self.store, self.on_disk, self.allocator
+        )
         self.events = EventDelivery(
             self.active_processes.processes, self._start_by_event, settings.message_ttl_s
         )
@@ -120,6 +125,9 @@ class Orchestrator:
     async def __aenter__(self) -> Self:
         await self.on_disk(self.store.migrate)
         self.registry.add(await self.on_disk(self.store.definitions))
+        table: MappingTable | None = await self.on_disk(self.store.mapping)
+        if table is not None:
+            self.allocator.mapping = table
         for record in self.registry.latest():
             await self.registry.prepare(record)
             with suppress(HandoverError):  # such a version cannot be started
@@ -186,7 +194,41 @@ class Orchestrator:
             found.append(
                 {"name": record.name, "version": record.version, "title": record.title, "created": created}
             )
-        return {**found[0], "definitions": found, "warnings": as_json(file.warnings)}
+        allocation = [line for each in file.definitions for line in self.allocator.report(each)]
+        warnings = as_json(file.warnings)
+        return {**found[0], "definitions": found, "warnings": warnings, "allocation": allocation}
+
+    async def set_mapping(
+        self,
+        entries: Sequence[MappingEntry],
+        *,
+        by: str | None,
+        why: str | None = None,
+        version: int | None = None,
+    ) -> MappingTable:
+        """Replace the mapping, for Tasks that are posted from now on.
+
+        Raises `Problem` 409 if `version` is given and is not the present one.
+        """
+
+        def act(step: Step) -> MappingTable:
+            present = step.mappings[-1] if step.mappings else self.allocator.mapping
+            if version not in {None, present.version}:
+                raise Problem(
+                    409,
+                    "Mapping has changed",
+                    message(
+                        "allocation.mapping_changed",
+                        "the mapping has the version {present}, not {version}; read it and change it again",
+                        present=present.version,
+                        version=version,
+                    ),
+                )
+            table = MappingTable(present.version + 1, tuple(entries), by, why, self.clock())
+            step.mappings.append(table)
+            return table
+
+        return await self._do(act)
 
     async def start(
         self,
@@ -247,7 +289,15 @@ class Orchestrator:
         )
         plan = self.registry.plan_of(deployed)
         process = Process.start(
-            self.settings, plan, record, step, now, library=self.registry, at=at, results=results
+            self.settings,
+            plan,
+            record,
+            step,
+            now,
+            library=self.registry,
+            allocator=self.allocator,
+            at=at,
+            results=results,
         )
         self.active_processes.processes[record.id] = process
         return record.id
@@ -601,6 +651,8 @@ class Orchestrator:
             return
         self._next_seq = step.next_seq
         self._add_definitions(step.definitions)
+        for table in step.mappings:
+            self.allocator.mapping = table
         self.active_processes.apply(step)
         self.events.apply(step)
         self._start_timers |= step.start_timers

@@ -17,6 +17,7 @@ from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
 from handover.task_life import FINISHED, is_news
 from services.task_orchestrator import process_alerts
+from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.entities import (
     cancel_request,
     outputs_property,
@@ -96,6 +97,7 @@ class Process:
     library: Library
     tasks: dict[str, TaskRecord] = field(default_factory=dict)
     composed: list[str] = field(default_factory=list)
+    allocator: Allocator = field(default_factory=Allocator)
     reported: tuple[TaskStatus, int] | None = None
     """The status and the number of Tasks that were last written to the broker."""
 
@@ -109,6 +111,7 @@ class Process:
         now: datetime,
         *,
         library: Library,
+        allocator: Allocator | None = None,
         at: str | None = None,
         results: Mapping[str, Any] | None = None,
     ) -> "Process":
@@ -129,7 +132,7 @@ class Process:
             )
         except RunFailed as failure:
             raise Problem(422, "Process cannot start", text_of(failure)) from failure
-        process = cls(settings, record, plan, run, library)
+        process = cls(settings, record, plan, run, library, allocator=allocator or Allocator())
         step.new.add(record.id)
         step.touched.add(record.id)
         process._report_process(step, now)
@@ -144,12 +147,14 @@ class Process:
         record: ProcessRecord,
         tasks: Iterable[TaskRecord],
         library: Library,
+        *,
+        allocator: Allocator | None = None,
     ) -> "Process":
         """Return a stored process; raise `RunFailed` if this release cannot continue it."""
         running = record.state if record.ended_at is None else None
         identity = _identity(settings, record)
         run = Run.resume(plan, running, library, identity=identity) if running is not None else None
-        process = cls(settings, record, plan, run, library)
+        process = cls(settings, record, plan, run, library, allocator=allocator or Allocator())
         for task in tasks:
             process.composed.append(task.id)
             process._track(task)
@@ -450,12 +455,20 @@ class Process:
         return self.settings.entity_id("Task", f"{self.record.id}-{element}-{visit}")
 
     def _post(self, open_: OpenActivity, step: Step, now: datetime) -> None:
-        activity = open_.activity
+        assignment = self.allocator.assign(open_.activity, open_.variables)
+        activity = assignment.activity
         task_id = self._task_id(open_.element, open_.visit)
         allowed = timedelta(seconds=self.settings.task_deadline_s)
         deadline = activity.deadline.after(now) if activity.deadline is not None else now + allowed
         entity = task_entity(
-            self.settings, task_id, activity, open_.variables, data=open_.data, at=now, deadline=deadline
+            self.settings,
+            task_id,
+            activity,
+            open_.variables,
+            data=open_.data,
+            at=now,
+            deadline=deadline,
+            candidates=assignment.candidates,
         )
         task = TaskRecord(
             id=task_id,
@@ -470,6 +483,7 @@ class Process:
             deadline=deadline,
             entity=entity,
             name=activity.name,
+            allocated=assignment.reason,
         )
         step.new.add(task_id)
         self.composed.append(task_id)

@@ -12,6 +12,7 @@ from typing import Any
 
 from datamodels.entities import TaskStatus
 from handover.task_life import FINISHED
+from services.task_orchestrator.allocation.mapping import MappingTable
 from services.task_orchestrator.execution.machine import Effect
 
 
@@ -121,6 +122,8 @@ class TaskRecord:
     entity: Mapping[str, Any] = field(default_factory=dict, repr=False)
     name: str = ""
     """The name of the activity as it is drawn."""
+    allocated: str | None = None
+    """Why its performer got it."""
 
     @property
     def finished(self) -> bool:
@@ -230,6 +233,8 @@ class Step:
 
     next_seq: int
     definitions: list[DefinitionRecord] = field(default_factory=list)
+    mappings: list[MappingTable] = field(default_factory=list)
+    """New versions of the mapping."""
     processes: dict[str, ProcessRecord] = field(default_factory=dict)
     tasks: dict[str, TaskRecord] = field(default_factory=dict)
     new: set[str] = field(default_factory=set)
@@ -263,6 +268,7 @@ class Step:
         """Return whether there is anything to write."""
         return bool(
             self.definitions
+            or self.mappings
             or self.processes
             or self.tasks
             or self.messages

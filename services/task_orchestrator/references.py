@@ -2,6 +2,8 @@
 
 import re
 
+from handover.settings import Settings
+
 _SHORT = re.compile(r"[A-Z][A-Za-z0-9]*:[A-Za-z0-9_.-]+", re.ASCII)
 _URN = re.compile(r"urn:[a-z0-9][a-z0-9-]{0,31}:[^\s<>\"]+", re.ASCII)
 
@@ -9,3 +11,11 @@ _URN = re.compile(r"urn:[a-z0-9][a-z0-9-]{0,31}:[^\s<>\"]+", re.ASCII)
 def is_reference(text: object) -> bool:
     """Return whether `text` refers to an entity."""
     return isinstance(text, str) and bool(_SHORT.fullmatch(text) or _URN.fullmatch(text))
+
+
+def resource_id(settings: Settings, reference: str) -> str:
+    """Return the URN of a reference such as `Device:glove-1`; a URN is returned unchanged."""
+    if reference.startswith("urn:"):
+        return reference
+    kind, _, name = reference.partition(":")
+    return settings.entity_id(kind, name)

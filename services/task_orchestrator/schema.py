@@ -80,6 +80,7 @@ tasks = Table(
     Column("outputs", Text),
     Column("entity", Text, nullable=False),
     Column("took_ms", BigInteger),
+    Column("allocated", Text),
     Index("orchestrator_tasks_unfinished", "ended_at", "process"),
 )
 inbox = Table(
@@ -128,6 +129,15 @@ timers = Table(
     Column("subject", String(300), primary_key=True),
     Column("due", String(40), nullable=False),
     Index("orchestrator_timers_due", "due"),
+)
+mappings = Table(
+    "orchestrator_mappings",
+    _meta,
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("confirmed_by", Text),
+    Column("why", Text),
+    Column("at", String(40), nullable=False),
+    Column("entries", Text, nullable=False),
 )
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from handover.settings import Settings
+from handover.settings import MaybePath, Settings
 
 
 class OrchestratorSettings(Settings):
@@ -15,6 +15,9 @@ class OrchestratorSettings(Settings):
         None, description="where the broker reaches the orchestrator; host and port if absent"
     )
     process_dir: Path | None = Field(None, description="a folder whose *.bpmn files are deployed at start")
+    mapping_file: MaybePath = Field(
+        None, description="a YAML file with the mapping from names to performers, read at the first start"
+    )
     task_deadline_s: float = Field(
         300.0,
         gt=0,

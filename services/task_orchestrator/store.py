@@ -29,6 +29,7 @@ from handover.errors import HandoverError, Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, with_code
 from services.task_orchestrator import schema
+from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.counts import PeriodCount, VersionCount, count_period, count_version
 from services.task_orchestrator.records import (
     Act,
@@ -60,6 +61,8 @@ _MOMENTS = frozenset(
     }
 )
 _MAX_IDS = 500
+_CONSTANT = frozenset({"entity", "allocated"})
+"""Columns of a Task that do not change."""
 _DOCUMENTS = frozenset({"parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents"})
 
 
@@ -106,6 +109,7 @@ class Store:
         """Write all of `step` or nothing; raise `Conflict` if another orchestrator wrote a process."""
         with self._engine.begin() as connection:
             _write_definitions(connection, step.definitions)
+            _insert(connection, schema.mappings, [_mapping_row(table) for table in step.mappings])
             _write_processes(connection, step)
             _write_tasks(connection, step)
             _insert(connection, schema.inbox, [_row(move) for move in step.moves])
@@ -148,6 +152,17 @@ class Store:
             schema.definitions.c.name, schema.definitions.c.version
         )
         return [DefinitionRecord(**_values(row)) for row in self._rows(statement)]
+
+    def mapping(self, version: int | None = None) -> MappingTable | None:
+        """Return a version of the mapping, by default the latest; None if there is none."""
+        table = schema.mappings
+        statement = select(table).order_by(table.c.version.desc()).limit(1)
+        if version is not None:
+            statement = statement.where(table.c.version == version)
+        for row in self._rows(statement):
+            entries = tuple(MappingEntry.model_validate(each) for each in orjson.loads(row["entries"]))
+            return MappingTable(row["version"], entries, row["confirmed_by"], row["why"], _time(row["at"]))
+        return None
 
     def processes(self, ids: Sequence[str]) -> list[ProcessRecord]:
         """Return those of the processes `ids` that exist."""
@@ -381,6 +396,17 @@ def _write_processes(connection: Connection, step: Step) -> None:
             )
 
 
+def _mapping_row(table: MappingTable) -> dict[str, Any]:
+    entries = [entry.model_dump(mode="json") for entry in table.entries]
+    return {
+        "version": table.version,
+        "confirmed_by": table.by,
+        "why": table.why,
+        "at": _written(table.at),
+        "entries": orjson.dumps(entries).decode(),
+    }
+
+
 def _write_stored_messages(connection: Connection, step: Step) -> None:
     stored = [each for each in step.messages_stored.values() if each.id not in step.messages_taken]
     _insert(
@@ -427,7 +453,7 @@ def _write_tasks(connection: Connection, step: Step) -> None:
     _insert(connection, schema.tasks, [_task_row(t) for t in step.tasks.values() if t.id in step.new])
     for task in step.tasks.values():
         if task.id not in step.new:
-            values = {name: value for name, value in _task_row(task).items() if name != "entity"}
+            values = {name: value for name, value in _task_row(task).items() if name not in _CONSTANT}
             connection.execute(update(schema.tasks).where(schema.tasks.c.id == task.id).values(values))
 
 
@@ -457,7 +483,8 @@ def _incident_values(incident: IncidentRecord) -> dict[str, Any]:
 
 
 def _task_row(task: TaskRecord) -> dict[str, Any]:
-    return {**_row(task), "took_ms": task.took_ms}
+    allocated = None if task.allocated is None else orjson.dumps(with_code("text", task.allocated)).decode()
+    return {**_row(task), "took_ms": task.took_ms, "allocated": allocated}
 
 
 def _message_row(message: Message) -> dict[str, Any]:
@@ -511,6 +538,8 @@ def _incident(values: Mapping[str, Any]) -> IncidentRecord:
 def _task(row: Mapping[str, Any]) -> TaskRecord:
     values = _values(row)
     values.pop("took_ms")
+    if values["allocated"] is not None:
+        values["allocated"] = message_in(orjson.loads(values["allocated"]), "text")
     return TaskRecord(**{**values, "status": TaskStatus(values["status"])})
 
 

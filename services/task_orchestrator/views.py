@@ -8,9 +8,9 @@ from datamodels.entities import TaskStatus
 from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
+from services.task_orchestrator.allocation.mapping import MappingTable
 from services.task_orchestrator.counts import ElementCount, PeriodCount, VersionCount, count_elements
 from services.task_orchestrator.definition_registry import DefinitionRegistry
-from services.task_orchestrator.entities import resource_id
 from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.lookahead import upcoming_activities
 from services.task_orchestrator.model import Activity, Definition
@@ -22,10 +22,22 @@ from services.task_orchestrator.records import (
     ProcessRecord,
     TaskRecord,
 )
-from services.task_orchestrator.references import is_reference
+from services.task_orchestrator.references import is_reference, resource_id
 from services.task_orchestrator.settings import OrchestratorSettings
 
 View = dict[str, Any]
+
+
+def mapping_view(table: MappingTable) -> View:
+    """Return a version of the mapping."""
+    return {
+        "version": table.version,
+        "by": table.by,
+        "verified": False,  # there are no accounts yet: `by` is what was given
+        "why": table.why,
+        "at": _iso(table.at),
+        "entries": [entry.model_dump(mode="json", exclude_defaults=True) for entry in table.entries],
+    }
 
 
 def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> View:
@@ -183,6 +195,7 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
         "description": described if isinstance(described, str) else activity and activity.description,
         "status": task.status.value,
         "involves": [link["object"] for link in task.entity["involves"]["value"]],
+        **({"allocated": None} if task.allocated is None else with_code("allocated", task.allocated)),
         "workParameters": parameters,
         "createdAt": iso(task.created_at),
         "deadline": iso(task.deadline),

@@ -1,0 +1,157 @@
+"""The mapping: its entries and files, and who gets an activity."""
+
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from handover.errors import UsageError
+from services.task_orchestrator.allocation.allocator import Allocator
+from services.task_orchestrator.allocation.mapping import (
+    MappingEntry,
+    MappingRequest,
+    MappingTable,
+    read_mapping_file,
+)
+from services.task_orchestrator.languages import native
+from services.task_orchestrator.model import Activity, Value
+
+GRIP = {"kind": "class", "name": "com.example.Grip", "resource": "Device:ur10-1"}
+
+
+def activity(*, lane: str | None = None, involves: tuple[Value, ...] = (), **hints: str) -> Activity:
+    return Activity(
+        id="grip",
+        name="Grip",
+        description=None,
+        lane=lane,
+        definition="grip",
+        deadline=None,
+        involves=involves,
+        happens_at=(),
+        parameters={"operation": Value("com.example.Grip"), "part": Value("bolt")},
+        outputs={},
+        variable="grip",
+        hints=hints,
+    )
+
+
+def allocator(*entries: dict[str, Any], by: str | None = "Anna") -> Allocator:
+    made = Allocator()
+    made.mapping = MappingTable(3, tuple(MappingEntry.model_validate(entry) for entry in entries), by)
+    return made
+
+
+def test_an_activity_without_an_entry_goes_to_people() -> None:
+    hints = {"candidateGroups": "welders, packers", "candidateUsers": "ada", "assignee": "bob"}
+    assignment = allocator(GRIP).assign(activity(lane="Assembly", **hints), {})
+    assert assignment.activity.involves == ()
+    assert assignment.candidates == {
+        "groups": ["welders", "packers"],
+        "users": ["ada"],
+        "assignee": "bob",
+        "lane": "Assembly",
+    }
+
+
+def test_a_confirmed_entry_gives_work_to_a_robot_with_definition_and_parameters() -> None:
+    entry = {**GRIP, "definition": "pick", "parameters": {"operation": "pick", "force": 20}}
+    assignment = allocator(entry).assign(activity(**{"class": "com.example.Grip"}), {})
+    assert [value.literal for value in assignment.activity.involves] == ["Device:ur10-1"]
+    assert assignment.activity.definition == "pick"
+    assert {name: value.literal for name, value in assignment.activity.parameters.items()} == {
+        "operation": "pick",
+        "force": 20,
+        "part": "bolt",
+    }
+    assert assignment.candidates is None
+    assert assignment.reason.code == "allocation.by_entry"
+
+
+def test_an_entry_that_nobody_confirmed_gives_no_work_to_a_robot() -> None:
+    assignment = allocator(GRIP, by=None).assign(activity(**{"class": "com.example.Grip"}), {})
+    assert assignment.activity.involves == ()
+    assert assignment.warning is not None
+    assert assignment.warning.code == "allocation.unconfirmed"
+
+
+def test_an_entry_that_nobody_confirmed_gives_work_to_a_person() -> None:
+    entry = {"kind": "lane", "name": "Quality", "resource": "Person:ada"}
+    assignment = allocator(entry, by=None).assign(activity(lane="Quality"), {})
+    assert [value.literal for value in assignment.activity.involves] == ["Person:ada"]
+
+
+def test_the_most_specific_name_decides() -> None:
+    entries = (
+        {"kind": "lane", "name": "Robot", "resource": "Device:ur10-1"},
+        {"kind": "topic", "name": "grip", "resource": "Device:ur10-2"},
+        {"kind": "definition", "name": "grip", "resource": "Device:ur10-3"},
+    )
+    given = activity(lane="Robot", topic="grip")
+    for left, expected in ((3, "Device:ur10-3"), (2, "Device:ur10-2"), (1, "Device:ur10-1")):
+        assignment = allocator(*entries[:left]).assign(given, {})
+        assert assignment.performer == expected
+
+
+def test_a_resource_of_the_file_comes_before_the_mapping() -> None:
+    named = (Value(expression=native.read("robot")),)
+    given = activity(involves=named, topic="grip")
+    entry = {"kind": "topic", "name": "grip", "resource": "Device:ur10-2"}
+    assert allocator(entry).assign(given, {"robot": "Device:ur10-1"}).activity is given
+
+
+def test_a_role_is_part_of_the_candidates() -> None:
+    entry = {"kind": "candidateGroup", "name": "welders", "role": "welder"}
+    assignment = allocator(entry).assign(activity(candidateGroups="welders"), {})
+    assert assignment.candidates == {"groups": ["welders"], "role": "welder"}
+    assert assignment.performer == "role:welder"
+
+
+@pytest.mark.parametrize(
+    ("hint", "text", "names"),
+    [
+        ("candidateGroups", "${team}", ["welders"]),
+        ("candidateGroups", "=team", ["welders"]),
+        ("candidateGroups", '=["welders", "packers"]', ["welders", "packers"]),
+        ("candidateGroups", "${unknown.thing()}", ["${unknown.thing()}"]),
+    ],
+)
+def test_hints_may_be_expressions(hint: str, text: str, names: list[str]) -> None:
+    assignment = Allocator().assign(activity(**{hint: text}), {"team": "welders"})
+    assert assignment.candidates == {"groups": names}
+
+
+def test_a_delegate_expression_is_mapped_by_its_name() -> None:
+    entry = {"kind": "class", "name": "gripDelegate", "resource": "Device:ur10-1"}
+    assignment = allocator(entry).assign(activity(delegateExpression="${gripDelegate}"), {})
+    assert assignment.performer == "Device:ur10-1"
+
+
+@pytest.mark.parametrize(
+    ("entry", "fault"),
+    [
+        ({"kind": "lane", "name": "Robot"}, "has one of resource, role and skills"),
+        ({"kind": "lane", "name": "R", "role": "a", "skills": ["b"]}, "has one of resource, role and skills"),
+        ({"kind": "lane", "name": "Robot", "resource": "ur10-1"}, "names no entity"),
+        ({"kind": "pool", "name": "Robot", "role": "a"}, "kind"),
+        ({"kind": "lane", "name": " ", "role": "a"}, "name"),
+    ],
+)
+def test_a_wrong_entry_is_refused(entry: dict[str, Any], fault: str) -> None:
+    with pytest.raises(ValidationError, match=fault):
+        MappingEntry.model_validate(entry)
+
+
+def test_a_name_with_two_entries_is_refused() -> None:
+    with pytest.raises(ValidationError, match="has two entries"):
+        MappingRequest.model_validate({"by": "Anna", "entries": [GRIP, GRIP]})
+
+
+def test_a_file_names_its_faults() -> None:
+    read = read_mapping_file("by: Anna\nentries:\n- {kind: lane, name: Robot, resource: 'Device:ur10-1'}\n")
+    assert read.by == "Anna"
+    assert read.entries[0].resource == "Device:ur10-1"
+    with pytest.raises(UsageError, match="names no entity"):
+        read_mapping_file("entries: [{kind: lane, name: Robot, resource: x}]")
+    with pytest.raises(UsageError, match="no YAML"):
+        read_mapping_file("entries: [")
