@@ -22,6 +22,7 @@ from handover.storage import storage_check
 from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.mapping import MappingRequest, read_mapping_file
 from services.task_orchestrator.archive import Archiver
+from services.task_orchestrator.entity_events import EntityEvents
 from services.task_orchestrator.model import Fault
 from services.task_orchestrator.notation.document import MAX_BYTES
 from services.task_orchestrator.notation.faults import BadBpmn, as_json
@@ -129,6 +130,7 @@ class Components:
         self.orchestrator = Orchestrator(settings, self.broker)
         self.reconciler = Reconciler(self.orchestrator, self.broker)
         self.archiver = Archiver(self.orchestrator, self.broker)
+        self.entity_events = EntityEvents(self.orchestrator, self.broker)
 
     @property
     def process_prefix(self) -> str:
@@ -144,7 +146,7 @@ class Components:
             await self._deploy_folder(SHIPPED)
             if self.settings.process_dir is not None:
                 await self._deploy_folder(self.settings.process_dir)
-            async with self.reconciler, self.archiver:
+            async with self.reconciler, self.archiver, self.entity_events:
                 yield
 
     async def _load_mapping(self, file: Path) -> None:
@@ -224,6 +226,12 @@ def make_app(settings: OrchestratorSettings) -> FastAPI:
     async def notify(request: Request) -> Response:
         """Read the changed Tasks from the broker; the response is sent when their changes are stored."""
         await at.reconciler.receive_notification(request)
+        return Response(status_code=204)
+
+    @app.post("/notifications/entities/{filter_key}", status_code=204, tags=["notifications"])
+    async def notify_entities(filter_key: str, request: Request) -> Response:
+        """Deliver the changed entities of a filter; the response is sent when the consequences are stored."""
+        await at.entity_events.receive_notification(filter_key, request)
         return Response(status_code=204)
 
     return app

@@ -20,6 +20,7 @@ from services.task_orchestrator.correlation import (
     matches_key,
     receivers,
 )
+from services.task_orchestrator.entity_matching import EntityIndex
 from services.task_orchestrator.execution.machine import ThrownMessage, ThrownSignal
 from services.task_orchestrator.execution.state import WaitType
 from services.task_orchestrator.model import Definition
@@ -36,7 +37,13 @@ class ProcessStarter(Protocol):
     """Starts a process at one of its start events, in a step."""
 
     def __call__(
-        self, step: Step, start: EventStart, variables: Mapping[str, Any], *, partner: str | None
+        self,
+        step: Step,
+        start: EventStart,
+        variables: Mapping[str, Any],
+        *,
+        partner: str | None,
+        key: str | None = None,
     ) -> str:
         """Start the process and return its id; raise `Problem` if it cannot be started."""
         ...
@@ -51,6 +58,7 @@ class EventDelivery:
         self._ttl = timedelta(seconds=ttl_s)
         self._starts: dict[Name, dict[str, EventStart]] = {}
         self.index = WaitIndex()
+        self.entity_index = EntityIndex()
         self.stored: dict[str, MessageRecord] = {}
         self._awaited: frozenset[Name] = frozenset()
         """The names that processes have begun to wait for since stored messages were last looked at."""
@@ -65,6 +73,7 @@ class EventDelivery:
     def add_process(self, process: Process) -> None:
         """Index a process that was loaded from the database."""
         self._awaited |= self.index.update(process)
+        self.entity_index.update(process)
 
     def record(
         self,
@@ -87,7 +96,7 @@ class EventDelivery:
 
         Raises `Problem` 409 if several processes wait for it.
         """
-        self._update_index(step)
+        self.update_index(step)
         found = self._receivers(record)
         if process is not None:
             found = [each for each in found if each.process.record.id == process]
@@ -106,7 +115,7 @@ class EventDelivery:
 
     def broadcast(self, step: Step, name: str, variables: Mapping[str, Any], now: datetime) -> list[str]:
         """Bring a signal to everyone who waits for it; return the processes that got it or were started."""
-        self._update_index(step)
+        self.update_index(step)
         waiting = self._waiting(WaitType.SIGNAL, name)
         reached: dict[str, None] = {}
         for receiver in receivers(waiting, WaitType.SIGNAL, name, lambda *_: True):
@@ -122,7 +131,7 @@ class EventDelivery:
     def settle(self, step: Step, now: datetime) -> None:
         """Deliver what the processes of a step have thrown, and stored messages that they now wait for."""
         for _ in range(MAX_DELIVERIES):
-            self._update_index(step)
+            self.update_index(step)
             if step.effects:
                 sender, effect = step.effects.pop(0)
                 if isinstance(effect, ThrownMessage):
@@ -158,16 +167,18 @@ class EventDelivery:
         self.stored.update(step.messages_stored)
         for taken in step.messages_taken:
             self.stored.pop(taken, None)
-        self._update_index(step)
+        self.update_index(step)
 
-    def _update_index(self, step: Step) -> None:
+    def update_index(self, step: Step) -> None:
         """Index the processes that the step has changed since the last call."""
         for process_id in step.to_index:
             process = self._processes.get(process_id)
             if process is None:
                 self.index.remove(process_id)
+                self.entity_index.remove(process_id)
             else:
                 self._awaited |= self.index.update(process)
+                self.entity_index.update(process)
         step.to_index.clear()
 
     def _waiting(self, type_: WaitType, name: str) -> list[Process]:

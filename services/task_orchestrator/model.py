@@ -4,10 +4,13 @@
 Elements without effect on the execution (artifacts, data stores, diagrams) are not part of it.
 """
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
+
+import orjson
 
 from datamodels.states import Outcome
 from handover.durations import Duration
@@ -15,6 +18,9 @@ from handover.errors import Problem
 from handover.messages import Message, message
 from handover.outcomes import reason_of
 from services.task_orchestrator.languages.base import Expression, Json, Variables
+
+KEY_LENGTH: Final = 32
+"""Characters of the key of an entity filter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +71,21 @@ class EntityFilter:
     q: str | None = None
     variable: str = "entity"
     """The variable that gets the entity, in simplified (keyValues) form."""
+    correlation: Expression | None = None
+    """Its value for an entity must equal the key of the event or, without one, that of the process."""
+
+    @property
+    def key(self) -> str:
+        """Return the id of what is selected: filters that select the same entities have the same."""
+        selected = orjson.dumps([self.type, self.id_pattern, self.q])
+        return hashlib.sha256(selected).hexdigest()[:KEY_LENGTH]
+
+    def correlated(self, entity: Mapping[str, Any]) -> Json:
+        """Return the key that `entity` is for; None if it has none.
+
+        Raises `ExpressionError` if the correlation cannot be evaluated for this entity.
+        """
+        return None if self.correlation is None else self.correlation.value({self.variable: entity})
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +124,7 @@ class EscalationEvent:
 
 @dataclass(frozen=True, slots=True)
 class ConditionalEvent:
-    """Occurs when `condition` becomes true."""
+    """Occurs when `condition` becomes true; with `on`, when it becomes true for an entity."""
 
     condition: Expression
     on: EntityFilter | None = None
@@ -402,6 +423,10 @@ class Definition:
         for scope in self.scopes():
             yield from scope.nodes.values()
 
+    def entity_events(self) -> tuple[Node, ...]:
+        """Return the nodes whose event is the creation or change of an entity."""
+        return tuple(node for node in self.nodes() if entity_filter(node) is not None)
+
     def activities(self) -> dict[str, Activity]:
         """Return the activities that create Tasks, by the id of their node."""
         return {node.id: node.activity for node in self.nodes() if node.activity is not None}
@@ -438,3 +463,11 @@ class Definition:
                 ),
             )
         return {**{p.name: p.default for p in self.parameters.values()}, **given}
+
+
+def entity_filter(node: Node) -> EntityFilter | None:
+    """Return the filter of the entities that are the event of a node which waits for it, if it has one."""
+    if node.kind in {Kind.END_EVENT, Kind.THROW_EVENT, Kind.SEND_TASK}:
+        return None
+    event = node.event
+    return event.on if isinstance(event, MessageEvent | SignalEvent | ConditionalEvent) else None

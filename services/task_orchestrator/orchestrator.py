@@ -32,9 +32,12 @@ from services.task_orchestrator.allocation.mapping import MappingEntry, MappingT
 from services.task_orchestrator.correlation import EventStart
 from services.task_orchestrator.definition_registry import DefinitionRegistry, Deployed, Deployment
 from services.task_orchestrator.entities import final_attributes
+from services.task_orchestrator.entity_delivery import EntityDelivery
+from services.task_orchestrator.entity_matching import SeenEntities
 from services.task_orchestrator.event_delivery import EventDelivery
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.languages.native import is_variable_name
+from services.task_orchestrator.model import Definition
 from services.task_orchestrator.notation.faults import as_json
 from services.task_orchestrator.notation.file import read_bpmn
 from services.task_orchestrator.outbox import Outbox
@@ -116,11 +119,16 @@ class Orchestrator:
         self.events = EventDelivery(
             self.active_processes.processes, self._start_by_event, settings.message_ttl_s
         )
+        self.entities = EntityDelivery(
+            settings, self.active_processes.processes, self.events, self._start_by_event
+        )
         self.active_processes.on_loaded = self.events.add_process
         self._tasks = BackgroundTasks("orchestrator")
         self.due_changed = asyncio.Event()
         self.on_unowned: Callable[[], None] = lambda: None
         """Called when the broker shows an unfinished Task that no running process waits for."""
+        self.on_entity_waits: Callable[[], None] = lambda: None
+        """Called when there may be new filters of entities, or new waits for a condition about them."""
 
     async def __aenter__(self) -> Self:
         await self.on_disk(self.store.migrate)
@@ -131,10 +139,11 @@ class Orchestrator:
         for record in self.registry.latest():
             await self.registry.prepare(record)
             with suppress(HandoverError):  # such a version cannot be started
-                self.events.add_definition(self.registry.plan_of(record).definition)
+                self._add_events(self.registry.plan_of(record).definition)
         await self.active_processes.load_unfinished()
         self._start_timers = await self.on_disk(self.store.start_timers)
         self.events.stored = {each.id: each for each in await self.on_disk(self.store.stored_messages)}
+        self.entities.seen = SeenEntities(await self.on_disk(self.store.entities_seen))
         metrics.register_open_tasks(self.active_processes.open_tasks, self.clock)
         pending = await self.on_disk(self.store.outbox)
         self._next_seq = max((message.seq for message in pending), default=0) + 1
@@ -303,13 +312,25 @@ class Orchestrator:
         return record.id
 
     def _start_by_event(
-        self, step: Step, start: EventStart, variables: Mapping[str, Any], *, partner: str | None
+        self,
+        step: Step,
+        start: EventStart,
+        variables: Mapping[str, Any],
+        *,
+        partner: str | None,
+        key: str | None = None,
     ) -> str:
         deployed = self.registry.record(start.definition)
         definition = self.registry.plan_of(deployed).definition
         given = {name: value for name, value in variables.items() if name in definition.parameters}
         return self._start(
-            step, deployed, definition.arguments(given), partner=partner, at=start.event, results=variables
+            step,
+            deployed,
+            definition.arguments(given),
+            key=key,
+            partner=partner,
+            at=start.event,
+            results=variables,
         )
 
     async def publish(
@@ -417,6 +438,10 @@ class Orchestrator:
             else:
                 RECEIVED.labels("known").inc()
         return tasks
+
+    async def change(self, act: Callable[[Step], T]) -> T:
+        """Apply `act` in the next step and return its result once the step is in the database."""
+        return await self._do(act)
 
     async def recover(self) -> None:
         """Load the processes again whose changes an unavailable database did not store."""
@@ -655,6 +680,9 @@ class Orchestrator:
             self.allocator.mapping = table
         self.active_processes.apply(step)
         self.events.apply(step)
+        self.entities.seen.apply(step.entities_seen)
+        if step.definitions or self.events.entity_index.new_conditions:
+            self.on_entity_waits()
         self._start_timers |= step.start_timers
         self.active_processes.release(fetched)
         self.due_changed.set()
@@ -665,7 +693,11 @@ class Orchestrator:
     def _add_definitions(self, definitions: Sequence[DefinitionRecord]) -> None:
         self.registry.add(definitions)
         for record in definitions:
-            self.events.add_definition(self.registry.plan_of(record).definition)
+            self._add_events(self.registry.plan_of(record).definition)
+
+    def _add_events(self, definition: Definition) -> None:
+        self.events.add_definition(definition)
+        self.entities.add_definition(definition)
 
     async def _write_individually(self, changes: list[_PendingChange], error: Exception) -> None:
         """Apply the changes of a failed step one by one, so that only the faulty one fails."""

@@ -260,6 +260,14 @@ class Process:
             self.run.deliver(wait, variables, now)
             self._update(step, now)
 
+    def judge(
+        self, wait: int, entity: str, variables: Mapping[str, Any] | None, step: Step, now: datetime
+    ) -> None:
+        """Evaluate a condition that the process waits for, for an entity; None: it is no longer selected."""
+        if self.run is not None and self.run.judge(wait, entity, variables, now):
+            step.touched.add(self.record.id)
+            self._update(step, now)
+
     def cancel(self, by: str | None, step: Step, now: datetime) -> None:
         """End the process as failed and cancel its Tasks; raise `Problem` 409 if it has ended."""
         if self.run is None:

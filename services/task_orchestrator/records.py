@@ -256,6 +256,8 @@ class Step:
     messages_stored: dict[str, MessageRecord] = field(default_factory=dict)
     messages_taken: set[str] = field(default_factory=set)
     """Stored messages that were delivered or have expired."""
+    entities_seen: dict[tuple[str, str], str | None] = field(default_factory=dict)
+    """Digests of entities by filter and id; None: forgotten."""
     archived: list[ProcessRecord] = field(default_factory=list)
     """Ended processes, as read from the database, that get `archived_at` now."""
 
@@ -276,4 +278,5 @@ class Step:
             or self.messages_stored
             or self.messages_taken
             or self.start_timers
+            or self.entities_seen
         )

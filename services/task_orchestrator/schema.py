@@ -121,6 +121,13 @@ start_timers = Table(
     Column("text", Text),
     Column("count", Integer, nullable=False),
 )
+entities_seen = Table(
+    "orchestrator_entities_seen",
+    _meta,
+    Column("filter", String(32), primary_key=True),
+    Column("entity", String(2000), primary_key=True),
+    Column("digest", String(32), nullable=False),
+)
 timers = Table(
     "orchestrator_timers",
     _meta,

@@ -123,6 +123,7 @@ class Store:
             _insert(connection, schema.outbox, [_message_row(message) for message in step.messages])
             _write_archived(connection, step.archived)
             _write_stored_messages(connection, step)
+            _write_entities_seen(connection, step)
             if step.delivered:
                 connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(step.delivered)))
 
@@ -353,6 +354,20 @@ class Store:
             for row in self._rows(select(schema.messages).order_by(schema.messages.c.sent_at))
         ]
 
+    def entities_seen(self) -> list[tuple[str, str, str]]:
+        """Return filter, id and digest of the entities that were seen."""
+        statement = select(schema.entities_seen)
+        return [(row["filter"], row["entity"], row["digest"]) for row in self._rows(statement)]
+
+    def business_keys(self, keys: Sequence[str]) -> dict[str, str]:
+        """Return those of the business keys that processes have, with the name of their definition."""
+        table = schema.processes.c
+        found: dict[str, str] = {}
+        for some in _in_parts(keys):
+            statement = select(table.key, table.definition).where(table.key.in_(some))
+            found |= {row["key"]: row["definition"] for row in self._rows(statement)}
+        return found
+
     def outbox(self) -> list[Message]:
         """Return the messages that were not delivered yet, in order."""
         return [
@@ -417,6 +432,20 @@ def _write_stored_messages(connection: Connection, step: Step) -> None:
     if step.messages_taken:
         taken = schema.messages.c.id.in_(step.messages_taken)
         connection.execute(delete(schema.messages).where(taken))
+
+
+def _write_entities_seen(connection: Connection, step: Step) -> None:
+    table = schema.entities_seen
+    pairs = list(step.entities_seen)
+    for start in range(0, len(pairs), _MAX_IDS):
+        some = pairs[start : start + _MAX_IDS]
+        connection.execute(delete(table).where(tuple_(table.c.filter, table.c.entity).in_(some)))
+    seen = [
+        {"filter": key, "entity": entity, "digest": digest}
+        for (key, entity), digest in step.entities_seen.items()
+        if digest is not None
+    ]
+    _insert(connection, table, seen)
 
 
 def _write_archived(connection: Connection, archived: Sequence[ProcessRecord]) -> None:

@@ -42,9 +42,9 @@ from services.task_orchestrator.execution.state import (
     WaitType,
     read_snapshot,
 )
-from services.task_orchestrator.execution.waits import conditions_that_became_true
+from services.task_orchestrator.execution.waits import conditions_that_became_true, event_of, holds_for
 from services.task_orchestrator.languages.base import ExpressionError
-from services.task_orchestrator.model import Activity, Kind
+from services.task_orchestrator.model import Activity, EntityFilter, Kind, entity_filter
 
 log = get_logger(__name__)
 
@@ -91,6 +91,23 @@ class Subscription:
     name: str
     key: Any
     element: str
+
+
+@dataclass(frozen=True, slots=True)
+class EntityWait:
+    """An event that the process waits for and that is the creation or change of an entity.
+
+    `key` is that of a message that declares a correlation of its own.
+    """
+
+    wait: int
+    type: WaitType
+    name: str
+    key: Any
+    on: EntityFilter
+    element: str
+    holding: tuple[str, ...]
+    """The entities for which the condition was true when it was last evaluated."""
 
 
 class Run:
@@ -248,6 +265,22 @@ class Run:
             if wait.type in {WaitType.MESSAGE, WaitType.SIGNAL} and wait.stopped is None
         )
 
+    def entity_waits(self) -> tuple[EntityWait, ...]:
+        """Return the events with a filter of entities that the process waits for."""
+        machine, found = self._machine(_NEVER), []
+        for wait in self._state.waits.values():
+            if wait.type is WaitType.TIMER or wait.stopped is not None:
+                continue
+            on = entity_filter(event_of(machine, wait))
+            if on is not None:
+                element = self._state.frames[wait.frame].prefix + wait.node
+                found.append(
+                    EntityWait(
+                        wait.id, wait.type, wait.text or "", wait.key, on, element, tuple(wait.holding)
+                    )
+                )
+        return tuple(found)
+
     def next_due(self) -> datetime | None:
         """Return when the next timer is due; None without one."""
         return min((due for due, _ in self._timers()), default=None)
@@ -320,6 +353,36 @@ class Run:
         """Let the message or signal of a `Subscription` occur; one that nobody waits for is ignored."""
         if wait in self._state.waits:
             self._trigger(wait, dict(variables), now)
+
+    def judge(self, wait: int, entity: str, variables: Mapping[str, Any] | None, now: datetime) -> bool:
+        """Evaluate the condition of an `EntityWait` for an entity; if it becomes true, the event occurs.
+
+        `variables` hold the entity, None if the filter no longer selects it. Returns whether the state of the
+        process has changed. A condition occurs again for an entity only after it was false for it.
+        """
+        waiting = self._state.waits.get(wait)
+        if waiting is None or waiting.stopped is not None:
+            return False
+        holds = variables is not None and holds_for(self._machine(now), waiting, variables)
+        if holds == (entity in waiting.holding):
+            return False
+
+        def act(machine: Machine) -> None:
+            judged = self._state.waits[wait]
+            if not holds:
+                judged.holding.remove(entity)
+                return
+            judged.holding.append(entity)
+            trigger(machine, judged, dict(variables or {}))
+
+        def blame(state: State, error: Exception) -> None:
+            if isinstance(error, NotStorable):
+                raise error
+            state.waits[wait].holding.append(entity)
+            _stop_wait(state, state.waits[wait], dict(variables or {}), _reason(error), now)
+
+        self._change(act, now, blame)
+        return True
 
     def advance(self, now: datetime) -> None:
         """Process the timers that are due at `now`, in the order of their moments."""

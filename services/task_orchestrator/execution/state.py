@@ -189,6 +189,8 @@ class Wait:
     """The correlation key of a message."""
     holds: bool = False
     """Whether the condition was true when it was last evaluated."""
+    holding: list[str] = field(default_factory=list)
+    """The entities for which the condition was true when it was last evaluated."""
     stopped: dict[str, Any] | None = None
     """The payload of the event, if processing it has failed; the wait is inactive until a retry."""
 

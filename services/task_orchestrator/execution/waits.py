@@ -1,6 +1,9 @@
 """Waits: timers, messages, signals and conditions that a process waits for."""
 
 import sys
+from collections import ChainMap
+from collections.abc import MutableMapping
+from typing import Any
 
 from services.task_orchestrator.execution.machine import Machine
 from services.task_orchestrator.execution.state import Frame, Token, Wait, WaitType
@@ -85,16 +88,33 @@ def conditions_that_became_true(machine: Machine) -> list[Wait]:
         wait = machine.state.waits[wait_id]
         if wait.stopped is not None:
             continue
-        frame = machine.state.frames[wait.frame]
-        event = frame.graph.nodes.get(wait.node) or _start_of(frame, wait.node)
-        if not isinstance(event.event, ConditionalEvent):
+        event = event_of(machine, wait).event
+        if not isinstance(event, ConditionalEvent) or event.on is not None:
             continue
-        token = None if wait.token is None else machine.state.tokens[wait.token]
-        variables = machine.frame_variables(frame) if token is None else machine.variables(token)
-        held, wait.holds = wait.holds, _holds(event.event, variables)
+        held, wait.holds = wait.holds, _holds(event, _visible(machine, wait))
         if wait.holds and not held:
             found.append(wait)
     return found
+
+
+def holds_for(machine: Machine, wait: Wait, entity: Variables) -> bool:
+    """Return whether the condition of a wait is true with the variable that holds an entity."""
+    event = event_of(machine, wait).event
+    if not isinstance(event, ConditionalEvent):
+        return False
+    return _holds(event, ChainMap(dict(entity), _visible(machine, wait)))
+
+
+def event_of(machine: Machine, wait: Wait) -> Node:
+    """Return the node of the event that is waited for."""
+    frame = machine.state.frames[wait.frame]
+    return frame.graph.nodes.get(wait.node) or _start_of(frame, wait.node)
+
+
+def _visible(machine: Machine, wait: Wait) -> MutableMapping[str, Any]:
+    if wait.token is None:
+        return machine.frame_variables(machine.state.frames[wait.frame])
+    return machine.variables(machine.state.tokens[wait.token])
 
 
 def _holds(event: ConditionalEvent, variables: Variables) -> bool:

@@ -226,9 +226,7 @@ def read_message(element: etree._Element, occurrence: Occurrence, context: Conte
             ),
         )
     declared = context.declared.messages.get(reference)
-    correlation = occurrence.correlation
-    if correlation is None and declared is not None:
-        correlation = context.dialects.main.correlation(declared, found)
+    correlation = None if declared is None else context.dialects.main.correlation(declared, found)
     text_ = name or _drawn_name(element)
     value = attempt(element, lambda: context.dialects.main.value(text_), Value(text_), found)
     return MessageEvent(value, correlation, occurrence.on)

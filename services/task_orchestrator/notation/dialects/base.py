@@ -71,7 +71,6 @@ class Occurrence:
     """What extension elements say of an event."""
 
     on: EntityFilter | None = None
-    correlation: Value | None = None
     code_variable: str | None = None
     message_variable: str | None = None
 

@@ -10,7 +10,8 @@ the variable `outcome`; otherwise such a Task fails.
 
 <handover:on type="Alert" q='severity=="critical"' variable="alert" correlation="alert.alertSource"/>
 
-in a message, signal or conditional event: the creation or change of such an entity is the event.
+in a message, signal or conditional event: the creation or change of such an entity is the event. The
+condition of a conditional event is then evaluated for each entity.
 """
 
 import re
@@ -140,7 +141,7 @@ class Handover:
     def occurrence(
         self, element: etree._Element, definition: etree._Element | None, found: Findings
     ) -> Occurrence:
-        """Return the entities and the correlation of `handover:on`."""
+        """Return the entities of `handover:on`."""
         extension = _extension(element, "on", found)
         if extension is None and definition is not None:
             extension = _extension(definition, "on", found)
@@ -155,16 +156,14 @@ class Handover:
         pattern = extension.get("idPattern")
         if pattern is not None:
             attempt(extension, lambda: _pattern(pattern), None, found)
-        correlation = extension.get("correlation")
-        return Occurrence(
-            EntityFilter(type_, pattern, extension.get("q"), variable),
-            None
-            if correlation is None
-            else attempt(extension, lambda: Value(expression=native.read(correlation)), None, found),
-        )
+        text = extension.get("correlation")
+        correlation = None if text is None else attempt(extension, lambda: native.read(text), None, found)
+        if correlation is not None and correlation.names() - {variable}:
+            found.fault(extension, f'the correlation reads only "{variable}"; it has no other variables')
+        return Occurrence(EntityFilter(type_, pattern, extension.get("q"), variable, correlation))
 
     def correlation(self, declared: etree._Element, found: Findings) -> Value | None:  # noqa: ARG002
-        """Return None: the correlation stands in `handover:on`."""
+        """Return None: our dialect has no correlation of a message."""
         return None
 
     def process(self, element: etree._Element, found: Findings) -> ProcessExtension:

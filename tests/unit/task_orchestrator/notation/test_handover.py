@@ -1,5 +1,6 @@
 """Our dialect: the Task of an activity, the parameters of a process, and entities as events."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -123,9 +124,12 @@ def test_an_entity_is_a_message_a_signal_or_a_condition() -> None:
     )
     message = node(event("intermediateCatchEvent", "message", on)).event
     assert isinstance(message, MessageEvent)
-    assert message.on == EntityFilter("Alert", ".*:cell-1:.*", 'severity=="high"', "alert")
-    assert message.correlation is not None
-    assert message.correlation.value({"alert": {"source": "x"}}) == "x"
+    assert message.correlation is None
+    assert message.on is not None
+    assert message.on.correlated({"source": "x"}) == "x"
+    unconditional = replace(message.on, correlation=None)
+    assert unconditional == EntityFilter("Alert", ".*:cell-1:.*", 'severity=="high"', "alert")
+    assert unconditional.correlated({"source": "x"}) is None
     signal = node(event("intermediateCatchEvent", "signal", '<handover:on type="Task"/>')).event
     assert isinstance(signal, SignalEvent)
     assert signal.on == EntityFilter("Task")
@@ -144,6 +148,10 @@ def test_an_entity_is_a_message_a_signal_or_a_condition() -> None:
         (
             event("intermediateCatchEvent", "message", '<handover:on type="A" correlation="1+"/>'),
             "not an",
+        ),
+        (
+            event("intermediateCatchEvent", "message", '<handover:on type="A" correlation="a.id"/>'),
+            'reads only "entity"',
         ),
         (event("intermediateCatchEvent", "message", '<handover:on type="A" x="1"/>'), 'no attribute "x"'),
         (event("intermediateCatchEvent", "timer", '<handover:on type="A"/>'), "handover:on stands in"),
