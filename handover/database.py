@@ -4,16 +4,99 @@ In both a committed transaction survives `kill -9` and a power cut.
 """
 
 import sqlite3
-from contextlib import suppress
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Engine, create_engine, event
+from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 
-from handover.errors import UsageError
+from handover.errors import HandoverError, UsageError
 from handover.sqlite_files import prepare_own, stamp_of, unreleased_format
+
+LOCK_POLL_S = 1.0
+"""Pause between two attempts of a standby to get the lock."""
+_KEEP_ALIVE = (
+    "SET tcp_keepalives_idle = 3",
+    "SET tcp_keepalives_interval = 2",
+    "SET tcp_keepalives_count = 2",
+)
+"""The server releases the lock of a process whose machine has vanished within 7 s."""
+
+
+class LockLost(HandoverError):
+    """Another process writes the database now."""
+
+
+class DatabaseLock:
+    """The lock of the one process that writes a PostgreSQL database; others wait for it as standbys.
+
+    Writes use the connection that holds the lock, so a process that has lost it cannot write. On SQLite there
+    is no lock: nobody waits, and writes use the pool. Not thread-safe.
+    """
+
+    def __init__(self, engine: Engine, name: str) -> None:
+        self._engine = engine
+        self._name = name
+        self._connection: Connection | None = None
+
+    def wait(self) -> None:
+        """Wait until this process holds the lock; raise `DBAPIError` if the database is unavailable."""
+        while not self.acquire():
+            time.sleep(LOCK_POLL_S)
+
+    def acquire(self) -> bool:
+        """Take the lock if nobody else holds it; return whether this process holds it now."""
+        if self._engine.dialect.name == "sqlite" or self._connection is not None:
+            return True
+        connection = self._engine.connect()
+        try:
+            with connection.begin():
+                for statement in _KEEP_ALIVE:
+                    connection.execute(text(statement))
+                is_locked = connection.execute(
+                    text("SELECT pg_try_advisory_lock(hashtext(:name))"), {"name": self._name}
+                ).scalar()
+        except DBAPIError:
+            connection.close()
+            raise
+        if not is_locked:
+            connection.close()
+            return False
+        self._connection = connection
+        return True
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        """Yield a connection within a transaction of the process that holds the lock.
+
+        A connection that was lost is replaced; raises `LockLost` if another process has the lock then.
+        """
+        if self._engine.dialect.name == "sqlite":
+            with self._engine.begin() as connection:
+                yield connection
+            return
+        if self._connection is None and not self.acquire():
+            raise LockLost(f"another process writes the database ({self._name})")
+        assert self._connection is not None  # noqa: S101 - as `acquire` left it
+        try:
+            with self._connection.begin():
+                yield self._connection
+        except DBAPIError as error:
+            if error.connection_invalidated:
+                self._connection.close()
+                self._connection = None
+            raise
+
+    def release(self) -> None:
+        """Release the lock."""
+        if self._connection is not None:
+            self._connection.invalidate()  # closing it would return it to the pool, with the lock
+            self._connection.close()
+            self._connection = None
 
 
 def connect(

@@ -182,9 +182,23 @@ class Components:
         await self.orchestrator.on_disk(self.orchestrator.store.probe)
 
 
+def make_only_app(settings: OrchestratorSettings) -> FastAPI:
+    """Return the application; wait as a standby while another orchestrator writes the database."""
+    at = Components(settings)
+    lock = at.orchestrator.store.lock
+    if not lock.acquire():
+        log.info("standby: another orchestrator writes the database; this one takes over when that one ends")
+        lock.wait()
+    return _app(at)
+
+
 def make_app(settings: OrchestratorSettings) -> FastAPI:
     """Return the application; its lifespan opens the connections."""
-    at = Components(settings)
+    return _app(Components(settings))
+
+
+def _app(at: Components) -> FastAPI:
+    settings = at.settings
     app = create_app(
         "Task orchestrator",
         description="Runs BPMN processes: each activity becomes a Task for a person or a robot.",

@@ -6,6 +6,7 @@ that commits 200 times a second does not limit the orchestrator to 200 changes.
 
 import asyncio
 import secrets
+import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -20,7 +21,7 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from datamodels.entities import Task, TaskStatus
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
-from handover.database import connect
+from handover.database import LockLost, connect
 from handover.errors import HandoverError, Problem
 from handover.messages import message, text_of
 from handover.task_life import FINISHED
@@ -705,6 +706,9 @@ class Orchestrator:
             for change in changes:
                 await self._write_batch([change])
             return
+        if isinstance(error, LockLost):
+            log.critical("another orchestrator has taken over; this one ends", error=str(error))
+            signal.raise_signal(signal.SIGTERM)
         expected = isinstance(error, HandoverError | SQLAlchemyError)
         reason = str(error.orig if isinstance(error, DBAPIError) else error)
         log.error("step not written", error=reason, exc_info=None if expected else error)

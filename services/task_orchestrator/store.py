@@ -25,6 +25,7 @@ from sqlalchemy import (
 from sqlalchemy.exc import IntegrityError
 
 from datamodels.entities import TaskStatus
+from handover.database import DatabaseLock
 from handover.errors import HandoverError, Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, with_code
@@ -91,6 +92,7 @@ class Store:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
+        self.lock = DatabaseLock(engine, "handover task orchestrator")
 
     def migrate(self) -> None:
         """Bring the tables to the version of this release; raise `UsageError` if that is not possible."""
@@ -102,12 +104,16 @@ class Store:
             connection.execute(select(1))
 
     def close(self) -> None:
-        """Close all connections."""
+        """Release the lock and close all connections."""
+        self.lock.release()
         self._engine.dispose()
 
     def write(self, step: Step) -> None:
-        """Write all of `step` or nothing; raise `Conflict` if another orchestrator wrote a process."""
-        with self._engine.begin() as connection:
+        """Write all of `step` or nothing.
+
+        Raises `Conflict` if another orchestrator wrote a process, `LockLost` if another one has taken over.
+        """
+        with self.lock.transaction() as connection:
             _write_definitions(connection, step.definitions)
             _insert(connection, schema.mappings, [_mapping_row(table) for table in step.mappings])
             _write_processes(connection, step)

@@ -34,15 +34,19 @@ class Member:
     ) -> None:
         self.name = name
         self._command = command
-        self._environment = environment
+        self.environment = environment
         self._log = log
         self._ready = ready
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
         """Start it and wait until it answers."""
-        self._process = processes.spawn(self._command, self._environment, self._log, self._log.parent)
+        self.launch()
         self.wait()
+
+    def launch(self) -> None:
+        """Start it without waiting."""
+        self._process = processes.spawn(self._command, self.environment, self._log, self._log.parent)
 
     def run(self) -> None:
         """Start it if it does not run."""
