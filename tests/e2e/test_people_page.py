@@ -7,7 +7,7 @@ from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
@@ -63,6 +63,34 @@ def test_a_person_is_added_and_exchanges_two_gestures(
     kept = person(cell, "anna")
     assert [one["glove"] for one in kept["gloves"]] == ["glove-1"]
     assert (kept["commands"]["3"], kept["commands"]["8"]) == ("Horns", "Thumbs up")
+
+
+@pytest.mark.usefixtures("glove_screen")
+def test_a_dialog_keeps_the_focus_while_the_people_are_loaded(cell: Cell, open_page: OpenPage) -> None:
+    httpx.put(f"{cell.url('gesture_controller')}/people/gina", json={}, timeout=120).raise_for_status()
+    page = open_page("/nothing")
+    held: list[Route] = []
+    is_shown = False
+
+    def hold(route: Route) -> None:
+        if is_shown:
+            route.continue_()
+        else:
+            held.append(route)
+
+    page.route("**/api/gesture-controller/people", hold)
+    page.get_by_role("link", name="People").click()
+    page.get_by_role("button", name="Add a person").wait_for()
+    page.keyboard.press("n")
+    page.get_by_label("Short name").fill("h")
+    page.evaluate("document.activeElement.addEventListener('blur', () => { document.title = 'focus lost' })")
+    is_shown = True
+    for route in held:
+        route.continue_()
+    page.locator(".people__place h2").first.wait_for()
+    page.keyboard.type("ugo")
+    expect(page.get_by_label("Short name")).to_have_value("hugo")
+    assert page.title() != "focus lost"
 
 
 @pytest.mark.usefixtures("glove_screen")

@@ -21,7 +21,8 @@ import "./CalibratePage.css";
 const LivePlot = lazy(() => import("./LivePlot"));
 
 export default function CalibratePage() {
-  const { t } = useTranslation("calibrate");
+  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  const { t } = useTranslation(["calibrate", "hand"]);
   const glove = useSelectedGlove();
   return (
     <div className="calibrate">

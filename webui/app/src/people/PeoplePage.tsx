@@ -20,7 +20,8 @@ import "./PeoplePage.css";
 const NOBODY: readonly Person[] = [];
 
 export default function PeoplePage() {
-  const { t } = useTranslation("people");
+  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  const { t } = useTranslation(["people", "hand"]);
   const [requests, setRequests] = useState(0);
   // The revision changes when somebody has changed a person, here or in another browser.
   const revision = `${requests} ${useSubscription<{ revision: string }>("people")?.revision ?? ""}`;

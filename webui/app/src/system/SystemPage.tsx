@@ -30,7 +30,8 @@ const allTabs = [
 type TabId = (typeof allTabs)[number]["id"];
 
 export default function SystemPage() {
-  const { t } = useTranslation("system");
+  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  const { t } = useTranslation(["system", "hand"]);
   const [asked, setTab] = useQueryParameter("tab", "services");
   const hasRos = (useTopic("services") ?? []).some((service) => service.name === "ros-bridge");
   // A cell without a ROS bridge lacks nothing; it has one tab less.

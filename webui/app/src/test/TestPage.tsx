@@ -14,7 +14,8 @@ const parts = ["try", "accuracy"] as const;
 type Part = (typeof parts)[number];
 
 export default function TestPage() {
-  const { t } = useTranslation("test");
+  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  const { t } = useTranslation(["test", "hand"]);
   const glove = useSelectedGlove();
   const [askedPart, setPart] = useQueryParameter("part", "try");
   const part: Part = parts.find((one) => one === askedPart) ?? "try";

@@ -50,7 +50,8 @@ export default function WorkPage() {
     document.documentElement.style.setProperty("--read", `${minPx}px`);
   }, [minPx]);
   const page = useRef<HTMLDivElement>(null);
-  const { t, i18n } = useTranslation("work");
+  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  const { t, i18n } = useTranslation(["work", "hand"]);
   useFit(page, `${step} ${i18n.language} ${minPx}`);
   useOperatorKeys(answered === null ? acts : { ...acts, main: null, complete: null, report: null }, step, report);
   const shown = answered === null ? situation.kind : "answered";
