@@ -6,17 +6,19 @@ import pytest
 
 from services.task_orchestrator.execution.machine import ThrownMessage, ThrownSignal, UncaughtEscalation
 from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import RunFailed
+from services.task_orchestrator.execution.state import RunFailed, WaitType
 from services.task_orchestrator.languages.native import read
 from services.task_orchestrator.model import (
     Assignment,
     ConditionalEvent,
+    EntityFilter,
     EscalationEvent,
     Event,
     Kind,
     LinkEvent,
     MessageEvent,
     Scope,
+    SignalEvent,
     TerminateEvent,
     TimerEvent,
     TimerType,
@@ -470,3 +472,59 @@ def test_the_name_of_a_message_may_be_an_expression() -> None:
     run = Driver(waits_for(event), customer="7")
     assert run.deliver("order-7") == 1
     assert run.open == ["a"]
+
+
+OVEN = EntityFilter("Device", variable="oven")
+
+
+def judge(run: Driver, entity: str, **attributes: Any) -> bool:
+    """Let a run evaluate its conditions for an entity; without attributes it is no longer selected."""
+    variables = {"oven": {"id": entity, **attributes}} if attributes else None
+    found = [run.run.judge(each.wait, entity, variables, run.now) for each in run.run.entity_waits()]
+    run.restore()
+    return any(found)
+
+
+def test_a_condition_about_entities_occurs_each_time_that_it_becomes_true_for_one() -> None:
+    event = ConditionalEvent(read("oven.heat > limit"), OVEN)
+    content = scope(
+        start(), work("a"), boundary("hot", "a", event, interrupting=False), work("b"), end(),
+        ("start", "a", "end"), ("hot", "b"),
+    )  # fmt: skip
+    run = Driver(content, limit=50)
+    steps = (("x", 60, 1), ("x", 70, 1), ("y", 60, 2), ("x", 10, 2), ("x", 51, 3), ("y", 61, 3))
+    for entity, heat, count in steps:
+        judge(run, entity, heat=heat)
+        assert run.open == ["a", *["b"] * count]
+    judge(run, "y")
+    assert judge(run, "y", heat=60)
+    assert run.variables["oven"] == {"id": "y", "heat": 60}
+    assert not judge(run, "z", colour="red")
+
+
+def test_a_condition_about_entities_does_not_occur_by_variables() -> None:
+    run = Driver(waits_for(ConditionalEvent(read("true"), OVEN)))
+    run.run.set_variables({"oven": {"heat": 60}}, run.now)
+    run.restore()
+    assert run.open == []
+    assert judge(run, "x", heat=1)
+    assert run.open == ["a"]
+    assert run.run.entity_waits() == ()
+
+
+def test_events_with_entities_are_waited_for_wherever_they_are() -> None:
+    message_ = MessageEvent(Value("m"), value("order"), OVEN)
+    condition = ConditionalEvent(read("true"), OVEN)
+    content = scope(
+        start(), parallel("f"), catch("message", message_), work("a"),
+        boundary("signal", "a", SignalEvent(Value("s"), OVEN)), catch("timer", after("PT1H")), end(),
+        event_sub("noted", scope(start("note", condition), end("e"), ("note", "e"))),
+        ("start", "f", "message", "end"), ("f", "a", "end"), ("f", "timer", "end"), ("signal", "end"),
+    )  # fmt: skip
+    run = Driver(content, order=7)
+    found = {each.element: (each.type, each.key) for each in run.run.entity_waits()}
+    assert found == {
+        "message": (WaitType.MESSAGE, 7),
+        "signal": (WaitType.SIGNAL, None),
+        "note": (WaitType.CONDITION, None),
+    }
