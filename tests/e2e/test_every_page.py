@@ -32,6 +32,7 @@ PAGES = {
     "start": "/",
     "work": "/work",
     "processes": "/processes",
+    "tasks": "/tasks",
     "system": "/system",
     "calibrate": "/calibrate",
     "people": "/people",

@@ -366,6 +366,25 @@ class ProcessView(TypedDict):
     acts: list[Act]
 
 
+class TasklistView(TypedDict):
+    """Topic `tasklist/<urn>`: an open Task for people; `form` is the JSON Schema of its result.
+
+    `claimedBy` is the person who has claimed it on the page. A Task that a component performs is not
+    claimable.
+    """
+
+    id: str
+    kind: str
+    description: str | None
+    status: Status
+    person: str | None
+    claimedBy: str | None
+    isClaimable: bool
+    deadline: str | None
+    form: dict[str, Any] | None
+    inputs: dict[str, Any]
+
+
 class DefinitionParameter(TypedDict):
     """A parameter of a process definition."""
 
@@ -502,8 +521,9 @@ class AlertsResult(TypedDict):
 
 
 VIEWS = (
-    ServiceHealth, GloveView, RobotView, JointState, ProcessView, DefinitionView, AlertView, DeviceView,
-    OperatorView, CellView, PeopleView, LiveEvent, Batch, SubscribeMessage, ProblemDetails, AlertsResult,
+    ServiceHealth, GloveView, RobotView, JointState, ProcessView, TasklistView, DefinitionView, AlertView,
+    DeviceView, OperatorView, CellView, PeopleView, LiveEvent, Batch, SubscribeMessage, ProblemDetails,
+    AlertsResult,
 )  # fmt: skip
 """The types for which TypeScript is generated, with all types that they contain."""
 
@@ -528,6 +548,7 @@ TOPICS: dict[str, Any] = {
     "glove/": GloveView,
     "robot/": RobotView,
     "process/": ProcessView,
+    "tasklist/": TasklistView,
     "definition/": DefinitionView,
     "alert/": AlertView,
     "device/": DeviceView,

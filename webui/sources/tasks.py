@@ -12,6 +12,7 @@ from webui.settings import BROKER
 from webui.sources.broker_entities import EntityHandler
 from webui.sources.devices import Devices, short_name
 from webui.sources.services import ServiceMonitor
+from webui.sources.tasklist import Tasklist
 
 ACTIVE_STATUSES: Final = ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
 
@@ -39,11 +40,13 @@ class Tasks(EntityHandler):
         devices: Devices,
         services: ServiceMonitor,
         refresh_process: Callable[[str], None],
+        tasklist: Tasklist,
     ) -> None:
         self._events = events
         self._devices = devices
         self._services = services
         self._refresh_process = refresh_process
+        self._tasklist = tasklist
         self._active: dict[str, Task | None] = {}
         self._is_restored = False
 
@@ -57,6 +60,7 @@ class Tasks(EntityHandler):
             self._active.pop(task.id, None)
         else:
             self._active[task.id] = task
+        self._tasklist.update(task)
         if known is None or _status_and_time(known) != _status_and_time(task):
             self._refresh_process(task.id)
             self._log(task)
@@ -75,6 +79,7 @@ class Tasks(EntityHandler):
     def remove(self, entity_id: str) -> None:
         """Forget a Task."""
         self._active.pop(entity_id, None)
+        self._tasklist.remove(entity_id)
         self._refresh_process(entity_id)
 
     def _log(self, task: Task) -> None:

@@ -19,6 +19,7 @@ from webui.sources import alerts as alerts_module
 from webui.sources.alerts import Alerts, view_of
 from webui.sources.devices import Devices
 from webui.sources.services import ServiceMonitor
+from webui.sources.tasklist import Tasklist
 from webui.sources.tasks import Tasks
 
 GLOVE = "urn:ngsi-ld:Device:demo:glove-1"
@@ -41,7 +42,8 @@ class Cell:
         self.http = httpx.AsyncClient(timeout=120)
         services = ServiceMonitor(settings.service_urls, self.http, self.broker, self.state, self.log)
         self.devices = Devices(self.state, self.log, services)
-        self.tasks = Tasks(self.log, self.devices, services, self.hints.append)
+        tasklist = Tasklist(self.state, self.broker)
+        self.tasks = Tasks(self.log, self.devices, services, self.hints.append, tasklist)
         self.alerts = Alerts(self.state, self.log, self.broker)
 
     async def keys(self) -> list[str]:

@@ -1,7 +1,7 @@
 /** How parts of a page look at what is live. */
 import { createContext, useContext, useEffect, useSyncExternalStore } from "react";
 import type {
-  AlertView, DefinitionView, DeviceView, GloveView, LiveEvent, ProcessView, RobotView, TopicValues,
+  AlertView, DefinitionView, DeviceView, GloveView, LiveEvent, ProcessView, RobotView, TasklistView, TopicValues,
 } from "./messages";
 import { LiveStore, type ConnectionState } from "./store";
 
@@ -24,6 +24,7 @@ interface Families {
   glove: GloveView;
   robot: RobotView;
   process: ProcessView;
+  tasklist: TasklistView;
   definition: DefinitionView;
   alert: AlertView;
   device: DeviceView;

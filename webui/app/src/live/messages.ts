@@ -331,6 +331,25 @@ export interface ProcessView {
   acts: Act[];
 }
 
+/**
+ * Topic `tasklist/<urn>`: an open Task for people; `form` is the JSON Schema of its result.
+ *
+ * `claimedBy` is the person who has claimed it on the page. A Task that a component performs is not
+ * claimable.
+ */
+export interface TasklistView {
+  id: string;
+  kind: string;
+  description: string | null;
+  status: Status;
+  person: string | null;
+  claimedBy: string | null;
+  isClaimable: boolean;
+  deadline: string | null;
+  form: Record<string, unknown> | null;
+  inputs: Record<string, unknown>;
+}
+
 /** A parameter of a process definition. */
 export interface DefinitionParameter {
   name: string;
@@ -465,6 +484,7 @@ export interface TopicValues {
   [glove: `glove/${string}`]: GloveView;
   [robot: `robot/${string}`]: RobotView;
   [process: `process/${string}`]: ProcessView;
+  [tasklist: `tasklist/${string}`]: TasklistView;
   [definition: `definition/${string}`]: DefinitionView;
   [alert: `alert/${string}`]: AlertView;
   [device: `device/${string}`]: DeviceView;
