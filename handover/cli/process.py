@@ -141,6 +141,39 @@ def set_variables(process: Process, by: By, variables: Variables, why: Why = Non
 
 
 @app.command()
+def pause(
+    by: By,
+    process: Annotated[str | None, typer.Argument(help="The id of the process; all if absent.")] = None,
+    definition: Annotated[str | None, typer.Option("--definition", help="All of this definition.")] = None,
+    why: Why = None,
+) -> None:
+    """Pause a process, those of a definition, or all; robots and people are asked to pause their Tasks."""
+    _pause("pause", by, process, definition, why)
+
+
+@app.command()
+def resume(
+    by: By,
+    process: Annotated[str | None, typer.Argument(help="The id of the process; all if absent.")] = None,
+    definition: Annotated[str | None, typer.Option("--definition", help="All of this definition.")] = None,
+    why: Why = None,
+) -> None:
+    """Continue paused processes."""
+    _pause("resume", by, process, definition, why)
+
+
+def _pause(what: str, by: str, process: str | None, definition: str | None, why: str | None) -> None:
+    body = {"by": by, "why": why}
+    if process is not None:
+        answer = _ask("POST", f"/processes/{process}/{what}", json=body)
+        print(f"{answer['id']} is {answer['status']}")
+        return
+    query = {} if definition is None else {"definition": definition}
+    answer = _ask("POST", f"/{what}", json=body, params=query)
+    print("\n".join(answer["processes"]) or "no process runs")
+
+
+@app.command()
 def message(
     name: Annotated[str, typer.Argument(help="The name of the BPMN message.")],
     key: Annotated[str | None, typer.Option("--key", help="The correlation key or business key.")] = None,

@@ -90,6 +90,15 @@ class MendRequest(BaseModel):
     variables: dict[str, Any] = Field(default_factory=dict, description="variables that are set before")
 
 
+class PauseRequest(BaseModel):
+    """A request to pause or resume processes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name = Field(description="the person who decides; nobody verifies the name yet")
+    why: str | None = Field(None, max_length=1000, description="the reason, for the history")
+
+
 class MessageRequest(BaseModel):
     """A message to a process."""
 
@@ -212,6 +221,7 @@ def _app(at: Components) -> FastAPI:
     )
     _add_definitions(app, at.orchestrator)
     _add_processes(app, at)
+    _add_interventions(app, at)
     _add_mapping(app, at.orchestrator)
 
     @app.post("/messages", tags=["events"])
@@ -416,6 +426,23 @@ def _add_processes(app: FastAPI, at: Components) -> None:
         await orchestrator.retry(_plain(process_id), settings.entity_id("Task", task_id), body.by.strip())
         return await _process(process_id)
 
+    async def _process(process_id: str) -> dict[str, Any]:
+        return await _shown(at, process_id)
+
+    def _plain(process_id: str) -> str:
+        return process_id.removeprefix(at.process_prefix)
+
+
+def _add_interventions(app: FastAPI, at: Components) -> None:
+    """Add what people do with running processes: pause, resume, and mend what cannot continue."""
+    orchestrator = at.orchestrator
+
+    async def _process(process_id: str) -> dict[str, Any]:
+        return await _shown(at, process_id)
+
+    def _plain(process_id: str) -> str:
+        return process_id.removeprefix(at.process_prefix)
+
     async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> dict[str, Any]:
         check_variables(body.variables)
         await orchestrator.mend(
@@ -428,6 +455,34 @@ def _add_processes(app: FastAPI, at: Components) -> None:
             values=body.variables,
         )
         return await _process(process_id)
+
+    @app.post("/processes/{process_id}/pause", tags=["processes"])
+    async def pause(process_id: str, body: PauseRequest) -> dict[str, Any]:
+        """Pause a process: its Tasks are requested to pause, no other is posted, timers wait."""
+        await orchestrator.pause(_plain(process_id), ActKind.PAUSE, by=body.by.strip(), why=body.why)
+        return await _process(process_id)
+
+    @app.post("/processes/{process_id}/resume", tags=["processes"])
+    async def resume(process_id: str, body: PauseRequest) -> dict[str, Any]:
+        """Continue a paused process, with the timers that were due meanwhile."""
+        await orchestrator.pause(_plain(process_id), ActKind.RESUME, by=body.by.strip(), why=body.why)
+        return await _process(process_id)
+
+    @app.post("/pause", tags=["processes"])
+    async def pause_all(body: PauseRequest, definition: str | None = None) -> dict[str, Any]:
+        """Pause all running processes, or those of a definition. Processes can still be started."""
+        paused = await orchestrator.pause_all(
+            ActKind.PAUSE, by=body.by.strip(), why=body.why, definition=definition
+        )
+        return {"processes": paused}
+
+    @app.post("/resume", tags=["processes"])
+    async def resume_all(body: PauseRequest, definition: str | None = None) -> dict[str, Any]:
+        """Continue all paused processes, or those of a definition."""
+        resumed = await orchestrator.pause_all(
+            ActKind.RESUME, by=body.by.strip(), why=body.why, definition=definition
+        )
+        return {"processes": resumed}
 
     @app.post("/processes/{process_id}/variables", tags=["incidents"])
     @max_body(MAX_PARAMETERS_BYTES)
@@ -459,19 +514,19 @@ def _add_processes(app: FastAPI, at: Components) -> None:
         """End a token where it is; the process ends if it was the last one."""
         return await mend(process_id, ActKind.CANCEL_BRANCH, token, body)
 
-    async def _process(process_id: str) -> dict[str, Any]:
-        seen = await orchestrator.on_disk(store.everything, _plain(process_id))
-        if seen is None:
-            raise Problem(
-                404,
-                "No such process",
-                message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
-            )
-        await registry.prepare(registry.record(seen[0].definition, seen[0].version))
-        return process_view(settings, registry, *seen)
 
-    def _plain(process_id: str) -> str:
-        return process_id.removeprefix(settings.entity_id("Process", ""))
+async def _shown(at: Components, process_id: str) -> dict[str, Any]:
+    """Return a process with all details; raise `Problem` 404 if there is none."""
+    store, registry = at.orchestrator.store, at.orchestrator.registry
+    seen = await at.orchestrator.on_disk(store.everything, process_id.removeprefix(at.process_prefix))
+    if seen is None:
+        raise Problem(
+            404,
+            "No such process",
+            message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
+        )
+    await registry.prepare(registry.record(seen[0].definition, seen[0].version))
+    return process_view(at.settings, registry, *seen)
 
 
 async def _body(request: Request) -> bytes:

@@ -145,9 +145,9 @@ def _link(settings: Settings, reference: Any, activity: Activity) -> Entity:
     return {"type": "Relationship", "object": resource_id(settings, reference)}
 
 
-def cancel_request(at: datetime) -> Entity:
-    """Return the attribute that requests the cancellation of a Task."""
-    return {"requestedStatus": {**_property(RequestedStatus.CANCELLED.value), "observedAt": iso(at)}}
+def status_request(requested: RequestedStatus, at: datetime) -> Entity:
+    """Return the attribute that requests another status of a Task."""
+    return {"requestedStatus": {**_property(requested.value), "observedAt": iso(at)}}
 
 
 def final_attributes(task: TaskRecord) -> Entity:

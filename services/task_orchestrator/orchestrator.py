@@ -398,6 +398,33 @@ class Orchestrator:
 
         await self._do_with(process_id, act)
 
+    async def pause(self, process_id: str, kind: ActKind, *, by: str | None, why: str | None) -> None:
+        """Pause or resume a process; raise `Problem` 404 if there is none, 409 if it has ended."""
+        await self._do_with(process_id, lambda process, step: self._pause(process, kind, by, why, step))
+
+    async def pause_all(
+        self, kind: ActKind, *, by: str | None, why: str | None, definition: str | None = None
+    ) -> list[str]:
+        """Pause or resume all running processes, or those of a definition; return their ids."""
+
+        def pausing(process: Process) -> Callable[[Step], None]:
+            return lambda step: self._pause(process, kind, by, why, step)
+
+        wanted = {
+            process.record.id: pausing(process)
+            for process in self.active_processes.processes.values()
+            if process.run is not None and definition in (None, process.record.definition)
+        }
+        return list(await self._do_each(wanted))
+
+    def _pause(self, process: Process, kind: ActKind, by: str | None, why: str | None, step: Step) -> None:
+        now = self.clock()
+        act = Act(now, kind, by, why=why)
+        if kind is ActKind.PAUSE:
+            process.pause(act, step, now)
+        else:
+            process.resume_work(act, step, now)
+
     def _started_with(self, key: str | None) -> Process | None:
         begun = self.active_processes.processes.values()
         return next((process for process in begun if key is not None and process.record.key == key), None)

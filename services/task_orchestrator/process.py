@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
 
-from datamodels.entities import Task, TaskStatus
+from datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover.errors import Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
@@ -19,10 +19,10 @@ from handover.task_life import FINISHED, is_news
 from services.task_orchestrator import process_alerts
 from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.entities import (
-    cancel_request,
     outputs_property,
     process_entity,
     status_property,
+    status_request,
     task_entity,
 )
 from services.task_orchestrator.execution.graph import Plan
@@ -174,10 +174,11 @@ class Process:
     def timers(self) -> tuple[Timer, ...]:
         """Return the timers, the earliest first."""
         timers = []
-        if self.run is not None and (event := self.run.next_due()) is not None:
+        is_paused = self.record.status is TaskStatus.PAUSED
+        if not is_paused and self.run is not None and (event := self.run.next_due()) is not None:
             timers.append(Timer(TimerKind.EVENT, "", event))
         for task in self.tasks.values():
-            if task.status is not TaskStatus.PENDING:
+            if task.status is not TaskStatus.PENDING or (is_paused and task.cancelled_at is None):
                 continue
             if task.cancelled_at is not None:
                 grace = timedelta(seconds=self.settings.cancel_grace_s)
@@ -268,8 +269,39 @@ class Process:
             step.touched.add(self.record.id)
             self._update(step, now)
 
-    def cancel(self, by: str | None, step: Step, now: datetime) -> None:
-        """End the process as failed and cancel its Tasks; raise `Problem` 409 if it has ended."""
+    def pause(self, act: Act, step: Step, now: datetime) -> None:
+        """Pause the process and request that of its Tasks; raise `Problem` 409 if it has ended.
+
+        While it is paused no Task is posted and no timer is processed. Results and messages are accepted.
+        """
+        self._require_running()
+        if self.record.status is not TaskStatus.PAUSED:
+            self._change_pace(TaskStatus.PAUSED, RequestedStatus.PAUSED, act, step, now)
+
+    def resume_work(self, act: Act, step: Step, now: datetime) -> None:
+        """Continue a paused process, with the timers that were due meanwhile.
+
+        Raises `Problem` 409 if it has ended.
+        """
+        run = self._require_running()
+        if self.record.status is TaskStatus.PAUSED:
+            run.advance(now)
+            self._change_pace(TaskStatus.IN_PROGRESS, RequestedStatus.IN_PROGRESS, act, step, now)
+
+    def _change_pace(
+        self, status: TaskStatus, requested: RequestedStatus, act: Act, step: Step, now: datetime
+    ) -> None:
+        step.touched.add(self.record.id)
+        self._record_act(act)
+        self._revise(status=status)
+        for task in self.tasks.values():
+            if task.cancelled_at is None:
+                request = status_request(requested, now)
+                step.enqueue(self.record.id, MessageKind.APPEND, task.id, request)
+        self._update(step, now)
+
+    def _require_running(self) -> Run:
+        """Return the run; raise `Problem` 409 if the process has ended."""
         if self.run is None:
             raise Problem(
                 409,
@@ -281,6 +313,11 @@ class Process:
                     status=self.record.status,
                 ),
             )
+        return self.run
+
+    def cancel(self, by: str | None, step: Step, now: datetime) -> None:
+        """End the process as failed and cancel its Tasks; raise `Problem` 409 if it has ended."""
+        self._require_running()
         step.touched.add(self.record.id)
         self._record_act(Act(now, ActKind.CANCEL, by))
         self._end(TaskStatus.FAILED, f"{CANCELLED} by {by}" if by else CANCELLED, step, now)
@@ -316,18 +353,7 @@ class Process:
 
         Raises `Problem` 404 if there is no such token, 409 if the act is impossible.
         """
-        run = self.run
-        if run is None:
-            raise Problem(
-                409,
-                "Process has ended",
-                message(
-                    "process.process_has_ended",
-                    "{process} is {status} already",
-                    process=self.record.id,
-                    status=self.record.status,
-                ),
-            )
+        run = self._require_running()
         if token is not None:
             element = run.element(token)
             if element is None:
@@ -450,6 +476,8 @@ class Process:
         )
 
     def _post_open(self, run: Run, step: Step, now: datetime) -> None:
+        if self.record.status is TaskStatus.PAUSED:
+            return
         posted = {(task.token, task.visit) for task in self.tasks.values()}
         for each in run.open():
             if (each.token, each.visit) in posted:
@@ -502,7 +530,12 @@ class Process:
         for task in list(self.tasks.values()):
             if task.cancelled_at is None and (task.token, task.visit) not in opened:
                 self._record_task(task.changed(cancelled_at=now), step)
-                step.enqueue(self.record.id, MessageKind.APPEND, task.id, cancel_request(now))
+                step.enqueue(
+                    self.record.id,
+                    MessageKind.APPEND,
+                    task.id,
+                    status_request(RequestedStatus.CANCELLED, now),
+                )
 
     def _close_cancelled(self, task: TaskRecord, step: Step, now: datetime) -> None:
         """Close a cancelled Task that no performer has accepted."""

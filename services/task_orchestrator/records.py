@@ -38,6 +38,8 @@ class ActKind(StrEnum):
     MOVE = "move"
     CANCEL_BRANCH = "cancelBranch"
     SET_VARIABLES = "setVariables"
+    PAUSE = "pause"
+    RESUME = "resume"
 
 
 @dataclass(frozen=True, slots=True)

@@ -154,7 +154,8 @@ async def test_a_file_can_be_tried_out_without_deploying_it(api: httpx.AsyncClie
     tried = await api.post("/definitions", content=drawing(ONE_STEP), params=dry, headers=XML)
     assert tried.status_code == 200
     process = {"name": "p", "version": 1, "title": "p", "created": True}
-    assert tried.json() == {**process, "definitions": [process], "warnings": []}
+    expected = {**process, "definitions": [process], "warnings": []}
+    assert {name: tried.json()[name] for name in expected} == expected
     assert (await api.get("/definitions/p")).status_code == 404
     await deployed(api)
     again = await api.post("/definitions", content=drawing(ONE_STEP), params=dry, headers=XML)

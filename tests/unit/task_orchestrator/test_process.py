@@ -6,7 +6,8 @@ import pytest
 
 from datamodels.entities import Task, TaskStatus
 from handover.errors import Problem
-from services.task_orchestrator.records import MessageKind, TimerKind
+from services.task_orchestrator.process import Process
+from services.task_orchestrator.records import Act, ActKind, MessageKind, TimerKind
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,
@@ -397,3 +398,39 @@ def test_an_error_boundary_catches_an_outcome_by_its_name() -> None:
     driver = ProcessDriver(body, beside=beside)
     driver.receive("look-1", "failed", outcome="problem", reason="problem", errorCode="problem")
     assert [incident.code for incident in driver.process.record.incidents] == ["problem"]
+
+
+def test_a_paused_process_posts_nothing_until_it_is_resumed() -> None:
+    driver = ProcessDriver(TWO_STEPS)
+    driver.process.pause(Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
+    (request,) = [message for message in driver.step.messages if message.kind is MessageKind.APPEND]
+    assert (request.subject, request.body["requestedStatus"]["value"]) == (task_id("first-1"), "paused")
+    assert processes(driver.step)[-1]["status"]["value"] == "paused"
+    driver.receive("first-1", "completed")
+    assert driver.open == []
+    assert driver.process.record.status is TaskStatus.PAUSED
+    driver.process.resume_work(Act(NOW, ActKind.RESUME, "Ann"), driver.next_step(), NOW)
+    assert driver.open == ["second-1"]
+    assert driver.process.record.status is TaskStatus.IN_PROGRESS
+    assert [act.act for act in driver.process.record.acts] == [ActKind.PAUSE, ActKind.RESUME]
+
+
+def test_timers_wait_while_a_process_is_paused() -> None:
+    late = boundary("late", "work", timer("PT1M")) + activity("other") + path("late", "other", "end")
+    driver = ProcessDriver(ONE_STEP + late)
+    driver.process.pause(Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
+    driver.after(minutes=10)
+    driver.tick()
+    assert driver.process.timers() == ()
+    assert driver.open == ["work-1"]
+    driver.process.resume_work(Act(driver.now, ActKind.RESUME, "Ann"), driver.next_step(), driver.now)
+    assert "other-1" in driver.open
+
+
+def test_a_paused_process_that_was_loaded_again_is_still_paused() -> None:
+    driver = ProcessDriver(TWO_STEPS)
+    driver.process.pause(Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
+    before, tasks = driver.process, list(driver.process.tasks.values())
+    driver.process = Process.resume(before.settings, before.plan, before.record, tasks, before.library)
+    driver.receive("first-1", "completed")
+    assert driver.open == []
