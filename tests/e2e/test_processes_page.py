@@ -13,6 +13,7 @@ from tests.e2e.conftest import OpenPage, answer
 from tests.kit.cell import Cell
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import wait_for
+from tests.unit.task_orchestrator.drawing import drawing, end, path, start
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -239,6 +240,57 @@ def test_errors_of_a_file_are_marked_at_its_elements(
     assert abs((shown["x"] + shown["width"] / 2) - (place["x"] + place["width"] / 2)) < 5
     accessible(page)
     keep(page, "processes-faults")
+
+
+@pytest.mark.usefixtures("quiet_screen")
+def test_warnings_of_a_file_are_listed_and_do_not_prevent_its_deployment(
+    open_page: OpenPage, tmp_path: Path, keep: Keep, accessible: Accessible
+) -> None:
+    stock = '<bpmn:dataStoreReference id="stock" name="Stock of parts"/><bpmn:userTask id="confirm_clear"'
+    file = tmp_path / "stock.bpmn"
+    xml = SHIPPED.read_text("utf-8").replace('<bpmn:userTask id="confirm_clear"', stock, 1)
+    file.write_text(xml, "utf-8")
+    page = open_page("/processes/upload")
+    upload(page, file)
+    warnings = page.get_by_role("region", name="Warnings")
+    expect(warnings.get_by_role("listitem")).to_have_count(1)
+    expect(warnings).to_contain_text("Stock of parts (stock) · line")
+    expect(page.get_by_text("1 warning", exact=True)).to_be_visible()
+    expect(page.get_by_role("button", name="Deploy Bin picking, version 2")).to_be_enabled()
+    accessible(page)
+    keep(page, "processes-warnings")
+
+
+@pytest.mark.usefixtures("quiet_screen")
+def test_a_token_in_a_called_process_is_moved_to_an_element_of_that_process(
+    cell: Cell, open_page: OpenPage, keep: Keep
+) -> None:
+    pack = (
+        '<bpmn:userTask id="wrap" name="Wrap it"><bpmn:extensionElements><handover:task definition="wrap">'
+        '<handover:involves resource="Device:glove-1"/><handover:parameter name="gesture" value="Thumbs up"/>'
+        "</handover:task></bpmn:extensionElements></bpmn:userTask>"
+        '<bpmn:manualTask id="label" name="Label it"/>'
+    )
+    called = drawing(start() + pack + end() + path("start", "wrap", "label", "end"), name="packing")
+    call = '<bpmn:callActivity id="pack" name="Pack" calledElement="packing"/>'
+    caller = drawing(start() + call + end() + path("start", "pack", "end"), name="shipping")
+    for xml in (called, caller):
+        ask(cell, "POST", "definitions", content=xml, headers={"Content-Type": "application/xml"})
+    process = ask(cell, "POST", "processes", json={"definition": "shipping"})
+    answer(cell, process["tasks"][0]["id"], "failed", reason="no paper")
+    page = open_page(f"/processes/{process['id']}")
+    has_look(page, "pack", "incident")
+    expect(page.locator(".incident")).to_contain_text("Wrap it")
+    page.get_by_role("button", name="Move …").click()
+    page.get_by_label("Continue at").select_option("Label it (label)")
+    keep(page, "processes-incident-called")
+    page.get_by_role("button", name="Move …").click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Reason").fill("wrapped by hand")
+    dialog.get_by_role("button", name="Move to “Label it”").click()
+    expect(page.locator(".incident")).to_have_count(0)
+    [act] = ask(cell, "GET", f"processes/{process['id']}")["acts"]
+    assert (act["act"], act["element"], act["to"]) == ("move", "pack.wrap", "label")
 
 
 @pytest.mark.usefixtures("quiet_screen")
