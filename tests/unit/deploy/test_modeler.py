@@ -1,4 +1,4 @@
-"""The files for modelers: the descriptor has what the reader knows, and templates make Tasks that it reads."""
+"""The files for modelers: the descriptor has what the reader knows; templates make Tasks that it reads."""
 
 import json
 from pathlib import Path
