@@ -112,6 +112,14 @@ class BrokerClient:
         """
         return [entity async for entity in self._pages(selection)]
 
+    async def evolution(self, since: str, **selection: Any) -> list[dict[str, Any]]:
+        """Return the temporal evolution, normalized and with times, of entities that changed since a time.
+
+        Raises `BrokerError` if the broker has no temporal API.
+        """
+        times = {"timerel": "after", "timeAt": since, "timeproperty": "modifiedAt", "options": "sysAttrs"}
+        return [entity async for entity in self._pages({**selection, **times}, "/temporal/entities")]
+
     async def find(self, model: type[AnEntity], **selection: Any) -> list[AnEntity]:
         """Return all entities of `model` that match; an invalid one is logged and skipped."""
         found: list[AnEntity] = []

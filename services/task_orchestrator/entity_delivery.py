@@ -17,6 +17,7 @@ from handover.telemetry import get_logger
 from services.task_orchestrator.correlation import EventStart
 from services.task_orchestrator.entity_matching import (
     BASELINE,
+    CONTACT,
     SeenEntities,
     digest_of,
     is_correlated,
@@ -163,7 +164,7 @@ class EntityDelivery:
             if self.seen.digest(key, entity["id"], step.entities_seen) == digest:
                 continue
             step.entities_seen[key, entity["id"]] = digest
-            if not self._is_own(entity["id"]):
+            if not self.is_own(entity["id"]):
                 self._deliver(step, key, to_key_values(entity), taken, now)
 
     def judge(
@@ -171,7 +172,7 @@ class EntityDelivery:
     ) -> None:
         """Evaluate the conditions of processes and start events for entities."""
         for entity in entities:
-            if self._is_own(entity["id"]):
+            if self.is_own(entity["id"]):
                 continue
             simplified = to_key_values(entity)
             for process, wait in self._waits(step, key):
@@ -180,7 +181,15 @@ class EntityDelivery:
                     self._judge(step, process, wait, now, entity=entity["id"], variables=given)
             for start in self._starts.get(key, ()):
                 if start.condition is not None:
-                    self._judge_start(step, start, start.condition, simplified, taken)
+                    self._judge_start(step, start, simplified, taken, now)
+
+    def contact(self) -> str | None:
+        """Return the time (ISO 8601) up to which all changes of conditions are known."""
+        return self.seen.digest(CONTACT, BASELINE, {})
+
+    def set_contact(self, step: Step, now: datetime) -> None:
+        """Store that all changes of conditions are known up to `now`."""
+        step.entities_seen[CONTACT, BASELINE] = now.isoformat(timespec="microseconds")
 
     def forget(self, step: Step, key: str, entities: Iterable[str], now: datetime) -> None:
         """Forget entities that the filter no longer selects: their conditions no longer hold."""
@@ -204,7 +213,7 @@ class EntityDelivery:
                 step.entities_seen[key, entity] = None
 
     def _unused(self) -> set[str]:
-        used = {key for key, each in self.watched().items() if each.messages}
+        used = {CONTACT, *(key for key, each in self.watched().items() if each.messages)}
         for starts in self._starts.values():
             used |= {each.key for each in starts if each.condition is not None}
         return self.seen.keys() - used
@@ -284,7 +293,8 @@ class EntityDelivery:
         variables: Mapping[str, Any] | None,
     ) -> None:
         try:
-            process.judge(wait.wait, entity, variables, step, now)
+            if process.judge(wait.wait, entity, variables, step, now):
+                self.set_contact(step, now)
         except RunFailed as failure:
             log.warning("condition not processed", process=process.record.id, error=str(failure))
 
@@ -292,19 +302,21 @@ class EntityDelivery:
         self,
         step: Step,
         start: _EntityStart,
-        condition: ConditionalEvent,
         entity: Entity,
         taken: Mapping[str, str],
+        now: datetime,
     ) -> None:
+        assert start.condition is not None  # noqa: S101 - only such a start is judged
         defaults = {each.name: each.default for each in start.definition.parameters.values()}
         try:
-            holds = bool(condition.condition.value({**defaults, start.on.variable: entity}))
+            holds = bool(start.condition.condition.value({**defaults, start.on.variable: entity}))
         except ExpressionError:
             holds = False
         held = self.seen.digest(start.key, entity["id"], step.entities_seen) is not None
         if holds == held:
             return
         step.entities_seen[start.key, entity["id"]] = BASELINE if holds else None
+        self.set_contact(step, now)
         if holds:
             self._start_process(step, start, entity, taken)
 
@@ -343,7 +355,7 @@ class EntityDelivery:
         source = entity.get("alertSource") if entity.get("type") == "Alert" else None
         return self._definition_of(source) if isinstance(source, str) else None
 
-    def _is_own(self, entity_id: str) -> bool:
+    def is_own(self, entity_id: str) -> bool:
         """Return whether the orchestrator itself has created an entity, as a Task or Process."""
         return self._definition_of(entity_id) is not None
 

@@ -11,6 +11,7 @@ was down. Work on one filter is serialized, so an older answer never follows a n
 import asyncio
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 from fastapi import Request
@@ -22,6 +23,8 @@ from handover.notifications import NotificationReceiver
 from handover.resync import Resync
 from handover.telemetry import get_logger
 from services.task_orchestrator.entity_delivery import Watched
+from services.task_orchestrator.entity_matching import replay
+from services.task_orchestrator.model import EntityFilter
 from services.task_orchestrator.orchestrator import Orchestrator
 from services.task_orchestrator.records import Step
 
@@ -47,6 +50,8 @@ class EntityEvents:
         """The filters with a subscription; None: unknown, since the broker was not reachable."""
         self._watched: dict[str, Watched] = {}
         self._locks: dict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._was_disconnected = True
+        """Whether conditions may have been true meanwhile without a notification."""
         self._queried: set[str] = set()
         self._to_read: dict[str, set[str]] = {}
         self._waits_changed = asyncio.Event()
@@ -68,7 +73,7 @@ class EntityEvents:
 
         Raises `Problem` if the notification is refused, or if the consequences cannot be stored.
         """
-        entities = _usable(await self._receiver.receive(request))
+        entities = self._usable(await self._receiver.receive(request))
         watched = self._watched.get(key)
         if watched is None:
             return
@@ -81,7 +86,7 @@ class EntityEvents:
             if ids is None:
                 return  # another notification has read them
             try:
-                present = _usable(await self._receiver.read(watched.on.type, ids, q=watched.on.q))
+                present = self._usable(await self._receiver.read(watched.on.type, ids, q=watched.on.q))
             except BrokerError as error:
                 log.warning("changed entities not read", error=str(error))
                 self._resync.request()
@@ -96,32 +101,58 @@ class EntityEvents:
         watched = self._watched = self._delivery.watched()
         await self._update_subscriptions(watched)
         failure: BrokerUnavailable | None = None
+        moment = self._orchestrator.clock()
+        since = self._delivery.contact() if self._was_disconnected else None
         for key, each in watched.items():
             try:
-                await self._reconcile_filter(key, each)
+                await self._reconcile_filter(key, each, since)
             except BrokerUnavailable as error:
                 failure = error
             except BrokerError as error:
                 log.warning("filter of entities refused", type=each.on.type, q=each.on.q, error=str(error))
         if failure is not None:
             raise failure
+        self._was_disconnected = False
+        if any(self._delivery.has_conditions(key) for key in watched):
+            await self._store_contact(moment)
         if self._delivery.has_unused():
             await self._orchestrator.change(self._delivery.remove_unused)
 
-    async def _reconcile_filter(self, key: str, watched: Watched) -> None:
+    async def _reconcile_filter(self, key: str, watched: Watched, since: str | None = None) -> None:
+        """Query a filter; with `since` evaluate conditions also for the states since then."""
         on = watched.on
         async with self._locks[key]:
-            entities = _usable(await self._broker.query(type=on.type, id_pattern=on.id_pattern, q=on.q))
+            entities = self._usable(await self._broker.query(type=on.type, id_pattern=on.id_pattern, q=on.q))
             present = {entity["id"] for entity in entities}
             if watched.messages and not self._delivery.seen.has_baseline(key):
                 await self._set_baseline(key, entities)
             elif watched.messages:
                 await self._receive(key, self._delivery.news(key, entities))
+            if since is not None and self._delivery.has_conditions(key):
+                await self._replay(key, on, since, {entity["id"]: entity for entity in entities})
             await self._judge(key, entities)
             await self._forget(key, self._delivery.gone(key, present))
             if key not in self._queried:
                 self._queried.add(key)
                 log.info("entities queried", filter=key, type=on.type, q=on.q, entities=len(entities))
+
+    async def _replay(self, key: str, on: EntityFilter, since: str, present: Mapping[str, Any]) -> None:
+        """Evaluate conditions for the states that entities had while nobody was connected.
+
+        With `q` that is impossible: only the broker can evaluate it, and it does so for the present state.
+        """
+        if on.q is not None:
+            return
+        try:
+            found = self._usable(await self._broker.evolution(since, type=on.type, id_pattern=on.id_pattern))
+        except BrokerUnavailable:
+            raise
+        except BrokerError as error:
+            log.warning("no history of entities", type=on.type, error=str(error))
+            return
+        for evolution in found:
+            for state in replay(evolution, present.get(evolution["id"], {})):
+                await self._judge(key, [state])
 
     async def _set_baseline(self, key: str, entities: Entities) -> None:
         for some in _in_parts(entities) or [()]:
@@ -164,6 +195,17 @@ class EntityEvents:
         store = self._orchestrator.store
         taken: dict[str, str] = await self._orchestrator.on_disk(store.business_keys, sorted(keys))
         return taken
+
+    def _usable(self, entities: Entities) -> list[Mapping[str, Any]]:
+        """Return the entities of others, with an id that can be stored."""
+        return [
+            entity
+            for entity in entities
+            if _is_storable(entity.get("id")) and not self._delivery.is_own(entity["id"])
+        ]
+
+    async def _store_contact(self, moment: datetime) -> None:
+        await self._orchestrator.change(lambda step: self._delivery.set_contact(step, moment))
 
     async def _update_subscriptions(self, watched: Mapping[str, Watched]) -> None:
         if not watched and self._subscribed == set():
@@ -217,7 +259,7 @@ class EntityEvents:
             await self.reconcile()
         except BrokerError as error:
             log.warning("entities not reconciled", error=str(error))
-            self._subscribed = None
+            self._subscribed, self._was_disconnected = None, True
             return False
         except Problem as problem:
             log.warning("entity events not stored", error=str(problem))
@@ -234,17 +276,14 @@ class EntityEvents:
             watched = self._watched = self._delivery.watched()
             if self._subscribed is None or set(watched) - self._subscribed:
                 self._resync.request()
-            for key in keys & set(watched):
-                try:
+            try:
+                for key in keys & set(watched):
                     await self._reconcile_filter(key, watched[key])
-                except Problem as problem:
-                    log.warning("condition not evaluated yet", error=str(problem))
-                    self._resync.request()
-
-
-def _usable(entities: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the entities with an id that can be stored."""
-    return [entity for entity in entities if _is_storable(entity.get("id"))]
+                if keys and not self._was_disconnected:  # an earlier state is none of the new waits
+                    await self._store_contact(self._orchestrator.clock())
+            except Problem as problem:
+                log.warning("condition not evaluated yet", error=str(problem))
+                self._resync.request()
 
 
 def _is_storable(entity_id: object) -> bool:

@@ -8,6 +8,7 @@ event when it is selected again.
 import hashlib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any, Final
 
 import orjson
@@ -23,6 +24,10 @@ SeenChanges = Mapping[tuple[str, str], str | None]
 
 BASELINE: Final = ""
 """The id under which a filter is stored whose baseline is complete."""
+
+
+CONTACT: Final = "contact"
+"""The key under which the time is stored up to which all changes of conditions are known."""
 
 
 def digest_of(content: Any) -> str:
@@ -142,3 +147,41 @@ def is_correlated(process: Process, wait: EntityWait, entity: Mapping[str, Any])
         return False
     expected = process.record.key if wait.key is None else wait.key
     return key is not None and expected is not None and str(key) == str(expected)
+
+
+def replay(evolution: Mapping[str, Any], present: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the states that an entity had, the oldest first, from its temporal evolution.
+
+    What did not change has the value of `present`, the entity as it is now. An attribute that changed is
+    missing before its first change. Changes without a valid time are ignored.
+    """
+    changed = {name: values for name, values in evolution.items() if _are_instances(values)}
+    state = {name: value for name, value in present.items() if name not in changed}
+    state |= {"id": evolution["id"], "type": evolution.get("type", present.get("type"))}
+    moments: dict[datetime, dict[str, Any]] = {}
+    for name, instances in changed.items():
+        for each in instances:
+            moment = _moment(each.get("modifiedAt") or each.get("observedAt"))
+            if moment is not None:
+                value = {key: part for key, part in each.items() if key not in _SYSTEM}
+                moments.setdefault(moment, {})[name] = value
+    states = []
+    for _, values in sorted(moments.items()):
+        state = state | values
+        states.append(state)
+    return states
+
+
+_SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "instanceId"})
+
+
+def _are_instances(values: Any) -> bool:
+    return isinstance(values, list) and all(isinstance(each, dict) for each in values)
+
+
+def _moment(given: Any) -> datetime | None:
+    try:
+        moment = datetime.fromisoformat(given)
+    except (TypeError, ValueError):
+        return None
+    return moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)

@@ -263,11 +263,16 @@ class Process:
 
     def judge(
         self, wait: int, entity: str, variables: Mapping[str, Any] | None, step: Step, now: datetime
-    ) -> None:
-        """Evaluate a condition that the process waits for, for an entity; None: it is no longer selected."""
-        if self.run is not None and self.run.judge(wait, entity, variables, now):
-            step.touched.add(self.record.id)
-            self._update(step, now)
+    ) -> bool:
+        """Evaluate a condition that the process waits for, for an entity; None: it is no longer selected.
+
+        Returns whether the process has changed.
+        """
+        if self.run is None or not self.run.judge(wait, entity, variables, now):
+            return False
+        step.touched.add(self.record.id)
+        self._update(step, now)
+        return True
 
     def pause(self, act: Act, step: Step, now: datetime) -> None:
         """Pause the process and request that of its Tasks; raise `Problem` 409 if it has ended.

@@ -279,3 +279,36 @@ def test_a_lost_subscription_is_created_again_and_what_happened_meanwhile_is_fou
         eventually(lambda: lost in {each["id"] for each in subscriptions(running)}, "the subscription")
         deploy(running, "on-spill", start() + end() + path("start", "end"))
         eventually(lambda: not subscriptions(running), "the removal of the unused subscription")
+
+
+def test_entities_created_before_and_after_an_outage_of_the_broker_are_found(tmp_path: Path) -> None:
+    with cell(tmp_path, next_free_port) as running:
+        smoke = on("message", "Smoke")
+        deploy(running, "on-smoke", starts_with(smoke) + end() + path("start", "end"))
+        subscribed(running, "Smoke")
+        create(running, "Smoke", "1", size=1)
+        running.broker.kill()
+        running.broker.start()
+        create(running, "Smoke", "2", size=2)
+        found = started(running, "on-smoke", 2)
+        running.broker.kill()
+        running.broker.start()
+        create(running, "Smoke", "3", size=3)
+        found = started(running, "on-smoke", 3)
+        sizes = sorted(running.look(each["id"])["variables"]["entity"]["size"] for each in found)
+        assert sizes == [1, 2, 3]
+
+
+def test_a_limit_that_was_passed_while_the_orchestrator_was_down_counts(tmp_path: Path) -> None:
+    with cell(tmp_path, next_free_port) as running:
+        tank = create(running, "Tank", "1", level=1, colour="red")
+        full = on("conditional", "Tank", condition('entity.level &gt; limit and entity.colour == "red"'))
+        deploy(running, "tank", start() + catches(full) + end() + path("start", "wait", "end"))
+        process = running.start("tank", limit=5)
+        waits_at(running, process, "wait")
+        subscribed(running, "Tank")
+        running.orchestrator.kill()
+        for level in (3, 8, 2):
+            change(running, tank, level=level)
+        running.orchestrator.start()
+        assert running.ended(process)["variables"]["entity"]["level"] == 8

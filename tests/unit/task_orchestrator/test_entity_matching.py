@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.task_orchestrator.entity_matching import BASELINE, SeenEntities, digest_of
+from services.task_orchestrator.entity_matching import BASELINE, SeenEntities, digest_of, replay
 
 STATES = st.dictionaries(st.sampled_from("abcd"), st.sampled_from("123"))
 """What a filter selects at a moment: entity to digest."""
@@ -64,3 +64,30 @@ def test_what_is_forgotten_leaves_nothing_behind() -> None:
 def test_the_order_of_members_does_not_change_a_digest() -> None:
     assert digest_of({"a": 1, "b": [2]}) == digest_of({"b": [2], "a": 1})
     assert digest_of({"a": 1}) != digest_of({"a": 2})
+
+
+def at(second: int, value: object) -> dict[str, object]:
+    return {"type": "Property", "value": value, "modifiedAt": f"2026-05-04T08:00:{second:02}Z"}
+
+
+def test_the_states_of_an_entity_are_replayed_in_their_order() -> None:
+    evolution = {
+        "id": "urn:x:1",
+        "type": "Tank",
+        "level": [at(3, 2), at(1, 8), {"type": "Property", "value": 9, "modifiedAt": "soon"}],
+        "open": [at(3, True)],
+    }
+    present = {
+        "id": "urn:x:1",
+        "type": "Tank",
+        "level": {"type": "Property", "value": 2},
+        "colour": {"type": "Property", "value": "red"},
+    }
+    first, second = replay(evolution, present)
+    assert first == present | {"level": {"type": "Property", "value": 8}}
+    assert second == present | {"open": {"type": "Property", "value": True}}
+
+
+def test_an_entity_that_was_deleted_is_replayed_from_its_history_alone() -> None:
+    (state,) = replay({"id": "urn:x:1", "type": "Tank", "level": [at(1, 8)]}, {})
+    assert state == {"id": "urn:x:1", "type": "Tank", "level": {"type": "Property", "value": 8}}
