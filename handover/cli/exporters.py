@@ -6,10 +6,11 @@ and returns the content of the file. Other packages register theirs in the group
 
 import csv
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import orjson
+from lxml import etree
 
 from handover.extensions import ExtensionPoint
 
@@ -18,7 +19,11 @@ Exporter = Callable[[Mapping[str, Any]], bytes]
 EXPORTERS = ExtensionPoint(
     "exporter",
     "handover.exporters",
-    {"csv": "handover.cli.exporters:csv_of", "json": "handover.cli.exporters:json_of"},
+    {
+        "csv": "handover.cli.exporters:csv_of",
+        "json": "handover.cli.exporters:json_of",
+        "xes": "handover.cli.exporters:xes_of",
+    },
 )
 COLUMNS = (
     "process",
@@ -32,6 +37,16 @@ COLUMNS = (
     "endedAt",
     "reason",
 )
+XES = "http://www.xes-standard.org/"
+LIFECYCLE = {
+    "assigned": "assign",
+    "inProgress": "start",
+    "paused": "suspend",
+    "completed": "complete",
+    "failed": "ate_abort",
+}
+"""Status of a Task -> transition of the standard lifecycle of XES."""
+XES_EXTENSIONS = {"concept": "Concept", "lifecycle": "Lifecycle", "org": "Organizational", "time": "Time"}
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -59,3 +74,46 @@ def csv_of(process: Mapping[str, Any]) -> bytes:
 def _cell(value: Any) -> Any:
     """Return a text that a spreadsheet would run as a formula with a quote before it."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
+
+
+def xes_of(process: Mapping[str, Any]) -> bytes:
+    """Return the process as a log of one trace for process mining (XES, IEEE 1849-2016).
+
+    Each change of a Task is an event with its transition in the standard lifecycle.
+    """
+    log = etree.Element(f"{{{XES}}}log", {"xes.version": "1849-2016"}, nsmap={None: XES})
+    for prefix, name in XES_EXTENSIONS.items():
+        uri = f"{XES}{prefix}.xesext"
+        etree.SubElement(log, f"{{{XES}}}extension", {"name": name, "prefix": prefix, "uri": uri})
+    etree.SubElement(log, f"{{{XES}}}classifier", {"name": "Activity", "keys": "concept:name"})
+    _add_xes(log, "string", "concept:name", f"{process['definition']} version {process['version']}")
+    trace = etree.SubElement(log, f"{{{XES}}}trace")
+    _add_xes(trace, "string", "concept:name", process["id"])
+    for at, transition, task in sorted(_transitions(process), key=lambda each: each[0]):
+        event = etree.SubElement(trace, f"{{{XES}}}event")
+        _add_xes(event, "string", "concept:name", task["name"])
+        _add_xes(event, "string", "concept:instance", task["id"])
+        _add_xes(event, "string", "lifecycle:transition", transition)
+        _add_xes(event, "date", "time:timestamp", at)
+        if task["involves"]:
+            _add_xes(event, "string", "org:resource", " ".join(task["involves"]))
+    return bytes(etree.tostring(log, xml_declaration=True, encoding="UTF-8", pretty_print=True))
+
+
+def _transitions(process: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    """Yield time, lifecycle transition and Task of each change."""
+    for task in process["tasks"]:
+        yield task["createdAt"], "schedule", task
+        was_paused = False
+        for change in task["history"]:
+            transition = LIFECYCLE.get(change["status"], "unknown")
+            if change["status"] == "inProgress" and was_paused:
+                transition = "resume"
+            elif change["status"] == "failed" and task["cancelled"]:
+                transition = "pi_abort"
+            was_paused = change["status"] == "paused"
+            yield change["at"], transition, task
+
+
+def _add_xes(parent: etree._Element, kind: str, key: str, value: str) -> None:
+    etree.SubElement(parent, f"{{{XES}}}{kind}", {"key": key, "value": value})

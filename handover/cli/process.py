@@ -72,7 +72,7 @@ def show(process: Annotated[str, typer.Argument(help="The id of the process.")])
 def export(
     process: Annotated[str, typer.Argument(help="The id of the process.")],
     form: Annotated[
-        str, typer.Option("--format", help="csv, json, or an exporter that is installed.")
+        str, typer.Option("--format", help="csv, json, xes, or an exporter that is installed.")
     ] = "csv",
     output: Annotated[
         Path | None, typer.Option("--output", help="The file; standard output if absent.")
