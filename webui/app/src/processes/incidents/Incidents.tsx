@@ -18,6 +18,8 @@ import "./Incidents.css";
 export interface Moving {
   incident: Incident;
   targets: readonly BpmnElement[];
+  /** The targets are on the diagram; those of a called process are not. */
+  isDrawn: boolean;
   to: string;
 }
 
@@ -139,7 +141,7 @@ function MovePanel({ process, moving, elements, onMove, onTarget }: MovePanelPro
         <Select
           label={t("mend.move.to")}
           value={to}
-          options={[{ value: "", name: t("mend.move.choose", { step }) }, ...targets.map(({ id, name }) => ({ value: id, name: name === "" ? id : name === id ? name : `${name} (${id})` }))]}
+          options={[{ value: "", name: t(moving.isDrawn ? "mend.move.choose" : "mend.move.chooseHere", { step }) }, ...targets.map(({ id, name }) => ({ value: id, name: name === "" ? id : name === id ? name : `${name} (${id})` }))]}
           onChange={onTarget}
         />
       ) : (

@@ -68,7 +68,7 @@ function Shown({ process }: { process: ProcessView }) {
         picked={task?.element ?? null}
         onPick={(element) => {
           if (moving === null) pick(element);
-          else if (element !== null && moving.targets.some(({ id }) => id === element)) setTarget(element);
+          else if (element !== null && moving.isDrawn && moving.targets.some(({ id }) => id === element)) setTarget(element);
         }}
       />
       <section className="process__tasks" aria-label={t("views.label")}>
@@ -102,7 +102,7 @@ function useMoving(process: ProcessView, elements: BpmnElements) {
   const { drawn, inner } = pathOf(elements, incident?.element ?? "");
   const called = useCalledElements(inner === null ? null : (elements.get(drawn)?.calls ?? null));
   const targets = inner === null ? targetsFor(elements, drawn) : targetsFor(called, inner);
-  const moving: Moving | null = incident === undefined ? null : { incident, targets, to };
+  const moving: Moving | null = incident === undefined ? null : { incident, targets, isDrawn: inner === null, to };
   const setMoving = (one: Incident | null) => {
     setToken(one?.token ?? null);
     setTarget("");
@@ -129,11 +129,12 @@ function ProcessDiagram({ process, bpmn, elements, moving, picked, onPick }: Pro
   const { t } = useTranslation("processes");
   const words = useMarkWords("process");
   const { waiting, elements: counts, incidents } = process;
-  const to = moving === null ? picked : moving.to || null;
-  const targets = moving?.targets.map(({ id }) => id).join(" ") ?? "";
+  const drawn = moving?.isDrawn === true ? moving : null;
+  const to = drawn === null || drawn.to === "" ? picked : drawn.to;
+  const targets = drawn?.targets.map(({ id }) => id).join(" ") ?? "";
   const marks = useMemo(() => {
     const own = marksOfProcess({ waiting, elements: counts, incidents }, words, (element) => pathOf(elements, element).drawn);
-    return withPicked(withTargets(own, targets === "" ? [] : targets.split(" ").filter((id) => elements.has(id))), to);
+    return withPicked(withTargets(own, targets === "" ? [] : targets.split(" ")), to);
   }, [waiting, counts, incidents, words, elements, targets, to]);
   if (bpmn.failure !== null) return <ErrorMessage>{t("diagram.unread", { why: bpmn.failure })}</ErrorMessage>;
   return (
