@@ -40,8 +40,10 @@ def alert(name: str, **values: Any) -> dict[str, Any]:
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> OrchestratorSettings:
-    return OrchestratorSettings(_env_file=None, data_dir=tmp_path, broker_url="http://127.0.0.1:9")
+def settings(tmp_path: Path, database_url: str | None) -> OrchestratorSettings:
+    return OrchestratorSettings(
+        _env_file=None, data_dir=tmp_path, broker_url="http://127.0.0.1:9", database_url=database_url
+    )
 
 
 @pytest.fixture

@@ -242,6 +242,19 @@ def test_a_forged_notification_has_no_effect(world: Cell) -> None:
     assert world.ended(process)["variables"]["entity"]["id"] == "urn:ngsi-ld:Kiln:demo:2"
 
 
+def test_a_filter_that_the_broker_refuses_does_not_stop_the_others(world: Cell) -> None:
+    refused = on("message", "Wrong", q="((")
+    deploy(world, "wrong", starts_with(refused) + end() + path("start", "end"))
+    good = on("message", "Right", idPattern=".*:cell-1-.*")
+    deploy(world, "right", starts_with(good) + end() + path("start", "end"))
+    subscribed(world, "Right")
+    create(world, "Right", "cell-2-a")
+    right = create(world, "Right", "cell-1-a")
+    (process,) = started(world, "right")
+    assert world.look(process["id"])["variables"]["entity"]["id"] == right
+    assert "filter of entities refused" in world.orchestrator.log()
+
+
 def test_entities_created_while_the_orchestrator_is_down_are_found_exactly_once(
     tmp_path: Path,
 ) -> None:
