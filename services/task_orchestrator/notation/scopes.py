@@ -108,8 +108,8 @@ def collect_data(process: etree._Element, context: Context) -> None:
         declared.setdefault(data, element)  # a reference without an object stands for its own
     for data, element in declared.items():
         context.data_scopes.setdefault(element.getparent().get("id") or "", set()).add(data)
-    for element in (*declared.values(), *references):
-        data = context.data.get(element.get("id") or "", element.get("id") or "")
+    referring = ((context.data[element.get("id") or ""], element) for element in references)
+    for data, element in (*declared.items(), *referring):
         named[data] = named.get(data) or " ".join((element.get("name") or "").split())
     context.data_names.update({data: name or data for data, name in named.items()})
 

@@ -223,3 +223,9 @@ def test_a_file_with_changed_elements_is_read_or_refused(xml: bytes, data: st.Da
             case "tag":
                 element.tag = data.draw(TAGS)
     check(etree.tostring(root))
+
+
+def test_a_data_object_and_a_reference_to_another_may_have_the_same_id() -> None:
+    data = '<bpmn:dataObject id="b"/><bpmn:dataObjectReference id="b" dataObjectRef="a"/>'
+    (definition,) = read_bpmn(file(start() + data + end() + path("start", "end"))).definitions
+    assert set(definition.scope.data_objects) == {"a", "b"}
