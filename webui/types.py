@@ -52,6 +52,7 @@ CONSTRAINTS: Final = frozenset(
         "format",
         "maxItems",
         "maxLength",
+        "maxProperties",
         "maximum",
         "minItems",
         "minLength",

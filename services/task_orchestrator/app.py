@@ -29,6 +29,21 @@ from services.task_orchestrator.notation.faults import BadBpmn, as_json
 from services.task_orchestrator.orchestrator import Orchestrator, check_variables
 from services.task_orchestrator.reconcile import Reconciler
 from services.task_orchestrator.records import ActKind
+from services.task_orchestrator.responses import (
+    DefinitionView,
+    DefinitionWithActivities,
+    Deployment,
+    DeploymentCheck,
+    MappingView,
+    PausedProcesses,
+    PeriodStatistics,
+    ProcessSummary,
+    ProcessView,
+    SentMessage,
+    SentSignal,
+    VersionStatistics,
+    json_response,
+)
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.views import (
     activity_views,
@@ -45,6 +60,8 @@ log = get_logger(__name__)
 MAX_PARAMETERS_BYTES = 1024 * 1024
 MAX_MAPPING_BYTES = 4 * 1024 * 1024
 MAX_VERSION = 2**31 - 1
+PROCESS: dict[int | str, dict[str, Any]] = {200: {"model": ProcessView}}
+"""The response of the routes that return a process, for the OpenAPI document."""
 SHIPPED = Path(__file__).parent / "processes"
 
 
@@ -224,9 +241,9 @@ def _app(at: Components) -> FastAPI:
     _add_interventions(app, at)
     _add_mapping(app, at.orchestrator)
 
-    @app.post("/messages", tags=["events"])
+    @app.post("/messages", tags=["events"], responses={200: {"model": SentMessage}})
     @max_body(MAX_PARAMETERS_BYTES)
-    async def publish(body: MessageRequest) -> dict[str, Any]:
+    async def publish(body: MessageRequest) -> Response:
         """Send a message: to the process that waits for it, else a start event, else it is kept."""
         check_variables(body.variables)
         try:
@@ -237,14 +254,14 @@ def _app(at: Components) -> FastAPI:
         outcome, reached = await at.orchestrator.publish(
             body.name, key=body.key, process=process, variables=body.variables, ttl=ttl
         )
-        return {"outcome": outcome.value, "process": reached}
+        return json_response({"outcome": outcome.value, "process": reached})
 
-    @app.post("/signals", tags=["events"])
+    @app.post("/signals", tags=["events"], responses={200: {"model": SentSignal}})
     @max_body(MAX_PARAMETERS_BYTES)
-    async def broadcast(body: SignalRequest) -> dict[str, Any]:
+    async def broadcast(body: SignalRequest) -> Response:
         """Send a signal to every process that waits for it, and to start events."""
         check_variables(body.variables)
-        return {"processes": await at.orchestrator.broadcast(body.name, body.variables)}
+        return json_response({"processes": await at.orchestrator.broadcast(body.name, body.variables)})
 
     @app.post("/notifications", status_code=204, tags=["notifications"])
     async def notify(request: Request) -> Response:
@@ -264,7 +281,12 @@ def _app(at: Components) -> FastAPI:
 def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     registry = orchestrator.registry
 
-    @app.post("/definitions", status_code=201, tags=["definitions"])
+    @app.post(
+        "/definitions",
+        status_code=201,
+        tags=["definitions"],
+        responses={201: {"model": Deployment}, 200: {"model": Deployment | DeploymentCheck}},
+    )
     @accepts(*XML_TYPES)
     @max_body(2 * MAX_BYTES)
     async def deploy(request: Request, *, dry: bool = False) -> JSONResponse:
@@ -291,28 +313,34 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         view = {**views[0], "definitions": views, "warnings": warnings, "allocation": allocation}
         return JSONResponse(view, 201 if deployed.created else 200)
 
-    @app.get("/definitions", tags=["definitions"])
-    async def definitions() -> list[dict[str, Any]]:
+    @app.get("/definitions", tags=["definitions"], responses={200: {"model": list[DefinitionView]}})
+    async def definitions() -> Response:
         """Return the latest version of every definition."""
         latest = registry.latest()
         for record in latest:
             await registry.prepare(record)
-        return [definition_view(registry, record) for record in latest]
+        return json_response([definition_view(registry, record) for record in latest])
 
-    @app.get("/definitions/{name}", tags=["definitions"])
-    async def definition(name: str, version: int | None = None) -> dict[str, Any]:
+    @app.get(
+        "/definitions/{name}", tags=["definitions"], responses={200: {"model": DefinitionWithActivities}}
+    )
+    async def definition(name: str, version: int | None = None) -> Response:
         """Return a definition with its activities."""
         record = registry.record(name, version)
         await registry.prepare(record)
         activities = activity_views(registry.plan_of(record).definition)
-        return {**definition_view(registry, record), "activities": activities}
+        return json_response({**definition_view(registry, record), "activities": activities})
 
-    @app.get("/definitions/{name}/statistics", tags=["definitions"])
-    async def statistics(name: str, version: int | None = None) -> dict[str, Any]:
+    @app.get(
+        "/definitions/{name}/statistics",
+        tags=["definitions"],
+        responses={200: {"model": VersionStatistics}},
+    )
+    async def statistics(name: str, version: int | None = None) -> Response:
         """Return the statistics of all processes of a version (default: the latest), by activity."""
         record = registry.record(name, version)
         counts = await orchestrator.on_disk(orchestrator.store.counts, record.name, record.version)
-        return statistics_view(record, counts)
+        return json_response(statistics_view(record, counts))
 
     @app.get("/definitions/{name}/bpmn", tags=["definitions"])
     async def bpmn(name: str, version: int | None = None) -> Response:
@@ -321,13 +349,13 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
 
 
 def _add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
-    @app.get("/mapping", tags=["allocation"])
+    @app.get("/mapping", tags=["allocation"], responses={200: {"model": MappingView}})
     async def mapping(
         version: Annotated[int | None, Query(ge=1, le=MAX_VERSION)] = None,
-    ) -> dict[str, Any]:
+    ) -> Response:
         """Return the mapping from names in process files to performers, or an earlier version of it."""
         if version is None:
-            return mapping_view(orchestrator.allocator.mapping)
+            return json_response(mapping_view(orchestrator.allocator.mapping))
         table = await orchestrator.on_disk(orchestrator.store.mapping, version)
         if table is None:
             raise Problem(
@@ -340,23 +368,23 @@ def _add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
                     latest=orchestrator.allocator.mapping.version,
                 ),
             )
-        return mapping_view(table)
+        return json_response(mapping_view(table))
 
-    @app.put("/mapping", tags=["allocation"])
+    @app.put("/mapping", tags=["allocation"], responses={200: {"model": MappingView}})
     @max_body(MAX_MAPPING_BYTES)
-    async def set_mapping(body: MappingRequest) -> dict[str, Any]:
+    async def set_mapping(body: MappingRequest) -> Response:
         """Replace the mapping; it applies to Tasks that are posted later."""
         table = await orchestrator.set_mapping(
             body.entries, by=body.by.strip(), why=body.why, version=body.version
         )
-        return mapping_view(table)
+        return json_response(mapping_view(table))
 
 
 def _add_processes(app: FastAPI, at: Components) -> None:
     orchestrator, settings = at.orchestrator, at.settings
     store, registry = orchestrator.store, orchestrator.registry
 
-    @app.post("/processes", status_code=201, tags=["processes"])
+    @app.post("/processes", status_code=201, tags=["processes"], responses={201: PROCESS[200], **PROCESS})
     @max_body(MAX_PARAMETERS_BYTES)
     async def start(body: ProcessStart) -> JSONResponse:
         """Start a process: 201, or 200 if the same key has started it before."""
@@ -366,7 +394,7 @@ def _add_processes(app: FastAPI, at: Components) -> None:
         view = await _process(process_id)
         return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})
 
-    @app.get("/processes", tags=["processes"])
+    @app.get("/processes", tags=["processes"], responses={200: {"model": list[ProcessSummary]}})
     async def processes(
         *,
         status: TaskStatus | None = None,
@@ -383,7 +411,7 @@ def _add_processes(app: FastAPI, at: Components) -> None:
             str | None, Query(description="the id of a process: return those started before it")
         ] = None,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-    ) -> list[dict[str, Any]]:
+    ) -> Response:
         """Return processes, the latest first; `before` with the id of the last one returns the next page."""
         wanted = status.value if status is not None else None
         mark = _plain(before) if before is not None else None
@@ -398,33 +426,34 @@ def _add_processes(app: FastAPI, at: Components) -> None:
                 limit=limit,
             )
         )
-        return [process_summary(settings, registry, record) for record in records]
+        return json_response([process_summary(settings, registry, record) for record in records])
 
-    @app.get("/statistics", tags=["processes"])
+    @app.get("/statistics", tags=["processes"], responses={200: {"model": PeriodStatistics}})
     async def statistics(
         since: Annotated[
             AwareDatetime, Query(description="count processes that ended at this time or later")
         ],
-    ) -> dict[str, Any]:
+    ) -> Response:
         """Return the number of running and ended processes since a time, and their median duration."""
-        return period_view(await orchestrator.on_disk(store.counts_since, since.astimezone(UTC)))
+        counts = await orchestrator.on_disk(store.counts_since, since.astimezone(UTC))
+        return json_response(period_view(counts))
 
-    @app.get("/processes/{process_id}", tags=["processes"])
-    async def process(process_id: str) -> dict[str, Any]:
+    @app.get("/processes/{process_id}", tags=["processes"], responses=PROCESS)
+    async def process(process_id: str) -> Response:
         """Return a process with its variables, its Tasks, its waiting elements and its next activities."""
-        return await _process(process_id)
+        return json_response(await _process(process_id))
 
-    @app.post("/processes/{process_id}/cancel", tags=["processes"])
-    async def cancel(process_id: str, body: CancelRequest | None = None) -> dict[str, Any]:
+    @app.post("/processes/{process_id}/cancel", tags=["processes"], responses=PROCESS)
+    async def cancel(process_id: str, body: CancelRequest | None = None) -> Response:
         """Cancel a process and its Tasks."""
         await orchestrator.cancel(_plain(process_id), body.by.strip() if body and body.by else None)
-        return await _process(process_id)
+        return json_response(await _process(process_id))
 
-    @app.post("/processes/{process_id}/tasks/{task_id}/retry", tags=["processes"])
-    async def retry(process_id: str, task_id: str, body: RetryRequest) -> dict[str, Any]:
+    @app.post("/processes/{process_id}/tasks/{task_id}/retry", tags=["processes"], responses=PROCESS)
+    async def retry(process_id: str, task_id: str, body: RetryRequest) -> Response:
         """Post the failed Task that has ended a process again, as a new Task; the process continues."""
         await orchestrator.retry(_plain(process_id), settings.entity_id("Task", task_id), body.by.strip())
-        return await _process(process_id)
+        return json_response(await _process(process_id))
 
     async def _process(process_id: str) -> dict[str, Any]:
         return await _shown(at, process_id)
@@ -443,7 +472,7 @@ def _add_interventions(app: FastAPI, at: Components) -> None:
     def _plain(process_id: str) -> str:
         return process_id.removeprefix(at.process_prefix)
 
-    async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> dict[str, Any]:
+    async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> Response:
         check_variables(body.variables)
         await orchestrator.mend(
             _plain(process_id),
@@ -454,63 +483,63 @@ def _add_interventions(app: FastAPI, at: Components) -> None:
             to=body.to if isinstance(body, MoveRequest) else None,
             values=body.variables,
         )
-        return await _process(process_id)
+        return json_response(await _process(process_id))
 
-    @app.post("/processes/{process_id}/pause", tags=["processes"])
-    async def pause(process_id: str, body: PauseRequest) -> dict[str, Any]:
+    @app.post("/processes/{process_id}/pause", tags=["processes"], responses=PROCESS)
+    async def pause(process_id: str, body: PauseRequest) -> Response:
         """Pause a process: its Tasks are requested to pause, no other is posted, timers wait."""
         await orchestrator.pause(_plain(process_id), ActKind.PAUSE, by=body.by.strip(), why=body.why)
-        return await _process(process_id)
+        return json_response(await _process(process_id))
 
-    @app.post("/processes/{process_id}/resume", tags=["processes"])
-    async def resume(process_id: str, body: PauseRequest) -> dict[str, Any]:
+    @app.post("/processes/{process_id}/resume", tags=["processes"], responses=PROCESS)
+    async def resume(process_id: str, body: PauseRequest) -> Response:
         """Continue a paused process, with the timers that were due meanwhile."""
         await orchestrator.pause(_plain(process_id), ActKind.RESUME, by=body.by.strip(), why=body.why)
-        return await _process(process_id)
+        return json_response(await _process(process_id))
 
-    @app.post("/pause", tags=["processes"])
-    async def pause_all(body: PauseRequest, definition: str | None = None) -> dict[str, Any]:
+    @app.post("/pause", tags=["processes"], responses={200: {"model": PausedProcesses}})
+    async def pause_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Pause all running processes, or those of a definition. Processes can still be started."""
         paused = await orchestrator.pause_all(
             ActKind.PAUSE, by=body.by.strip(), why=body.why, definition=definition
         )
-        return {"processes": paused}
+        return json_response({"processes": paused})
 
-    @app.post("/resume", tags=["processes"])
-    async def resume_all(body: PauseRequest, definition: str | None = None) -> dict[str, Any]:
+    @app.post("/resume", tags=["processes"], responses={200: {"model": PausedProcesses}})
+    async def resume_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Continue all paused processes, or those of a definition."""
         resumed = await orchestrator.pause_all(
             ActKind.RESUME, by=body.by.strip(), why=body.why, definition=definition
         )
-        return {"processes": resumed}
+        return json_response({"processes": resumed})
 
-    @app.post("/processes/{process_id}/variables", tags=["incidents"])
+    @app.post("/processes/{process_id}/variables", tags=["incidents"], responses=PROCESS)
     @max_body(MAX_PARAMETERS_BYTES)
-    async def set_variables(process_id: str, body: MendRequest) -> dict[str, Any]:
+    async def set_variables(process_id: str, body: MendRequest) -> Response:
         """Set variables of a running process."""
         return await mend(process_id, ActKind.SET_VARIABLES, None, body)
 
-    @app.post("/processes/{process_id}/tokens/{token}/retry", tags=["incidents"])
+    @app.post("/processes/{process_id}/tokens/{token}/retry", tags=["incidents"], responses=PROCESS)
     @max_body(MAX_PARAMETERS_BYTES)
-    async def retry_token(process_id: str, token: str, body: MendRequest) -> dict[str, Any]:
+    async def retry_token(process_id: str, token: str, body: MendRequest) -> Response:
         """Let a token with an incident try again: a failed Task is posted again, as a new Task."""
         return await mend(process_id, ActKind.RETRY, token, body)
 
-    @app.post("/processes/{process_id}/tokens/{token}/skip", tags=["incidents"])
+    @app.post("/processes/{process_id}/tokens/{token}/skip", tags=["incidents"], responses=PROCESS)
     @max_body(MAX_PARAMETERS_BYTES)
-    async def skip_token(process_id: str, token: str, body: MendRequest) -> dict[str, Any]:
+    async def skip_token(process_id: str, token: str, body: MendRequest) -> Response:
         """Let a token leave its element, as if that had been done with the variables as results."""
         return await mend(process_id, ActKind.SKIP, token, body)
 
-    @app.post("/processes/{process_id}/tokens/{token}/move", tags=["incidents"])
+    @app.post("/processes/{process_id}/tokens/{token}/move", tags=["incidents"], responses=PROCESS)
     @max_body(MAX_PARAMETERS_BYTES)
-    async def move_token(process_id: str, token: str, body: MoveRequest) -> dict[str, Any]:
+    async def move_token(process_id: str, token: str, body: MoveRequest) -> Response:
         """Move a token to another element of its scope; its present Task is cancelled."""
         return await mend(process_id, ActKind.MOVE, token, body)
 
-    @app.post("/processes/{process_id}/tokens/{token}/cancel", tags=["incidents"])
+    @app.post("/processes/{process_id}/tokens/{token}/cancel", tags=["incidents"], responses=PROCESS)
     @max_body(MAX_PARAMETERS_BYTES)
-    async def cancel_token(process_id: str, token: str, body: MendRequest) -> dict[str, Any]:
+    async def cancel_token(process_id: str, token: str, body: MendRequest) -> Response:
         """End a token where it is; the process ends if it was the last one."""
         return await mend(process_id, ActKind.CANCEL_BRANCH, token, body)
 

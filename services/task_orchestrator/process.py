@@ -416,7 +416,7 @@ class Process:
             return
         reason = message_in(change.outputs, "reason") or unhandled or NO_REASON
         if "\0" in reason or not isinstance(reason, MessageText):
-            reason = str(reason).replace("\0", "")  # PostgreSQL does not accept it
+            reason = str(reason).replace("\0", "") or NO_REASON  # PostgreSQL does not accept it
         code = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
         run.fail(task.token, None if code is None else str(code), reason, now)
 

@@ -311,7 +311,7 @@ class Act(TypedDict):
     at: str
     by: str | None
     verified: bool
-    act: Literal["cancel", "retry", "skip", "move", "cancelBranch", "setVariables"]
+    act: Literal["cancel", "retry", "skip", "move", "cancelBranch", "setVariables", "pause", "resume"]
     task: str | None
     element: str | None
     to: str | None

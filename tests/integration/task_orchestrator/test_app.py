@@ -1,15 +1,21 @@
 """The orchestrator's HTTP interface, while the broker is away and beside a real one."""
 
 import asyncio
+import json
+import re
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 import uvicorn
+from fastapi import FastAPI
+from fastapi.routing import APIRoute
+from pydantic import TypeAdapter
 
 from datamodels.times import iso
 from handover.broker import BrokerClient
@@ -34,12 +40,41 @@ def settings_in(folder: Path, **more: Any) -> OrchestratorSettings:
 
 @asynccontextmanager
 async def service(settings: OrchestratorSettings) -> AsyncIterator[httpx.AsyncClient]:
+    """A client of a service; every response to it is compared with its type."""
     app = make_app(settings)
+    transport = httpx.ASGITransport(app)
+    hooks = {"response": [partial(check_type, types_of(app))]}
     async with (
         app.router.lifespan_context(app),
-        httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://orchestrator") as client,
+        httpx.AsyncClient(transport=transport, base_url="http://orchestrator", event_hooks=hooks) as client,
     ):
         yield client
+
+
+def types_of(app: FastAPI) -> dict[tuple[str, str, int], TypeAdapter[Any]]:
+    """The declared types of the JSON responses, by method, pattern of the path and status."""
+    return {
+        (method, route.path_regex.pattern, int(status)): TypeAdapter(response["model"])
+        for route in app.routes
+        if isinstance(route, APIRoute)
+        for method in route.methods
+        for status, response in route.responses.items()
+    }
+
+
+async def check_type(types: dict[tuple[str, str, int], TypeAdapter[Any]], response: httpx.Response) -> None:
+    """Fail if a JSON response has no declared type, a member that its type lacks, or lacks one itself."""
+    asked = response.request
+    is_json = response.headers.get("content-type") == "application/json"
+    if not response.is_success or not is_json or asked.url.path in {"/healthz", "/readyz"}:
+        return
+    (declared,) = [
+        type_
+        for (method, path, status), type_ in types.items()
+        if (method, status) == (asked.method, response.status_code) and re.match(path, asked.url.path)
+    ]
+    body = await response.aread()
+    assert declared.validate_json(body, strict=True) == json.loads(body), f"{asked.method} {asked.url.path}"
 
 
 @pytest.fixture
@@ -154,8 +189,9 @@ async def test_a_file_can_be_tried_out_without_deploying_it(api: httpx.AsyncClie
     tried = await api.post("/definitions", content=drawing(ONE_STEP), params=dry, headers=XML)
     assert tried.status_code == 200
     process = {"name": "p", "version": 1, "title": "p", "created": True}
-    expected = {**process, "definitions": [process], "warnings": []}
-    assert {name: tried.json()[name] for name in expected} == expected
+    (line,) = tried.json()["allocation"]
+    assert (line["element"], line["performer"], line["warning"]) == ("work", "Device:glove-1", None)
+    assert tried.json() == {**process, "definitions": [process], "warnings": [], "allocation": [line]}
     assert (await api.get("/definitions/p")).status_code == 404
     await deployed(api)
     again = await api.post("/definitions", content=drawing(ONE_STEP), params=dry, headers=XML)
@@ -336,6 +372,51 @@ async def test_a_retry_that_cannot_be_says_why(api: httpx.AsyncClient) -> None:
     assert (unknown.status_code, nowhere.status_code) == (404, 404)
     for nobody in ({}, {"by": ""}, {"by": "  "}, {"by": "a\u0000"}, {"by": "a" * 201}, {"by": 7}, []):
         assert (await api.post(url, json=nobody)).status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("path", "more", "act"),
+    [
+        ("variables", {"variables": {"n": 3}}, "setVariables"),
+        ("tokens/{token}/retry", {}, "retry"),
+        ("tokens/{token}/skip", {"variables": {"n": 3}}, "skip"),
+        ("tokens/{token}/move", {"to": "end"}, "move"),
+        ("tokens/{token}/cancel", {}, "cancelBranch"),
+    ],
+)
+async def test_a_decision_about_an_incident_returns_the_process_with_the_act(
+    joined: httpx.AsyncClient, broker: BrokerClient, path: str, more: dict[str, Any], act: str
+) -> None:
+    await deployed(joined)
+    process = await failed(joined, broker)
+    (incident,) = process["incidents"]
+    answer = await joined.post(
+        f"/processes/{process['id']}/{path.format(token=incident['token'])}",
+        json={"by": "Anna", "why": "the part is in the box", **more},
+    )
+    assert answer.status_code == 200
+    (done,) = answer.json()["acts"]
+    assert (done["act"], done["by"], done["verified"]) == (act, "Anna", False)
+    assert (done["why"], done["to"]) == ("the part is in the box", more.get("to"))
+
+
+async def test_a_message_and_a_signal_that_no_process_waits_for_are_answered(api: httpx.AsyncClient) -> None:
+    message = await api.post("/messages", json={"name": "go", "ttl": "PT0S"})
+    assert message.json() == {"outcome": "discarded", "process": None}
+    assert (await api.post("/signals", json={"name": "siren"})).json() == {"processes": []}
+
+
+async def test_the_mapping_is_returned_with_the_person_who_confirmed_it(api: httpx.AsyncClient) -> None:
+    await deployed(api)
+    entries = [
+        {"kind": "lane", "name": "robots", "resource": "Device:ur10-1", "parameters": {"speed": 0.5}},
+        {"kind": "topic", "name": "grip", "skills": ["grip", "lift"], "definition": "grip"},
+        {"kind": "candidateGroup", "name": "quality", "role": "inspector"},
+    ]
+    assert (await api.get("/mapping")).json()["entries"] == []
+    stored = await api.put("/mapping", json={"by": "Anna", "why": "new cell", "entries": entries})
+    assert (stored.status_code, (await api.get("/mapping")).json()) == (200, stored.json())
+    assert stored.json()["entries"] == entries
 
 
 async def test_the_same_key_never_starts_a_second_process(

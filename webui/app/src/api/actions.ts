@@ -1,49 +1,44 @@
-/** The acts that more than one page offers. */
-import type { LiveEvent, ProcessView } from "~/live/messages";
+/** The actions that more than one page offers. */
+import type { LiveEvent } from "~/live/messages";
+import type { CancelRequest, MendRequest, MoveRequest, ProcessStart, ProcessView } from "./generated/task-orchestrator";
 import { request, requestService, type ProblemDetails } from "./http";
 
 export function startProcess(definition: string, parameters: Record<string, unknown> = {}, key?: string): Promise<ProcessView> {
-  const json = { definition, parameters, ...(key === undefined ? {} : { key }) };
+  const json: ProcessStart = { definition, parameters, ...(key === undefined ? {} : { key }) };
   return requestService("task-orchestrator", "processes", { method: "POST", json });
 }
 
-/** What a person decides about a token or the variables of a process: the name, the reason, and variables to set. */
-export interface Decision {
-  by: string;
-  why?: string;
-  variables?: Record<string, unknown>;
-}
-
 /** Let a token with an incident try again; a failed Task is posted again as a new Task. */
-export function retryToken(process: string, token: string, decision: Decision): Promise<ProcessView> {
+export function retryToken(process: string, token: string, decision: MendRequest): Promise<ProcessView> {
   return decide(process, `tokens/${encodeURIComponent(token)}/retry`, decision);
 }
 
 /** Let a token leave its element; the variables are the results. */
-export function skipToken(process: string, token: string, decision: Decision): Promise<ProcessView> {
+export function skipToken(process: string, token: string, decision: MendRequest): Promise<ProcessView> {
   return decide(process, `tokens/${encodeURIComponent(token)}/skip`, decision);
 }
 
 /** Move a token to another element of its scope. */
-export function moveToken(process: string, token: string, decision: Decision & { to: string }): Promise<ProcessView> {
+export function moveToken(process: string, token: string, decision: MoveRequest): Promise<ProcessView> {
   return decide(process, `tokens/${encodeURIComponent(token)}/move`, decision);
 }
 
 /** End a token where it is. */
-export function cancelToken(process: string, token: string, decision: Decision): Promise<ProcessView> {
+export function cancelToken(process: string, token: string, decision: MendRequest): Promise<ProcessView> {
   return decide(process, `tokens/${encodeURIComponent(token)}/cancel`, decision);
 }
 
-export function setVariables(process: string, decision: Decision): Promise<ProcessView> {
+export function setVariables(process: string, decision: MendRequest): Promise<ProcessView> {
   return decide(process, "variables", decision);
 }
 
-function decide(process: string, path: string, json: Decision): Promise<ProcessView> {
+function decide(process: string, path: string, json: MendRequest): Promise<ProcessView> {
   return requestService("task-orchestrator", `processes/${encodeURIComponent(process)}/${path}`, { method: "POST", json });
 }
 
 export function cancelProcess(process: string, by: string): Promise<ProcessView> {
-  return requestService("task-orchestrator", `processes/${encodeURIComponent(process)}/cancel`, { method: "POST", json: { by } });
+  const json: CancelRequest = { by };
+  return requestService("task-orchestrator", `processes/${encodeURIComponent(process)}/cancel`, { method: "POST", json });
 }
 
 export function startOperator(glove: string): Promise<unknown> {

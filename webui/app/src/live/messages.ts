@@ -231,7 +231,7 @@ export interface Act {
   at: string;
   by: string | null;
   verified: boolean;
-  act: "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables";
+  act: "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume";
   task: string | null;
   element: string | null;
   to: string | null;

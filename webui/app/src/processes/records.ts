@@ -1,41 +1,15 @@
-/** Records: processes and definitions as the orchestrator answers them, beyond what is live. */
+/** Requests to the orchestrator for processes and definitions. */
+import type { ProcessSummary, ProcessView } from "~/api/generated/task-orchestrator";
 import { requestService } from "~/api/http";
 import { useServiceQuery, type ServiceQuery } from "~/api/useServiceQuery";
 import { useTopic } from "~/live/hooks";
-import type { ElementCount, ProcessView } from "~/live/messages";
-import type { ProcessFilter, ProcessRow } from "./list/rows";
+import type { ProcessView as LiveProcess } from "~/live/messages";
+import type { ProcessFilter } from "./list/rows";
 
 export const SERVICE = "task-orchestrator";
 
-export interface Statistics {
-  version: number;
-  processes: { running: number; completed: number; failed: number };
-  elements: Record<string, ElementCount>;
-}
-
-/** A version of a definition with its activities, in the order of the file. */
-export interface DefinitionRecord {
-  name: string;
-  version: number;
-  title: string;
-  deployedAt: string;
-  activities: { id: string; name: string; lane: string | null; description: string | null }[];
-}
-
-/** What a deployment would lead to. */
-export interface Trial {
-  name: string;
-  version: number;
-  title: string;
-  created: boolean;
-  /** All processes of the file; the first is the one above. */
-  definitions: { name: string; version: number; title: string; created: boolean }[];
-  /** Parts of the file without effect, as faults are listed. */
-  warnings: unknown;
-}
-
-/** A process: live while it is, else as the orchestrator remembers it. */
-export function useProcess(id: string): ServiceQuery<ProcessView> {
+/** A process: its live view if there is one, otherwise the response of the orchestrator. */
+export function useProcess(id: string): ServiceQuery<LiveProcess> {
   const live = useTopic(`process/${id}`);
   const asked = useServiceQuery<ProcessView>(SERVICE, live === undefined ? `processes/${encodeURIComponent(id)}` : null);
   return live === undefined ? asked : { ...asked, value: live, failure: null, missing: false };
@@ -56,7 +30,7 @@ export function processesBefore(
   limit: number,
   filter: ProcessFilter,
   search = "",
-): Promise<ProcessRow[]> {
+): Promise<ProcessSummary[]> {
   const [definition = "", version = ""] = filter.definition.split("@");
   const status = filter.status === "incident" ? "inProgress" : filter.status;
   const asked = { before: before ?? "", status, definition, version, involves: filter.involves, search };

@@ -5,6 +5,7 @@ import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import { attentionOf } from "~/alerts/attention";
 import { useAlertTitle } from "~/alerts/titles";
+import type { PeriodStatistics } from "~/api/generated/task-orchestrator";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { RelativeTime } from "~/design/RelativeTime";
 import { Button } from "~/design/Button";
@@ -68,18 +69,11 @@ function useFirstSteps(): [boolean, (dismissed?: boolean) => void] {
   return [kept === "dismissed" || (kept === null && isFollowed), dismiss];
 }
 
-interface DayCounts {
-  running: number;
-  completed: number;
-  failed: number;
-  medianMs: number | null;
-}
-
 /** The counts of the processes that ended today. */
-function useDay(): DayCounts | null {
+function useDay(): PeriodStatistics | null {
   const ended = useFamily("process").filter((process) => process.endedAt !== null).map((process) => process.id).join();
   const path = `statistics?since=${encodeURIComponent(startOfDay(useNow()))}`;
-  return useServiceQuery<DayCounts>("task-orchestrator", path, { revision: ended, intervalMs: POLL_INTERVAL_MS }).value;
+  return useServiceQuery<PeriodStatistics>("task-orchestrator", path, { revision: ended, intervalMs: POLL_INTERVAL_MS }).value;
 }
 
 function Day() {

@@ -1,17 +1,14 @@
 /** The activities of a definition as a table: their lanes, counts and durations. */
 import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
+import type { DefinitionActivity, ElementCounts } from "~/api/generated/task-orchestrator";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
 import { duration } from "~/design/times";
-import type { ElementCount } from "~/live/messages";
-import type { DefinitionRecord } from "../records";
-
-type Activity = DefinitionRecord["activities"][number];
 
 export interface ActivitiesProps {
-  activities: readonly Activity[];
-  counts: Readonly<Record<string, ElementCount>>;
+  activities: readonly DefinitionActivity[];
+  counts: Readonly<Record<string, ElementCounts>>;
   onPick: (element: string) => void;
 }
 
@@ -33,20 +30,20 @@ export function Activities({ activities, counts, onPick }: ActivitiesProps) {
   );
 }
 
-function nameOf(activity: Activity): string {
+function nameOf(activity: DefinitionActivity): string {
   return activity.name === "" ? activity.id : activity.name;
 }
 
-function useColumns(counts: ActivitiesProps["counts"]): readonly Column<Activity>[] {
+function useColumns(counts: ActivitiesProps["counts"]): readonly Column<DefinitionActivity>[] {
   const { t, i18n } = useTranslation("processes");
   return useMemo(() => {
-    const count = (id: "running" | "completed" | "failed"): Column<Activity> => {
-      const of = (activity: Activity) => counts[activity.id]?.[id] ?? 0;
+    const count = (id: "running" | "completed" | "failed"): Column<DefinitionActivity> => {
+      const of = (activity: DefinitionActivity) => counts[activity.id]?.[id] ?? 0;
       return { id, name: t(`activities.${id}`), width: "minmax(84px, 0.7fr)", isNumber: true, isDescendingFirst: true, sortBy: of, cell: of };
     };
-    const time = (id: "last" | "median", member: "lastMs" | "medianMs"): Column<Activity> => {
-      const of = (activity: Activity) => counts[activity.id]?.[member] ?? null;
-      const cell = (activity: Activity) => {
+    const time = (id: "last" | "median", member: "lastMs" | "medianMs"): Column<DefinitionActivity> => {
+      const of = (activity: DefinitionActivity) => counts[activity.id]?.[member] ?? null;
+      const cell = (activity: DefinitionActivity) => {
         const ms = of(activity);
         return ms === null ? "–" : duration(ms, i18n.language);
       };

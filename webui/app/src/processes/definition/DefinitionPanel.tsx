@@ -3,6 +3,7 @@ import { Download, Play } from "lucide-react";
 import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { download } from "~/api/download";
+import type { DefinitionWithActivities, VersionStatistics } from "~/api/generated/task-orchestrator";
 import { requestService, errorText } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { RelativeTime } from "~/design/RelativeTime";
@@ -16,7 +17,7 @@ import type { DefinitionView } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
 import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
-import { bpmnPath, SERVICE, useBpmn, type DefinitionRecord, type Statistics } from "../records";
+import { bpmnPath, SERVICE, useBpmn } from "../records";
 import { Activities } from "./Activities";
 import "./DefinitionPanel.css";
 
@@ -33,7 +34,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
   const latest = useTopic(`definition/${name}`);
   const version = Number.parseInt(asked, 10) || (latest?.version ?? null);
   const path = `definitions/${encodeURIComponent(name)}`;
-  const record = useServiceQuery<DefinitionRecord & { unusable?: string } & DefinitionView>(
+  const record = useServiceQuery<DefinitionWithActivities>(
     SERVICE,
     version === null ? path : `${path}?version=${version}`,
   );
@@ -85,13 +86,13 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
   );
 }
 
-function Body({ definition }: { definition: DefinitionRecord & DefinitionView }) {
+function Body({ definition }: { definition: DefinitionWithActivities }) {
   const { t } = useTranslation("processes");
   const words = useMarkWords("all");
   const bpmn = useBpmn(definition.name, definition.version);
   const turn = useTurns(definition.name);
   const path = `definitions/${encodeURIComponent(definition.name)}/statistics?version=${definition.version}`;
-  const statistics = useServiceQuery<Statistics>(SERVICE, path, { revision: turn });
+  const statistics = useServiceQuery<VersionStatistics>(SERVICE, path, { revision: turn });
   const elements = statistics.value?.elements;
   const marks = useMemo(() => marksOfStatistics(elements ?? {}, words), [elements, words]);
   const [centred, setCentred] = useState<{ element: string; at: number } | null>(null);
@@ -118,7 +119,7 @@ function Body({ definition }: { definition: DefinitionRecord & DefinitionView })
   );
 }
 
-function Counts({ statistics }: { statistics: Statistics }) {
+function Counts({ statistics }: { statistics: VersionStatistics }) {
   const { t } = useTranslation("processes");
   const { running, completed, failed } = statistics.processes;
   return (

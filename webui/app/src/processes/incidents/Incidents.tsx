@@ -2,7 +2,8 @@
 import { ArrowRightLeft, Ban, Braces, SkipForward, TriangleAlert } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
-import { cancelToken, moveToken, retryToken, skipToken, type Decision } from "~/api/actions";
+import { cancelToken, moveToken, retryToken, skipToken } from "~/api/actions";
+import type { MendRequest } from "~/api/generated/task-orchestrator";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
 import { RelativeTime } from "~/design/RelativeTime";
@@ -124,7 +125,7 @@ function MovePanel({ process, moving, elements, onMove, onTarget }: MovePanelPro
   const step = incidentName(incident, elements);
   const chosen = targets.find(({ id }) => id === to);
   const target = chosen === undefined ? to : chosen.name || chosen.id;
-  const move = async (decision: Decision) => {
+  const move = async (decision: MendRequest) => {
     await moveToken(process.id, incident.token, { ...decision, to });
     onMove(null);
   };

@@ -1,7 +1,7 @@
 /** Asks for what is recorded with an act on a process: the variables that it sets, the name and the reason. */
 import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
-import type { Decision } from "~/api/actions";
+import type { MendRequest } from "~/api/generated/task-orchestrator";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
 import { TextBox } from "~/design/TextBox";
@@ -19,7 +19,7 @@ export interface MendDialogProps {
   variables?: { label: string; hint: string; before: Readonly<Record<string, unknown>>; isRequired?: boolean };
   children?: ReactNode;
   onClose: () => void;
-  onAct: (decision: Decision) => Promise<unknown>;
+  onAct: (decision: MendRequest) => Promise<unknown>;
 }
 
 const MAX_ROWS = 14;

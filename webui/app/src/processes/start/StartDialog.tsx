@@ -2,10 +2,11 @@
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { startProcess } from "~/api/actions";
+import type { ProcessStart, ProcessView } from "~/api/generated/task-orchestrator";
 import { requestService, ApiError } from "~/api/http";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
-import type { DefinitionView, ProcessView } from "~/live/messages";
+import type { DefinitionView } from "~/live/messages";
 import { Select } from "~/design/Select";
 import { filledIn, initialText, kindOf, parameterIn, type Parameter } from "./parameters";
 import "./StartDialog.css";
@@ -95,6 +96,6 @@ function ParameterField({ parameter, text, error, onChange }: ParameterFieldProp
 
 function begun(name: string, version: number | null, values: Record<string, unknown>, key: string): Promise<ProcessView> {
   if (version === null) return startProcess(name, values, key);
-  const json = { definition: name, version, parameters: values, key };
+  const json: ProcessStart = { definition: name, version, parameters: values, key };
   return requestService("task-orchestrator", "processes", { method: "POST", json });
 }

@@ -3,6 +3,7 @@ import { FileCheck2, FileUp } from "lucide-react";
 import { lazy, Suspense, useEffect, useMemo, useState } from "react";
 import { FileTrigger } from "react-aria-components";
 import { useTranslation } from "react-i18next";
+import type { Deployment, DeploymentCheck } from "~/api/generated/task-orchestrator";
 import { requestService, errorText, ApiError } from "~/api/http";
 import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
@@ -10,7 +11,6 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import type { DefinitionView } from "~/live/messages";
 import { marksOfFaults, withPicked } from "../diagram/marks";
-import type { Trial } from "../records";
 import { faultsOf, listedFaults, type BpmnFault } from "./faults";
 import { textOf } from "./file";
 import "./UploadPanel.css";
@@ -28,7 +28,7 @@ export interface UploadPanelProps {
 interface Looked {
   file: File;
   xml: string;
-  trial: Trial | null;
+  check: DeploymentCheck | null;
   faults: BpmnFault[];
   warnings: BpmnFault[];
   failure: string | null;
@@ -86,23 +86,23 @@ function Verdict({ looked, onDeployed }: { looked: Looked; onDeployed: (definiti
   const { t } = useTranslation("processes");
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
-  const { trial, faults } = looked;
+  const { check, faults } = looked;
   if (looked.failure !== null) return <ErrorMessage>{t("upload.untried", { why: looked.failure })}</ErrorMessage>;
-  if (trial === null) return <StatusBadge tone="stop">{t("upload.faulty", { count: faults.length })}</StatusBadge>;
+  if (check === null) return <StatusBadge tone="stop">{t("upload.faulty", { count: faults.length })}</StatusBadge>;
   const deploy = () => {
     setBusy(true);
     setFailure(null);
-    requestService<DefinitionView>("task-orchestrator", "definitions", { method: "POST", body: looked.file, type: "application/xml" })
+    requestService<Deployment>("task-orchestrator", "definitions", { method: "POST", body: looked.file, type: "application/xml" })
       .then(onDeployed, (error: unknown) => setFailure(errorText(error)))
       .finally(() => setBusy(false));
   };
   return (
     <>
-      {trial.definitions.length > 1 && <p className="quiet">{t("upload.several", { titles: trial.definitions.map(({ title }) => title).join(", ") })}</p>}
-      <StatusBadge tone="ok">{t(trial.created ? "upload.fine" : "upload.known", { title: trial.title, version: trial.version })}</StatusBadge>
+      {check.definitions.length > 1 && <p className="quiet">{t("upload.several", { titles: check.definitions.map(({ title }) => title).join(", ") })}</p>}
+      <StatusBadge tone="ok">{t(check.created ? "upload.fine" : "upload.known", { title: check.title, version: check.version })}</StatusBadge>
       {looked.warnings.length > 0 && <StatusBadge tone="attention">{t("upload.warned", { count: looked.warnings.length })}</StatusBadge>}
       <Button kind="main" icon={<FileCheck2 aria-hidden size={18} />} isDisabled={busy} onPress={deploy}>
-        {t(trial.created ? "upload.deploy" : "upload.see", { title: trial.title, version: trial.version })}
+        {t(check.created ? "upload.deploy" : "upload.see", { title: check.title, version: check.version })}
       </Button>
       {failure !== null && <ErrorMessage>{t("upload.untried", { why: failure })}</ErrorMessage>}
     </>
@@ -192,14 +192,14 @@ function Fault({ fault, number }: { fault: BpmnFault; number: number }) {
 
 /** Read a file and have the orchestrator try it; nothing is deployed. */
 async function look(file: File): Promise<Looked> {
-  const seen = { file, xml: await textOf(file), trial: null, faults: [], warnings: [], failure: null };
+  const seen = { file, xml: await textOf(file), check: null, faults: [], warnings: [], failure: null };
   try {
-    const trial = await requestService<Trial>("task-orchestrator", "definitions?dry=true", {
+    const check = await requestService<DeploymentCheck>("task-orchestrator", "definitions?dry=true", {
       method: "POST",
       body: file,
       type: "application/xml",
     });
-    return { ...seen, trial, warnings: listedFaults(trial.warnings) };
+    return { ...seen, check, warnings: listedFaults(check.warnings) };
   } catch (error) {
     if (error instanceof ApiError && error.problem.status === 422) {
       return { ...seen, faults: faultsOf(error), warnings: listedFaults(error.problem["warnings"]) };

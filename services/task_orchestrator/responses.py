@@ -1,0 +1,296 @@
+"""The responses of the REST interface. The page's TypeScript types are generated from them.
+
+The routes return JSON without a validation by these types, which would cost time in long lists. The
+integration tests validate every response.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NotRequired
+
+from pydantic_core import to_json
+from starlette.responses import Response
+from typing_extensions import TypedDict
+
+from datamodels.entities import TaskStatus
+from services.task_orchestrator.allocation.mapping import NameKind
+from services.task_orchestrator.records import ActKind, MessageOutcome
+
+
+def json_response(content: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Response:
+    """Return `content` as JSON."""
+    return Response(to_json(content, inf_nan_mode="null"), media_type="application/json")
+
+
+class DefinitionParameter(TypedDict):
+    """A parameter of a process definition."""
+
+    name: str
+    required: bool
+    default: Any
+
+
+class DefinitionView(TypedDict):
+    """A version of a definition; `unusable` is the reason why this release cannot run it."""
+
+    name: str
+    version: int
+    label: str | None
+    title: str
+    deployedAt: str
+    parameters: list[DefinitionParameter]
+    unusable: NotRequired[str]
+
+
+class DefinitionActivity(TypedDict):
+    """An activity of a definition."""
+
+    id: str
+    name: str
+    definition: str | None
+    lane: str | None
+    description: str | None
+
+
+class DefinitionWithActivities(DefinitionView):
+    """A version of a definition with its activities, in the order of the file."""
+
+    activities: list[DefinitionActivity]
+
+
+class BpmnWarning(TypedDict):
+    """A part of a BPMN file that has no effect; the page translates `message` by its code and parameters."""
+
+    element: str | None
+    name: str | None
+    line: int | None
+    message: str
+    messageCode: NotRequired[str]
+    messageParameters: NotRequired[dict[str, Any]]
+
+
+class ActivityAllocation(TypedDict):
+    """The performer of an activity as far as it is known before a process runs, the reason, and a warning."""
+
+    process: str
+    element: str
+    name: str
+    definition: str | None
+    performer: str | None
+    reason: str
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+    warning: str | None
+    warningCode: NotRequired[str]
+    warningParameters: NotRequired[dict[str, Any]]
+
+
+class Deployment(DefinitionView):
+    """The definitions of a deployed file; the first of them is also the response itself."""
+
+    definitions: list[DefinitionView]
+    warnings: list[BpmnWarning]
+    allocation: list[ActivityAllocation]
+
+
+class CheckedDefinition(TypedDict):
+    """A definition of a checked file; `created` is false if this version is deployed already."""
+
+    name: str
+    version: int
+    title: str
+    created: bool
+
+
+class DeploymentCheck(CheckedDefinition):
+    """The result that a deployment would have; the first definition is also the response itself."""
+
+    definitions: list[CheckedDefinition]
+    warnings: list[BpmnWarning]
+    allocation: list[ActivityAllocation]
+
+
+class ElementCounts(TypedDict):
+    """The counts of a BPMN activity; durations are from creation to end."""
+
+    running: int
+    completed: int
+    failed: int
+    lastMs: int | None
+    medianMs: int | None
+
+
+class ProcessCounts(TypedDict):
+    """The number of processes by state."""
+
+    running: int
+    completed: int
+    failed: int
+
+
+class VersionStatistics(TypedDict):
+    """The statistics of a version."""
+
+    name: str
+    version: int
+    processes: ProcessCounts
+    elements: dict[str, ElementCounts]
+
+
+class PeriodStatistics(ProcessCounts):
+    """The statistics of a period."""
+
+    medianMs: int | None
+
+
+class Reason(TypedDict):
+    """A reason; the page translates it by its code and parameters."""
+
+    reason: str | None
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+
+
+class IncidentView(TypedDict):
+    """A token that cannot continue at `element`; `task` is the failed Task if one is the reason.
+
+    `element` is the path `call.element` in a called process. `code` is the error code of the performer.
+    """
+
+    token: str
+    element: str
+    name: str
+    reason: str
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+    since: str
+    task: str | None
+    code: str | None
+
+
+class ProcessSummary(Reason):
+    """A process as an element of a list; `retry` is the first failed Task among the incidents."""
+
+    id: str
+    entity: str
+    definition: str
+    version: int
+    title: str
+    key: str | None
+    status: TaskStatus
+    startedAt: str
+    endedAt: str | None
+    archivedAt: str | None
+    waiting: list[str]
+    incidents: list[IncidentView]
+    retry: str | None
+
+
+class NextActivity(TypedDict):
+    """An activity that may follow; `involves` has the URNs of the resources that are known."""
+
+    element: str
+    name: str
+    description: str | None
+    lane: str | None
+    involves: list[str]
+
+
+class StatusChange(TypedDict):
+    """A status of a Task, and when it was reached."""
+
+    status: TaskStatus
+    at: str
+
+
+class TaskView(Reason):
+    """A Task of a process; `allocated` is the reason why its performer was chosen."""
+
+    id: str
+    element: str
+    name: str
+    visit: int
+    description: str | None
+    status: TaskStatus
+    involves: list[str]
+    allocated: str | None
+    allocatedCode: NotRequired[str]
+    allocatedParameters: NotRequired[dict[str, Any]]
+    workParameters: dict[str, Any]
+    outputParameters: dict[str, Any] | None
+    createdAt: str
+    deadline: str | None
+    endedAt: str | None
+    cancelled: bool
+    history: list[StatusChange]
+
+
+class ActView(TypedDict):
+    """An action of a person on a process; nobody has verified the name `by` while `verified` is false.
+
+    `to` is the element that a token was moved to, `values` are the variables that were set.
+    """
+
+    at: str
+    by: str | None
+    verified: bool
+    act: ActKind
+    task: str | None
+    element: str | None
+    to: str | None
+    why: str | None
+    values: dict[str, Any] | None
+
+
+class ProcessView(ProcessSummary):
+    """A process with all details; `done` of its `activities` were completed at least once."""
+
+    parameters: dict[str, Any]
+    variables: dict[str, Any]
+    next: list[NextActivity]
+    done: int
+    activities: int
+    elements: dict[str, ElementCounts]
+    acts: list[ActView]
+    tasks: list[TaskView]
+
+
+class MappedName(TypedDict):
+    """An entry of the mapping: a name in process files, and its resource, its role or its skills."""
+
+    kind: NameKind
+    name: str
+    resource: NotRequired[str]
+    role: NotRequired[str]
+    skills: NotRequired[list[str]]
+    definition: NotRequired[str]
+    parameters: NotRequired[dict[str, Any]]
+
+
+class MappingView(TypedDict):
+    """A version of the mapping; nobody has verified the name `by` while `verified` is false."""
+
+    version: int
+    by: str | None
+    verified: bool
+    why: str | None
+    at: str | None
+    entries: list[MappedName]
+
+
+class SentMessage(TypedDict):
+    """The outcome of a message, and the process that it reached or started."""
+
+    outcome: MessageOutcome
+    process: str | None
+
+
+class SentSignal(TypedDict):
+    """The processes that a signal reached or started."""
+
+    processes: list[str]
+
+
+class PausedProcesses(TypedDict):
+    """The processes that were paused or resumed."""
+
+    processes: list[str]
