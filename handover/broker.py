@@ -74,11 +74,11 @@ class BrokerClient:
             transport=self._transport,
             trust_env=False,
         )
-        # A robot may be updated hundreds of times a second, so everything but the body is built once.
-        self._upsert = self._http.build_request(
-            "POST", "/entityOperations/upsert", params={"options": "update"}, headers={"Content-Type": JSON}
-        )
-        del self._upsert.headers["Content-Length"]
+        # A robot may be updated hundreds of times a second, so the headers are built once.
+        self._prepared = self._http.build_request("GET", "")
+        self._with_body = self._http.build_request("POST", "", headers={"Content-Type": JSON})
+        del self._with_body.headers["Content-Length"]
+        self._base = str(self._prepared.url).rstrip("/")
 
     async def __aenter__(self) -> Self:
         return self
@@ -146,16 +146,20 @@ class BrokerClient:
 
     async def upsert(self, entities: Sequence[Entity | NgsiLd]) -> None:
         """Create the entities, or update the given attributes of existing ones, in one batch."""
-        made = self._upsert
-        request = httpx.Request(
-            made.method,
-            made.url,
-            headers=made.headers,
-            content=orjson.dumps([_as_ngsild(entity) for entity in entities]),
-            extensions=made.extensions,
-        )
-        response = await self._answer(self._send_directly(request), "POST /entityOperations/upsert")
-        _require_all_done(response, "errors", _batch_error)
+        _require_all_done(await self._send_upsert(entities), "errors", _batch_error)
+
+    async def upsert_batch(self, entities: Sequence[Entity | NgsiLd]) -> frozenset[str]:
+        """Create or update entities as `upsert` does; return the ids of those that were refused."""
+        return _refused(await self._send_upsert(entities))
+
+    async def _send_upsert(self, entities: Sequence[Entity | NgsiLd]) -> httpx.Response:
+        body = [_as_ngsild(entity) for entity in entities]
+        return await self._call("POST", "/entityOperations/upsert", params={"options": "update"}, body=body)
+
+    async def create_batch(self, entities: Sequence[Entity | NgsiLd]) -> frozenset[str]:
+        """Create entities in one request; return the ids of those that exist already or were refused."""
+        body = [_as_ngsild(entity) for entity in entities]
+        return _refused(await self._call("POST", "/entityOperations/create", body=body))
 
     async def delete(self, entity_id: str) -> None:
         """Delete an entity; raise `NotFound` if there is none."""
@@ -205,10 +209,16 @@ class BrokerClient:
     async def _call(
         self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None
     ) -> httpx.Response:
-        content = None if body is None else orjson.dumps(body)
-        headers = {} if body is None else {"Content-Type": JSON}
-        asking = self._http.request(method, path, params=params, content=content, headers=headers)
-        return await self._answer(asking, f"{method} {path}")
+        prepared = self._prepared if body is None else self._with_body
+        request = httpx.Request(
+            method,
+            f"{self._base}{path}",
+            params=params,
+            headers=prepared.headers,
+            content=None if body is None else orjson.dumps(body),
+            extensions=prepared.extensions,
+        )
+        return await self._answer(self._send_directly(request), f"{method} {path}")
 
     async def _send_directly(self, request: httpx.Request) -> httpx.Response:
         """Send a request without redirects, cookies and credentials, which brokers do not use."""
@@ -269,6 +279,16 @@ def _require_all_done(
         failures = [each for each in orjson.loads(answer.content).get(undone, []) if not is_ignored(each)]
         if failures:
             raise BrokerError(400, "Refused in part", "; ".join(map(describe, failures)))
+
+
+def _refused(answer: httpx.Response) -> frozenset[str]:
+    """Return the ids of the entities that a batch operation refused; raise `BrokerError` if one has no id."""
+    if answer.status_code != httpx.codes.MULTI_STATUS:
+        return frozenset()
+    errors = orjson.loads(answer.content).get("errors", [])
+    if not all(isinstance(error.get("entityId"), str) for error in errors):
+        raise BrokerError(400, "Refused in part", "; ".join(map(_batch_error, errors)))
+    return frozenset(error["entityId"] for error in errors)
 
 
 def _as_ngsild(entity: Entity | NgsiLd) -> NgsiLd:

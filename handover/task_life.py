@@ -6,6 +6,7 @@ applies states, not events: it may miss steps, but never goes back in time.
 """
 
 from collections.abc import Mapping
+from functools import cache
 
 from datamodels.entities import Task, TaskStatus
 
@@ -26,6 +27,7 @@ def is_legal(before: TaskStatus, after: TaskStatus) -> bool:
     return after in _NEXT[before]
 
 
+@cache
 def is_reachable(before: TaskStatus, after: TaskStatus) -> bool:
     """Return whether `after` can follow `before` by one or more legal steps, observed or not."""
     seen: set[TaskStatus] = set()

@@ -3,8 +3,9 @@
 The database is authoritative. After a failed transaction the affected processes are loaded from it again.
 """
 
-from collections.abc import Awaitable, Callable, Iterable, Iterator
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from datetime import datetime
+from heapq import heapify, heappop, heappush
 from typing import Any
 
 from prometheus_client import Counter
@@ -23,6 +24,8 @@ log = get_logger(__name__)
 
 ENDED = Counter("handover_orchestrator_processes_total", "Processes that have ended", ["status"])
 
+MIN_QUEUE = 1000
+"""Entries of the queue of timers that may be out of date before it is built again."""
 OnDisk = Callable[..., Awaitable[Any]]
 """Runs a blocking action of the store in the one thread that may."""
 
@@ -46,6 +49,8 @@ class ActiveProcesses:
         self.processes: dict[str, Process] = {}
         self._owners: dict[str, str] = {}
         self._dues: dict[str, datetime] = {}
+        self._queue: list[tuple[datetime, str]] = []
+        """A heap of `_dues`, with entries that are out of date."""
         self._stale: set[str] = set()
         self._handover_timer = HandoverTimer()
         self.on_loaded: Callable[[Process], None] = lambda _: None
@@ -60,6 +65,10 @@ class ActiveProcesses:
         """Return the process of a Task that has not ended."""
         return self.processes.get(self._owners.get(task_id, ""))
 
+    def task_ids(self) -> tuple[str, ...]:
+        """Return the ids of the Tasks that have not ended, as the database has them."""
+        return tuple(self._owners)
+
     def open_tasks(self) -> Iterator[TaskRecord]:
         """Yield the Tasks that have not ended."""
         for process in self.processes.values():
@@ -72,11 +81,13 @@ class ActiveProcesses:
     def postpone(self, process_id: str, until: datetime) -> None:
         """Regard the timers of a process as due at `until`, since they could not be processed."""
         if process_id in self._dues:
-            self._dues[process_id] = until
+            self._set_next(process_id, until)
 
     def next_due(self) -> datetime | None:
         """Return when the next timer is due."""
-        return min(self._dues.values(), default=None)
+        while self._queue and self._dues.get(self._queue[0][1]) != self._queue[0][0]:
+            heappop(self._queue)
+        return self._queue[0][0] if self._queue else None
 
     def mark_stale(self, process_ids: Iterable[str]) -> None:
         """Mark processes to be loaded again by `refresh`: a step with them was not written."""
@@ -84,8 +95,11 @@ class ActiveProcesses:
 
     async def load_unfinished(self) -> None:
         """Load all unfinished processes."""
-        for record in await self._on_disk(self._store.unfinished):
-            await self._load(record)
+        records = await self._on_disk(self._store.unfinished)
+        tasks = await self._on_disk(self._store.unfinished_tasks)
+        ids = await self._on_disk(self._store.task_ids, [record.id for record in records])
+        for record in records:
+            await self._resume(record, tasks.get(record.id, ()), ids[record.id])
 
     async def refresh(self) -> None:
         """Load the stale processes from the database."""
@@ -128,12 +142,28 @@ class ActiveProcesses:
 
     async def _load(self, record: ProcessRecord, *, include_over: bool = False) -> None:
         tasks = await self._on_disk(self._store.tasks, record.id)
+        await self._resume(record, tasks, None, include_over=include_over)
+
+    async def _resume(
+        self,
+        record: ProcessRecord,
+        tasks: Sequence[TaskRecord],
+        all_tasks: Sequence[str] | None,
+        *,
+        include_over: bool = False,
+    ) -> None:
         try:
             definition = self._registry.record(record.definition, record.version)
             await self._registry.prepare(definition)
             plan = self._registry.plan_of(definition)
             process = Process.resume(
-                self._settings, plan, record, tasks, self._registry, allocator=self._allocator
+                self._settings,
+                plan,
+                record,
+                tasks,
+                self._registry,
+                allocator=self._allocator,
+                all_tasks=all_tasks,
             )
         except HandoverError as error:
             log.critical("process not resumed", process=record.id, error=str(error))
@@ -149,8 +179,16 @@ class ActiveProcesses:
 
     def _set_due(self, process: Process) -> None:
         self._dues.pop(process.record.id, None)
-        for timer in process.timers()[:1]:
-            self._dues[process.record.id] = timer.due
+        due = process.next_due()
+        if due is not None:
+            self._set_next(process.record.id, due)
+
+    def _set_next(self, process_id: str, due: datetime) -> None:
+        self._dues[process_id] = due
+        heappush(self._queue, (due, process_id))
+        if len(self._queue) > 2 * len(self._dues) + MIN_QUEUE:
+            self._queue = [(due, process_id) for process_id, due in self._dues.items()]
+            heapify(self._queue)
 
     def _remove(self, process_id: str) -> None:
         self._dues.pop(process_id, None)

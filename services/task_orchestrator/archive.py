@@ -23,14 +23,13 @@ from typing import Any
 from prometheus_client import Counter
 from sqlalchemy.exc import SQLAlchemyError
 
-from datamodels.entities import TaskStatus
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import Problem
 from handover.resync import Resync
-from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
+from services.task_orchestrator.reconcile import UNFINISHED
 
 log = get_logger(__name__)
 
@@ -42,8 +41,6 @@ CHECK_EVERY_ROUNDS = 6
 """The unfinished Tasks of the broker are compared with the database once in so many `reconcile_s`."""
 CHECK_ALL_EVERY_S = 3600.0
 MIN_CHECK_PAUSE_S = 0.5
-
-UNFINISHED = "status==" + ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
 
 ARCHIVED = Counter("handover_orchestrator_processes_archived_total", "Processes deleted from the broker")
 REAPPEARED = Counter(

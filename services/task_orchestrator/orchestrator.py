@@ -7,7 +7,7 @@ that commits 200 times a second does not limit the orchestrator to 200 changes.
 import asyncio
 import secrets
 import signal
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -426,8 +426,10 @@ class Orchestrator:
             process.resume_work(act, step, now)
 
     def _started_with(self, key: str | None) -> Process | None:
+        if key is None:
+            return None
         begun = self.active_processes.processes.values()
-        return next((process for process in begun if key is not None and process.record.key == key), None)
+        return next((process for process in begun if process.record.key == key), None)
 
     # Received changes and due timers
 
@@ -448,24 +450,39 @@ class Orchestrator:
     def changed_tasks(self, entities: Iterable[Mapping[str, Any]]) -> list[Task]:
         """Return the Tasks of the orchestrator among `entities` that have changed."""
         tasks = []
-        for entity in entities:
-            owner = self.active_processes.owner(str(entity.get("id")))
-            if owner is None:
-                RECEIVED.labels("foreign").inc()
-                if not _is_finished(entity):
-                    self.on_unowned()  # an ended Task of the orchestrator may have reappeared
-                continue
+        for entity in self._select_changed(entities):
             try:
                 task = Task.from_ngsild(entity)
             except ValueError as error:
                 RECEIVED.labels("unreadable").inc()
                 log.warning("task does not match the data model", task=entity.get("id"), error=str(error))
                 continue
-            if owner.is_news(task):
+            owner = self.active_processes.owner(task.id)
+            if owner is not None and owner.is_news(task):
                 tasks.append(task)
             else:
                 RECEIVED.labels("known").inc()
         return tasks
+
+    def changed_ids(self, entities: Iterable[Mapping[str, Any]]) -> list[str]:
+        """Return the ids of the Tasks of the orchestrator among `entities` with another status than known.
+
+        Only `id` and `status` are looked at.
+        """
+        return [str(entity["id"]) for entity in self._select_changed(entities)]
+
+    def _select_changed(self, entities: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+        for entity in entities:
+            task_id = str(entity.get("id"))
+            owner = self.active_processes.owner(task_id)
+            if owner is None:
+                RECEIVED.labels("foreign").inc()
+                if not _is_finished(entity):
+                    self.on_unowned()  # an ended Task of the orchestrator may have reappeared
+            elif _status(entity) == owner.tasks[task_id].status.value:
+                RECEIVED.labels("known").inc()
+            else:
+                yield entity
 
     async def change(self, act: Callable[[Step], T]) -> T:
         """Apply `act` in the next step and return its result once the step is in the database."""
@@ -532,12 +549,12 @@ class Orchestrator:
             step.start_timers[definition] = tuple(kept)
 
     def awaited(self) -> list[str]:
-        """Return the ids of the open Tasks that the broker must have."""
+        """Return the ids of the open Tasks that the broker must have.
+
+        Tasks of a step that is not written yet are none of them.
+        """
         return [
-            task_id
-            for process in self.active_processes.processes.values()
-            for task_id in process.tasks
-            if not self.outbox.is_pending(task_id)
+            task_id for task_id in self.active_processes.task_ids() if not self.outbox.is_pending(task_id)
         ]
 
     # Deletion of ended entities from the broker
@@ -808,9 +825,13 @@ def check_variables(variables: Mapping[str, Any]) -> None:
 
 
 def _is_finished(entity: Mapping[str, Any]) -> bool:
+    return _status(entity) in FINISHED
+
+
+def _status(entity: Mapping[str, Any]) -> str | None:
     status = entity.get("status")
     value = status.get("value") if isinstance(status, Mapping) else None
-    return isinstance(value, str) and value in FINISHED
+    return value if isinstance(value, str) else None
 
 
 def _answer(change: _PendingChange, answer: Any) -> None:

@@ -3,11 +3,16 @@
 Messages of one stream (one process) are delivered in order, streams in parallel. While the broker is
 unavailable they wait. A message that the broker refuses is reported to the orchestrator. After a crash a
 message may be delivered twice; every kind of message is idempotent.
+
+New and updated entities of many streams are written together: a round takes the first messages of the streams
+that are ready, and writes all new entities in one request, then all updated ones. A message that fails within
+a round is delivered alone, with retries, before its stream takes part in a round again.
 """
 
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
+from itertools import chain, islice
 from typing import Self
 
 from prometheus_client import Counter, Gauge
@@ -27,12 +32,17 @@ from services.task_orchestrator.records import Message, MessageKind
 log = get_logger(__name__)
 
 INITIAL_RETRY_S = 0.05
+MAX_BATCH = 100
+"""Messages in one request."""
+ROUNDS = 2
+"""Concurrent rounds; a stream takes part in one at a time."""
 
 PENDING = Gauge("handover_orchestrator_outbox_messages", "Messages that the broker has not accepted yet")
 REJECTED = Counter(
     "handover_orchestrator_outbox_rejected_total", "Messages that the broker rejected, by kind", ["kind"]
 )
 
+_BATCHED = frozenset({MessageKind.CREATE, MessageKind.UPSERT})
 OnRejected = Callable[[Message, str], Awaitable[None]]
 
 
@@ -48,6 +58,9 @@ class Outbox:
         self._broker = broker
         self._on_rejected = on_rejected
         self._streams: dict[str, deque[Message]] = {}
+        self._ready: dict[str, None] = {}
+        """Streams whose next message is in no round and in no delivery of its own."""
+        self._has_ready = asyncio.Event()
         self._tasks = BackgroundTasks("outbox")
         self._delivered: list[int] = []
         self._pending: dict[str, int] = {}
@@ -56,6 +69,8 @@ class Outbox:
 
     async def __aenter__(self) -> Self:
         await self._tasks.__aenter__()
+        for _ in range(ROUNDS):
+            self._tasks.start(self._deliver_rounds)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -70,7 +85,7 @@ class Outbox:
                 self._streams[message.stream].append(message)
             else:
                 self._streams[message.stream] = deque([message])
-                self._tasks.start(self._deliver_stream, message.stream)
+                self._set_ready(message.stream)
 
     def is_pending(self, subject: str) -> bool:
         """Return whether a message about the entity `subject` was not delivered yet."""
@@ -93,16 +108,89 @@ class Outbox:
         self._retry_now.set()
         self._retry_now = asyncio.Event()
 
-    async def _deliver_stream(self, stream: str) -> None:
+    def _set_ready(self, stream: str) -> None:
+        self._ready[stream] = None
+        self._has_ready.set()
+
+    async def _deliver_rounds(self) -> None:
+        while True:
+            await self._has_ready.wait()
+            streams = list(islice(self._ready, MAX_BATCH))
+            for stream in streams:
+                del self._ready[stream]
+            if not self._ready:
+                self._has_ready.clear()
+            await self._deliver_round(streams)
+
+    async def _deliver_round(self, streams: list[str]) -> None:
+        failed = await self._deliver_first(MessageKind.CREATE, streams)
+        failed |= await self._deliver_first(
+            MessageKind.UPSERT, [each for each in streams if each not in failed]
+        )
+        for stream in streams:
+            messages = self._streams[stream]
+            if not messages:
+                del self._streams[stream]
+            elif stream in failed or messages[0].kind not in _BATCHED:
+                self._tasks.start(self._deliver_alone, stream)
+            else:
+                self._set_ready(stream)
+
+    async def _deliver_first(self, kind: MessageKind, streams: list[str]) -> set[str]:
+        """Write the messages of one kind that come first in `streams`; return the streams of failed ones."""
+        batch: list[Message] = []
+        for stream in streams:
+            subjects: set[str] = set()
+            for message in self._streams[stream]:
+                if message.kind is not kind or message.subject in subjects or len(batch) == MAX_BATCH:
+                    break
+                subjects.add(message.subject)
+                batch.append(message)
+        undelivered = await self._write_batch(kind, batch)
+        failed: set[str] = set()
+        for message in batch:
+            if message.seq in undelivered:
+                failed.add(message.stream)
+            elif message.stream not in failed:
+                self._mark_delivered(self._streams[message.stream].popleft())
+        return failed
+
+    async def _write_batch(self, kind: MessageKind, batch: list[Message]) -> set[int]:
+        """Write messages in one request; return the numbers of those to deliver alone."""
+        every = {message.seq for message in batch}
+        try:
+            if len(batch) < 2:
+                for message in batch:
+                    await self._write(message)
+                return set()
+            bodies = [message.body if kind is MessageKind.UPSERT else [message.body] for message in batch]
+            entities = list(chain.from_iterable(bodies))
+            is_new = kind is MessageKind.CREATE
+            write = self._broker.create_batch if is_new else self._broker.upsert_batch
+            refused = await write(entities)
+        except BrokerError:
+            return every  # each shows its own reason when it is delivered alone
+        except Exception:
+            log.exception("messages not delivered together", subjects=[each.subject for each in batch])
+            return every
+        return {
+            message.seq
+            for message, body in zip(batch, bodies, strict=True)
+            if any(entity["id"] in refused for entity in body)
+        }
+
+    async def _deliver_alone(self, stream: str) -> None:
         messages = self._streams[stream]
-        while messages:
-            try:
-                await self._deliver(messages[0])
-            except Exception:
-                REJECTED.labels(messages[0].kind).inc()
-                log.exception("message dropped", subject=messages[0].subject)
-            self._mark_delivered(messages.popleft())
-        del self._streams[stream]
+        try:
+            await self._deliver(messages[0])
+        except Exception:
+            REJECTED.labels(messages[0].kind).inc()
+            log.exception("message dropped", subject=messages[0].subject)
+        self._mark_delivered(messages.popleft())
+        if messages:
+            self._set_ready(stream)
+        else:
+            del self._streams[stream]
 
     async def _deliver(self, message: Message) -> None:
         backoff = Backoff(INITIAL_RETRY_S, MAX_DELAY_S)

@@ -6,7 +6,7 @@ ended Task never reopens: a retry posts a new one. What cannot continue is an in
 of the process continues.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
@@ -15,7 +15,7 @@ from datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover.errors import Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
-from handover.task_life import FINISHED, is_news
+from handover.task_life import FINISHED, is_reachable
 from services.task_orchestrator import process_alerts
 from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.entities import (
@@ -44,6 +44,8 @@ from services.task_orchestrator.records import (
 from services.task_orchestrator.settings import OrchestratorSettings
 
 CANCELLED = "cancelled"
+EXACT_TASKS = 200
+"""The Process entity lists every Task at once up to this number of Tasks."""
 NO_REASON = message("task.no_reason", "no reason given")
 
 
@@ -149,15 +151,21 @@ class Process:
         library: Library,
         *,
         allocator: Allocator | None = None,
+        all_tasks: Sequence[str] | None = None,
     ) -> "Process":
-        """Return a stored process; raise `RunFailed` if this release cannot continue it."""
+        """Return a stored process; raise `RunFailed` if this release cannot continue it.
+
+        `tasks` are all its Tasks or, with the ids of `all_tasks`, at least those that have not ended.
+        """
         running = record.state if record.ended_at is None else None
         identity = _identity(settings, record)
         run = Run.resume(plan, running, library, identity=identity) if running is not None else None
         process = cls(settings, record, plan, run, library, allocator=allocator or Allocator())
         for task in tasks:
-            process.composed.append(task.id)
+            if all_tasks is None:
+                process.composed.append(task.id)
             process._track(task)
+        process.composed += all_tasks or ()
         process.reported = (record.status, len(process.composed))
         return process
 
@@ -173,30 +181,31 @@ class Process:
 
     def timers(self) -> tuple[Timer, ...]:
         """Return the timers, the earliest first."""
-        timers = []
+        return tuple(sorted(self._timers(), key=lambda timer: timer.due))
+
+    def _timers(self) -> Iterator[Timer]:
         is_paused = self.record.status is TaskStatus.PAUSED
         if not is_paused and self.run is not None and (event := self.run.next_due()) is not None:
-            timers.append(Timer(TimerKind.EVENT, "", event))
+            yield Timer(TimerKind.EVENT, "", event)
         for task in self.tasks.values():
             if task.status is not TaskStatus.PENDING or (is_paused and task.cancelled_at is None):
                 continue
             if task.cancelled_at is not None:
                 grace = timedelta(seconds=self.settings.cancel_grace_s)
-                timers.append(Timer(TimerKind.GRACE, task.id, task.cancelled_at + grace))
+                yield Timer(TimerKind.GRACE, task.id, task.cancelled_at + grace)
             elif not task.alerted:
-                timers.append(Timer(TimerKind.DEADLINE, task.id, task.deadline))
-        return tuple(sorted(timers, key=lambda timer: timer.due))
+                yield Timer(TimerKind.DEADLINE, task.id, task.deadline)
+
+    def next_due(self) -> datetime | None:
+        """Return when the first of the timers is due."""
+        return min((timer.due for timer in self._timers()), default=None)
 
     def is_news(self, seen: Task) -> bool:
         """Return whether the Task as `seen` has a new status that can follow the known one."""
         task = self.tasks.get(seen.id)
         if task is None or seen.status.value is task.status:
             return False
-        known = {
-            **{name: task.entity[name] for name in ("id", "type", "isDefinedBy")},
-            "status": status_property(task.status, task.observed_at or task.created_at),
-        }
-        return is_news(Task.from_ngsild(known), seen)
+        return is_reachable(task.status, seen.status.value)
 
     def receive(self, seen: Task, step: Step, now: datetime) -> bool:
         """Apply the Task as `seen`; return whether its status was new."""
@@ -434,9 +443,7 @@ class Process:
             elif run.completed:
                 self._end(TaskStatus.COMPLETED, None, step, now)
         run = self.run
-        self._cancel_left(
-            {(each.token, each.visit) for each in run.open()} if run is not None else set(), step, now
-        )
+        self._cancel_left(run.open_visits() if run is not None else {}, step, now)
         self._update_incidents(step)
         known = self.record.id in step.processes or self.record.id in step.new
         self._revise(
@@ -447,8 +454,7 @@ class Process:
         )
         step.processes[self.record.id] = self.record
         step.to_index[self.record.id] = None
-        step.timers[self.record.id] = self.timers()
-        if self.reported != (self.record.status, len(self.composed)):
+        if self._is_report_due():
             self._report_process(step, now)
 
     def _update_incidents(self, step: Step) -> None:
@@ -484,13 +490,13 @@ class Process:
         if self.record.status is TaskStatus.PAUSED:
             return
         posted = {(task.token, task.visit) for task in self.tasks.values()}
-        for each in run.open():
-            if (each.token, each.visit) in posted:
+        for token, visit in run.open_visits().items():
+            if (token, visit) in posted or run.visit(token) != visit:
                 continue
             try:
-                self._post(each, step, now)
+                self._post(run.open_activity(token), step, now)
             except (ExpressionError, ValueError) as error:
-                run.refuse(each.token, text_of(error), now)
+                run.refuse(token, text_of(error), now)
 
     def _task_id(self, element: str, visit: int) -> str:
         return self.settings.entity_id("Task", f"{self.record.id}-{element}-{visit}")
@@ -531,9 +537,9 @@ class Process:
         self._record_task(task, step)
         step.enqueue(self.record.id, MessageKind.CREATE, task_id, entity)
 
-    def _cancel_left(self, opened: set[tuple[str, int]], step: Step, now: datetime) -> None:
+    def _cancel_left(self, opened: Mapping[str, int], step: Step, now: datetime) -> None:
         for task in list(self.tasks.values()):
-            if task.cancelled_at is None and (task.token, task.visit) not in opened:
+            if task.cancelled_at is None and opened.get(task.token) != task.visit:
                 self._record_task(task.changed(cancelled_at=now), step)
                 step.enqueue(
                     self.record.id,
@@ -561,6 +567,17 @@ class Process:
         variables = self.run.variables() if self.run is not None else self.record.variables
         self.run = None
         self._revise(status=status, reason=reason, ended_at=now, variables=variables)
+
+    def _is_report_due(self) -> bool:
+        """Return whether the Process entity has to be written: at each state, and when it has more Tasks.
+
+        The entity lists all Tasks. A process of very many Tasks reports new ones in groups of a fiftieth, so
+        that a step costs the same however long the process has run.
+        """
+        if self.reported is None or self.reported[0] is not self.record.status:
+            return True
+        listed = self.reported[1]
+        return len(self.composed) - listed > max(listed - EXACT_TASKS, 0) // 50
 
     def _report_process(self, step: Step, now: datetime) -> None:
         """Write the state of the process to the broker."""

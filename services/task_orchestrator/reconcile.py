@@ -9,18 +9,23 @@ from typing import Any
 
 from fastapi import Request
 
+from datamodels.entities import TaskStatus
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
 from handover.retry import MAX_DELAY_S
+from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
 
 log = get_logger(__name__)
 
+UNFINISHED = "status==" + ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
 MAX_QUERIED_TASKS = 40
+MAX_READ_TASKS = 400
+"""Up to this number, every open Task is read; beyond it, only those whose listed status has changed."""
 MAX_TIMER_WAIT_S = 60.0
 """The system clock may be changed, so a longer wait is not exact."""
 
@@ -58,6 +63,8 @@ class Reconciler:
         if not self._registered:
             await self._register()
         awaited = self._orchestrator.awaited()
+        if len(awaited) > MAX_READ_TASKS:
+            awaited = await self._select_changed(awaited)
         for start in range(0, len(awaited), MAX_QUERIED_TASKS):
             ids = awaited[start : start + MAX_QUERIED_TASKS]
             entities = await self._broker.query(type="Task", id=ids)
@@ -68,14 +75,21 @@ class Reconciler:
                 self._registered = False
                 await self._orchestrator.missing(gone)
 
+    async def _select_changed(self, awaited: list[str]) -> list[str]:
+        """Return those of the Tasks `awaited` that the broker does not list, or lists with another status."""
+        unfinished = await self._broker.query(type="Task", q=UNFINISHED, attrs="status")
+        unchanged = {str(entity["id"]) for entity in unfinished}
+        unchanged.difference_update(self._orchestrator.changed_ids(unfinished))
+        return [task_id for task_id in awaited if task_id not in unchanged]
+
     async def receive_notification(self, request: Request) -> None:
         """Read the changed Tasks of a notification from the broker and apply them.
 
         Raises `Problem` if the notification is refused, or if the changes cannot be stored.
         """
-        changed = self._orchestrator.changed_tasks(await self._receiver.receive(request))
+        changed = self._orchestrator.changed_ids(await self._receiver.receive(request))
         try:
-            entities = await self._receiver.read("Task", [task.id for task in changed])
+            entities = await self._receiver.read("Task", changed)
         except BrokerError as error:
             log.warning("changed tasks not read", error=str(error))
             self._resync.request()

@@ -1,7 +1,7 @@
 """Records: the stored state of definitions, processes and Tasks, and the changes of one step.
 
 A `Step` collects all changes of one transaction: received changes of Tasks, the state of processes, new Tasks
-and timers, and the messages to the broker. Either all are written or none.
+and the messages to the broker. Either all are written or none.
 """
 
 from collections.abc import Mapping
@@ -246,7 +246,6 @@ class Step:
     ended: set[str] = field(default_factory=set)
     """Processes that have ended in this step."""
     moves: list[Move] = field(default_factory=list)
-    timers: dict[str, tuple[Timer, ...]] = field(default_factory=dict)
     start_timers: dict[str, tuple[StartTimer, ...]] = field(default_factory=dict)
     """All start timers of definitions that have changed."""
     messages: list[Message] = field(default_factory=list)

@@ -128,15 +128,6 @@ entities_seen = Table(
     Column("entity", String(2000), primary_key=True),
     Column("digest", String(32), nullable=False),
 )
-timers = Table(
-    "orchestrator_timers",
-    _meta,
-    Column("process", String(100), primary_key=True),
-    Column("kind", String(10), primary_key=True),
-    Column("subject", String(300), primary_key=True),
-    Column("due", String(40), nullable=False),
-    Index("orchestrator_timers_due", "due"),
-)
 mappings = Table(
     "orchestrator_mappings",
     _meta,

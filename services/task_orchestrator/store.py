@@ -1,9 +1,9 @@
-"""Store: definitions, processes, Tasks, inbox, outbox and timers in the database, SQLite or PostgreSQL.
+"""Store: definitions, processes, Tasks, inbox and outbox in the database, SQLite or PostgreSQL.
 
 One `write` is one transaction. The revision of a process detects two orchestrators on one database.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -15,6 +15,7 @@ from sqlalchemy import (
     Connection,
     Engine,
     Table,
+    bindparam,
     delete,
     exists,
     insert,
@@ -45,8 +46,6 @@ from services.task_orchestrator.records import (
     StartTimer,
     Step,
     TaskRecord,
-    Timer,
-    TimerKind,
 )
 
 _MOMENTS = frozenset(
@@ -62,9 +61,25 @@ _MOMENTS = frozenset(
     }
 )
 _MAX_IDS = 500
-_CONSTANT = frozenset({"entity", "allocated"})
-"""Columns of a Task that do not change."""
+_NOT_LISTED = {"state": None, "parameters": "{}", "variables": "{}", "acts": "[]"}
+"""Columns that lists of processes do not show, with what stands for them."""
 _DOCUMENTS = frozenset({"parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents"})
+
+
+_CONSTANT = frozenset({"id", "definition", "version", "key", "parameters", "started_at", "partner"})
+"""Columns of a process that never change."""
+_CHANGING = ("status", "observed_at", "moves", "ended_at", "cancelled_at", "alerted", "lost", "outputs")
+"""Columns of a Task that change."""
+_UPDATE_PROCESS = (
+    update(schema.processes)
+    .where(schema.processes.c.id == bindparam("its_id"), schema.processes.c.revision == bindparam("before"))
+    .values({each.name: bindparam(each.name) for each in schema.processes.c if each.name not in _CONSTANT})
+)
+_UPDATE_TASK = (
+    update(schema.tasks)
+    .where(schema.tasks.c.id == bindparam("its_id"))
+    .values({name: bindparam(name) for name in (*_CHANGING, "took_ms")})
+)
 
 
 class Conflict(HandoverError):
@@ -119,9 +134,6 @@ class Store:
             _write_processes(connection, step)
             _write_tasks(connection, step)
             _insert(connection, schema.inbox, [_row(move) for move in step.moves])
-            for process, timers in step.timers.items():
-                connection.execute(delete(schema.timers).where(schema.timers.c.process == process))
-                _insert(connection, schema.timers, [{"process": process, **_row(timer)} for timer in timers])
             for definition, starts in step.start_timers.items():
                 table = schema.start_timers
                 connection.execute(delete(table).where(table.c.definition == definition))
@@ -149,7 +161,6 @@ class Store:
             theirs = select(tasks.c.id).where(tasks.c.process.in_(ids))
             connection.execute(delete(schema.inbox).where(schema.inbox.c.task.in_(theirs)))
             connection.execute(delete(tasks).where(tasks.c.process.in_(ids)))
-            connection.execute(delete(schema.timers).where(schema.timers.c.process.in_(ids)))
             connection.execute(delete(processes).where(processes.c.id.in_(ids)))
         return len(ids)
 
@@ -187,14 +198,15 @@ class Store:
         before: str | None = None,
         limit: int | None = None,
     ) -> list[ProcessRecord]:
-        """Return processes without the engine's state, the latest first.
+        """Return processes without the engine's state, variables and acts, the latest first.
 
         `search` is a part of the business key or of the id, case-insensitive; `involves` the URN of a
         person or a resource that a Task of the process involves. `before` is the id of a process: only those
         started before it are returned. Raises `Problem` 404 for an unknown one.
         """
         table = schema.processes.c
-        statement = select(*_without_state()).order_by(table.started_at.desc(), table.id.desc()).limit(limit)
+        shown = [column for column in schema.processes.c if column.name not in _NOT_LISTED]
+        statement = select(*shown).order_by(table.started_at.desc(), table.id.desc()).limit(limit)
         if status is not None:
             statement = statement.where(table.status == status)
         if definition is not None:
@@ -223,7 +235,7 @@ class Store:
                 )
             began = mark[0]["started_at"]
             statement = statement.where(tuple_(table.started_at, table.id) < tuple_(began, before))
-        return [_process({**row, "state": None}) for row in self._rows(statement)]
+        return [_process({**row, **_NOT_LISTED}) for row in self._rows(statement)]
 
     def unfinished(self) -> list[ProcessRecord]:
         """Return the processes that have not ended or still have Tasks that have not."""
@@ -232,6 +244,25 @@ class Store:
             schema.processes.c.ended_at.is_(None) | schema.processes.c.id.in_(open_tasks)
         )
         return [_process(row) for row in self._rows(statement)]
+
+    def unfinished_tasks(self) -> dict[str, list[TaskRecord]]:
+        """Return the Tasks that have not ended, by process, in the order of their creation."""
+        table = schema.tasks.c
+        statement = select(schema.tasks).where(table.ended_at.is_(None)).order_by(table.created_at, table.id)
+        found: dict[str, list[TaskRecord]] = {}
+        for row in self._rows(statement):
+            found.setdefault(row["process"], []).append(_task(row))
+        return found
+
+    def task_ids(self, processes: Sequence[str]) -> dict[str, list[str]]:
+        """Return the ids of all Tasks of processes, in the order of their creation."""
+        table = schema.tasks.c
+        found: dict[str, list[str]] = {process: [] for process in processes}
+        for some in _in_parts(processes):
+            statement = select(table.id, table.process).where(table.process.in_(some))
+            for row in self._rows(statement.order_by(table.created_at, table.id)):
+                found[row["process"]].append(row["id"])
+        return found
 
     def to_archive(self, ended_before: datetime, at_most: int) -> list[EndedProcess]:
         """Return the processes that ended first, before a time, and are complete.
@@ -329,14 +360,6 @@ class Store:
         records = self.processes([process])
         return (records[0], self.tasks(process), self.moves(process)) if records else None
 
-    def timers(self) -> dict[str, tuple[Timer, ...]]:
-        """Return the timers by process."""
-        found: dict[str, tuple[Timer, ...]] = {}
-        for row in self._rows(select(schema.timers).order_by(schema.timers.c.due)):
-            timer = Timer(TimerKind(row["kind"]), row["subject"], _time(row["due"]))
-            found[row["process"]] = (*found.get(row["process"], ()), timer)
-        return found
-
     def start_timers(self) -> dict[str, tuple[StartTimer, ...]]:
         """Return the start timers by definition."""
         found: dict[str, tuple[StartTimer, ...]] = {}
@@ -382,13 +405,7 @@ class Store:
         ]
 
     def _with_tasks(self, found: Sequence[ProcessRecord]) -> list[EndedProcess]:
-        tasks: dict[str, list[str]] = {record.id: [] for record in found}
-        for some in _in_parts(list(tasks)):
-            statement = select(schema.tasks.c.id, schema.tasks.c.process).where(
-                schema.tasks.c.process.in_(some)
-            )
-            for row in self._rows(statement.order_by(schema.tasks.c.created_at, schema.tasks.c.id)):
-                tasks[row["process"]].append(row["id"])
+        tasks = self.task_ids([record.id for record in found])
         return [EndedProcess(record, tuple(tasks[record.id])) for record in found]
 
     def _rows(self, statement: Any) -> Iterator[dict[str, Any]]:
@@ -402,19 +419,26 @@ def _write_definitions(connection: Connection, definitions: Sequence[DefinitionR
 
 
 def _write_processes(connection: Connection, step: Step) -> None:
-    for process in step.processes.values():
-        values = _process_row(process)
-        if process.id in step.new:
-            try:
-                connection.execute(insert(schema.processes).values(values))
-            except IntegrityError as error:
-                raise Conflict(f"the process {process.id} or its key exists already") from error
-            continue
-        mine = (schema.processes.c.id == process.id) & (schema.processes.c.revision == process.revision - 1)
-        if connection.execute(update(schema.processes).where(mine).values(values)).rowcount != 1:
-            raise Conflict(
-                f"another orchestrator has changed {process.id} in this database; stop one of them"
-            )
+    new = [_process_row(each) for each in step.processes.values() if each.id in step.new]
+    try:
+        _insert(connection, schema.processes, new)
+    except IntegrityError as error:
+        names = ", ".join(row["id"] for row in new)
+        raise Conflict(f"one of the processes {names}, or its key, exists already") from error
+    changed = [each for each in step.processes.values() if each.id not in step.new]
+    if not changed:
+        return
+    if connection.execute(_UPDATE_PROCESS, [_changed_row(each) for each in changed]).rowcount == len(changed):
+        return
+    written = {each.id: each.revision for each in changed}
+    table = schema.processes.c
+    found = {
+        row.id: row.revision
+        for some in _in_parts(list(written))
+        for row in connection.execute(select(table.id, table.revision).where(table.id.in_(some)))
+    }
+    names = ", ".join(each for each, revision in written.items() if found.get(each) != revision)
+    raise Conflict(f"another orchestrator has changed {names} in this database; stop one of them")
 
 
 def _mapping_row(table: MappingTable) -> dict[str, Any]:
@@ -486,10 +510,17 @@ def _has_messages() -> ColumnElement[bool]:
 
 def _write_tasks(connection: Connection, step: Step) -> None:
     _insert(connection, schema.tasks, [_task_row(t) for t in step.tasks.values() if t.id in step.new])
-    for task in step.tasks.values():
-        if task.id not in step.new:
-            values = {name: value for name, value in _task_row(task).items() if name not in _CONSTANT}
-            connection.execute(update(schema.tasks).where(schema.tasks.c.id == task.id).values(values))
+    changed = [
+        {
+            **{name: _written(getattr(task, name)) for name in _CHANGING},
+            "took_ms": task.took_ms,
+            "its_id": task.id,
+        }
+        for task in step.tasks.values()
+        if task.id not in step.new
+    ]
+    if changed:
+        connection.execute(_UPDATE_TASK, changed)
 
 
 def _insert(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -497,14 +528,20 @@ def _insert(connection: Connection, table: Table, rows: Sequence[Mapping[str, An
         connection.execute(insert(table), list(rows))
 
 
-def _row(record: Any) -> dict[str, Any]:
-    return {name: _written(getattr(record, name)) for name in record.__dataclass_fields__}
+def _row(record: Any, *, but: Collection[str] = ()) -> dict[str, Any]:
+    return {name: _written(getattr(record, name)) for name in record.__dataclass_fields__ if name not in but}
 
 
-def _process_row(process: ProcessRecord) -> dict[str, Any]:
+def _changed_row(process: ProcessRecord) -> dict[str, Any]:
+    """Return the parameters of the update of a process that this orchestrator has read or written before."""
+    row = _process_row(process, but=_CONSTANT)
+    return {**row, "its_id": process.id, "before": process.revision - 1}
+
+
+def _process_row(process: ProcessRecord, *, but: Collection[str] = ()) -> dict[str, Any]:
     """Return the row of a process; the code and parameters of its reason have a separate column."""
     incidents = orjson.dumps([_incident_values(incident) for incident in process.incidents]).decode()
-    row = {**_row(process), "incidents": incidents}
+    row = {**_row(process, but=but), "incidents": incidents}
     reason = process.reason
     if not isinstance(reason, MessageText):
         return {**row, "reason_message": None}
@@ -533,7 +570,7 @@ def _written(value: Any) -> Any:
         )  # of equal length, so that the order of the texts is the order of the times
     if isinstance(value, Mapping | tuple):
         return orjson.dumps(value).decode()
-    return str(value) if isinstance(value, TaskStatus | TimerKind | MessageKind) else value
+    return str(value) if isinstance(value, TaskStatus | MessageKind) else value
 
 
 def _values(row: Mapping[str, Any]) -> dict[str, Any]:

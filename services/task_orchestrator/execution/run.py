@@ -207,6 +207,15 @@ class Run:
         working = (token for token in self._state.tokens.values() if token.state is TokenState.WORK)
         return tuple(_open_activity(machine, token) for token in working)
 
+    def open_visits(self) -> dict[str, int]:
+        """Return the visit of each open activity by token, in the order in which they were reached."""
+        tokens = self._state.tokens.values()
+        return {str(token.id): token.visit for token in tokens if token.state is TokenState.WORK}
+
+    def open_activity(self, token: str) -> OpenActivity:
+        """Return the open activity of `token`; raise `RunFailed` if it is not open."""
+        return _open_activity(self._machine(_NEVER), self._working(token))
+
     def visit(self, token: str) -> int | None:
         """Return the visit of the activity of `token` that a performer works on; None if there is none."""
         found = self._find(token)

@@ -255,7 +255,7 @@ async def test_timers_and_their_tasks_are_there_after_a_restart(settings: Orches
         async with Orchestrator(settings, broker, clock=lambda: now + timedelta(hours=1)) as after:
             await after.tick()
             assert list(after.active_processes.processes[process].tasks) == [task_of(process)]
-            (due,) = (await after.on_disk(after.store.timers))[process]
+            (due,) = after.active_processes.processes[process].timers()
             assert due.subject == task_of(process)
 
 

@@ -51,7 +51,7 @@ def test_a_database_of_a_later_release_is_refused_in_one_line_and_not_changed(tm
     schema.migrate(engine)
     with engine.begin() as connection:
         connection.execute(text("UPDATE orchestrator_version SET version = 99"))
-        connection.execute(text("DROP TABLE orchestrator_timers"))
+        connection.execute(text("DROP TABLE orchestrator_start_timers"))
     before = tables(engine)
     with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 1; install [^\n]*$"):
         schema.migrate(engine)

@@ -23,8 +23,6 @@ from services.task_orchestrator.records import (
     ProcessRecord,
     Step,
     TaskRecord,
-    Timer,
-    TimerKind,
 )
 from services.task_orchestrator.store import Conflict, Store
 from tests.unit.task_orchestrator.drawing import NOW
@@ -75,7 +73,6 @@ TASK = TaskRecord(
 
 def first_step() -> Step:
     step = Step(1, processes={"p-1": PROCESS}, tasks={TASK.id: TASK}, new={"p-1", TASK.id})
-    step.timers["p-1"] = (Timer(TimerKind.DEADLINE, TASK.id, TASK.deadline),)
     step.definitions.append(DefinitionRecord("p", 1, "d", "Title", None, b"<xml/>", NOW))
     step.enqueue("p-1", MessageKind.CREATE, TASK.id, ODD)
     return step
@@ -91,7 +88,6 @@ def test_what_was_written_is_read_as_it_was(store: Store) -> None:
     assert store.tasks("p-1") == [TASK]
     assert store.definitions() == step.definitions
     assert store.outbox() == step.messages
-    assert store.timers() == step.timers
 
 
 def test_a_later_step_replaces_and_strikes_off(store: Store) -> None:
@@ -100,13 +96,11 @@ def test_a_later_step_replaces_and_strikes_off(store: Store) -> None:
     over = replace(PROCESS, status=TaskStatus.COMPLETED, ended_at=NOW, state=None, revision=2, waiting=())
     step = Step(2, processes={"p-1": over}, tasks={TASK.id: done}, delivered=[1])
     step.moves.append(Move(TASK.id, 1, TaskStatus.COMPLETED, None, NOW))
-    step.timers["p-1"] = ()
     store.write(step)
     assert store.unfinished() == []
     assert store.tasks("p-1") == [done]
     assert store.moves("p-1") == step.moves
     assert store.outbox() == []
-    assert store.timers() == {}
 
 
 def test_an_ended_process_with_a_task_that_has_not_is_not_over(store: Store) -> None:
