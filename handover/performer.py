@@ -21,7 +21,7 @@ is
 import asyncio
 from abc import ABC, abstractmethod
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Self
@@ -49,6 +49,9 @@ __all__ = ["Job", "Performer", "RequestedAction", "TaskCancelled", "TaskFailed",
 log = get_logger(__name__)
 
 UNFINISHED = ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
+MAX_SELECTED = 20
+"""Resources in a query."""
+MAX_SELECTION_ATTEMPTS = 5
 MAX_REMEMBERED = 10_000
 """Ended Tasks that are remembered, so that a late notification does not start them again."""
 
@@ -89,6 +92,8 @@ class Performer(ABC):
         self._finished = FinishedTasks(settings, name)
         self._announced: set[str] = set()
         self._subscribed = False
+        self._selects_own = False
+        self._selection_attempts = 0
         self._resync = Resync(self._try_reconcile, settings.reconcile_s)
         self._active = False
         self._tasks = BackgroundTasks(name, on_failure=lambda _: self._resync.request())
@@ -179,11 +184,45 @@ class Performer(ABC):
         for resource in set(self._queues) - self._announced:
             await self._announce(resource)
         known = set(self._jobs)
-        unfinished = await self.broker.query(type=Task.ngsi_type(), q=f"status=={UNFINISHED}")
+        unfinished = await self._unfinished()
         for entity in unfinished:
             self._process(entity)
         for missing in known.difference(entity["id"] for entity in unfinished):
             await self._update(missing)
+
+    async def _unfinished(self) -> list[dict[str, Any]]:
+        """Return the unfinished Tasks, of all performers until the broker has shown that it can select ours.
+
+        Brokers differ in how they compare members of a list with `q`. So the selection is used once it has
+        returned all Tasks of ours that a query without it returns.
+        """
+        resources = self._queues
+        own = self._selection() if 0 < len(resources) <= MAX_SELECTED else None
+        if own is not None and self._selects_own:
+            return await self.broker.query(type=Task.ngsi_type(), q=own)
+        unfinished = await self.broker.query(type=Task.ngsi_type(), q=f"status=={UNFINISHED}")
+        expected = {str(entity["id"]) for entity in unfinished if self._involves(entity, resources)}
+        if own is not None and expected and self._selection_attempts < MAX_SELECTION_ATTEMPTS:
+            self._selection_attempts += 1
+            try:
+                selected = await self.broker.query(type=Task.ngsi_type(), q=own)
+            except BrokerUnavailable:
+                raise
+            except BrokerError as error:
+                log.info("the broker cannot select tasks by resource", error=str(error))
+            else:
+                self._selects_own = expected <= {str(entity["id"]) for entity in selected}
+        return unfinished
+
+    def _selection(self) -> str:
+        """Return the `q` of the unfinished Tasks that involve a resource of this performer."""
+        involved = "|".join(f'involves[object]=="{resource}"' for resource in self._queues)
+        return f"status=={UNFINISHED};({involved})"
+
+    @staticmethod
+    def _involves(entity: Mapping[str, Any], resources: Collection[str]) -> bool:
+        task = _as_task(entity)
+        return task is not None and any(link.object in resources for link in task.involves or ())
 
     async def _announce(self, resource: str) -> None:
         kind = resource.split(":")[2] if resource.count(":") >= 3 else "Device"
