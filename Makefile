@@ -94,6 +94,9 @@ $(ROS_VENV)/.ready: requirements/rclpy.lock pyproject.toml
 crashes: setup  ## kill the broker a hundred times while it writes, and check its data
 	@HANDOVER_TEST_CRASHES=100 $(PYTEST) -q tests/integration/context_broker/test_crashes*.py $(ARGS)
 
+kill-test: setup  ## kill broker, orchestrator and performer at random moments (ARGS="--seconds 600 --processes 1000")
+	@$(BIN)/python -m tests.load.kill_test $(ARGS)
+
 thorough: crashes  ## the crashes, every test of the broker on PostgreSQL, and many more examples
 	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit tests/integration/context_broker $(ARGS)
 
@@ -151,8 +154,9 @@ bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridg
 bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
 	@$(BIN)/python -m benchmarks.broker
 
-bench-orchestrator: setup  ## the token engine: cost of a step, loops, snapshots
-	@$(BIN)/python -m benchmarks.token_engine $(ARGS)
+bench-orchestrator: setup  ## the token engine alone, and the orchestrator as a service (ARGS=--postgres)
+	@$(BIN)/python -m benchmarks.token_engine
+	@$(BIN)/python -m benchmarks.orchestrator $(ARGS)
 
 bench-gestures: setup  ## the gesture controller: frames a second, cost of 50 gloves
 	@$(BIN)/python -m benchmarks.gesture_controller $(if $(DATA),--data $(DATA))
