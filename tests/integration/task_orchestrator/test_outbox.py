@@ -1,0 +1,90 @@
+"""The outbox writes messages of many processes together; what the broker refuses delays nothing else."""
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from handover.broker import BrokerClient
+from handover.settings import Settings
+from services.task_orchestrator.outbox import Outbox
+from services.task_orchestrator.records import Message, MessageKind
+from tests.kit.cell import Cell
+from tests.kit.waiting import until
+
+pytestmark = pytest.mark.slow
+
+
+def task(name: str, status: str = "pending", kind: str = "Task") -> dict[str, Any]:
+    return {
+        "id": f"urn:ngsi-ld:Task:demo:{name}",
+        "type": kind,
+        "status": {"type": "Property", "value": status},
+    }
+
+
+@pytest.fixture
+async def broker(shared_cell: Cell) -> AsyncIterator[BrokerClient]:
+    shared_cell.run("context_broker")
+    async with BrokerClient(Settings.load(broker_url=shared_cell.url("context_broker"))) as client:
+        yield client
+
+
+async def deliver(broker: BrokerClient, messages: list[Message]) -> list[tuple[int, str]]:
+    """Deliver all messages; return those that the broker rejected, with the reason."""
+    rejected: list[tuple[int, str]] = []
+
+    async def on_rejected(message: Message, reason: str) -> None:
+        rejected.append((message.seq, reason))
+
+    delivered: set[int] = set()
+
+    async def all_delivered() -> bool:
+        delivered.update(outbox.take_delivered())
+        return len(delivered) == len(messages)
+
+    async with Outbox(Settings.load(), broker, on_rejected) as outbox:
+        outbox.send(messages)
+        await until(all_delivered, 15, "the messages are not delivered")
+        assert not any(outbox.is_pending(message.subject) for message in messages)
+    return rejected
+
+
+def create(seq: int, stream: str, entity: dict[str, Any]) -> Message:
+    return Message(seq, stream, MessageKind.CREATE, entity["id"], entity)
+
+
+async def test_a_refused_entity_is_reported_and_the_others_are_written(broker: BrokerClient) -> None:
+    await broker.create(task("outbox-old", "completed"))
+    bad = {**task("outbox-bad"), "status": {"type": "No such type", "value": 1}}
+    messages = [
+        create(1, "p-1", task("outbox-1")),
+        create(2, "p-1", task("outbox-2")),
+        create(3, "p-2", task("outbox-old")),
+        create(4, "p-3", bad),
+        create(5, "p-3", task("outbox-3")),
+        *(create(10 + number, f"q-{number}", task(f"outbox-q{number}")) for number in range(250)),
+    ]
+    ((seq, reason),) = await deliver(broker, messages)
+    assert (seq, bool(reason)) == (4, True)
+    found = await broker.query(type="Task", id_pattern="^urn:ngsi-ld:Task:demo:outbox-")
+    states = {entity["id"].rpartition(":")[2]: entity["status"]["value"] for entity in found}
+    assert states.pop("outbox-old") == "completed"  # written twice, created once
+    assert set(states) == {"outbox-1", "outbox-2", "outbox-3", *(f"outbox-q{n}" for n in range(250))}
+
+
+async def test_messages_of_a_stream_are_written_in_their_order(broker: BrokerClient) -> None:
+    streams = [f"ordered-{number}" for number in range(20)]
+    messages = []
+    for stream in streams:
+        entity = task(stream)
+        for status in ("pending", "assigned", "inProgress"):
+            body = [{**entity, "status": {"type": "Property", "value": status}}]
+            messages.append(Message(len(messages), stream, MessageKind.UPSERT, entity["id"], body))
+        end = {"status": {"type": "Property", "value": "completed"}}
+        messages.append(Message(len(messages), stream, MessageKind.APPEND, entity["id"], end))
+        again = [{**entity, "status": {"type": "Property", "value": "paused"}}]
+        messages.append(Message(len(messages), stream, MessageKind.UPSERT, entity["id"], again))
+    assert await deliver(broker, messages) == []
+    found = await broker.query(type="Task", id_pattern="^urn:ngsi-ld:Task:demo:ordered-")
+    assert [entity["status"]["value"] for entity in found] == ["paused"] * len(streams)
