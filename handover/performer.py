@@ -41,14 +41,13 @@ from handover.notifications import NotificationReceiver
 from handover.resync import Resync
 from handover.retry import retry
 from handover.settings import Settings
-from handover.task_life import FINISHED
+from handover.task_life import FINISHED, UNFINISHED_QUERY
 from handover.telemetry import get_logger, working_on
 
 __all__ = ["Job", "Performer", "RequestedAction", "TaskCancelled", "TaskFailed", "TaskGone"]
 
 log = get_logger(__name__)
 
-UNFINISHED = ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
 MAX_SELECTED = 20
 """Resources in a query."""
 MAX_SELECTION_ATTEMPTS = 5
@@ -200,7 +199,7 @@ class Performer(ABC):
         own = self._selection() if 0 < len(resources) <= MAX_SELECTED else None
         if own is not None and self._selects_own:
             return await self.broker.query(type=Task.ngsi_type(), q=own)
-        unfinished = await self.broker.query(type=Task.ngsi_type(), q=f"status=={UNFINISHED}")
+        unfinished = await self.broker.query(type=Task.ngsi_type(), q=UNFINISHED_QUERY)
         expected = {str(entity["id"]) for entity in unfinished if self._involves(entity, resources)}
         if own is not None and expected and self._selection_attempts < MAX_SELECTION_ATTEMPTS:
             self._selection_attempts += 1
@@ -217,7 +216,7 @@ class Performer(ABC):
     def _selection(self) -> str:
         """Return the `q` of the unfinished Tasks that involve a resource of this performer."""
         involved = "|".join(f'involves[object]=="{resource}"' for resource in self._queues)
-        return f"status=={UNFINISHED};({involved})"
+        return f"{UNFINISHED_QUERY};({involved})"
 
     @staticmethod
     def _involves(entity: Mapping[str, Any], resources: Collection[str]) -> bool:

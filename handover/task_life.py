@@ -11,6 +11,8 @@ from functools import cache
 from datamodels.entities import Task, TaskStatus
 
 FINISHED = frozenset({TaskStatus.COMPLETED, TaskStatus.FAILED})
+UNFINISHED_QUERY = "status==" + ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
+"""The `q` of the Tasks and Processes that have not ended."""
 
 _NEXT: Mapping[TaskStatus, frozenset[TaskStatus]] = {
     TaskStatus.PENDING: frozenset({TaskStatus.ASSIGNED, TaskStatus.FAILED}),

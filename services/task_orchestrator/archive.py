@@ -27,9 +27,9 @@ from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import Problem
 from handover.resync import Resync
+from handover.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
-from services.task_orchestrator.reconcile import UNFINISHED
 
 log = get_logger(__name__)
 
@@ -94,12 +94,12 @@ class Archiver:
     async def check_unfinished(self) -> int:
         """Report the end of what the broker shows as unfinished though it has ended; return how many were."""
         orchestrator, store = self._orchestrator, self._orchestrator.store
-        shown = await self._broker.query(type="Task", q=UNFINISHED)
+        shown = await self._broker.query(type="Task", q=UNFINISHED_QUERY)
         tasks = [str(entity["id"]) for entity in shown]
         unowned = [task for task in tasks if orchestrator.active_processes.owner(task) is None]
         processes = [
             process
-            for entity in await self._broker.query(type="Process", q=UNFINISHED)
+            for entity in await self._broker.query(type="Process", q=UNFINISHED_QUERY)
             if (process := self._process(entity)) not in orchestrator.active_processes.processes
         ]
         ended_tasks = await orchestrator.on_disk(store.ended_tasks, unowned)

@@ -9,20 +9,18 @@ from typing import Any
 
 from fastapi import Request
 
-from datamodels.entities import TaskStatus
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
 from handover.retry import MAX_DELAY_S
-from handover.task_life import FINISHED
+from handover.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
 
 log = get_logger(__name__)
 
-UNFINISHED = "status==" + ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
 MAX_QUERIED_TASKS = 40
 MAX_READ_TASKS = 400
 """Up to this number, every open Task is read; beyond it, only those whose listed status has changed."""
@@ -77,7 +75,7 @@ class Reconciler:
 
     async def _select_changed(self, awaited: list[str]) -> list[str]:
         """Return those of the Tasks `awaited` that the broker does not list, or lists with another status."""
-        unfinished = await self._broker.query(type="Task", q=UNFINISHED, attrs="status")
+        unfinished = await self._broker.query(type="Task", q=UNFINISHED_QUERY, attrs="status")
         unchanged = {str(entity["id"]) for entity in unfinished}
         unchanged.difference_update(self._orchestrator.changed_ids(unfinished))
         return [task_id for task_id in awaited if task_id not in unchanged]
