@@ -14,6 +14,7 @@ import pytest
 from datamodels.entities import Task, TaskStatus
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.settings import Settings
+from handover.task_life import UNFINISHED_QUERY
 from tests.kit.cell import Cell
 from tests.kit.context_sources import ScriptedSource
 from tests.kit.paths import REPOSITORY
@@ -309,3 +310,22 @@ async def test_what_another_broker_refuses_of_an_update_is_said() -> None:
         with pytest.raises(BrokerError, match="colour: there is none"):
             await broker.update("urn:ngsi-ld:Task:demo:bare", {"colour": {"value": "red"}})
     source.stop()
+
+
+async def test_the_broker_selects_the_unfinished_tasks_of_a_resource(broker: BrokerClient) -> None:
+    other = a_task("of-another").to_normalized()
+    other["involves"] = {
+        "type": "Property",
+        "value": [{"type": "Relationship", "object": "urn:ngsi-ld:Device:demo:another"}],
+    }
+    both = {**other, "id": "urn:ngsi-ld:Task:demo:of-both", "status": {"type": "Property", "value": "paused"}}
+    both["involves"] = {
+        "type": "Property",
+        "value": [
+            *other["involves"]["value"],
+            {"type": "Relationship", "object": "urn:ngsi-ld:Device:demo:b"},
+        ],
+    }
+    await broker.upsert([other, both])
+    q = f'{UNFINISHED_QUERY};(involves[object]=="urn:ngsi-ld:Device:demo:b"|involves[object]=="urn:x:none")'
+    assert [entity["id"] for entity in await broker.query(type="Task", q=q)] == [both["id"]]
