@@ -93,6 +93,8 @@ Uri = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9+.-]*:\S+$")]
 Whole = Annotated[int, BeforeValidator(_whole)]
 Number = StrictInt | StrictFloat
 Words = Annotated[tuple[str, ...], BeforeValidator(_as_list)]
+WordsOrObjects = Annotated[tuple[str | dict[str, Any], ...], BeforeValidator(_as_list)]
+Objects = Annotated[tuple[dict[str, Any], ...], BeforeValidator(_as_list)]
 Numbers = Annotated[tuple[Number, ...], BeforeValidator(_as_list)]
 Geometry = Annotated[
     dict[str, Any],

@@ -29,6 +29,7 @@ from datamodels.attributes import (
     Moment,
     Number,
     Numbers,
+    Objects,
     Property,
     PropertyOrRelationship,
     Relationship,
@@ -36,6 +37,7 @@ from datamodels.attributes import (
     Uri,
     Whole,
     Words,
+    WordsOrObjects,
     plain,
 )
 from datamodels.errors import DataModelError, explained
@@ -222,11 +224,18 @@ class TaskDefinition(Entity):
 
 
 class ResourceSpecification(Entity):
-    """A kind of resource with its skills."""
+    """A kind of resource: its skills, roles and shifts, and how many Tasks it performs at a time.
+
+    A skill is a name, or an object with `name` and the numbers `level`, `cost` and `speed`. A shift has the
+    ISO `weekday`, the times `from` and `to`, and the time `zone`.
+    """
 
     name: Property[str]
     resource_type: Property[str]
-    skills: Property[Words] | None = None
+    skills: Property[WordsOrObjects] | None = None
+    roles: Property[Words] | None = None
+    capacity: Property[Whole] | None = None
+    shifts: Property[Objects] | None = None
     parameters: Property[dict[str, Any]] | None = None
 
 

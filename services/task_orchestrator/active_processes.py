@@ -193,5 +193,7 @@ class ActiveProcesses:
     def _remove(self, process_id: str) -> None:
         self._dues.pop(process_id, None)
         process = self.processes.pop(process_id, None)
+        if process is not None:
+            process.release()
         for task_id in process.tasks if process is not None else ():
             self._owners.pop(task_id, None)

@@ -30,6 +30,7 @@ from services.task_orchestrator.orchestrator import Orchestrator, check_variable
 from services.task_orchestrator.reconcile import Reconciler
 from services.task_orchestrator.records import ActKind
 from services.task_orchestrator.responses import (
+    AgentView,
     DefinitionView,
     DefinitionWithActivities,
     Deployment,
@@ -47,6 +48,7 @@ from services.task_orchestrator.responses import (
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.views import (
     activity_views,
+    agent_views,
     definition_view,
     mapping_view,
     period_view,
@@ -369,6 +371,11 @@ def _add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
                 ),
             )
         return json_response(mapping_view(table))
+
+    @app.get("/agents", tags=["allocation"], responses={200: {"model": list[AgentView]}})
+    async def agents() -> Response:
+        """Return the Devices and Persons that can perform Tasks, with their skills and open Tasks."""
+        return json_response(agent_views(orchestrator.allocator))
 
     @app.put("/mapping", tags=["allocation"], responses={200: {"model": MappingView}})
     @max_body(MAX_MAPPING_BYTES)

@@ -50,6 +50,8 @@ def _task_definition(settings: Settings, activity: Activity, process_definition:
         given = activity.parameters.get(name)
         if given is not None and given.expression is None:
             entity[name] = _property(given.literal)
+    if activity.skills:
+        entity["requiredSkills"] = _property(list(activity.skills))
     if activity.handles_outcomes:
         entity["handlesOutcomes"] = _property(True)
     return entity

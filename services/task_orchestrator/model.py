@@ -240,6 +240,10 @@ class Activity:
     """Whether the model handles other outcomes than `ok`; otherwise the Task fails."""
     hints: Mapping[str, str] = field(default_factory=dict)
     """What the dialect says of the performer: assignee, candidateGroups, candidateUsers, topic, jobType, …"""
+    role: str | None = None
+    """The role that the performer has, if `involves` is empty."""
+    skills: tuple[str, ...] = ()
+    """The skills that the performer has, if `involves` is empty."""
     spreads_outputs: bool = False
     """Whether each outputParameter becomes a variable of its own name, as Camunda has it."""
 

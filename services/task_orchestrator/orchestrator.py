@@ -28,6 +28,7 @@ from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator import metrics
 from services.task_orchestrator.active_processes import ActiveProcesses
+from services.task_orchestrator.allocation.agents import Agents
 from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.correlation import EventStart
@@ -61,6 +62,8 @@ from services.task_orchestrator.store import EndedProcess, EndedTask, Store
 log = get_logger(__name__)
 
 MAX_STEP_CHANGES = 200
+MAX_ALLOCATION_ROUNDS = 20
+"""Rounds of the search for performers in one step; the next round is in the next step."""
 DELETE_DELIVERED_AFTER_S = 0.1
 DELETE_EXPIRED_EVERY_S = 3600.0
 MAX_DELETED_PROCESSES = 100
@@ -113,7 +116,7 @@ class Orchestrator:
         self._next_seq = 1
         self._start_timers: dict[str, tuple[StartTimer, ...]] = {}
         self._disk = ThreadPoolExecutor(1, "orchestrator-disk")
-        self.allocator = Allocator()
+        self.allocator = Allocator(settings)
         self.active_processes = ActiveProcesses(
             settings, self.registry, self.store, self.on_disk, self.allocator
         )
@@ -431,6 +434,16 @@ class Orchestrator:
         begun = self.active_processes.processes.values()
         return next((process for process in begun if process.record.key == key), None)
 
+    async def set_agents(self, agents: Agents) -> None:
+        """Take the agents of the broker, and try again to find performers for waiting activities."""
+
+        def act(_: Step) -> None:
+            self.allocator.agents = agents
+            self.allocator.has_changed = True
+
+        if agents != self.allocator.agents or self.allocator.waiting():
+            await self._do(act)
+
     # Received changes and due timers
 
     async def receive(self, entities: Iterable[Mapping[str, Any]]) -> int:
@@ -705,6 +718,7 @@ class Orchestrator:
             for change in changes:
                 try:
                     answers.append((change, change.act(step)))
+                    self._allocate_waiting(step)
                     self.events.settle(step, self.clock())
                 except Problem as problem:
                     _answer(change, problem)
@@ -734,6 +748,17 @@ class Orchestrator:
         self.outbox.send(step.messages)
         for change, answer in answers:
             _answer(change, answer)
+
+    def _allocate_waiting(self, step: Step) -> None:
+        """Try again to find performers for waiting activities, if agents or their Tasks have changed."""
+        for _ in range(MAX_ALLOCATION_ROUNDS):
+            if not self.allocator.has_changed:
+                return
+            self.allocator.has_changed = False
+            for process_id in self.allocator.waiting():
+                process = self.active_processes.processes.get(process_id)
+                if process is not None:
+                    process.allocate(step, self.clock())
 
     def _add_definitions(self, definitions: Sequence[DefinitionRecord]) -> None:
         self.registry.add(definitions)

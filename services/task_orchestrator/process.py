@@ -17,7 +17,7 @@ from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
 from handover.task_life import FINISHED, is_reachable
 from services.task_orchestrator import process_alerts
-from services.task_orchestrator.allocation.allocator import Allocator
+from services.task_orchestrator.allocation.allocator import Allocator, Assignment, NoPerformer
 from services.task_orchestrator.entities import (
     outputs_property,
     process_entity,
@@ -40,6 +40,7 @@ from services.task_orchestrator.records import (
     TaskRecord,
     Timer,
     TimerKind,
+    Unallocated,
 )
 from services.task_orchestrator.settings import OrchestratorSettings
 
@@ -97,9 +98,9 @@ class Process:
     plan: Plan
     run: Run | None
     library: Library
+    allocator: Allocator
     tasks: dict[str, TaskRecord] = field(default_factory=dict)
     composed: list[str] = field(default_factory=list)
-    allocator: Allocator = field(default_factory=Allocator)
     reported: tuple[TaskStatus, int] | None = None
     """The status and the number of Tasks that were last written to the broker."""
 
@@ -134,7 +135,7 @@ class Process:
             )
         except RunFailed as failure:
             raise Problem(422, "Process cannot start", text_of(failure)) from failure
-        process = cls(settings, record, plan, run, library, allocator=allocator or Allocator())
+        process = cls(settings, record, plan, run, library, allocator or Allocator(settings))
         step.new.add(record.id)
         step.touched.add(record.id)
         process._report_process(step, now)
@@ -160,13 +161,15 @@ class Process:
         running = record.state if record.ended_at is None else None
         identity = _identity(settings, record)
         run = Run.resume(plan, running, library, identity=identity) if running is not None else None
-        process = cls(settings, record, plan, run, library, allocator=allocator or Allocator())
+        process = cls(settings, record, plan, run, library, allocator or Allocator(settings))
         for task in tasks:
             if all_tasks is None:
                 process.composed.append(task.id)
             process._track(task)
         process.composed += all_tasks or ()
         process.reported = (record.status, len(process.composed))
+        if run is not None and record.unallocated and record.status is not TaskStatus.PAUSED:
+            process.resume_waiting(run)
         return process
 
     @property
@@ -178,6 +181,40 @@ class Process:
     def over(self) -> bool:
         """Return whether it and all its Tasks have ended."""
         return self.run is None and not self.tasks
+
+    def resume_waiting(self, run: Run) -> None:
+        """Let the activities that wait for a performer wait again."""
+        for known in self.record.unallocated:
+            if run.visit(known.token) != known.visit:
+                continue
+            open_ = run.open_activity(known.token)
+            found = self.allocator.request(open_.activity, open_.variables, self._declined_by(open_))
+            if found.request is not None:
+                self.allocator.add_waiting(self.record.id, known.token, found.request, known.since)
+        self.allocator.has_changed = True
+
+    def release(self) -> None:
+        """Remove its Tasks and waiting activities from the allocator: it leaves the memory."""
+        for task_id in self.tasks:
+            self.allocator.remove_task(task_id)
+        for each in self.record.unallocated:
+            self.allocator.remove_waiting(self.record.id, each.token)
+
+    def allocate(self, step: Step, now: datetime) -> None:
+        """Try again to find performers for the activities that wait for one."""
+        run = self.run
+        if run is None or self.record.status is TaskStatus.PAUSED:
+            return
+        waiting = {each.token: each for each in self.record.unallocated}
+        for token, known in waiting.items():
+            if run.visit(token) != known.visit:
+                continue
+            open_ = run.open_activity(token)
+            found = self._choose(open_, known.since, now)
+            if not isinstance(found, NoPerformer) or found.is_final or found.reason != known.reason:
+                step.touched.add(self.record.id)
+                self._update(step, now)
+                return
 
     def timers(self) -> tuple[Timer, ...]:
         """Return the timers, the earliest first."""
@@ -378,6 +415,8 @@ class Process:
                 )
             act = replace(act, element=element)
         step.touched.add(self.record.id)
+        if act.act is ActKind.RETRY and token is not None:
+            self._forget_declined(token, act.element or "")  # all are asked again
         try:
             _mend(run, act, token, now)
         except RunFailed as failure:
@@ -418,6 +457,10 @@ class Process:
 
     def _continue_run(self, run: Run, task: TaskRecord, change: _StatusChange, now: datetime) -> None:
         activity = run.activity(task.token)
+        if change.status is TaskStatus.FAILED and task.chosen and change.outputs.get("declined") is True:
+            self._ask_next(run, task, change, now)
+            return
+        self._forget_declined(task.token, task.element)
         # Even if the performer reports "completed", an outcome that is not handled must not start a robot.
         unhandled = activity.unhandled(change.outputs)
         if change.status is TaskStatus.COMPLETED and unhandled is None:
@@ -428,6 +471,23 @@ class Process:
             reason = str(reason).replace("\0", "") or NO_REASON  # PostgreSQL does not accept it
         code = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
         run.fail(task.token, None if code is None else str(code), reason, now)
+
+    def _ask_next(self, run: Run, task: TaskRecord, change: _StatusChange, now: datetime) -> None:
+        """Open the activity again: its performer has declined it, so that another gets it."""
+        key = _declined_key(task.token, task.element)
+        declined = (*self.record.declined.get(key, ()), _performer(task))
+        self._revise(declined={**self.record.declined, key: declined})
+        run.refuse(task.token, message_in(change.outputs, "reason") or NO_REASON, now)
+        run.retry(task.token, now)
+
+    def _forget_declined(self, token: str, element: str) -> None:
+        key = _declined_key(token, element)
+        if key in self.record.declined:
+            others = {each: agents for each, agents in self.record.declined.items() if each != key}
+            self._revise(declined=others)
+
+    def _declined_by(self, open_: OpenActivity) -> frozenset[str]:
+        return frozenset(self.record.declined.get(_declined_key(open_.token, open_.element), ()))
 
     def _update(self, step: Step, now: datetime) -> None:
         """Post Tasks for open activities, cancel Tasks of left ones, and record the state of the process."""
@@ -443,6 +503,8 @@ class Process:
             elif run.completed:
                 self._end(TaskStatus.COMPLETED, None, step, now)
         run = self.run
+        if run is None and self.record.unallocated:
+            self._record_waiting([])
         self._cancel_left(run.open_visits() if run is not None else {}, step, now)
         self._update_incidents(step)
         known = self.record.id in step.processes or self.record.id in step.new
@@ -488,21 +550,51 @@ class Process:
 
     def _post_open(self, run: Run, step: Step, now: datetime) -> None:
         if self.record.status is TaskStatus.PAUSED:
+            for waits in self.record.unallocated:
+                self.allocator.remove_waiting(self.record.id, waits.token)
             return
         posted = {(task.token, task.visit) for task in self.tasks.values()}
+        since = {(each.token, each.visit): each.since for each in self.record.unallocated}
+        waiting: list[Unallocated] = []
         for token, visit in run.open_visits().items():
             if (token, visit) in posted or run.visit(token) != visit:
                 continue
             try:
-                self._post(run.open_activity(token), step, now)
+                each = run.open_activity(token)
+                began = since.get((token, visit), now)
+                found = self._choose(each, began, now)
+                if isinstance(found, NoPerformer):
+                    waiting.append(self._wait(each, found, began))
+                else:
+                    self._post(each, found, step, now)
             except (ExpressionError, ValueError) as error:
                 run.refuse(token, text_of(error), now)
+        if waiting or since:
+            self._record_waiting(waiting)
+
+    def _choose(self, open_: OpenActivity, since: datetime, now: datetime) -> Assignment | NoPerformer:
+        assignment = self.allocator.request(open_.activity, open_.variables, self._declined_by(open_))
+        return self.allocator.choose(assignment, (self.record.id, open_.token), since, now)
+
+    def _wait(self, open_: OpenActivity, found: NoPerformer, since: datetime) -> Unallocated:
+        """Let an activity wait; raise `ValueError` if all have declined it."""
+        if found.is_final:
+            raise ValueError(found.reason)
+        self.allocator.add_waiting(self.record.id, open_.token, found.request, since)
+        return Unallocated(open_.token, open_.visit, open_.element, open_.activity.name, found.reason, since)
+
+    def _record_waiting(self, waiting: Sequence[Unallocated]) -> None:
+        """Record the activities that wait for a performer."""
+        tokens = {each.token for each in waiting}
+        for each in self.record.unallocated:
+            if each.token not in tokens:
+                self.allocator.remove_waiting(self.record.id, each.token)
+        self._revise(unallocated=tuple(waiting))
 
     def _task_id(self, element: str, visit: int) -> str:
         return self.settings.entity_id("Task", f"{self.record.id}-{element}-{visit}")
 
-    def _post(self, open_: OpenActivity, step: Step, now: datetime) -> None:
-        assignment = self.allocator.assign(open_.activity, open_.variables)
+    def _post(self, open_: OpenActivity, assignment: Assignment, step: Step, now: datetime) -> None:
         activity = assignment.activity
         task_id = self._task_id(open_.element, open_.visit)
         allowed = timedelta(seconds=self.settings.task_deadline_s)
@@ -531,6 +623,7 @@ class Process:
             entity=entity,
             name=activity.name,
             allocated=assignment.reason,
+            chosen=assignment.request is not None,
         )
         step.new.add(task_id)
         self.composed.append(task_id)
@@ -592,14 +685,28 @@ class Process:
     def _track(self, task: TaskRecord) -> None:
         if task.finished:
             self.tasks.pop(task.id, None)
-        else:
-            self.tasks[task.id] = task
+            self.allocator.remove_task(task.id)
+            return
+        self.tasks[task.id] = task
+        performer = _performer(task)
+        if performer:
+            self.allocator.add_task(task.id, performer)
 
     def _record_act(self, act: Act) -> None:
         self._revise(acts=(*self.record.acts, act))
 
     def _revise(self, **changes: Any) -> None:
         self.record = replace(self.record, **changes)
+
+
+def _performer(task: TaskRecord) -> str:
+    """Return who performs a Task: the first that it involves; empty for a Task for people."""
+    involved = task.entity["involves"]["value"]
+    return str(involved[0]["object"]) if involved else ""
+
+
+def _declined_key(token: str, element: str) -> str:
+    return f"{token} {element}"
 
 
 def _mend(run: Run, act: Act, token: str | None, now: datetime) -> None:

@@ -17,6 +17,7 @@ from handover.resync import Resync
 from handover.retry import MAX_DELAY_S
 from handover.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
+from services.task_orchestrator.allocation.agents import TYPES, WATCHED, read_agents
 from services.task_orchestrator.orchestrator import Orchestrator
 
 log = get_logger(__name__)
@@ -37,6 +38,7 @@ class Reconciler:
         self._settings = orchestrator.settings
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
+        self._agents_resync = Resync(self._try_read_agents, self._settings.reconcile_s)
         self._registered = self._was_unavailable = False
         self._tasks = BackgroundTasks("reconciler")
 
@@ -44,6 +46,7 @@ class Reconciler:
         self._receiver.require_key()
         await self._tasks.__aenter__()
         self._tasks.start(self._resync.run)
+        self._tasks.start(self._agents_resync.run)
         self._tasks.start(self._run_timers)
         return self
 
@@ -85,7 +88,11 @@ class Reconciler:
 
         Raises `Problem` if the notification is refused, or if the changes cannot be stored.
         """
-        changed = self._orchestrator.changed_ids(await self._receiver.receive(request))
+        received = await self._receiver.receive(request)
+        tasks = [entity for entity in received if entity.get("type") not in TYPES]
+        if len(tasks) < len(received):
+            self._agents_resync.request()
+        changed = self._orchestrator.changed_ids(tasks)
         try:
             entities = await self._receiver.read("Task", changed)
         except BrokerError as error:
@@ -97,6 +104,7 @@ class Reconciler:
     async def _register(self) -> None:
         """Create the subscription and the definitions in the broker, which may have lost them."""
         await self._broker.ensure_subscription(self._subscription())
+        await self._broker.ensure_subscription(self._agents_subscription())
         registry = self._orchestrator.registry
         for record in registry.latest():
             try:
@@ -122,6 +130,22 @@ class Reconciler:
             self._was_unavailable = False
         return True
 
+    async def read_agents(self) -> None:
+        """Read the Devices and Persons of the broker, who perform Tasks."""
+        entities = [entity for type_ in TYPES for entity in await self._broker.query(type=type_)]
+        await self._orchestrator.set_agents(read_agents(entities))
+
+    async def _try_read_agents(self) -> bool:
+        try:
+            await self.read_agents()
+        except BrokerError as error:
+            log.warning("agents not read", error=str(error))
+            return False
+        except Problem as problem:
+            log.warning("performers of waiting activities not stored", error=str(problem))
+            return False
+        return True
+
     async def _run_timers(self) -> None:
         orchestrator = self._orchestrator
         while True:
@@ -142,6 +166,15 @@ class Reconciler:
         except Problem as problem:
             log.warning("due timers not processed yet", error=str(problem))
             await asyncio.sleep(MAX_DELAY_S)
+
+    def _agents_subscription(self) -> dict[str, Any]:
+        return {
+            **self._subscription(),
+            "id": self._settings.entity_id("Subscription", "task-orchestrator-agents"),
+            "description": "agents for the orchestrator",
+            "entities": [{"type": type_} for type_ in TYPES],
+            "watchedAttributes": list(WATCHED),
+        }
 
     def _subscription(self) -> dict[str, Any]:
         return {

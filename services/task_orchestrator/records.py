@@ -75,6 +75,18 @@ class IncidentRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Unallocated:
+    """An open activity without a Task, because no performer can take it now."""
+
+    token: str
+    visit: int
+    element: str
+    name: str
+    reason: str
+    since: datetime
+
+
+@dataclass(frozen=True, slots=True)
 class ProcessRecord:
     """The stored state of a process.
 
@@ -100,6 +112,9 @@ class ProcessRecord:
     acts: tuple[Act, ...] = ()
     archived_at: datetime | None = None
     """When the deletion of its entities from the broker was decided; None before."""
+    unallocated: tuple[Unallocated, ...] = ()
+    declined: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """The agents that have declined an open activity, by token and element."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +141,8 @@ class TaskRecord:
     """The name of the activity as it is drawn."""
     allocated: str | None = None
     """Why its performer got it."""
+    chosen: bool = False
+    """Whether its performer was chosen among several, so that another may get it."""
 
     @property
     def finished(self) -> bool:

@@ -167,6 +167,18 @@ class IncidentView(TypedDict):
     code: str | None
 
 
+class UnallocatedView(TypedDict):
+    """An open activity without a Task, because no performer can take it now."""
+
+    token: str
+    element: str
+    name: str
+    reason: str
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+    since: str
+
+
 class ProcessSummary(Reason):
     """A process as an element of a list; `retry` is the first failed Task among the incidents."""
 
@@ -182,6 +194,7 @@ class ProcessSummary(Reason):
     archivedAt: str | None
     waiting: list[str]
     incidents: list[IncidentView]
+    unallocated: list[UnallocatedView]
     retry: str | None
 
 
@@ -275,6 +288,25 @@ class MappingView(TypedDict):
     why: str | None
     at: str | None
     entries: list[MappedName]
+
+
+class SkillView(TypedDict):
+    """How well an agent has a skill."""
+
+    level: float
+    cost: float
+    speed: float
+
+
+class AgentView(TypedDict):
+    """A Device or Person that performs Tasks; `tasks` are its open ones."""
+
+    id: str
+    skills: dict[str, SkillView]
+    roles: list[str]
+    capacity: int
+    unavailable: str | None
+    tasks: list[str]
 
 
 class SentMessage(TypedDict):

@@ -51,6 +51,8 @@ processes = Table(
     Column("acts", Text, nullable=False, server_default="[]"),
     Column("archived_at", String(40)),
     Column("reason_message", Text),
+    Column("unallocated", Text, nullable=False, server_default="[]"),
+    Column("declined", Text, nullable=False, server_default="{}"),
     Index("orchestrator_processes_started", "started_at", "id"),
     Index("orchestrator_processes_definition", "definition", "version"),
     # These keep lists of one status or definition fast, independent of the number of stored processes.
@@ -81,6 +83,7 @@ tasks = Table(
     Column("entity", Text, nullable=False),
     Column("took_ms", BigInteger),
     Column("allocated", Text),
+    Column("chosen", Boolean, nullable=False, server_default="0"),
     Index("orchestrator_tasks_unfinished", "ended_at", "process"),
 )
 inbox = Table(

@@ -46,6 +46,7 @@ from services.task_orchestrator.records import (
     StartTimer,
     Step,
     TaskRecord,
+    Unallocated,
 )
 
 _MOMENTS = frozenset(
@@ -63,7 +64,9 @@ _MOMENTS = frozenset(
 _MAX_IDS = 500
 _NOT_LISTED = {"state": None, "parameters": "{}", "variables": "{}", "acts": "[]"}
 """Columns that lists of processes do not show, with what stands for them."""
-_DOCUMENTS = frozenset({"parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents"})
+_DOCUMENTS = frozenset(
+    {"parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents", "declined"}
+)
 
 
 _CONSTANT = frozenset({"id", "definition", "version", "key", "parameters", "started_at", "partner"})
@@ -541,12 +544,18 @@ def _changed_row(process: ProcessRecord) -> dict[str, Any]:
 def _process_row(process: ProcessRecord, *, but: Collection[str] = ()) -> dict[str, Any]:
     """Return the row of a process; the code and parameters of its reason have a separate column."""
     incidents = orjson.dumps([_incident_values(incident) for incident in process.incidents]).decode()
-    row = {**_row(process, but=but), "incidents": incidents}
+    unallocated = orjson.dumps([_unallocated_values(each) for each in process.unallocated]).decode()
+    row = {**_row(process, but=but), "incidents": incidents, "unallocated": unallocated}
     reason = process.reason
     if not isinstance(reason, MessageText):
         return {**row, "reason_message": None}
     coded = orjson.dumps(with_code("reason", reason)).decode()
     return {**row, "reason": str(reason), "reason_message": coded}
+
+
+def _unallocated_values(each: Unallocated) -> dict[str, Any]:
+    values = {name: getattr(each, name) for name in ("token", "visit", "element", "name", "since")}
+    return {**values, **with_code("reason", each.reason)}
 
 
 def _incident_values(incident: IncidentRecord) -> dict[str, Any]:
@@ -594,12 +603,19 @@ def _process(row: Mapping[str, Any]) -> ProcessRecord:
             "waiting": tuple(values["waiting"]),
             "acts": tuple(_act(act) for act in values["acts"]),
             "incidents": tuple(_incident(incident) for incident in values["incidents"]),
+            "unallocated": tuple(_unallocated(each) for each in orjson.loads(values["unallocated"])),
+            "declined": {key: tuple(agents) for key, agents in values["declined"].items()},
         }
     )
 
 
 def _act(values: Mapping[str, Any]) -> Act:
     return Act(**{**values, "at": _time(values["at"]), "act": ActKind(values["act"])})
+
+
+def _unallocated(values: Mapping[str, Any]) -> Unallocated:
+    others = {name: values[name] for name in ("token", "visit", "element", "name")}
+    return Unallocated(reason=message_in(values, "reason") or "", since=_time(values["since"]), **others)
 
 
 def _incident(values: Mapping[str, Any]) -> IncidentRecord:

@@ -8,6 +8,7 @@ from datamodels.entities import TaskStatus
 from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
+from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.allocation.mapping import MappingTable
 from services.task_orchestrator.counts import ElementCount, PeriodCount, VersionCount, count_elements
 from services.task_orchestrator.definition_registry import DefinitionRegistry
@@ -38,6 +39,24 @@ def mapping_view(table: MappingTable) -> View:
         "at": _iso(table.at),
         "entries": [entry.model_dump(mode="json", exclude_defaults=True) for entry in table.entries],
     }
+
+
+def agent_views(allocator: Allocator) -> list[View]:
+    """Return the agents with their open Tasks."""
+    return [
+        {
+            "id": agent.id,
+            "skills": {
+                name: {"level": skill.level, "cost": skill.cost, "speed": skill.speed}
+                for name, skill in agent.skills.items()
+            },
+            "roles": sorted(agent.roles),
+            "capacity": agent.capacity,
+            "unavailable": agent.unavailable,
+            "tasks": allocator.tasks_of(agent.id),
+        }
+        for agent in allocator.agents.by_id.values()
+    ]
 
 
 def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> View:
@@ -117,6 +136,16 @@ def process_summary(
         "archivedAt": _iso(record.archived_at),
         "waiting": list(record.waiting),
         "incidents": [_incident_view(incident) for incident in record.incidents],
+        "unallocated": [
+            {
+                "token": each.token,
+                "element": each.element,
+                "name": each.name,
+                **_reason(each.reason),
+                "since": iso(each.since),
+            }
+            for each in record.unallocated
+        ],
         "retry": next((each.task for each in record.incidents if each.task is not None), None),
     }
 

@@ -81,6 +81,8 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         variable=variable,
         handles_outcomes=work.handles_outcomes,
         hints=hints,
+        role=work.role,
+        skills=work.skills,
         spreads_outputs=spreads and not work.outputs,
     )
 

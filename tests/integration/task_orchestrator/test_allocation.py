@@ -1,9 +1,11 @@
 """Allocation: the mapping gives the activities of foreign files to people, robots and devices."""
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import orjson
 import pytest
 
 from tests.integration.task_orchestrator.cell import Cell, cell, eventually
@@ -78,6 +80,7 @@ def test_a_file_gives_no_work_to_a_robot_until_an_engineer_confirms_the_mapping(
 
 def test_a_mapping_survives_a_restart_with_its_versions(allocating: Cell) -> None:
     running = allocating
+    running.script_file.write_text("{}")
     before = running.api.get("/mapping").json()["version"]
     entries = [{"kind": "topic", "name": "kept-grip", "resource": "Device:ur10-1"}]
     running.api.put("/mapping", json={"by": "Bo", "entries": entries})
@@ -106,3 +109,129 @@ def test_the_command_line_shows_and_sets_the_mapping(
     shown = capsys.readouterr().out
     assert "by: Anna" in shown
     assert "role: robot" in shown
+
+
+CHOICE = """<?xml version="1.0" encoding="UTF-8"?>
+<bpmn:definitions xmlns:bpmn="http://www.omg.org/spec/BPMN/20100524/MODEL"
+    xmlns:handover="urn:handover:bpmn" id="file" targetNamespace="urn:t">
+  <bpmn:process id="{name}" isExecutable="true">
+    <bpmn:startEvent id="start"/>
+    <bpmn:serviceTask id="work" name="Work"><bpmn:extensionElements>
+      <handover:task definition="work" {needs}/>
+    </bpmn:extensionElements></bpmn:serviceTask>
+    <bpmn:endEvent id="end"/>
+    <bpmn:sequenceFlow id="a" sourceRef="start" targetRef="work"/>
+    <bpmn:sequenceFlow id="b" sourceRef="work" targetRef="end"/>
+  </bpmn:process>
+</bpmn:definitions>"""
+GLOVE, ROBOT = (f"urn:ngsi-ld:Device:demo:{name}" for name in ("glove-1", "ur10-1"))
+
+
+def deploy_choice(running: Cell, name: str, needs: str) -> dict[str, Any]:
+    answer = running.api.post(
+        "/definitions",
+        content=CHOICE.format(name=name, needs=needs),
+        headers={"Content-Type": "application/xml"},
+    )
+    assert answer.is_success, answer.text
+    line: dict[str, Any] = answer.json()["allocation"][0]
+    return line
+
+
+def have(running: Cell, skills: dict[str, Any], roles: dict[str, list[str]] | None = None) -> None:
+    """Give the devices skills and roles, by URN, in their ResourceSpecifications."""
+    for urn, given in skills.items():
+        name = urn.rpartition(":")[2]
+        specification = f"urn:ngsi-ld:ResourceSpecification:demo:{name}"
+        for entity in (
+            {
+                "id": specification,
+                "type": "ResourceSpecification",
+                "name": {"type": "Property", "value": name},
+                "resourceType": {"type": "Property", "value": "robot"},
+                "skills": {"type": "Property", "value": given},
+                "roles": {"type": "Property", "value": (roles or {}).get(urn, [])},
+            },
+            {
+                "id": urn,
+                "type": "Device",
+                "controlledProperty": {"type": "Property", "value": ["motion"]},
+                "isSpecifiedBy": {"type": "Relationship", "object": specification},
+            },
+        ):
+            answer = running.entities.post("", json=entity, headers={"Content-Type": "application/json"})
+            if answer.status_code == 409:
+                attributes = {name: value for name, value in entity.items() if name not in {"id", "type"}}
+                answer = running.entities.post(f"/{entity['id']}/attrs", json=attributes)
+            assert answer.is_success, answer.text
+
+    def are_known() -> bool:
+        known = {each["id"]: each for each in running.api.get("/agents").json()}
+        return all(
+            urn in known
+            and set(known[urn]["skills"]) == {one if isinstance(one, str) else one["name"] for one in given}
+            and known[urn]["roles"] == (roles or {}).get(urn, [])
+            for urn, given in skills.items()
+        )
+
+    eventually(are_known, "the change of the agents")
+
+
+def test_the_most_skilled_agent_gets_the_task_and_the_next_one_if_it_declines(allocating: Cell) -> None:
+    running = allocating
+    have(running, {GLOVE: ["weld"], ROBOT: [{"name": "weld", "level": 3}]})
+    running.script_file.write_text('{"work-1": {"fails": "the gripper is hot", "declined": true}}')
+    assert deploy_choice(running, "skilled", 'skills="weld"')["warning"] is None
+    ended = running.ended(running.start("skilled"))
+    assert ended["status"] == "completed"
+    first, second = ended["tasks"]
+    assert (first["involves"], first["status"]) == ([ROBOT], "failed")
+    assert first["allocated"] == "ur10-1: idle, skill 3; glove-1 free as well"
+    assert (second["involves"], second["status"]) == ([GLOVE], "completed")
+    assert second["allocated"] == "glove-1: idle, skill 1"
+
+
+def test_it_is_an_incident_when_all_have_declined_and_a_retry_asks_all_again(allocating: Cell) -> None:
+    running = allocating
+    have(running, {GLOVE: ["paint"], ROBOT: ["paint"]})
+    no = {"fails": "no", "declined": True}
+    running.script_file.write_bytes(orjson.dumps({"work-1": no, "work-2": no}))
+    assert deploy_choice(running, "refused", 'skills="paint"')["warning"] is None
+    process = running.start("refused")
+    (incident,) = running.stuck(process)["incidents"]
+    assert incident["reasonCode"] == "allocation.all_declined"
+    answer = running.api.post(f"/processes/{process}/tokens/{incident['token']}/retry", json={"by": "Anna"})
+    assert answer.is_success, answer.text
+    assert running.ended(process)["status"] == "completed"
+
+
+def test_an_activity_waits_for_an_agent_also_across_a_kill(allocating: Cell) -> None:
+    running = allocating
+    running.script_file.write_text("{}")
+    have(running, {GLOVE: [], ROBOT: []})
+    role = 'role="inspector"'
+    assert deploy_choice(running, "inspection", role)["warning"] == "nobody has role:inspector"
+    process = running.start("inspection")
+    (waiting,) = running.look(process)["unallocated"]
+    assert (waiting["element"], waiting["reason"]) == ("work", "nobody has role:inspector")
+    running.orchestrator.kill()
+    running.orchestrator.start()
+    assert running.look(process)["unallocated"][0]["since"] == waiting["since"]
+    have(running, {ROBOT: []}, {ROBOT: ["inspector"]})
+    ended = running.ended(process)
+    assert ended["status"] == "completed"
+    assert [task["involves"] for task in ended["tasks"]] == [[ROBOT]]
+    assert ended["unallocated"] == []
+
+
+def test_one_agent_works_on_one_task_at_a_time(allocating: Cell) -> None:
+    running = allocating
+    have(running, {GLOVE: [], ROBOT: ["drill"]})
+    running.script_file.write_text('{"work-1": {"after_s": 0.3}}')
+    eventually(
+        lambda: deploy_choice(running, "drilling", 'skills="drill"')["warning"] is None,
+        "the agents are known",
+    )
+    ended = [running.ended(each) for each in [running.start("drilling") for _ in range(4)]]
+    times = sorted((each["tasks"][0]["createdAt"], each["tasks"][0]["endedAt"]) for each in ended)
+    assert all(before[1] <= after[0] for before, after in itertools.pairwise(times))

@@ -36,6 +36,8 @@ class Work:
     hints: Mapping[str, str] = field(default_factory=dict)
     has_implementation: bool = False
     """Whether somebody has to do it: a send task or message event is then a Task, not a message."""
+    role: str | None = None
+    skills: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,8 @@
 With handlesOutcomes="true" a Task with another outcome than `ok` is completed, and the process continues with
 the variable `outcome`; otherwise such a Task fails.
 
+Instead of handover:involves, role="operator" and skills="grip place" let an agent be chosen that has them.
+
 <handover:on type="Alert" q='severity=="critical"' variable="alert" correlation="alert.alertSource"/>
 
 in a message, signal or conditional event: the creation or change of such an entity is the event. The
@@ -56,7 +58,7 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
 _TYPE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[a-z][a-z0-9+.-]*:[^\s<>\"]+", re.ASCII)
 
 _ATTRIBUTES: Mapping[str, frozenset[str]] = {
-    "task": frozenset({"definition", "deadline", "handlesOutcomes"}),
+    "task": frozenset({"definition", "deadline", "handlesOutcomes", "role", "skills"}),
     "involves": frozenset({"resource", "expression"}),
     "happensAt": frozenset({"location", "expression", "function"}),
     "parameter": frozenset({"name", "value", "expression"}),
@@ -100,6 +102,16 @@ class Handover:
         if not _NAME.fullmatch(definition):
             found.fault(extension, f'definition="{definition}" is not a name; use A-Z, a-z, 0-9, - _ .')
         parts = _parts(extension, {"involves", "happensAt", "parameter", "output"}, found)
+        role = (extension.get("role") or "").strip() or None
+        skills = tuple((extension.get("skills") or "").split())
+        if parts["involves"] and (role or skills):
+            found.fault(
+                extension,
+                message(
+                    "bpmn.resource_and_role",
+                    "a handover:task has either handover:involves or a role and skills",
+                ),
+            )
         return Work(
             definition=definition,
             deadline=_deadline(extension, found),
@@ -112,6 +124,8 @@ class Handover:
             outputs=_outputs(parts["output"], found),
             handles_outcomes=_handles_outcomes(extension, found),
             has_implementation=True,
+            role=role,
+            skills=skills,
         )
 
     def mapped(self, element: etree._Element, found: Findings) -> Mapped:  # noqa: ARG002 - of the interface

@@ -15,6 +15,7 @@ from services.task_orchestrator.allocation.mapping import (
 )
 from services.task_orchestrator.languages import native
 from services.task_orchestrator.model import Activity, Value
+from services.task_orchestrator.settings import OrchestratorSettings
 
 GRIP = {"kind": "class", "name": "com.example.Grip", "resource": "Device:ur10-1"}
 
@@ -37,7 +38,7 @@ def activity(*, lane: str | None = None, involves: tuple[Value, ...] = (), **hin
 
 
 def allocator(*entries: dict[str, Any], by: str | None = "Anna") -> Allocator:
-    made = Allocator()
+    made = Allocator(OrchestratorSettings(_env_file=None))
     made.mapping = MappingTable(3, tuple(MappingEntry.model_validate(entry) for entry in entries), by)
     return made
 
@@ -100,11 +101,11 @@ def test_a_resource_of_the_file_comes_before_the_mapping() -> None:
     assert allocator(entry).assign(given, {"robot": "Device:ur10-1"}).activity is given
 
 
-def test_a_role_is_part_of_the_candidates() -> None:
+def test_a_role_that_nobody_has_is_a_warning() -> None:
     entry = {"kind": "candidateGroup", "name": "welders", "role": "welder"}
     assignment = allocator(entry).assign(activity(candidateGroups="welders"), {})
-    assert assignment.candidates == {"groups": ["welders"], "role": "welder"}
     assert assignment.performer == "role:welder"
+    assert assignment.warning == "nobody has role:welder"
 
 
 @pytest.mark.parametrize(
@@ -117,7 +118,7 @@ def test_a_role_is_part_of_the_candidates() -> None:
     ],
 )
 def test_hints_may_be_expressions(hint: str, text: str, names: list[str]) -> None:
-    assignment = Allocator().assign(activity(**{hint: text}), {"team": "welders"})
+    assignment = allocator().assign(activity(**{hint: text}), {"team": "welders"})
     assert assignment.candidates == {"groups": names}
 
 
