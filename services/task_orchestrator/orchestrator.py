@@ -492,7 +492,9 @@ class Orchestrator:
                 RECEIVED.labels("foreign").inc()
                 if not _is_finished(entity):
                     self.on_unowned()  # an ended Task of the orchestrator may have reappeared
-            elif _status(entity) == owner.tasks[task_id].status.value:
+                continue
+            known = owner.tasks.get(task_id)  # none while the step that ends it is written
+            if known is None or _status(entity) == known.status.value:
                 RECEIVED.labels("known").inc()
             else:
                 yield entity
