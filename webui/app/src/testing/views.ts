@@ -53,6 +53,7 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
     elements: {},
     tasks: [],
     incidents: [],
+    unallocated: [],
     retry: null,
     acts: [],
     ...over,

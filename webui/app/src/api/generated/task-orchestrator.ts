@@ -265,6 +265,7 @@ export interface ProcessSummary {
   archivedAt: string | null;
   waiting: string[];
   incidents: IncidentView[];
+  unallocated: UnallocatedView[];
   retry: string | null;
 }
 
@@ -285,6 +286,7 @@ export interface ProcessView {
   archivedAt: string | null;
   waiting: string[];
   incidents: IncidentView[];
+  unallocated: UnallocatedView[];
   retry: string | null;
   parameters: Record<string, unknown>;
   variables: Record<string, unknown>;
@@ -332,6 +334,17 @@ export interface TaskView {
   endedAt: string | null;
   cancelled: boolean;
   history: StatusChange[];
+}
+
+/** An open activity without a Task, because no performer can take it now. */
+export interface UnallocatedView {
+  token: string;
+  element: string;
+  name: string;
+  reason: string;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
+  since: string;
 }
 
 /** The statistics of a version. */
