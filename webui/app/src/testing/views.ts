@@ -53,7 +53,6 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
     elements: {},
     tasks: [],
     incidents: [],
-    unallocated: [],
     retry: null,
     acts: [],
     ...over,
