@@ -411,10 +411,9 @@ class Store:
         tasks = self.task_ids([record.id for record in found])
         return [EndedProcess(record, tuple(tasks[record.id])) for record in found]
 
-    def _rows(self, statement: Any) -> Iterator[dict[str, Any]]:
+    def _rows(self, statement: Any) -> list[dict[str, Any]]:
         with self._engine.connect() as connection:
-            for row in connection.execute(statement).mappings().all():
-                yield dict(row)
+            return [dict(row) for row in connection.execute(statement).mappings().all()]
 
 
 def _write_definitions(connection: Connection, definitions: Sequence[DefinitionRecord]) -> None:
