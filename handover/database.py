@@ -17,6 +17,9 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from handover.errors import HandoverError, UsageError
 from handover.sqlite_files import prepare_own, stamp_of, unreleased_format
 
+OPEN_ATTEMPTS = 100
+OPEN_RETRY_S = 0.1
+"""SQLite does not wait by itself while another process changes a new file to the write-ahead log."""
 LOCK_POLL_S = 1.0
 """Pause between two attempts of a standby to get the lock."""
 _KEEP_ALIVE = (
@@ -131,7 +134,7 @@ def connect(
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _make_durable)
     try:
-        engine.connect().close()
+        _open(engine)
     except DBAPIError as error:
         reason = str(error.orig).strip().splitlines()[0]
         shown = parsed.render_as_string(hide_password=True)
@@ -139,6 +142,19 @@ def connect(
             f"the database {shown} cannot be used: {reason}; correct that or {setting}"
         ) from None
     return engine
+
+
+def _open(engine: Engine) -> None:
+    """Open a first connection; while another process creates the same SQLite file, wait for it."""
+    for attempt in range(OPEN_ATTEMPTS):
+        try:
+            engine.connect().close()
+        except DBAPIError as error:
+            if "database is locked" not in str(error.orig) or attempt == OPEN_ATTEMPTS - 1:
+                raise
+            time.sleep(OPEN_RETRY_S)
+        else:
+            return
 
 
 def _prepare(file: Path, setting: str) -> None:

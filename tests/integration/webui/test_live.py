@@ -16,6 +16,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
+from tests.integration.task_orchestrator.cell import CONTEXT
 from tests.kit.waiting import scaled
 from webui.live.live_socket import LiveSocket
 from webui.live.live_state import LiveState
@@ -145,6 +146,16 @@ def test_all_topics_match_their_types(
     viewer = look()
     viewer.subscribe(JOINTS)
     browser.post("/api/task-orchestrator/processes", json={"definition": "bin-picking"}).raise_for_status()
+    task = {
+        "id": "urn:ngsi-ld:Task:demo:weigh",
+        "type": "Task",
+        "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:weigh"},
+        "status": {"type": "Property", "value": "pending", "observedAt": "2026-05-04T08:00:00Z"},
+        "involves": {"type": "Property", "value": []},
+        "workParameters": {"type": "Property", "value": {"description": "Weigh the part"}},
+    }
+    entities = f"{whole_cell.url('context_broker')}/ngsi-ld/v1/entities"
+    httpx.post(entities, json=task, headers={"Link": CONTEXT}, trust_env=False).raise_for_status()
     families = {name.rstrip("/") for name in TOPICS} - {"people", "alert"}
     viewer.read_until(lambda: JOINTS in viewer.topics and viewer.process().get("tasks"))
     viewer.read_until(lambda: families <= {topic.partition("/")[0] for topic in viewer.topics})
