@@ -41,6 +41,7 @@ def test_postgresql_has_the_same_tables(new_database: Callable[[], str], tmp_pat
         store = Store(engine)
         store.migrate()
         store.write(Step(1, delivered=[1]))
+        store.lock.release()
     assert tables(sqlite) == tables(postgresql)
     sqlite.dispose()
     postgresql.dispose()
