@@ -1,6 +1,5 @@
 """The System page of a cell with a ROS bridge: its rules, their counts, and how one is disabled."""
 
-import random
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell, new_cell
+from tests.kit.ros_domains import ros_domain
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -42,7 +42,7 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
         made.extra.update(
             {
                 "HANDOVER_ROS_MAPPING": str(mapping),
-                "HANDOVER_ROS_DOMAIN_ID": str(random.randint(1, 100)),
+                "HANDOVER_ROS_DOMAIN_ID": str(ros_domain()),
                 "HANDOVER_ROS_INTERFACES": '["127.0.0.1"]',
             }
         )

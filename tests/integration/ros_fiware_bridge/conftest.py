@@ -1,6 +1,5 @@
 """A cell with a broker and a ROS bridge, both processes, and a robot on a ROS graph of its own."""
 
-import random
 import textwrap
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
@@ -20,6 +19,7 @@ from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.shared_mapping import BOTH_WAYS, REQUESTS
 from tests.kit.cell import new_cell
+from tests.kit.ros_domains import ros_domain
 from tests.kit.waiting import scaled, until
 
 
@@ -128,7 +128,7 @@ class Shop:
 def shared_shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
     """A broker and a bridge with the shared mapping, for the modules that need no other."""
     with new_cell(tmp_path_factory.mktemp("cell")) as cell:
-        made = Shop(cell, random.randint(1, 100))
+        made = Shop(cell, ros_domain())
         made.begin(BOTH_WAYS + REQUESTS)
         yield made
 
@@ -137,7 +137,7 @@ def shared_shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
 def at_work(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
     """A broker and a bridge with the `MAPPING` of the module, for all its tests."""
     with new_cell(tmp_path_factory.mktemp("cell")) as cell:
-        made = Shop(cell, random.randint(1, 100))
+        made = Shop(cell, ros_domain())
         try:
             made.begin(request.module.MAPPING)
             yield made
@@ -155,6 +155,6 @@ async def shop(at_work: Shop) -> AsyncIterator[Shop]:
 @pytest.fixture
 async def own_shop(cell: Any) -> AsyncIterator[Shop]:
     """A shop without processes, whose robot has joined the graph."""
-    made = Shop(cell, random.randint(1, 100))
+    made = Shop(cell, ros_domain())
     async with made.opened():
         yield made

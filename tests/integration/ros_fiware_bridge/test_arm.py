@@ -6,7 +6,6 @@ behaves like a joint trajectory controller: it follows the points, and stops at 
 
 import asyncio
 import itertools
-import random
 import time
 from collections.abc import AsyncIterator, Iterator
 from datetime import UTC, datetime
@@ -22,6 +21,7 @@ from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, Message, ServedG
 from ros_fiware_bridge.graph.qos import SENSOR_DATA
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.kit.cell import new_cell
+from tests.kit.ros_domains import ros_domain
 
 pytestmark = pytest.mark.slow
 
@@ -104,7 +104,7 @@ class Arm:
 def at_work(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
     """A broker, a bridge with the shipped mapping, and a trajectory tool with `HANDOVER_ROBOT=ros`."""
     with new_cell(tmp_path_factory.mktemp("cell")) as cell:
-        made = Shop(cell, random.randint(1, 100))
+        made = Shop(cell, ros_domain())
         cell.extra.update({"HANDOVER_ROBOT": "ros", "HANDOVER_ROBOT_SPEED": "1"})
         made.begin("", HANDOVER_ROS_MAPPING="arm")
         cell.start("trajectory_tool")

@@ -1,7 +1,6 @@
 """Dropped messages are counted by cause and raise Alerts; conflated messages do not."""
 
 import asyncio
-import random
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -13,6 +12,7 @@ from ros_fiware_bridge.graph.qos import History, Qos
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.kit.cell import new_cell
 from tests.kit.ports import next_free_port
+from tests.kit.ros_domains import ros_domain
 
 pytestmark = pytest.mark.slow
 
@@ -71,7 +71,7 @@ class Slow:
 @pytest.fixture(scope="module")
 def at_work(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
     with new_cell(tmp_path_factory.mktemp("cell")) as cell:
-        made = Shop(cell, random.randint(1, 100))
+        made = Shop(cell, ros_domain())
         cell.start("context_broker", within_s=90.0)
         yield made
 
