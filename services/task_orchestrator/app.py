@@ -160,10 +160,9 @@ class Components:
         self.archiver = Archiver(self.orchestrator, self.broker)
         self.entity_events = EntityEvents(self.orchestrator, self.broker)
 
-    @property
-    def process_prefix(self) -> str:
-        """Return what the URNs of processes begin with."""
-        return self.settings.entity_id("Process", "")
+    def plain_id(self, process_id: str) -> str:
+        """Return the id of a process, which may be given as its URN."""
+        return process_id.removeprefix(self.settings.entity_id("Process", ""))
 
     @asynccontextmanager
     async def lifespan(self, _: FastAPI) -> AsyncIterator[None]:
@@ -252,7 +251,7 @@ def _app(at: Components) -> FastAPI:
             ttl = None if body.ttl is None else timedelta(seconds=parse_duration(body.ttl).nominal_s)
         except ValueError as error:
             raise Problem(422, "Bad time to live", str(error)) from error
-        process = None if body.process is None else body.process.removeprefix(at.process_prefix)
+        process = None if body.process is None else at.plain_id(body.process)
         outcome, reached = await at.orchestrator.publish(
             body.name, key=body.key, process=process, variables=body.variables, ttl=ttl
         )
@@ -398,7 +397,7 @@ def _add_processes(app: FastAPI, at: Components) -> None:
         process_id, created = await orchestrator.start(
             body.definition, body.parameters, version=body.version, key=body.key
         )
-        view = await _process(process_id)
+        view = await _shown(at, process_id)
         return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})
 
     @app.get("/processes", tags=["processes"], responses={200: {"model": list[ProcessSummary]}})
@@ -421,7 +420,7 @@ def _add_processes(app: FastAPI, at: Components) -> None:
     ) -> Response:
         """Return processes, the latest first; `before` with the id of the last one returns the next page."""
         wanted = status.value if status is not None else None
-        mark = _plain(before) if before is not None else None
+        mark = at.plain_id(before) if before is not None else None
         records = await orchestrator.on_disk(
             lambda: store.page(
                 status=wanted,
@@ -448,41 +447,31 @@ def _add_processes(app: FastAPI, at: Components) -> None:
     @app.get("/processes/{process_id}", tags=["processes"], responses=PROCESS)
     async def process(process_id: str) -> Response:
         """Return a process with its variables, its Tasks, its waiting elements and its next activities."""
-        return json_response(await _process(process_id))
+        return json_response(await _shown(at, process_id))
 
     @app.post("/processes/{process_id}/cancel", tags=["processes"], responses=PROCESS)
     async def cancel(process_id: str, body: CancelRequest | None = None) -> Response:
         """Cancel a process and its Tasks."""
-        await orchestrator.cancel(_plain(process_id), body.by.strip() if body and body.by else None)
-        return json_response(await _process(process_id))
+        await orchestrator.cancel(at.plain_id(process_id), body.by.strip() if body and body.by else None)
+        return json_response(await _shown(at, process_id))
 
     @app.post("/processes/{process_id}/tasks/{task_id}/retry", tags=["processes"], responses=PROCESS)
     async def retry(process_id: str, task_id: str, body: RetryRequest) -> Response:
         """Post the failed Task that has ended a process again, as a new Task; the process continues."""
-        await orchestrator.retry(_plain(process_id), settings.entity_id("Task", task_id), body.by.strip())
-        return json_response(await _process(process_id))
-
-    async def _process(process_id: str) -> dict[str, Any]:
-        return await _shown(at, process_id)
-
-    def _plain(process_id: str) -> str:
-        return process_id.removeprefix(at.process_prefix)
+        await orchestrator.retry(
+            at.plain_id(process_id), settings.entity_id("Task", task_id), body.by.strip()
+        )
+        return json_response(await _shown(at, process_id))
 
 
 def _add_interventions(app: FastAPI, at: Components) -> None:
     """Add what people do with running processes: pause, resume, and mend what cannot continue."""
     orchestrator = at.orchestrator
 
-    async def _process(process_id: str) -> dict[str, Any]:
-        return await _shown(at, process_id)
-
-    def _plain(process_id: str) -> str:
-        return process_id.removeprefix(at.process_prefix)
-
     async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> Response:
         check_variables(body.variables)
         await orchestrator.mend(
-            _plain(process_id),
+            at.plain_id(process_id),
             kind,
             token,
             by=body.by.strip(),
@@ -490,19 +479,19 @@ def _add_interventions(app: FastAPI, at: Components) -> None:
             to=body.to if isinstance(body, MoveRequest) else None,
             values=body.variables,
         )
-        return json_response(await _process(process_id))
+        return json_response(await _shown(at, process_id))
 
     @app.post("/processes/{process_id}/pause", tags=["processes"], responses=PROCESS)
     async def pause(process_id: str, body: PauseRequest) -> Response:
         """Pause a process: its Tasks are requested to pause, no other is posted, timers wait."""
-        await orchestrator.pause(_plain(process_id), ActKind.PAUSE, by=body.by.strip(), why=body.why)
-        return json_response(await _process(process_id))
+        await orchestrator.pause(at.plain_id(process_id), ActKind.PAUSE, by=body.by.strip(), why=body.why)
+        return json_response(await _shown(at, process_id))
 
     @app.post("/processes/{process_id}/resume", tags=["processes"], responses=PROCESS)
     async def resume(process_id: str, body: PauseRequest) -> Response:
         """Continue a paused process, with the timers that were due meanwhile."""
-        await orchestrator.pause(_plain(process_id), ActKind.RESUME, by=body.by.strip(), why=body.why)
-        return json_response(await _process(process_id))
+        await orchestrator.pause(at.plain_id(process_id), ActKind.RESUME, by=body.by.strip(), why=body.why)
+        return json_response(await _shown(at, process_id))
 
     @app.post("/pause", tags=["processes"], responses={200: {"model": PausedProcesses}})
     async def pause_all(body: PauseRequest, definition: str | None = None) -> Response:
@@ -554,7 +543,7 @@ def _add_interventions(app: FastAPI, at: Components) -> None:
 async def _shown(at: Components, process_id: str) -> dict[str, Any]:
     """Return a process with all details; raise `Problem` 404 if there is none."""
     store, registry = at.orchestrator.store, at.orchestrator.registry
-    seen = await at.orchestrator.on_disk(store.everything, process_id.removeprefix(at.process_prefix))
+    seen = await at.orchestrator.on_disk(store.everything, at.plain_id(process_id))
     if seen is None:
         raise Problem(
             404,

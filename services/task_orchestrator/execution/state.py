@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from enum import StrEnum
-from typing import Any, TypedDict
+from typing import Any, Protocol, TypedDict
 
 import orjson
 
@@ -306,16 +306,14 @@ def _token_values(token: Token) -> dict[str, Any]:
     return values
 
 
-class Library:
-    """The definitions that a process may call, by name and version. A subclass finds them."""
+class Library(Protocol):
+    """The definitions that a process may call, by name and version."""
 
     def plan(self, name: str, version: int) -> Plan:
         """Return a version of a definition; raise `RunFailed` if there is none that can be executed."""
-        raise NotImplementedError
 
     def find(self, name: str, version: int | None, tag: str | None) -> Plan:
         """Return the latest version, or that with the version number or tag; raise `RunFailed` if none."""
-        raise NotImplementedError
 
 
 def read_snapshot(snapshot: bytes, library: Library) -> State:

@@ -113,24 +113,6 @@ def test_bin_picking_can_be_drawn() -> None:
 WORK = activity("work")
 
 WRONG = {
-    "dangling flow": (ONE_STEP + flow("work", "nowhere"), 'targetRef "nowhere" is no node'),
-    "no condition": (
-        start() + gateway("g") + end() + end("other") + path("start", "g", "end") + flow("g", "other", "x"),
-        'its flow "g_end" to "end" has no condition',
-    ),
-    "wrong default": (
-        start() + gateway("g", default="start_g") + end() + path("start", "g", "end"),
-        'its default flow "start_g" does not leave it',
-    ),
-    "bad condition": (
-        start()
-        + gateway("g", default="g_end")
-        + end()
-        + end("o")
-        + path("start", "g", "end")
-        + flow("g", "o", "import os"),
-        "is not an expression",
-    ),
     "hostile condition": (
         start()
         + gateway("g", default="g_end")
@@ -177,8 +159,6 @@ WRONG = {
         start() + activity("not") + end() + path("start", "not", "end"),
         '"not" cannot be a variable',
     ),
-    "id twice": (ONE_STEP + activity("work"), 'the id "work" is used twice'),
-    "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of A-Z"),
     "call activity": (ONE_STEP + '<bpmn:callActivity id="c"/>', "the call activity names no process"),
     "sub-process": (ONE_STEP + '<bpmn:subProcess id="s"/>', "the subprocess is empty"),
     "unknown element": (ONE_STEP + '<bpmn:teleport id="t"/>', "teleport is not supported yet"),
@@ -195,10 +175,6 @@ WRONG = {
         + end()
         + path("start", "t", "end"),
         "no ISO 8601 duration",
-    ),
-    "boundary on nothing": (
-        ONE_STEP + boundary("late", "nothing", timer("PT1M")) + flow("late", "end"),
-        'attachedToRef "nothing" names no task',
     ),
     "error that goes on": (
         ONE_STEP
@@ -230,15 +206,6 @@ WRONG = {
     "empty script": (
         start() + '<bpmn:scriptTask id="s"/>' + end() + path("start", "s", "end"),
         "a scriptTask needs a script",
-    ),
-    "parallel gateway that waits for itself": (
-        start()
-        + gateway("g", "parallel")
-        + WORK
-        + end()
-        + path("start", "g", "work", "g")
-        + flow("g", "end"),
-        'its flow "work_g" comes only after the gateway itself',
     ),
 }
 
