@@ -26,7 +26,8 @@ from services.task_orchestrator.entity_events import EntityEvents
 from services.task_orchestrator.model import Fault
 from services.task_orchestrator.notation.document import MAX_BYTES
 from services.task_orchestrator.notation.faults import BadBpmn, as_json
-from services.task_orchestrator.orchestrator import Orchestrator, check_variables
+from services.task_orchestrator.operations.process_control import check_variables
+from services.task_orchestrator.orchestrator import Orchestrator
 from services.task_orchestrator.reconcile import Reconciler
 from services.task_orchestrator.records import ActKind
 from services.task_orchestrator.responses import (
@@ -178,14 +179,14 @@ class Components:
 
     async def _load_mapping(self, file: Path) -> None:
         """Store the mapping of a file if there is none yet."""
-        if self.orchestrator.allocator.mapping.version:
+        if self.orchestrator.state.allocator.mapping.version:
             return
         try:
             read = read_mapping_file(await asyncio.to_thread(file.read_text, encoding="utf-8"))
         except (OSError, UnicodeDecodeError, UsageError) as error:
             log.warning("mapping file not read", file=str(file), error=str(error))
             return
-        await self.orchestrator.set_mapping(read.entries, by=read.by, why=read.why)
+        await self.orchestrator.deployments.set_mapping(read.entries, by=read.by, why=read.why)
         log.info("mapping stored", file=str(file), entries=len(read.entries), confirmed_by=read.by)
 
     async def _deploy_folder(self, folder: Path) -> None:
@@ -194,7 +195,7 @@ class Components:
         for file in await asyncio.to_thread(lambda: sorted(folder.glob("*.bpmn"))):
             try:
                 xml = await asyncio.to_thread(file.read_bytes)
-                deployed = await self.orchestrator.deploy(xml, only_if_never_seen=True)
+                deployed = await self.orchestrator.deployments.deploy(xml, only_if_never_seen=True)
             except BadBpmn as bad:
                 faults = [str(fault) for fault in bad.faults]
                 log.warning("BPMN file not deployed", file=str(file), faults=faults)
@@ -252,7 +253,7 @@ def _app(at: Components) -> FastAPI:
         except ValueError as error:
             raise Problem(422, "Bad time to live", str(error)) from error
         process = None if body.process is None else at.plain_id(body.process)
-        outcome, reached = await at.orchestrator.publish(
+        outcome, reached = await at.orchestrator.processes.publish(
             body.name, key=body.key, process=process, variables=body.variables, ttl=ttl
         )
         return json_response({"outcome": outcome.value, "process": reached})
@@ -262,7 +263,9 @@ def _app(at: Components) -> FastAPI:
     async def broadcast(body: SignalRequest) -> Response:
         """Send a signal to every process that waits for it, and to start events."""
         check_variables(body.variables)
-        return json_response({"processes": await at.orchestrator.broadcast(body.name, body.variables)})
+        return json_response(
+            {"processes": await at.orchestrator.processes.broadcast(body.name, body.variables)}
+        )
 
     @app.post("/notifications", status_code=204, tags=["notifications"])
     async def notify(request: Request) -> Response:
@@ -280,7 +283,7 @@ def _app(at: Components) -> FastAPI:
 
 
 def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
-    registry = orchestrator.registry
+    registry = orchestrator.state.registry
 
     @app.post(
         "/definitions",
@@ -297,8 +300,8 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         """
         body = await _body(request)
         if dry:
-            return JSONResponse(await orchestrator.check_deployment(body), 200)
-        deployed = await orchestrator.deploy(body)
+            return JSONResponse(await orchestrator.deployments.check(body), 200)
+        deployed = await orchestrator.deployments.deploy(body)
         views = [
             definition_view(registry, registry.record(each.name, each.version))
             for each in deployed.deployments
@@ -306,7 +309,7 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         allocation = [
             line
             for each in deployed.deployments
-            for line in orchestrator.allocator.report(
+            for line in orchestrator.state.allocator.report(
                 registry.plan_of(registry.record(each.name, each.version)).definition
             )
         ]
@@ -356,7 +359,7 @@ def _add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
     ) -> Response:
         """Return the mapping from names in process files to performers, or an earlier version of it."""
         if version is None:
-            return json_response(mapping_view(orchestrator.allocator.mapping))
+            return json_response(mapping_view(orchestrator.state.allocator.mapping))
         table = await orchestrator.on_disk(orchestrator.store.mapping, version)
         if table is None:
             raise Problem(
@@ -366,7 +369,7 @@ def _add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
                     "allocation.no_such_mapping",
                     "there is no version {version} of the mapping; the latest is {latest}",
                     version=version,
-                    latest=orchestrator.allocator.mapping.version,
+                    latest=orchestrator.state.allocator.mapping.version,
                 ),
             )
         return json_response(mapping_view(table))
@@ -374,13 +377,13 @@ def _add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
     @app.get("/agents", tags=["allocation"], responses={200: {"model": list[AgentView]}})
     async def agents() -> Response:
         """Return the Devices and Persons that can perform Tasks, with their skills and open Tasks."""
-        return json_response(agent_views(orchestrator.allocator))
+        return json_response(agent_views(orchestrator.state.allocator))
 
     @app.put("/mapping", tags=["allocation"], responses={200: {"model": MappingView}})
     @max_body(MAX_MAPPING_BYTES)
     async def set_mapping(body: MappingRequest) -> Response:
         """Replace the mapping; it applies to Tasks that are posted later."""
-        table = await orchestrator.set_mapping(
+        table = await orchestrator.deployments.set_mapping(
             body.entries, by=body.by.strip(), why=body.why, version=body.version
         )
         return json_response(mapping_view(table))
@@ -388,13 +391,13 @@ def _add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
 
 def _add_processes(app: FastAPI, at: Components) -> None:
     orchestrator, settings = at.orchestrator, at.settings
-    store, registry = orchestrator.store, orchestrator.registry
+    store, registry = orchestrator.store, orchestrator.state.registry
 
     @app.post("/processes", status_code=201, tags=["processes"], responses={201: PROCESS[200], **PROCESS})
     @max_body(MAX_PARAMETERS_BYTES)
     async def start(body: ProcessStart) -> JSONResponse:
         """Start a process: 201, or 200 if the same key has started it before."""
-        process_id, created = await orchestrator.start(
+        process_id, created = await orchestrator.processes.start(
             body.definition, body.parameters, version=body.version, key=body.key
         )
         view = await _shown(at, process_id)
@@ -452,13 +455,15 @@ def _add_processes(app: FastAPI, at: Components) -> None:
     @app.post("/processes/{process_id}/cancel", tags=["processes"], responses=PROCESS)
     async def cancel(process_id: str, body: CancelRequest | None = None) -> Response:
         """Cancel a process and its Tasks."""
-        await orchestrator.cancel(at.plain_id(process_id), body.by.strip() if body and body.by else None)
+        await orchestrator.processes.cancel(
+            at.plain_id(process_id), body.by.strip() if body and body.by else None
+        )
         return json_response(await _shown(at, process_id))
 
     @app.post("/processes/{process_id}/tasks/{task_id}/retry", tags=["processes"], responses=PROCESS)
     async def retry(process_id: str, task_id: str, body: RetryRequest) -> Response:
         """Post the failed Task that has ended a process again, as a new Task; the process continues."""
-        await orchestrator.retry(
+        await orchestrator.processes.retry(
             at.plain_id(process_id), settings.entity_id("Task", task_id), body.by.strip()
         )
         return json_response(await _shown(at, process_id))
@@ -470,7 +475,7 @@ def _add_interventions(app: FastAPI, at: Components) -> None:
 
     async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> Response:
         check_variables(body.variables)
-        await orchestrator.mend(
+        await orchestrator.processes.mend(
             at.plain_id(process_id),
             kind,
             token,
@@ -484,19 +489,23 @@ def _add_interventions(app: FastAPI, at: Components) -> None:
     @app.post("/processes/{process_id}/pause", tags=["processes"], responses=PROCESS)
     async def pause(process_id: str, body: PauseRequest) -> Response:
         """Pause a process: its Tasks are requested to pause, no other is posted, timers wait."""
-        await orchestrator.pause(at.plain_id(process_id), ActKind.PAUSE, by=body.by.strip(), why=body.why)
+        await orchestrator.processes.pause(
+            at.plain_id(process_id), ActKind.PAUSE, by=body.by.strip(), why=body.why
+        )
         return json_response(await _shown(at, process_id))
 
     @app.post("/processes/{process_id}/resume", tags=["processes"], responses=PROCESS)
     async def resume(process_id: str, body: PauseRequest) -> Response:
         """Continue a paused process, with the timers that were due meanwhile."""
-        await orchestrator.pause(at.plain_id(process_id), ActKind.RESUME, by=body.by.strip(), why=body.why)
+        await orchestrator.processes.pause(
+            at.plain_id(process_id), ActKind.RESUME, by=body.by.strip(), why=body.why
+        )
         return json_response(await _shown(at, process_id))
 
     @app.post("/pause", tags=["processes"], responses={200: {"model": PausedProcesses}})
     async def pause_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Pause all running processes, or those of a definition. Processes can still be started."""
-        paused = await orchestrator.pause_all(
+        paused = await orchestrator.processes.pause_all(
             ActKind.PAUSE, by=body.by.strip(), why=body.why, definition=definition
         )
         return json_response({"processes": paused})
@@ -504,7 +513,7 @@ def _add_interventions(app: FastAPI, at: Components) -> None:
     @app.post("/resume", tags=["processes"], responses={200: {"model": PausedProcesses}})
     async def resume_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Continue all paused processes, or those of a definition."""
-        resumed = await orchestrator.pause_all(
+        resumed = await orchestrator.processes.pause_all(
             ActKind.RESUME, by=body.by.strip(), why=body.why, definition=definition
         )
         return json_response({"processes": resumed})
@@ -542,7 +551,7 @@ def _add_interventions(app: FastAPI, at: Components) -> None:
 
 async def _shown(at: Components, process_id: str) -> dict[str, Any]:
     """Return a process with all details; raise `Problem` 404 if there is none."""
-    store, registry = at.orchestrator.store, at.orchestrator.registry
+    store, registry = at.orchestrator.store, at.orchestrator.state.registry
     seen = await at.orchestrator.on_disk(store.everything, at.plain_id(process_id))
     if seen is None:
         raise Problem(

@@ -63,7 +63,7 @@ class Archiver:
         self._tasks = BackgroundTasks("archiver")
 
     async def __aenter__(self) -> "Archiver":
-        self._orchestrator.on_unowned = self._checks.request
+        self._orchestrator.broker_changes.on_unowned = self._checks.request
         await self._tasks.__aenter__()
         self._tasks.start(self._checks.run)
         if self._retention:
@@ -83,7 +83,7 @@ class Archiver:
         ended = await orchestrator.on_disk(orchestrator.store.to_archive, ended_before, MAX_GROUP)
         if not ended:
             return 0
-        archived = await orchestrator.archive(ended)
+        archived = await orchestrator.archiving.archive(ended)
         ARCHIVED.inc(len(archived))
         log.info("processes archived", processes=archived)
         urns = [self._settings.entity_id("Process", process) for process in archived]
@@ -96,17 +96,17 @@ class Archiver:
         orchestrator, store = self._orchestrator, self._orchestrator.store
         shown = await self._broker.query(type="Task", q=UNFINISHED_QUERY)
         tasks = [str(entity["id"]) for entity in shown]
-        unowned = [task for task in tasks if orchestrator.active_processes.owner(task) is None]
+        unowned = [task for task in tasks if orchestrator.state.active_processes.owner(task) is None]
         processes = [
             process
             for entity in await self._broker.query(type="Process", q=UNFINISHED_QUERY)
-            if (process := self._process(entity)) not in orchestrator.active_processes.processes
+            if (process := self._process(entity)) not in orchestrator.state.active_processes.processes
         ]
         ended_tasks = await orchestrator.on_disk(store.ended_tasks, unowned)
         ended_processes = await orchestrator.on_disk(store.ended_processes, processes)
         if not ended_tasks and not ended_processes:
             return 0
-        count = await orchestrator.restate(ended_tasks, ended_processes)
+        count = await orchestrator.archiving.restate(ended_tasks, ended_processes)
         if count:
             REAPPEARED.labels("restated").inc(count)
             log.warning(
@@ -135,7 +135,7 @@ class Archiver:
             log.warning("archived entities are in the broker again and are deleted", count=count)
             some = list(wrong.items())
             for start in range(0, len(some), MAX_GROUP):
-                await orchestrator.delete_archived(dict(some[start : start + MAX_GROUP]))
+                await orchestrator.archiving.delete_archived(dict(some[start : start + MAX_GROUP]))
                 await asyncio.sleep(PAUSE_S)
         return count
 

@@ -43,7 +43,7 @@ class EntityEvents:
         self._orchestrator = orchestrator
         self._broker = broker
         self._settings = orchestrator.settings
-        self._delivery = orchestrator.entities
+        self._delivery = orchestrator.state.entities
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
         self._subscribed: set[str] | None = None
@@ -59,7 +59,7 @@ class EntityEvents:
 
     async def __aenter__(self) -> "EntityEvents":
         self._receiver.require_key()
-        self._orchestrator.on_entity_waits = self._waits_changed.set
+        self._orchestrator.state.on_entity_waits = self._waits_changed.set
         await self._tasks.__aenter__()
         self._tasks.start(self._resync.run)
         self._tasks.start(self._follow_waits)
@@ -97,7 +97,7 @@ class EntityEvents:
 
     async def reconcile(self) -> None:
         """Register missing subscriptions, remove unused ones, and query every filter once."""
-        await self._orchestrator.recover()
+        await self._orchestrator.writer.recover()
         watched = self._watched = self._delivery.watched()
         await self._update_subscriptions(watched)
         failure: BrokerUnavailable | None = None
@@ -116,7 +116,7 @@ class EntityEvents:
         if any(self._delivery.has_conditions(key) for key in watched):
             await self._store_contact(moment)
         if self._delivery.has_unused():
-            await self._orchestrator.change(self._delivery.remove_unused)
+            await self._orchestrator.writer.apply(self._delivery.remove_unused)
 
     async def _reconcile_filter(self, key: str, watched: Watched, since: str | None = None) -> None:
         """Query a filter; with `since` evaluate conditions also for the states since then."""
@@ -161,7 +161,7 @@ class EntityEvents:
             def act(step: Step, some: Entities = some, is_complete: bool = is_complete) -> None:
                 self._delivery.set_baseline(step, key, some, is_complete=is_complete)
 
-            await self._orchestrator.change(act)
+            await self._orchestrator.writer.apply(act)
 
     async def _receive(self, key: str, entities: Entities) -> None:
         for some in _in_parts(entities):
@@ -170,7 +170,7 @@ class EntityEvents:
             def act(step: Step, some: Entities = some, taken: Mapping[str, str] = taken) -> None:
                 self._delivery.receive(step, key, some, taken, self._orchestrator.clock())
 
-            await self._orchestrator.change(act)
+            await self._orchestrator.writer.apply(act)
 
     async def _judge(self, key: str, entities: Entities) -> None:
         for some in _in_parts(entities) if self._delivery.has_conditions(key) else ():
@@ -179,11 +179,11 @@ class EntityEvents:
             def act(step: Step, some: Entities = some, taken: Mapping[str, str] = taken) -> None:
                 self._delivery.judge(step, key, some, taken, self._orchestrator.clock())
 
-            await self._orchestrator.change(act)
+            await self._orchestrator.writer.apply(act)
 
     async def _forget(self, key: str, ids: Collection[str]) -> None:
         if ids:
-            await self._orchestrator.change(
+            await self._orchestrator.writer.apply(
                 lambda step: self._delivery.forget(step, key, ids, self._orchestrator.clock())
             )
 
@@ -205,7 +205,7 @@ class EntityEvents:
         ]
 
     async def _store_contact(self, moment: datetime) -> None:
-        await self._orchestrator.change(lambda step: self._delivery.set_contact(step, moment))
+        await self._orchestrator.writer.apply(lambda step: self._delivery.set_contact(step, moment))
 
     async def _update_subscriptions(self, watched: Mapping[str, Watched]) -> None:
         if not watched and self._subscribed == set():
@@ -271,7 +271,7 @@ class EntityEvents:
         while True:
             await self._waits_changed.wait()
             self._waits_changed.clear()
-            index = self._orchestrator.events.entity_index
+            index = self._orchestrator.state.events.entity_index
             keys, index.new_conditions = index.new_conditions, set()
             watched = self._watched = self._delivery.watched()
             if self._subscribed is None or set(watched) - self._subscribed:

@@ -60,27 +60,27 @@ class Reconciler:
 
     async def reconcile(self) -> None:
         """Query the broker once for the open Tasks and apply their state."""
-        await self._orchestrator.recover()
+        await self._orchestrator.writer.recover()
         if not self._registered:
             await self._register()
-        awaited = self._orchestrator.awaited()
+        awaited = self._orchestrator.broker_changes.awaited()
         if len(awaited) > MAX_READ_TASKS:
             awaited = await self._select_changed(awaited)
         for start in range(0, len(awaited), MAX_QUERIED_TASKS):
             ids = awaited[start : start + MAX_QUERIED_TASKS]
             entities = await self._broker.query(type="Task", id=ids)
-            await self._orchestrator.receive(entities)
+            await self._orchestrator.broker_changes.receive(entities)
             gone = set(ids).difference(str(entity.get("id")) for entity in entities)
             if gone:
                 log.warning("tasks missing in the broker", tasks=sorted(gone))
                 self._registered = False
-                await self._orchestrator.missing(gone)
+                await self._orchestrator.broker_changes.missing(gone)
 
     async def _select_changed(self, awaited: list[str]) -> list[str]:
         """Return those of the Tasks `awaited` that the broker does not list, or lists with another status."""
         unfinished = await self._broker.query(type="Task", q=UNFINISHED_QUERY, attrs="status")
         unchanged = {str(entity["id"]) for entity in unfinished}
-        unchanged.difference_update(self._orchestrator.changed_ids(unfinished))
+        unchanged.difference_update(self._orchestrator.broker_changes.changed_ids(unfinished))
         return [task_id for task_id in awaited if task_id not in unchanged]
 
     async def receive_notification(self, request: Request) -> None:
@@ -92,20 +92,20 @@ class Reconciler:
         tasks = [entity for entity in received if entity.get("type") not in TYPES]
         if len(tasks) < len(received):
             self._agents_resync.request()
-        changed = self._orchestrator.changed_ids(tasks)
+        changed = self._orchestrator.broker_changes.changed_ids(tasks)
         try:
             entities = await self._receiver.read("Task", changed)
         except BrokerError as error:
             log.warning("changed tasks not read", error=str(error))
             self._resync.request()
             return
-        await self._orchestrator.receive(entities)
+        await self._orchestrator.broker_changes.receive(entities)
 
     async def _register(self) -> None:
         """Create the subscription and the definitions in the broker, which may have lost them."""
         await self._broker.ensure_subscription(self._subscription())
         await self._broker.ensure_subscription(self._agents_subscription())
-        registry = self._orchestrator.registry
+        registry = self._orchestrator.state.registry
         for record in registry.latest():
             try:
                 await self._broker.upsert(registry.entities(record))
@@ -133,7 +133,7 @@ class Reconciler:
     async def read_agents(self) -> None:
         """Read the Devices and Persons of the broker, who perform Tasks."""
         entities = [entity for type_ in TYPES for entity in await self._broker.query(type=type_)]
-        await self._orchestrator.set_agents(read_agents(entities))
+        await self._orchestrator.broker_changes.set_agents(read_agents(entities))
 
     async def _try_read_agents(self) -> bool:
         try:
@@ -149,20 +149,20 @@ class Reconciler:
     async def _run_timers(self) -> None:
         orchestrator = self._orchestrator
         while True:
-            orchestrator.due_changed.clear()
-            due = orchestrator.next_due()
+            orchestrator.state.due_changed.clear()
+            due = orchestrator.timers.next_due()
             wait_s: float | None = None
             if due is not None:
                 wait_s = min(max((due - orchestrator.clock()).total_seconds(), 0.0), MAX_TIMER_WAIT_S)
             try:
                 async with asyncio.timeout(wait_s):
-                    await orchestrator.due_changed.wait()
+                    await orchestrator.state.due_changed.wait()
             except TimeoutError:
                 await self._tick()
 
     async def _tick(self) -> None:
         try:
-            await self._orchestrator.tick()
+            await self._orchestrator.timers.tick()
         except Problem as problem:
             log.warning("due timers not processed yet", error=str(problem))
             await asyncio.sleep(MAX_DELAY_S)

@@ -54,16 +54,16 @@ async def orchestrator(settings: OrchestratorSettings) -> AsyncIterator[Orchestr
 
 async def receive(orchestrator: Orchestrator, *entities: dict[str, Any]) -> None:
     taken = await orchestrator.on_disk(
-        orchestrator.store.business_keys, sorted(orchestrator.entities.business_keys(KEY, entities))
+        orchestrator.store.business_keys, sorted(orchestrator.state.entities.business_keys(KEY, entities))
     )
-    await orchestrator.change(
-        lambda step: orchestrator.entities.receive(step, KEY, entities, taken, orchestrator.clock())
+    await orchestrator.writer.apply(
+        lambda step: orchestrator.state.entities.receive(step, KEY, entities, taken, orchestrator.clock())
     )
 
 
 async def judge(orchestrator: Orchestrator, *entities: dict[str, Any]) -> None:
-    await orchestrator.change(
-        lambda step: orchestrator.entities.judge(step, KEY, entities, {}, orchestrator.clock())
+    await orchestrator.writer.apply(
+        lambda step: orchestrator.state.entities.judge(step, KEY, entities, {}, orchestrator.clock())
     )
 
 
@@ -71,7 +71,7 @@ def elements(orchestrator: Orchestrator, definition: str) -> list[str]:
     """Return where the processes of a definition are, in the order of their start."""
     found = [
         each
-        for each in orchestrator.active_processes.processes.values()
+        for each in orchestrator.state.active_processes.processes.values()
         if each.record.definition == definition
     ]
     found.sort(key=lambda each: each.record.started_at)
@@ -80,19 +80,19 @@ def elements(orchestrator: Orchestrator, definition: str) -> list[str]:
 
 async def test_a_message_goes_to_one_process_of_each_definition(orchestrator: Orchestrator) -> None:
     for name in ("p", "q"):
-        await orchestrator.deploy(drawing(waiting(on("message")), name=name))
+        await orchestrator.deployments.deploy(drawing(waiting(on("message")), name=name))
     for name in ("p", "p", "q"):
-        await orchestrator.start(name, {})
+        await orchestrator.processes.start(name, {})
     await receive(orchestrator, alert("1"))
     assert elements(orchestrator, "p") == ["work", "wait"]
     assert elements(orchestrator, "q") == ["work"]
 
 
 async def test_a_signal_goes_to_everyone_and_starts_processes(orchestrator: Orchestrator) -> None:
-    await orchestrator.deploy(drawing(waiting(on("signal")), name="p"))
-    await orchestrator.deploy(drawing(starting(on("signal")), name="q"))
-    await orchestrator.start("p", {})
-    await orchestrator.start("p", {})
+    await orchestrator.deployments.deploy(drawing(waiting(on("signal")), name="p"))
+    await orchestrator.deployments.deploy(drawing(starting(on("signal")), name="q"))
+    await orchestrator.processes.start("p", {})
+    await orchestrator.processes.start("p", {})
     await receive(orchestrator, alert("1"))
     assert elements(orchestrator, "p") == ["work", "work"]
     assert elements(orchestrator, "q") == ["work"]
@@ -107,7 +107,7 @@ async def test_a_message_that_a_process_waits_for_does_not_start_another(orchest
         + path("start", "work", "end")
         + path("again", "end")
     )
-    await orchestrator.deploy(drawing(inside, beside='<bpmn:message id="m" name="m"/>'))
+    await orchestrator.deployments.deploy(drawing(inside, beside='<bpmn:message id="m" name="m"/>'))
     await receive(orchestrator, alert("1"))
     assert elements(orchestrator, "p") == ["work", "again"]
     await receive(orchestrator, alert("2"))
@@ -117,14 +117,14 @@ async def test_a_message_that_a_process_waits_for_does_not_start_another(orchest
 async def test_a_state_of_an_entity_counts_once_and_again_when_it_was_forgotten(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
-    await orchestrator.deploy(drawing(starting(on("message"))))
+    await orchestrator.deployments.deploy(drawing(starting(on("message"))))
     await receive(orchestrator, alert("1"), alert("1"))
     await receive(orchestrator, alert("1"))
     assert len(elements(orchestrator, "p")) == 1
     await receive(orchestrator, alert("1", severity="high"))
     assert len(elements(orchestrator, "p")) == 2
-    await orchestrator.change(
-        lambda step: orchestrator.entities.forget(step, KEY, [alert("1")["id"]], orchestrator.clock())
+    await orchestrator.writer.apply(
+        lambda step: orchestrator.state.entities.forget(step, KEY, [alert("1")["id"]], orchestrator.clock())
     )
     await receive(orchestrator, alert("1", severity="high"))
     assert len(elements(orchestrator, "p")) == 3
@@ -133,7 +133,7 @@ async def test_a_state_of_an_entity_counts_once_and_again_when_it_was_forgotten(
 async def test_an_entity_whose_consequences_could_not_be_written_is_received_again(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
-    await orchestrator.deploy(drawing(starting(on("message"))))
+    await orchestrator.deployments.deploy(drawing(starting(on("message"))))
     engine = connect(settings.database("orchestrator"))
     with engine.begin() as connection:
         connection.execute(text("ALTER TABLE orchestrator_entities_seen RENAME TO mislaid"))
@@ -150,7 +150,7 @@ async def test_an_entity_whose_consequences_could_not_be_written_is_received_aga
 async def test_what_was_seen_is_known_after_a_restart(settings: OrchestratorSettings) -> None:
     async with BrokerClient(settings) as broker:
         async with Orchestrator(settings, broker) as first:
-            await first.deploy(drawing(starting(on("message"))))
+            await first.deployments.deploy(drawing(starting(on("message"))))
             await receive(first, alert("1"))
         async with Orchestrator(settings, broker) as second:
             await receive(second, alert("1"), alert("2"))
@@ -160,7 +160,7 @@ async def test_what_was_seen_is_known_after_a_restart(settings: OrchestratorSett
 async def test_a_business_key_starts_one_process_even_after_its_end(orchestrator: Orchestrator) -> None:
     correlated = on("message", attributes='correlation="entity.order"')
     event = f'<bpmn:startEvent id="start">{correlated}</bpmn:startEvent>'
-    await orchestrator.deploy(drawing(event + end() + path("start", "end")))
+    await orchestrator.deployments.deploy(drawing(event + end() + path("start", "end")))
     await receive(orchestrator, alert("1", order=7), alert("2", order=7), alert("3"))
     await receive(orchestrator, alert("4", order=7))
     (record,) = await orchestrator.on_disk(orchestrator.store.page)
@@ -171,14 +171,14 @@ async def test_a_condition_at_a_start_event_starts_a_process_each_time_that_it_b
     orchestrator: Orchestrator,
 ) -> None:
     hot = on("conditional", "<bpmn:condition>entity.heat &gt; 50</bpmn:condition>")
-    await orchestrator.deploy(drawing(starting(hot)))
+    await orchestrator.deployments.deploy(drawing(starting(hot)))
     for heat, count in ((60, 1), (70, 1), (10, 1), (51, 2)):
         await judge(orchestrator, alert("1", heat=heat))
         assert len(elements(orchestrator, "p")) == count
 
 
 async def test_own_tasks_and_alerts_about_own_processes_start_nothing(orchestrator: Orchestrator) -> None:
-    await orchestrator.deploy(drawing(starting(on("message"))))
+    await orchestrator.deployments.deploy(drawing(starting(on("message"))))
     source = {"type": "Relationship", "object": "urn:ngsi-ld:Process:demo:p-0123456789ab"}
     await receive(
         orchestrator,
@@ -192,16 +192,18 @@ async def test_own_tasks_and_alerts_about_own_processes_start_nothing(orchestrat
 
 
 async def test_a_later_version_replaces_the_filter_and_what_it_has_seen(orchestrator: Orchestrator) -> None:
-    await orchestrator.deploy(drawing(starting(on("message"))))
-    assert set(orchestrator.entities.watched()) == {KEY}
-    await orchestrator.change(
-        lambda step: orchestrator.entities.set_baseline(step, KEY, [alert("1")], is_complete=True)
+    await orchestrator.deployments.deploy(drawing(starting(on("message"))))
+    assert set(orchestrator.state.entities.watched()) == {KEY}
+    await orchestrator.writer.apply(
+        lambda step: orchestrator.state.entities.set_baseline(step, KEY, [alert("1")], is_complete=True)
     )
     await receive(orchestrator, alert("1"))
     assert not elements(orchestrator, "p")
-    await orchestrator.deploy(drawing(start() + activity("work") + end() + path("start", "work", "end")))
-    assert not orchestrator.entities.watched()
-    assert orchestrator.entities.has_unused()
-    await orchestrator.change(orchestrator.entities.remove_unused)
+    await orchestrator.deployments.deploy(
+        drawing(start() + activity("work") + end() + path("start", "work", "end"))
+    )
+    assert not orchestrator.state.entities.watched()
+    assert orchestrator.state.entities.has_unused()
+    await orchestrator.writer.apply(orchestrator.state.entities.remove_unused)
     assert not await orchestrator.on_disk(orchestrator.store.entities_seen)
-    assert not orchestrator.entities.has_unused()
+    assert not orchestrator.state.entities.has_unused()

@@ -39,7 +39,7 @@ def settings(tmp_path: Path) -> OrchestratorSettings:
 @pytest.fixture
 async def orchestrator(settings: OrchestratorSettings) -> AsyncIterator[Orchestrator]:
     async with BrokerClient(settings) as broker, Orchestrator(settings, broker) as working:
-        await working.deploy(drawing(ONE_STEP))
+        await working.deployments.deploy(drawing(ONE_STEP))
         yield working
 
 
@@ -67,12 +67,12 @@ def run_sql(settings: OrchestratorSettings, statement: str, **values: Any) -> No
 async def test_a_change_that_could_not_be_written_is_reverted_and_can_be_received_again(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
-    process, _ = await orchestrator.start("p", {})
+    process, _ = await orchestrator.processes.start("p", {})
     run_sql(settings, "UPDATE orchestrator_processes SET revision = revision + 1")  # as a second one would
     with pytest.raises(Problem, match="another orchestrator"):
-        await orchestrator.receive([completed(task_of(process))])
-    assert await orchestrator.receive([completed(task_of(process))]) == 1
-    assert process not in orchestrator.active_processes.processes
+        await orchestrator.broker_changes.receive([completed(task_of(process))])
+    assert await orchestrator.broker_changes.receive([completed(task_of(process))]) == 1
+    assert process not in orchestrator.state.active_processes.processes
     (record,) = await orchestrator.on_disk(lambda: orchestrator.store.processes([process]))
     assert record.status.value == "completed"
 
@@ -80,7 +80,7 @@ async def test_a_change_that_could_not_be_written_is_reverted_and_can_be_receive
 async def test_one_that_cannot_be_written_does_not_hold_up_the_others(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
-    processes = [(await orchestrator.start("p", {}))[0] for _ in range(5)]
+    processes = [(await orchestrator.processes.start("p", {}))[0] for _ in range(5)]
     run_sql(
         settings,
         "INSERT INTO orchestrator_inbox (task, nth, status, received_at) "
@@ -88,23 +88,23 @@ async def test_one_that_cannot_be_written_does_not_hold_up_the_others(
         task=task_of(processes[2]),
     )
     answers = await asyncio.gather(
-        *(orchestrator.receive([completed(task_of(process))]) for process in processes),
+        *(orchestrator.broker_changes.receive([completed(task_of(process))]) for process in processes),
         return_exceptions=True,
     )
     assert [answer for answer in answers if not isinstance(answer, Problem)] == [1, 1, 1, 1]
     assert isinstance(answers[2], Problem)
     assert answers[2].status == 503
     run_sql(settings, "DELETE FROM orchestrator_inbox WHERE received_at = 'then'")
-    assert await orchestrator.receive([completed(task_of(processes[2]))]) == 1
+    assert await orchestrator.broker_changes.receive([completed(task_of(processes[2]))]) == 1
 
 
 async def test_one_poisoned_process_stops_neither_the_reconciliation_nor_the_timers_of_the_others(
     orchestrator: Orchestrator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    await orchestrator.deploy(
+    await orchestrator.deployments.deploy(
         drawing(ONE_STEP + boundary("late", "work", timer("PT0S")) + flow("late", "end"))
     )
-    poisoned, healthy, other = [(await orchestrator.start("p", {}))[0] for _ in range(3)]
+    poisoned, healthy, other = [(await orchestrator.processes.start("p", {}))[0] for _ in range(3)]
     for name in ("tick", "receive"):
         original = getattr(Process, name)
 
@@ -114,8 +114,11 @@ async def test_one_poisoned_process_stops_neither_the_reconciliation_nor_the_tim
             return original(self, *arguments)
 
         monkeypatch.setattr(Process, name, act)
-    assert await orchestrator.receive([completed(task_of(each)) for each in (poisoned, healthy)]) == 1
-    await orchestrator.tick()
+    assert (
+        await orchestrator.broker_changes.receive([completed(task_of(each)) for each in (poisoned, healthy)])
+        == 1
+    )
+    await orchestrator.timers.tick()
     records = await orchestrator.on_disk(orchestrator.store.processes, [poisoned, healthy, other])
     assert {record.id: record.status.value for record in records} == {
         poisoned: "inProgress",
@@ -128,9 +131,9 @@ async def test_one_poisoned_process_stops_neither_the_reconciliation_nor_the_tim
 async def test_a_foreign_task_with_a_status_of_another_type_does_not_keep_out_the_others(
     orchestrator: Orchestrator, status: Any
 ) -> None:
-    process, _ = await orchestrator.start("p", {})
+    process, _ = await orchestrator.processes.start("p", {})
     foreign = {"id": "urn:x:foreign", "type": "Task", "status": {"type": "Property", "value": status}}
-    assert await orchestrator.receive([foreign, completed(task_of(process))]) == 1
+    assert await orchestrator.broker_changes.receive([foreign, completed(task_of(process))]) == 1
 
 
 async def test_a_process_whose_start_could_not_be_written_does_not_exist(
@@ -138,10 +141,10 @@ async def test_a_process_whose_start_could_not_be_written_does_not_exist(
 ) -> None:
     run_sql(settings, "ALTER TABLE orchestrator_outbox RENAME TO mislaid")
     with pytest.raises(Problem, match="nothing was changed"):
-        await orchestrator.start("p", {})
+        await orchestrator.processes.start("p", {})
     run_sql(settings, "ALTER TABLE mislaid RENAME TO orchestrator_outbox")
-    await orchestrator.start("p", {})
-    assert len(orchestrator.active_processes.processes) == 1
+    await orchestrator.processes.start("p", {})
+    assert len(orchestrator.state.active_processes.processes) == 1
     assert len(await orchestrator.on_disk(orchestrator.store.page)) == 1
 
 
@@ -152,39 +155,40 @@ def failed(task: str) -> dict[str, Any]:
 
 
 async def test_of_many_who_retry_at_once_one_does(orchestrator: Orchestrator) -> None:
-    process, _ = await orchestrator.start("p", {})
-    await orchestrator.receive([failed(task_of(process))])
+    process, _ = await orchestrator.processes.start("p", {})
+    await orchestrator.broker_changes.receive([failed(task_of(process))])
     people = [f"person {n}" for n in range(5)]
     answers = await asyncio.gather(
-        *(orchestrator.retry(process, task_of(process), by) for by in people), return_exceptions=True
+        *(orchestrator.processes.retry(process, task_of(process), by) for by in people),
+        return_exceptions=True,
     )
     refused = [answer for answer in answers if isinstance(answer, Problem)]
     assert {problem.status for problem in refused} == {409}
     assert len(refused) == 4
-    assert len(orchestrator.active_processes.processes[process].tasks) == 1
-    assert len(orchestrator.active_processes.processes[process].record.acts) == 1
+    assert len(orchestrator.state.active_processes.processes[process].tasks) == 1
+    assert len(orchestrator.state.active_processes.processes[process].record.acts) == 1
 
 
 async def test_a_retry_that_could_not_be_written_did_not_happen(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
-    process, _ = await orchestrator.start("p", {})
-    await orchestrator.receive([failed(task_of(process))])
+    process, _ = await orchestrator.processes.start("p", {})
+    await orchestrator.broker_changes.receive([failed(task_of(process))])
     run_sql(settings, "ALTER TABLE orchestrator_outbox RENAME TO mislaid")
     with pytest.raises(Problem, match="nothing was changed"):
-        await orchestrator.retry(process, task_of(process), "Anna")
+        await orchestrator.processes.retry(process, task_of(process), "Anna")
     run_sql(settings, "ALTER TABLE mislaid RENAME TO orchestrator_outbox")
-    assert orchestrator.active_processes.processes[process].record.acts == ()
-    await orchestrator.retry(process, task_of(process), "Anna")
-    assert [act.by for act in orchestrator.active_processes.processes[process].record.acts] == ["Anna"]
+    assert orchestrator.state.active_processes.processes[process].record.acts == ()
+    await orchestrator.processes.retry(process, task_of(process), "Anna")
+    assert [act.by for act in orchestrator.state.active_processes.processes[process].record.acts] == ["Anna"]
 
 
 async def test_a_refused_retry_loads_no_process(orchestrator: Orchestrator) -> None:
-    process, _ = await orchestrator.start("p", {})
-    await orchestrator.receive([completed(task_of(process))])
+    process, _ = await orchestrator.processes.start("p", {})
+    await orchestrator.broker_changes.receive([completed(task_of(process))])
     with pytest.raises(Problem, match="not a failed Task"):
-        await orchestrator.retry(process, task_of(process), "Anna")
-    assert orchestrator.active_processes.processes == {}
+        await orchestrator.processes.retry(process, task_of(process), "Anna")
+    assert orchestrator.state.active_processes.processes == {}
 
 
 async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
@@ -192,10 +196,10 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
 ) -> None:
     async with BrokerClient(settings) as broker:
         async with Orchestrator(settings, broker) as before:
-            await before.deploy(drawing(ONE_STEP))
-            ended, _ = await before.start("p", {})
-            await before.receive([completed(task_of(ended))])
-            running, _ = await before.start("p", {})
+            await before.deployments.deploy(drawing(ONE_STEP))
+            ended, _ = await before.processes.start("p", {})
+            await before.broker_changes.receive([completed(task_of(ended))])
+            running, _ = await before.processes.start("p", {})
 
         async def kept(days: float, retention_h: float = 0) -> set[str]:
             lifespan = settings.model_copy(update={"keep_days": days, "retention_h": retention_h})
@@ -213,19 +217,20 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
 
 async def test_a_hundred_changes_at_once_are_all_applied_and_written(orchestrator: Orchestrator) -> None:
     processes = [
-        answer[0] for answer in await asyncio.gather(*(orchestrator.start("p", {}) for _ in range(100)))
+        answer[0]
+        for answer in await asyncio.gather(*(orchestrator.processes.start("p", {}) for _ in range(100)))
     ]
     received = await asyncio.gather(
-        *(orchestrator.receive([completed(task_of(process))]) for process in processes)
+        *(orchestrator.broker_changes.receive([completed(task_of(process))]) for process in processes)
     )
     assert received == [1] * 100
-    assert orchestrator.active_processes.processes == {}
+    assert orchestrator.state.active_processes.processes == {}
     records = await orchestrator.on_disk(lambda: orchestrator.store.page(status="completed"))
     assert {record.id for record in records} == set(processes)
 
 
 async def test_the_same_key_at_the_same_moment_starts_one_process(orchestrator: Orchestrator) -> None:
-    answers = await asyncio.gather(*(orchestrator.start("p", {}, key="k") for _ in range(10)))
+    answers = await asyncio.gather(*(orchestrator.processes.start("p", {}, key="k") for _ in range(10)))
     assert len({process for process, _ in answers}) == 1
     assert sorted(created for _, created in answers) == [False] * 9 + [True]
 
@@ -235,9 +240,9 @@ async def test_parameters_that_cannot_be_kept_are_refused(
     orchestrator: Orchestrator, parameters: dict[str, Any]
 ) -> None:
     with pytest.raises(Problem) as refusal:
-        await orchestrator.start("p", parameters)
+        await orchestrator.processes.start("p", parameters)
     assert refusal.value.status == 422
-    assert orchestrator.active_processes.processes == {}
+    assert orchestrator.state.active_processes.processes == {}
 
 
 async def test_timers_and_their_tasks_are_there_after_a_restart(settings: OrchestratorSettings) -> None:
@@ -246,26 +251,26 @@ async def test_timers_and_their_tasks_are_there_after_a_restart(settings: Orches
     body = start() + wait + activity("work") + end() + path("start", "wait", "work", "end")
     async with BrokerClient(settings) as broker:
         async with Orchestrator(settings, broker, clock=lambda: now) as before:
-            await before.deploy(drawing(body))
-            process, _ = await before.start("p", {})
-            assert before.next_due() == now + timedelta(hours=1)
+            await before.deployments.deploy(drawing(body))
+            process, _ = await before.processes.start("p", {})
+            assert before.timers.next_due() == now + timedelta(hours=1)
         async with Orchestrator(settings, broker, clock=lambda: now + timedelta(minutes=59)) as early:
-            await early.tick()
-            assert early.active_processes.processes[process].tasks == {}
+            await early.timers.tick()
+            assert early.state.active_processes.processes[process].tasks == {}
         async with Orchestrator(settings, broker, clock=lambda: now + timedelta(hours=1)) as after:
-            await after.tick()
-            assert list(after.active_processes.processes[process].tasks) == [task_of(process)]
-            (due,) = after.active_processes.processes[process].timers()
+            await after.timers.tick()
+            assert list(after.state.active_processes.processes[process].tasks) == [task_of(process)]
+            (due,) = after.state.active_processes.processes[process].timers()
             assert due.subject == task_of(process)
 
 
 async def test_messages_pending_before_a_crash_are_delivered_after_it(settings: OrchestratorSettings) -> None:
     async with BrokerClient(settings) as broker:
         async with Orchestrator(settings, broker) as before:
-            await before.deploy(drawing(ONE_STEP))
-            process, _ = await before.start("p", {})
+            await before.deployments.deploy(drawing(ONE_STEP))
+            process, _ = await before.processes.start("p", {})
             pending = await before.on_disk(before.store.outbox)
         async with Orchestrator(settings, broker) as after:
             assert await after.on_disk(after.store.outbox) == pending
             assert after.outbox.is_pending(task_of(process))
-            assert after.awaited() == []
+            assert after.broker_changes.awaited() == []

@@ -1,0 +1,143 @@
+"""Broker changes: Tasks and agents as the broker has them."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+from prometheus_client import Counter
+
+from datamodels.entities import Task
+from handover.task_life import FINISHED
+from handover.telemetry import get_logger
+from services.task_orchestrator.allocation.agents import Agents
+from services.task_orchestrator.records import Message, MessageKind, Step
+from services.task_orchestrator.step_writer import StepWriter
+from services.task_orchestrator.working_state import WorkingState
+
+log = get_logger(__name__)
+
+RECEIVED = Counter(
+    "handover_orchestrator_task_changes_total", "Changes of Tasks that were received, by result", ["result"]
+)
+
+
+class BrokerChanges:
+    """Applies what the broker reports to the processes."""
+
+    def __init__(self, state: WorkingState, writer: StepWriter) -> None:
+        self._state = state
+        self._writer = writer
+        self.on_unowned: Callable[[], None] = lambda: None
+        """Called when the broker shows an unfinished Task that no running process waits for."""
+
+    async def receive(self, entities: Iterable[Mapping[str, Any]]) -> int:
+        """Apply Tasks as the broker has them; return how many had changed. Foreign Tasks are ignored."""
+        by_process: dict[str, list[Task]] = {}
+        for task in self._changed_tasks(entities):
+            owner = self._state.active_processes.owner(task.id)
+            if owner is not None:
+                by_process.setdefault(owner.record.id, []).append(task)
+
+        def applying(tasks: list[Task]) -> Callable[[Step], int]:
+            return lambda step: self._apply(tasks, step)
+
+        answers = await self._writer.apply_each({name: applying(tasks) for name, tasks in by_process.items()})
+        return sum(answers.values())
+
+    def changed_ids(self, entities: Iterable[Mapping[str, Any]]) -> list[str]:
+        """Return the ids of the Tasks of the orchestrator among `entities` with another status than known.
+
+        Only `id` and `status` are looked at.
+        """
+        return [str(entity["id"]) for entity in self._select_changed(entities)]
+
+    def awaited(self) -> list[str]:
+        """Return the ids of the open Tasks that the broker must have.
+
+        Tasks of a step that is not written yet are none of them.
+        """
+        tasks = self._state.active_processes.task_ids()
+        return [task_id for task_id in tasks if not self._writer.outbox.is_pending(task_id)]
+
+    async def missing(self, task_ids: Iterable[str]) -> None:
+        """Handle that the broker does not have these Tasks of the orchestrator."""
+
+        def handling(task_id: str) -> Callable[[Step], None]:
+            def act(step: Step) -> None:
+                owner = self._state.active_processes.owner(task_id)
+                if owner is not None:
+                    owner.missing(task_id, step, self._state.clock())
+
+            return act
+
+        await self._writer.apply_each({task_id: handling(task_id) for task_id in task_ids})
+
+    async def reject(self, message: Message, reason: str) -> None:
+        """Handle that the broker rejected a message of the outbox."""
+        owner = self._state.active_processes.owner(message.subject)
+        if message.kind is MessageKind.CREATE and owner is not None:
+            await self._writer.apply(
+                lambda step: owner.reject(message.subject, reason, step, self._state.clock())
+            )
+
+    async def set_agents(self, agents: Agents) -> None:
+        """Take the agents of the broker, and try again to find performers for waiting activities."""
+        allocator = self._state.allocator
+
+        def act(_: Step) -> None:
+            allocator.agents = agents
+            allocator.has_changed = True
+
+        if agents != allocator.agents or allocator.waiting():
+            await self._writer.apply(act)
+
+    def _changed_tasks(self, entities: Iterable[Mapping[str, Any]]) -> list[Task]:
+        tasks = []
+        for entity in self._select_changed(entities):
+            try:
+                task = Task.from_ngsild(entity)
+            except ValueError as error:
+                RECEIVED.labels("unreadable").inc()
+                log.warning("task does not match the data model", task=entity.get("id"), error=str(error))
+                continue
+            owner = self._state.active_processes.owner(task.id)
+            if owner is not None and owner.is_news(task):
+                tasks.append(task)
+            else:
+                RECEIVED.labels("known").inc()
+        return tasks
+
+    def _select_changed(self, entities: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+        for entity in entities:
+            task_id = str(entity.get("id"))
+            owner = self._state.active_processes.owner(task_id)
+            if owner is None:
+                RECEIVED.labels("foreign").inc()
+                if not _is_finished(entity):
+                    self.on_unowned()  # an ended Task of the orchestrator may have reappeared
+                continue
+            known = owner.tasks.get(task_id)  # none while the step that ends it is written
+            if known is None or _status(entity) == known.status.value:
+                RECEIVED.labels("known").inc()
+            else:
+                yield entity
+
+    def _apply(self, tasks: Iterable[Task], step: Step) -> int:
+        now = self._state.clock()
+        applied = 0
+        for task in tasks:
+            owner = self._state.active_processes.owner(task.id)
+            if owner is not None and owner.receive(task, step, now):
+                applied += 1
+                RECEIVED.labels("applied").inc()
+                log.info("task moved", task=task.id, status=task.status.value.value, process=owner.record.id)
+        return applied
+
+
+def _is_finished(entity: Mapping[str, Any]) -> bool:
+    return _status(entity) in FINISHED
+
+
+def _status(entity: Mapping[str, Any]) -> str | None:
+    status = entity.get("status")
+    value = status.get("value") if isinstance(status, Mapping) else None
+    return value if isinstance(value, str) else None

@@ -1,0 +1,185 @@
+"""Process control: people start, pause, mend and cancel processes, and send them messages."""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from datetime import timedelta
+from typing import Any
+
+import orjson
+
+from handover.errors import Problem
+from handover.messages import message, text_of
+from services.task_orchestrator.languages.native import is_variable_name
+from services.task_orchestrator.process import Process
+from services.task_orchestrator.records import Act, ActKind, MessageOutcome, Step
+from services.task_orchestrator.step_writer import StepWriter
+from services.task_orchestrator.working_state import WorkingState
+
+
+class ProcessControl:
+    """The requests of people about processes."""
+
+    def __init__(self, state: WorkingState, writer: StepWriter) -> None:
+        self._state = state
+        self._writer = writer
+
+    async def start(
+        self,
+        definition: str,
+        parameters: Mapping[str, Any],
+        *,
+        version: int | None = None,
+        key: str | None = None,
+    ) -> tuple[str, bool]:
+        """Start a process; return its id, and False if `key` had started it before.
+
+        Raises `Problem` 404 for an unknown definition, 422 for parameters that do not fit it.
+        """
+        state, registry = self._state, self._state.registry
+        if key is not None and (known := await state.on_disk(state.store.by_key, key)) is not None:
+            return known.id, False
+        check_variables(parameters)
+        with suppress(Problem):  # a process that `key` started meanwhile is returned, whatever its definition
+            await registry.prepare(registry.record(definition, version))
+
+        def act(step: Step) -> tuple[str, bool]:
+            earlier = self._started_with(key)
+            if earlier is not None:
+                return earlier.record.id, False
+            deployed = registry.record(definition, version)
+            variables = registry.plan_of(deployed).definition.arguments(parameters)
+            return state.start(step, deployed, variables, key=key), True
+
+        return await self._writer.apply(act)
+
+    async def cancel(self, process_id: str, by: str | None = None) -> None:
+        """Cancel a process; raise `Problem` 404 if there is none, 409 if it has ended."""
+        await self._writer.apply_to(
+            process_id, lambda process, step: process.cancel(by, step, self._state.clock())
+        )
+
+    async def retry(self, process_id: str, task_id: str, by: str) -> None:
+        """Post a failed Task again that its process waits for.
+
+        Raises `Problem` 404 if there is no such process or Task, 409 if it cannot be retried.
+        """
+
+        def act(process: Process, step: Step) -> None:
+            token, now = process.incident_of(task_id), self._state.clock()
+            process.mend(Act(now, ActKind.RETRY, by, task_id), token, step, now)
+
+        await self._writer.apply_to(process_id, act)
+
+    async def mend(
+        self,
+        process_id: str,
+        kind: ActKind,
+        token: str | None,
+        *,
+        by: str | None,
+        why: str | None,
+        to: str | None = None,
+        values: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Do what a person has decided about a token of a process, or about its variables.
+
+        Raises `Problem` 404 if there is no such process or token, 409 if the act is impossible.
+        """
+
+        def act(process: Process, step: Step) -> None:
+            now = self._state.clock()
+            decided = Act(now, kind, by, to=to, why=why, values=dict(values) if values else None)
+            process.mend(decided, token, step, now)
+
+        await self._writer.apply_to(process_id, act)
+
+    async def pause(self, process_id: str, kind: ActKind, *, by: str | None, why: str | None) -> None:
+        """Pause or resume a process; raise `Problem` 404 if there is none, 409 if it has ended."""
+        await self._writer.apply_to(
+            process_id, lambda process, step: self._pause(process, kind, by, why, step)
+        )
+
+    async def pause_all(
+        self, kind: ActKind, *, by: str | None, why: str | None, definition: str | None = None
+    ) -> list[str]:
+        """Pause or resume all running processes, or those of a definition; return their ids."""
+
+        def pausing(process: Process) -> Callable[[Step], None]:
+            return lambda step: self._pause(process, kind, by, why, step)
+
+        wanted = {
+            process.record.id: pausing(process)
+            for process in self._state.active_processes.processes.values()
+            if process.run is not None and definition in (None, process.record.definition)
+        }
+        return list(await self._writer.apply_each(wanted))
+
+    async def publish(
+        self,
+        name: str,
+        *,
+        key: Any = None,
+        process: str | None = None,
+        variables: Mapping[str, Any],
+        ttl: timedelta | None = None,
+    ) -> tuple[MessageOutcome, str | None]:
+        """Bring a message to the process that waits for it, or start one; otherwise keep it for `ttl`.
+
+        Returns what became of it, and the process. Raises `Problem` 409 if several processes wait for it.
+        """
+        events = self._state.events
+
+        def act(step: Step) -> tuple[MessageOutcome, str | None]:
+            now = self._state.clock()
+            record = events.record(name, key, variables, now, ttl=ttl)
+            return events.publish(step, record, now, process=process)
+
+        return await self._writer.apply(act)
+
+    async def broadcast(self, name: str, variables: Mapping[str, Any]) -> list[str]:
+        """Bring a signal to everyone who waits for it; return the processes that got it or were started."""
+        state = self._state
+        return await self._writer.apply(
+            lambda step: state.events.broadcast(step, name, variables, state.clock())
+        )
+
+    def _pause(self, process: Process, kind: ActKind, by: str | None, why: str | None, step: Step) -> None:
+        now = self._state.clock()
+        act = Act(now, kind, by, why=why)
+        if kind is ActKind.PAUSE:
+            process.pause(act, step, now)
+        else:
+            process.resume_work(act, step, now)
+
+    def _started_with(self, key: str | None) -> Process | None:
+        if key is None:
+            return None
+        begun = self._state.active_processes.processes.values()
+        return next((process for process in begun if process.record.key == key), None)
+
+
+def check_variables(variables: Mapping[str, Any]) -> None:
+    """Raise `Problem` 422 for names or values that process variables cannot have."""
+    for name in variables:
+        if not is_variable_name(name):
+            raise Problem(
+                422,
+                "Bad parameter",
+                message(
+                    "process.bad_parameter_name",
+                    '"{name}" cannot be the name of a process variable',
+                    name=name,
+                ),
+            )
+    try:
+        orjson.dumps(variables)
+    except TypeError as error:
+        raise Problem(
+            422,
+            "Bad parameter",
+            message(
+                "process.parameters_not_json",
+                "the parameters are no plain JSON: {error}",
+                error=text_of(error),
+            ),
+        ) from None
