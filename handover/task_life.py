@@ -5,7 +5,7 @@ or `failed`; a finished Task never reopens. Notifications may be late, duplicate
 applies states, not events: it may miss steps, but never goes back in time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 
 from datamodels.entities import Task, TaskStatus
@@ -13,6 +13,9 @@ from datamodels.entities import Task, TaskStatus
 FINISHED = frozenset({TaskStatus.COMPLETED, TaskStatus.FAILED})
 UNFINISHED_QUERY = "status==" + ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
 """The `q` of the Tasks and Processes that have not ended."""
+
+PASSIVE_TYPES = frozenset({"Material", "Asset"})
+"""Types of what a Task uses: they never perform it."""
 
 _NEXT: Mapping[TaskStatus, frozenset[TaskStatus]] = {
     TaskStatus.PENDING: frozenset({TaskStatus.ASSIGNED, TaskStatus.FAILED}),
@@ -22,6 +25,17 @@ _NEXT: Mapping[TaskStatus, frozenset[TaskStatus]] = {
     TaskStatus.COMPLETED: frozenset(),
     TaskStatus.FAILED: frozenset(),
 }
+
+
+def type_of(entity_id: str) -> str | None:
+    """Return the entity type in an id such as `urn:ngsi-ld:Device:demo:ur10-1`; None if it has none."""
+    parts = entity_id.split(":", 3)
+    return parts[2] if len(parts) == 4 and parts[:2] == ["urn", "ngsi-ld"] else None
+
+
+def performers_of(involved: Iterable[str]) -> list[str]:
+    """Return those of the involved resources that may perform the Task, in their order."""
+    return [resource for resource in involved if type_of(resource) not in PASSIVE_TYPES]
 
 
 def is_legal(before: TaskStatus, after: TaskStatus) -> bool:

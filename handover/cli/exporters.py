@@ -13,6 +13,7 @@ import orjson
 from lxml import etree
 
 from handover.extensions import ExtensionPoint
+from handover.task_life import performers_of
 
 Exporter = Callable[[Mapping[str, Any]], bytes]
 
@@ -65,7 +66,7 @@ def csv_of(process: Mapping[str, Any]) -> bytes:
             **task,
             "process": process["id"],
             "task": task["id"],
-            "performer": " ".join(task["involves"]),
+            "performer": " ".join(performers_of(task["involves"])),
         }
         lines.writerow([_cell(values.get(column)) for column in COLUMNS])
     return f"\ufeff{text.getvalue()}".encode()
@@ -95,8 +96,9 @@ def xes_of(process: Mapping[str, Any]) -> bytes:
         _add_xes(event, "string", "concept:instance", task["id"])
         _add_xes(event, "string", "lifecycle:transition", transition)
         _add_xes(event, "date", "time:timestamp", at)
-        if task["involves"]:
-            _add_xes(event, "string", "org:resource", " ".join(task["involves"]))
+        performers = performers_of(task["involves"])
+        if performers:
+            _add_xes(event, "string", "org:resource", " ".join(performers))
     return bytes(etree.tostring(log, xml_declaration=True, encoding="UTF-8", pretty_print=True))
 
 

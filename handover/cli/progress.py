@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from datamodels.entities import Outcome, Task, TaskStatus
+from handover.task_life import performers_of
 
 Say = Callable[[str], None]
 
@@ -93,8 +94,8 @@ class ProgressPrinter:
         self.say(f"{max(at_s, 0):6.1f} s  {self._who(task):<9} {words}")
 
     def _who(self, task: Task) -> str:
-        involved = task.involves or ()
-        return involved[0].object.rsplit(":", 1)[-1] if involved else "nobody"
+        involved = performers_of(link.object for link in task.involves or ())
+        return involved[0].rsplit(":", 1)[-1] if involved else "nobody"
 
     def _when(self, task: Task) -> datetime:
         return task.status.observed_at or self.began

@@ -6,7 +6,9 @@ from typing import Any
 
 from datamodels.entities import RequestedStatus, TaskStatus
 from datamodels.times import iso
+from handover.messages import message
 from handover.settings import Settings
+from handover.task_life import type_of
 from services.task_orchestrator.model import Activity, Definition
 from services.task_orchestrator.records import TaskRecord
 from services.task_orchestrator.references import is_reference, resource_id
@@ -112,9 +114,7 @@ def task_entity(
             "object": settings.entity_id("TaskDefinition", activity.definition),
         },
         "status": status_property(TaskStatus.PENDING, at),
-        "involves": _property(
-            [_link(settings, given.value(variables), activity) for given in activity.involves]
-        ),
+        "involves": _property(_involved(settings, activity, variables)),
         "workParameters": _property({**(data or {}), **_work_parameters(activity, variables)}),
         "deadline": _property({"@type": "DateTime", "@value": iso(deadline)}),
     }
@@ -127,6 +127,33 @@ def task_entity(
     if places:
         entity["happensAt"] = _property(places)
     return entity
+
+
+def _involved(settings: Settings, activity: Activity, variables: Mapping[str, Any]) -> list[Entity]:
+    """Return the performers of a Task, then the Materials and Assets that it uses, each once."""
+    links = [_link(settings, given.value(variables), activity) for given in activity.involves]
+    for type_, values in (("Material", activity.materials), ("Asset", activity.assets)):
+        for value in values:
+            given = value.value(variables)
+            listed = given if isinstance(given, list) else [given]
+            links += [_used(settings, each, type_, activity) for each in listed]
+    return list({link["object"]: link for link in links}.values())
+
+
+def _used(settings: Settings, given: Any, type_: str, activity: Activity) -> Entity:
+    """Return the link to an entity of a type; it is a reference, or an entity as a variable has it."""
+    link = _link(settings, given.get("id") if isinstance(given, Mapping) else given, activity)
+    if type_of(link["object"]) not in {type_, None}:
+        raise ValueError(
+            message(
+                "process.wrong_used_type",
+                '"{entity}" is no {type} for "{element}"',
+                entity=link["object"],
+                type=type_,
+                element=activity.id,
+            )
+        )
+    return link
 
 
 def _work_parameters(activity: Activity, variables: Mapping[str, Any]) -> dict[str, Any]:

@@ -244,6 +244,10 @@ class Activity:
     """The role that the performer has, if `involves` is empty."""
     skills: tuple[str, ...] = ()
     """The skills that the performer has, if `involves` is empty."""
+    materials: tuple[Value, ...] = ()
+    """The Materials that its Task uses; an expression may be a list of them."""
+    assets: tuple[Value, ...] = ()
+    """The Assets that its Task uses, likewise."""
     spreads_outputs: bool = False
     """Whether each outputParameter becomes a variable of its own name, as Camunda has it."""
 

@@ -15,7 +15,7 @@ from datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover.errors import Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
-from handover.task_life import FINISHED, is_reachable
+from handover.task_life import FINISHED, is_reachable, performers_of
 from services.task_orchestrator import process_alerts
 from services.task_orchestrator.allocation.allocator import Allocator, Assignment, NoPerformer
 from services.task_orchestrator.entities import (
@@ -700,9 +700,9 @@ class Process:
 
 
 def _performer(task: TaskRecord) -> str:
-    """Return who performs a Task: the first that it involves; empty for a Task for people."""
-    involved = task.entity["involves"]["value"]
-    return str(involved[0]["object"]) if involved else ""
+    """Return the resource that performs a Task; empty for a Task for people."""
+    involved = performers_of(link["object"] for link in task.entity["involves"]["value"])
+    return involved[0] if involved else ""
 
 
 def _declined_key(token: str, element: str) -> str:

@@ -13,6 +13,7 @@ from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.messages import message, text_of
 from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
+from handover.task_life import type_of
 from handover.telemetry import get_logger
 from services.trajectory_tool import operations, parameters
 from services.trajectory_tool.cell import Cell
@@ -25,6 +26,8 @@ from services.trajectory_tool.work import Work
 log = get_logger(__name__)
 
 PROGRESS_EVERY_S = 0.25
+PICK_TARGETS = frozenset({"part", "pose", "bin"})
+"""Parameters of which each says what a pick grips."""
 
 
 class Controller(Performer):
@@ -62,7 +65,7 @@ class Controller(Performer):
         began_s = time.monotonic()
         with _counted(name), self._device_state():
             operation = operations.known(name)
-            given = parameters.read(operation.parameters, name, job.parameters)
+            given = parameters.read(operation.parameters, name, _parameters_of(job, name))
             speed = self._speed * given.speed
             self.work = work = Work(job.task.id, name, self.cell, _Steering(job, self.device), speed)
             log.info("robot starts", task=job.task.id, operation=name, again=job.resumed)
@@ -117,6 +120,16 @@ class _Steering:
 def _operation_of(job: Job) -> str:
     named = job.parameters.get("operation")
     return str(named) if named is not None else job.task.is_defined_by.object.rsplit(":", 1)[-1]
+
+
+def _parameters_of(job: Job, operation: str) -> Mapping[str, Any]:
+    """Return the workParameters; a pick without a target takes the only Material of the Task as its part."""
+    given = job.parameters
+    if operation != "pick" or PICK_TARGETS & given.keys():
+        return given
+    involved = (link.object for link in job.task.involves or ())
+    materials = [each for each in involved if type_of(each) == "Material"]
+    return {**given, "part": materials[0]} if len(materials) == 1 else given
 
 
 @asynccontextmanager

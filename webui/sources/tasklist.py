@@ -20,7 +20,7 @@ from handover.broker import BrokerClient, NotFound
 from handover.errors import Problem
 from handover.messages import message, with_code
 from handover.outcomes import reason_of
-from handover.task_life import FINISHED
+from handover.task_life import FINISHED, PASSIVE_TYPES, performers_of, type_of
 from webui.live.live_state import LiveState
 from webui.live.views import TasklistView
 
@@ -132,8 +132,22 @@ class Tasklist:
 
 def is_for_people(task: Task) -> bool:
     """Return whether people perform the Task: it involves nobody, or a Person first."""
-    first = next((link.object for link in task.involves or ()), None)
+    first = _performer(task)
     return first is None or ":Person:" in first
+
+
+def _performer(task: Task) -> str | None:
+    return next(iter(performers_of(link.object for link in task.involves or ())), None)
+
+
+def _used(task: Task) -> dict[str, list[str]]:
+    """Return the names of the Materials and Assets that a Task uses, by type in lower case."""
+    found: dict[str, list[str]] = {}
+    for link in task.involves or ():
+        type_ = type_of(link.object)
+        if type_ in PASSIVE_TYPES:
+            found.setdefault(f"{type_.lower()}s", []).append(link.object.rpartition(":")[2])
+    return found
 
 
 def view_of(task: Task) -> TasklistView:
@@ -148,12 +162,15 @@ def view_of(task: Task) -> TasklistView:
         "kind": task.is_defined_by.object.rsplit(":", 1)[-1],
         "description": described if isinstance(described, str) else None,
         "status": task.status.value.value,
-        "person": next((link.object for link in task.involves or ()), None),
+        "person": _performer(task),
         "claimedBy": operator if isinstance(operator, str) and outputs.get("by") == BY_TASKLIST else None,
         "isClaimable": task.status.value is TaskStatus.PENDING or outputs.get("by") == BY_TASKLIST,
         "deadline": iso(task.deadline.value) if task.deadline else None,
         "form": dict(form) if isinstance(form, Mapping) else None,
-        "inputs": {name: value for name, value in inputs.items() if name not in {"description", "form"}},
+        "inputs": {
+            **_used(task),
+            **{name: value for name, value in inputs.items() if name not in {"description", "form"}},
+        },
     }
 
 

@@ -6,7 +6,7 @@ from typing import Any, Final
 from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
 from handover.messages import message_in, with_code
-from handover.task_life import FINISHED, is_news
+from handover.task_life import FINISHED, is_news, performers_of
 from webui.live.event_log import Event, EventLog, Level, normalized_timestamp
 from webui.settings import BROKER
 from webui.sources.broker_entities import EntityHandler
@@ -84,7 +84,7 @@ class Tasks(EntityHandler):
 
     def _log(self, task: Task) -> None:
         status, at = _status_and_time(task)
-        who = next((link.object for link in task.involves or ()), "")
+        who = next(iter(performers_of(link.object for link in task.involves or ())), "")
         inputs = dict(task.work_parameters.value) if task.work_parameters else {}
         outputs = dict(task.output_parameters.value) if task.output_parameters else {}
         kind = short_name(task.is_defined_by.object)

@@ -83,6 +83,8 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         hints=hints,
         role=work.role,
         skills=work.skills,
+        materials=work.materials,
+        assets=work.assets,
         spreads_outputs=spreads and not work.outputs,
     )
 

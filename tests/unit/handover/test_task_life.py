@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodels.entities import Task, TaskStatus
-from handover.task_life import FINISHED, is_legal, is_news, is_reachable
+from handover.task_life import FINISHED, is_legal, is_news, is_reachable, performers_of, type_of
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 statuses = st.sampled_from(list(TaskStatus))
@@ -56,3 +56,12 @@ def test_a_task_is_paused_and_goes_on() -> None:
 def test_the_first_observation_of_a_task_is_accepted_also_without_a_time() -> None:
     assert is_news(None, a_task(TaskStatus.PENDING))
     assert is_news(a_task(TaskStatus.PENDING, None), a_task(TaskStatus.ASSIGNED, None))
+
+
+def test_materials_and_assets_perform_nothing() -> None:
+    robot, person = "urn:ngsi-ld:Device:demo:ur10-1", "urn:ngsi-ld:Person:demo:ann"
+    part, tool = "urn:ngsi-ld:Material:demo:gear-1", "urn:ngsi-ld:Asset:demo:hammer"
+    assert performers_of([part, robot, tool, person]) == [robot, person]
+    assert performers_of([part, tool]) == []
+    assert type_of(part) == "Material"
+    assert type_of("urn:epc:id:sgtin:1") is None

@@ -77,6 +77,37 @@ def test_a_task_is_posted_pending_with_all_that_is_asked() -> None:
     assert Task.from_ngsild(posted).status.value is TaskStatus.PENDING
 
 
+def involved(driver: ProcessDriver) -> list[str]:
+    """Return the names of what the only new Task involves."""
+    (posted,) = (message.body for message in driver.step.messages if message.kind is MessageKind.CREATE)
+    return [link["object"].rpartition("demo:")[2] for link in posted["involves"]["value"]]
+
+
+def test_a_task_involves_the_materials_and_assets_that_it_uses_after_its_performer() -> None:
+    inner = (
+        '<handover:involves resource="Asset:hammer"/>'
+        '<handover:material entity="Material:gear-1"/>'
+        '<handover:material expression="parts"/>'
+        '<handover:asset expression="carrier"/>'
+    )
+    driver = ProcessDriver(
+        start() + activity("work", inner) + end() + path("start", "work", "end"),
+        parts=["Material:gear-2", "Material:gear-1"],
+        carrier={"id": "urn:ngsi-ld:Asset:demo:tray-4", "type": "Asset"},
+    )
+    assert involved(driver) == ["glove-1", "gear-1", "gear-2", "hammer", "tray-4"]
+    assert driver.process.allocator.tasks_of("urn:ngsi-ld:Device:demo:glove-1") == [task_id("work-1")]
+
+
+def test_a_task_of_a_role_uses_materials_too() -> None:
+    task = '<handover:task definition="x"><handover:material entity="Material:gear-1"/></handover:task>'
+    extended = f"<bpmn:extensionElements>{task}</bpmn:extensionElements>"
+    body = f'<bpmn:userTask id="work">{extended}</bpmn:userTask>'
+    driver = ProcessDriver(start() + body + end() + path("start", "work", "end"))
+    assert involved(driver) == ["gear-1"]
+    assert not driver.process.allocator.tasks_of("urn:ngsi-ld:Material:demo:gear-1")
+
+
 def test_a_process_says_what_it_is_composed_of_and_how_it_ended() -> None:
     driver = ProcessDriver(TWO_STEPS, bin="bin-1")
     driver.receive("first-1", "completed", weight=3)
@@ -311,6 +342,11 @@ def test_a_task_the_broker_refuses_counts_as_failed() -> None:
     [
         ('<handover:parameter name="x" expression="nothing"/>', 'no variable "nothing"'),
         ('<handover:involves expression="colour"/>', '"red" names no entity'),
+        ('<handover:material expression="colour"/>', '"red" names no entity'),
+        (
+            "<handover:material expression=\"'Asset:hammer'\"/>",
+            '"urn:ngsi-ld:Asset:demo:hammer" is no Material for "work"',
+        ),
     ],
 )
 def test_an_invalid_activity_is_an_incident_that_names_the_reason(inner: str, reason: str) -> None:

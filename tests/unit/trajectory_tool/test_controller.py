@@ -25,13 +25,16 @@ async def controller(tmp_path: Path, free_port: Any) -> AsyncIterator[Controller
             yield made
 
 
-def a_job(controller: Controller, definition: str = "home", **parameters: Any) -> Job:
+def a_job(
+    controller: Controller, definition: str = "home", involves: tuple[str, ...] = (), **parameters: Any
+) -> Job:
     task = Task.from_ngsild(
         {
             "id": "urn:ngsi-ld:Task:demo:t",
             "type": "Task",
             "isDefinedBy": f"urn:ngsi-ld:TaskDefinition:demo:{definition}",
             "status": "inProgress",
+            "involves": [{"type": "Relationship", "object": each} for each in involves],
             "workParameters": {"type": "Property", "value": parameters},
         }
     )
@@ -54,6 +57,14 @@ async def test_the_task_definition_names_the_operation(controller: Controller) -
 
 async def test_the_operation_in_the_parameters_comes_first(controller: Controller) -> None:
     assert "found" in await controller.perform(a_job(controller, "home", operation="scan", bin="bin-1"))
+
+
+async def test_a_pick_takes_the_only_material_of_its_task(controller: Controller) -> None:
+    robot, part = controller.device.id, "urn:ngsi-ld:Material:demo:part-3"
+    assert (await controller.perform(a_job(controller, "pick", (robot, part))))["part"] == "part-3"
+    await controller.perform(a_job(controller, "place", location="fixture-1"))
+    given = a_job(controller, "pick", (robot, part), part="part-1")
+    assert (await controller.perform(given))["part"] == "part-1"
 
 
 async def test_unknown_operations_are_counted_together(controller: Controller) -> None:

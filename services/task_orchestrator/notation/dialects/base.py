@@ -38,6 +38,8 @@ class Work:
     """Whether somebody has to do it: a send task or message event is then a Task, not a message."""
     role: str | None = None
     skills: tuple[str, ...] = ()
+    materials: tuple[Value, ...] = ()
+    assets: tuple[Value, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

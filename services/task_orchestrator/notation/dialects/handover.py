@@ -8,6 +8,9 @@
 With handlesOutcomes="true" a Task with another outcome than `ok` is completed, and the process continues with
 the variable `outcome`; otherwise such a Task fails.
 
+<handover:material entity="Material:pallet-3"/> and <handover:asset expression="carrier"/> name what the Task
+uses. They are involved after the performer, and an expression may be a list of them.
+
 Instead of handover:involves, role="operator" and skills="grip place" let an agent be chosen that has them.
 
 <handover:on type="Alert" q='severity=="critical"' variable="alert" correlation="alert.alertSource"/>
@@ -18,13 +21,14 @@ condition of a conditional event is then evaluated for each entity.
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import orjson
 from lxml import etree
 
 from handover.durations import Duration, parse_duration
 from handover.messages import message
+from handover.task_life import PASSIVE_TYPES, type_of
 from services.task_orchestrator.languages import native
 from services.task_orchestrator.languages.base import Expression, Json
 from services.task_orchestrator.languages.juel import read_juel
@@ -60,6 +64,8 @@ _TYPE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[a-z][a-z0-9+.-]*:[^\s<>\"]+", re.AS
 _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "task": frozenset({"definition", "deadline", "handlesOutcomes", "role", "skills"}),
     "involves": frozenset({"resource", "expression"}),
+    "material": frozenset({"entity", "expression"}),
+    "asset": frozenset({"entity", "expression"}),
     "happensAt": frozenset({"location", "expression", "function"}),
     "parameter": frozenset({"name", "value", "expression"}),
     "output": frozenset({"name", "from"}),
@@ -101,10 +107,14 @@ class Handover:
         definition = extension.get("definition") or ""
         if not _NAME.fullmatch(definition):
             found.fault(extension, f'definition="{definition}" is not a name; use A-Z, a-z, 0-9, - _ .')
-        parts = _parts(extension, {"involves", "happensAt", "parameter", "output"}, found)
+        parts = _parts(
+            extension, {"involves", "material", "asset", "happensAt", "parameter", "output"}, found
+        )
+        involved = [_reference(part, "resource", found) for part in parts["involves"]]
+        performers = tuple(each for each in involved if _passive_type(each) is None)
         role = (extension.get("role") or "").strip() or None
         skills = tuple((extension.get("skills") or "").split())
-        if parts["involves"] and (role or skills):
+        if performers and (role or skills):
             found.fault(
                 extension,
                 message(
@@ -115,7 +125,9 @@ class Handover:
         return Work(
             definition=definition,
             deadline=_deadline(extension, found),
-            involves=tuple(_reference(part, "resource", found) for part in parts["involves"]),
+            involves=performers,
+            materials=_used("Material", involved, parts["material"], found),
+            assets=_used("Asset", involved, parts["asset"], found),
             happens_at=tuple(
                 Place(_reference(part, "location", found), part.get("function"))
                 for part in parts["happensAt"]
@@ -303,6 +315,39 @@ def _reference(part: etree._Element, attribute: str, found: Findings) -> Value:
             part, f'{attribute}="{literal}" names no entity; write Type:id such as Device:glove-1, or a URN'
         )
     return Value(literal)
+
+
+def _used(
+    type_: str, involved: Iterable[Value], parts: Iterable[etree._Element], found: Findings
+) -> tuple[Value, ...]:
+    """Return the entities of a type that a Task uses, by elements of their own or by handover:involves."""
+    used = [each for each in involved if _passive_type(each) == type_]
+    for part in parts:
+        value = _reference(part, "entity", found)
+        if value.expression is None and is_reference(value.literal) and _type_of(value) not in {type_, None}:
+            found.fault(
+                part,
+                message(
+                    "bpmn.wrong_used_type",
+                    '"{entity}" is no {type}; write {type}:id',
+                    entity=value.literal,
+                    type=type_,
+                ),
+            )
+        used.append(value)
+    return tuple(used)
+
+
+def _passive_type(value: Value) -> str | None:
+    type_ = _type_of(value)
+    return type_ if type_ in PASSIVE_TYPES else None
+
+
+def _type_of(value: Value) -> str | None:
+    """Return the entity type of a literal reference, as far as it names one."""
+    if not isinstance(value.literal, str):
+        return None
+    return type_of(value.literal) if value.literal.startswith("urn:") else value.literal.partition(":")[0]
 
 
 def _value(part: etree._Element, found: Findings) -> Value:

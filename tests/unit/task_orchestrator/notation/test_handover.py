@@ -157,6 +157,8 @@ def test_an_entity_is_a_message_a_signal_or_a_condition() -> None:
         (event("intermediateCatchEvent", "timer", '<handover:on type="A"/>'), "handover:on stands in"),
         (extended("task", '<handover:on type="A"/>'), "handover:on is unknown here"),
         (activity("x", '<handover:involves resource="glove one"/>'), 'resource="glove one" names no entity'),
+        (activity("x", '<handover:material entity="Asset:tray"/>'), '"Asset:tray" is no Material'),
+        (activity("x", '<handover:asset entity="a tray"/>'), 'entity="a tray" names no entity'),
         (activity("x", attributes='deadline="soon"'), "no ISO 8601 duration"),
         (activity("x", attributes='robot="x"'), 'has no attribute "robot"'),
         (activity("x", attributes='handlesOutcomes="yes"'), "neither true nor false"),

@@ -3,9 +3,9 @@ import type { ProcessView, TaskView } from "~/live/messages";
 import { exactTime } from "~/design/times";
 import { shortName } from "~/live/urn";
 
-/** The performer of a Task: the first resource that it involves, "" without one. */
+/** The performer of a Task: the first that it involves but for Materials and Assets, "" without one. */
 export function performerOf(task: Pick<TaskView, "involves">): string {
-  const [first] = task.involves;
+  const first = task.involves.find((one) => !/^urn:ngsi-ld:(Material|Asset):/.test(one));
   return first === undefined ? "" : shortName(first);
 }
 
