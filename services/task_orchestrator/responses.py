@@ -150,7 +150,15 @@ class Reason(TypedDict):
     reasonParameters: NotRequired[dict[str, Any]]
 
 
-class IncidentView(TypedDict):
+class KnownReason(TypedDict):
+    """A reason that is never absent."""
+
+    reason: str
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+
+
+class IncidentView(KnownReason):
     """A token that cannot continue at `element`; `task` is the failed Task if one is the reason.
 
     `element` is the path `call.element` in a called process. `code` is the error code of the performer.
@@ -159,23 +167,17 @@ class IncidentView(TypedDict):
     token: str
     element: str
     name: str
-    reason: str
-    reasonCode: NotRequired[str]
-    reasonParameters: NotRequired[dict[str, Any]]
     since: str
     task: str | None
     code: str | None
 
 
-class UnallocatedView(TypedDict):
+class UnallocatedView(KnownReason):
     """An open activity without a Task, because no performer can take it now."""
 
     token: str
     element: str
     name: str
-    reason: str
-    reasonCode: NotRequired[str]
-    reasonParameters: NotRequired[dict[str, Any]]
     since: str
 
 
@@ -215,8 +217,16 @@ class StatusChange(TypedDict):
     at: str
 
 
-class TaskView(Reason):
-    """A Task of a process; `allocated` is the reason why its performer was chosen."""
+class Allocated(TypedDict):
+    """The reason why the performer of a Task was chosen."""
+
+    allocated: str | None
+    allocatedCode: NotRequired[str]
+    allocatedParameters: NotRequired[dict[str, Any]]
+
+
+class TaskView(Reason, Allocated):
+    """A Task of a process."""
 
     id: str
     element: str
@@ -225,11 +235,8 @@ class TaskView(Reason):
     description: str | None
     status: TaskStatus
     involves: list[str]
-    allocated: str | None
-    allocatedCode: NotRequired[str]
-    allocatedParameters: NotRequired[dict[str, Any]]
-    workParameters: dict[str, Any]
-    outputParameters: dict[str, Any] | None
+    workParameters: Mapping[str, Any]
+    outputParameters: Mapping[str, Any] | None
     createdAt: str
     deadline: str | None
     endedAt: str | None
@@ -251,14 +258,14 @@ class ActView(TypedDict):
     element: str | None
     to: str | None
     why: str | None
-    values: dict[str, Any] | None
+    values: Mapping[str, Any] | None
 
 
 class ProcessView(ProcessSummary):
     """A process with all details; `done` of its `activities` were completed at least once."""
 
-    parameters: dict[str, Any]
-    variables: dict[str, Any]
+    parameters: Mapping[str, Any]
+    variables: Mapping[str, Any]
     next: list[NextActivity]
     done: int
     activities: int

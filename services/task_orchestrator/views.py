@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, cast
 
 from datamodels.entities import TaskStatus
 from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
 from services.task_orchestrator.allocation.allocator import Allocator
-from services.task_orchestrator.allocation.mapping import MappingTable
+from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.counts import ElementCount, PeriodCount, VersionCount, count_elements
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.languages.native import ExpressionError
@@ -24,12 +24,30 @@ from services.task_orchestrator.records import (
     TaskRecord,
 )
 from services.task_orchestrator.references import is_reference, resource_id
+from services.task_orchestrator.responses import (
+    ActView,
+    AgentView,
+    Allocated,
+    DefinitionActivity,
+    DefinitionParameter,
+    DefinitionView,
+    ElementCounts,
+    IncidentView,
+    KnownReason,
+    MappedName,
+    MappingView,
+    NextActivity,
+    PeriodStatistics,
+    ProcessSummary,
+    ProcessView,
+    Reason,
+    TaskView,
+    VersionStatistics,
+)
 from services.task_orchestrator.settings import OrchestratorSettings
 
-View = dict[str, Any]
 
-
-def mapping_view(table: MappingTable) -> View:
+def mapping_view(table: MappingTable) -> MappingView:
     """Return a version of the mapping."""
     return {
         "version": table.version,
@@ -37,11 +55,15 @@ def mapping_view(table: MappingTable) -> View:
         "verified": False,  # there are no accounts yet: `by` is what was given
         "why": table.why,
         "at": _iso(table.at),
-        "entries": [entry.model_dump(mode="json", exclude_defaults=True) for entry in table.entries],
+        "entries": [_mapped_name(entry) for entry in table.entries],
     }
 
 
-def agent_views(allocator: Allocator) -> list[View]:
+def _mapped_name(entry: MappingEntry) -> MappedName:
+    return cast("MappedName", entry.model_dump(mode="json", exclude_defaults=True))
+
+
+def agent_views(allocator: Allocator) -> list[AgentView]:
     """Return the agents with their open Tasks."""
     return [
         {
@@ -59,9 +81,9 @@ def agent_views(allocator: Allocator) -> list[View]:
     ]
 
 
-def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> View:
+def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> DefinitionView:
     """Return a version of a definition and its parameters."""
-    view: View = {
+    view: DefinitionView = {
         "name": record.name,
         "version": record.version,
         "label": record.label,
@@ -76,7 +98,7 @@ def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> V
     return {**view, "parameters": parameter_views(definition)}
 
 
-def parameter_views(definition: Definition) -> list[View]:
+def parameter_views(definition: Definition) -> list[DefinitionParameter]:
     """Return the parameters of a definition."""
     return [
         {"name": each.name, "required": each.required, "default": each.default}
@@ -84,7 +106,7 @@ def parameter_views(definition: Definition) -> list[View]:
     ]
 
 
-def activity_views(definition: Definition) -> list[View]:
+def activity_views(definition: Definition) -> list[DefinitionActivity]:
     """Return the activities of a definition."""
     return [
         {
@@ -98,7 +120,7 @@ def activity_views(definition: Definition) -> list[View]:
     ]
 
 
-def statistics_view(record: DefinitionRecord, counts: VersionCount) -> View:
+def statistics_view(record: DefinitionRecord, counts: VersionCount) -> VersionStatistics:
     """Return the statistics of a version."""
     return {
         "name": record.name,
@@ -108,7 +130,7 @@ def statistics_view(record: DefinitionRecord, counts: VersionCount) -> View:
     }
 
 
-def period_view(counts: PeriodCount) -> View:
+def period_view(counts: PeriodCount) -> PeriodStatistics:
     """Return the statistics of a period."""
     return {
         "running": counts.running,
@@ -120,7 +142,7 @@ def period_view(counts: PeriodCount) -> View:
 
 def process_summary(
     settings: OrchestratorSettings, registry: DefinitionRegistry, record: ProcessRecord
-) -> View:
+) -> ProcessSummary:
     """Return a process as an element of a list."""
     return {
         "id": record.id,
@@ -129,7 +151,7 @@ def process_summary(
         "version": record.version,
         "title": registry.record(record.definition, record.version).title,
         "key": record.key,
-        "status": record.status.value,
+        "status": record.status,
         **_reason(record.reason),
         "startedAt": iso(record.started_at),
         "endedAt": _iso(record.ended_at),
@@ -141,7 +163,7 @@ def process_summary(
                 "token": each.token,
                 "element": each.element,
                 "name": each.name,
-                **_reason(each.reason),
+                **_known_reason(each.reason),
                 "since": iso(each.since),
             }
             for each in record.unallocated
@@ -156,7 +178,7 @@ def process_view(
     record: ProcessRecord,
     tasks: Sequence[TaskRecord],
     moves: Sequence[Move],
-) -> View:
+) -> ProcessView:
     """Return a process with all details."""
     definition = _definition(registry, record)
     history: dict[str, list[Move]] = {}
@@ -185,7 +207,9 @@ def _definition(registry: DefinitionRegistry, record: ProcessRecord) -> Definiti
         return None
 
 
-def _next(settings: OrchestratorSettings, definition: Definition, record: ProcessRecord) -> list[View]:
+def _next(
+    settings: OrchestratorSettings, definition: Definition, record: ProcessRecord
+) -> list[NextActivity]:
     return [
         {
             "element": activity.id,
@@ -211,8 +235,9 @@ def _involved(settings: OrchestratorSettings, activity: Activity, variables: Map
     return known
 
 
-def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move]) -> View:
+def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move]) -> TaskView:
     parameters: Mapping[str, Any] = task.entity["workParameters"]["value"]
+    drawn = None if activity is None else activity.description
     described = parameters.get("description")
     outputs = task.outputs or {}
     failed = task.status is TaskStatus.FAILED
@@ -221,10 +246,10 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
         "element": task.element,
         "name": task.name or task.element,
         "visit": task.visit,
-        "description": described if isinstance(described, str) else activity and activity.description,
-        "status": task.status.value,
+        "description": described if isinstance(described, str) else drawn,
+        "status": task.status,
         "involves": [link["object"] for link in task.entity["involves"]["value"]],
-        **({"allocated": None} if task.allocated is None else with_code("allocated", task.allocated)),
+        **_allocated(task.allocated),
         "workParameters": parameters,
         "createdAt": iso(task.created_at),
         "deadline": iso(task.deadline),
@@ -233,12 +258,12 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
         **_reason(message_in(outputs, "reason") if failed else None),
         "outputParameters": task.outputs,
         "history": [
-            {"status": move.status.value, "at": iso(move.observed_at or move.received_at)} for move in moves
+            {"status": move.status, "at": iso(move.observed_at or move.received_at)} for move in moves
         ],
     }
 
 
-def _count_view(count: ElementCount) -> View:
+def _count_view(count: ElementCount) -> ElementCounts:
     return {
         "running": count.running,
         "completed": count.completed,
@@ -248,16 +273,24 @@ def _count_view(count: ElementCount) -> View:
     }
 
 
-def _reason(reason: str | None) -> View:
-    return {"reason": None} if not reason else with_code("reason", reason)
+def _reason(reason: str | None) -> Reason:
+    return {"reason": None} if not reason else cast("Reason", with_code("reason", reason))
 
 
-def _act_view(act: Act) -> View:
+def _known_reason(reason: str) -> KnownReason:
+    return cast("KnownReason", with_code("reason", reason))
+
+
+def _allocated(reason: str | None) -> Allocated:
+    return {"allocated": None} if reason is None else cast("Allocated", with_code("allocated", reason))
+
+
+def _act_view(act: Act) -> ActView:
     return {
         "at": iso(act.at),
         "by": act.by,
         "verified": False,  # there are no accounts yet: `by` is what was given
-        "act": act.act.value,
+        "act": act.act,
         "task": act.task,
         "element": act.element,
         "to": act.to,
@@ -266,12 +299,12 @@ def _act_view(act: Act) -> View:
     }
 
 
-def _incident_view(incident: IncidentRecord) -> View:
+def _incident_view(incident: IncidentRecord) -> IncidentView:
     return {
         "token": incident.token,
         "element": incident.element,
         "name": incident.name,
-        **_reason(incident.reason),
+        **_known_reason(incident.reason),
         "since": iso(incident.since),
         "task": incident.task,
         "code": incident.code,

@@ -141,12 +141,12 @@ export interface ElementCounts {
  * `element` is the path `call.element` in a called process. `code` is the error code of the performer.
  */
 export interface IncidentView {
-  token: string;
-  element: string;
-  name: string;
   reason: string;
   reasonCode?: string;
   reasonParameters?: Record<string, unknown>;
+  token: string;
+  element: string;
+  name: string;
   since: string;
   task: string | null;
   code: string | null;
@@ -312,11 +312,14 @@ export interface StatusChange {
 /** The status of a Task or a Process; the last two are final. */
 export type TaskStatus = "pending" | "assigned" | "inProgress" | "paused" | "completed" | "failed";
 
-/** A Task of a process; `allocated` is the reason why its performer was chosen. */
+/** A Task of a process. */
 export interface TaskView {
   reason: string | null;
   reasonCode?: string;
   reasonParameters?: Record<string, unknown>;
+  allocated: string | null;
+  allocatedCode?: string;
+  allocatedParameters?: Record<string, unknown>;
   id: string;
   element: string;
   name: string;
@@ -324,9 +327,6 @@ export interface TaskView {
   description: string | null;
   status: TaskStatus;
   involves: string[];
-  allocated: string | null;
-  allocatedCode?: string;
-  allocatedParameters?: Record<string, unknown>;
   workParameters: Record<string, unknown>;
   outputParameters: Record<string, unknown> | null;
   createdAt: string;
@@ -338,12 +338,12 @@ export interface TaskView {
 
 /** An open activity without a Task, because no performer can take it now. */
 export interface UnallocatedView {
-  token: string;
-  element: string;
-  name: string;
   reason: string;
   reasonCode?: string;
   reasonParameters?: Record<string, unknown>;
+  token: string;
+  element: string;
+  name: string;
   since: string;
 }
 

@@ -1,0 +1,117 @@
+"""Routes: deploy, check and read definitions."""
+
+from fastapi import FastAPI, Request, Response
+from starlette.responses import JSONResponse
+
+from handover.body_limit import max_body
+from handover.messages import message
+from handover.service import XML_TYPES, accepts
+from services.task_orchestrator.model import Fault
+from services.task_orchestrator.notation.document import MAX_BYTES
+from services.task_orchestrator.notation.faults import BadBpmn, as_json
+from services.task_orchestrator.orchestrator import Orchestrator
+from services.task_orchestrator.responses import (
+    DefinitionView,
+    DefinitionWithActivities,
+    Deployment,
+    DeploymentCheck,
+    VersionStatistics,
+    json_response,
+)
+from services.task_orchestrator.views import (
+    activity_views,
+    definition_view,
+    statistics_view,
+)
+
+
+def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
+    """Add the routes of definitions."""
+    registry = orchestrator.state.registry
+
+    @app.post(
+        "/definitions",
+        status_code=201,
+        tags=["definitions"],
+        responses={201: {"model": Deployment}, 200: {"model": Deployment | DeploymentCheck}},
+    )
+    @accepts(*XML_TYPES)
+    @max_body(2 * MAX_BYTES)
+    async def deploy(request: Request, *, dry: bool = False) -> JSONResponse:
+        """Deploy a BPMN file (the body is the XML): 201 for a new version, 200 if it is deployed already.
+
+        With `dry` nothing is deployed: 200 with the version that the deployment would have.
+        """
+        body = await _body(request)
+        if dry:
+            return JSONResponse(await orchestrator.deployments.check(body), 200)
+        deployed = await orchestrator.deployments.deploy(body)
+        views = [
+            definition_view(registry, registry.record(each.name, each.version))
+            for each in deployed.deployments
+        ]
+        allocation = [
+            line
+            for each in deployed.deployments
+            for line in orchestrator.state.allocator.report(
+                registry.plan_of(registry.record(each.name, each.version)).definition
+            )
+        ]
+        warnings = as_json(deployed.warnings)
+        view = {**views[0], "definitions": views, "warnings": warnings, "allocation": allocation}
+        return JSONResponse(view, 201 if deployed.created else 200)
+
+    @app.get("/definitions", tags=["definitions"], responses={200: {"model": list[DefinitionView]}})
+    async def definitions() -> Response:
+        """Return the latest version of every definition."""
+        latest = registry.latest()
+        for record in latest:
+            await registry.prepare(record)
+        return json_response([definition_view(registry, record) for record in latest])
+
+    @app.get(
+        "/definitions/{name}", tags=["definitions"], responses={200: {"model": DefinitionWithActivities}}
+    )
+    async def definition(name: str, version: int | None = None) -> Response:
+        """Return a definition with its activities."""
+        record = registry.record(name, version)
+        await registry.prepare(record)
+        activities = activity_views(registry.plan_of(record).definition)
+        return json_response({**definition_view(registry, record), "activities": activities})
+
+    @app.get(
+        "/definitions/{name}/statistics",
+        tags=["definitions"],
+        responses={200: {"model": VersionStatistics}},
+    )
+    async def statistics(name: str, version: int | None = None) -> Response:
+        """Return the statistics of all processes of a version (default: the latest), by activity."""
+        record = registry.record(name, version)
+        counts = await orchestrator.on_disk(orchestrator.store.counts, record.name, record.version)
+        return json_response(statistics_view(record, counts))
+
+    @app.get("/definitions/{name}/bpmn", tags=["definitions"])
+    async def bpmn(name: str, version: int | None = None) -> Response:
+        """Return the BPMN file as it was deployed."""
+        return Response(registry.record(name, version).xml, media_type="application/xml")
+
+
+async def _body(request: Request) -> bytes:
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > MAX_BYTES:
+            raise BadBpmn(
+                [
+                    Fault(
+                        None,
+                        None,
+                        message(
+                            "bpmn.upload_too_large",
+                            "a BPMN file has at most {max_bytes} bytes",
+                            max_bytes=MAX_BYTES,
+                        ),
+                    )
+                ]
+            )
+    return bytes(body)

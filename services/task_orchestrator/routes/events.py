@@ -1,0 +1,61 @@
+"""Routes: messages and signals of clients, notifications of the broker."""
+
+from datetime import timedelta
+
+from fastapi import FastAPI, Request, Response
+
+from handover.body_limit import max_body
+from handover.durations import parse_duration
+from handover.errors import Problem
+from services.task_orchestrator.components import Components
+from services.task_orchestrator.operations.process_control import check_variables
+from services.task_orchestrator.requests import (
+    MAX_PARAMETERS_BYTES,
+    MessageRequest,
+    SignalRequest,
+)
+from services.task_orchestrator.responses import (
+    SentMessage,
+    SentSignal,
+    json_response,
+)
+
+
+def add_events(app: FastAPI, at: Components) -> None:
+    """Add the routes."""
+
+    @app.post("/messages", tags=["events"], responses={200: {"model": SentMessage}})
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def publish(body: MessageRequest) -> Response:
+        """Send a message: to the process that waits for it, else a start event, else it is kept."""
+        check_variables(body.variables)
+        try:
+            ttl = None if body.ttl is None else timedelta(seconds=parse_duration(body.ttl).nominal_s)
+        except ValueError as error:
+            raise Problem(422, "Bad time to live", str(error)) from error
+        process = None if body.process is None else at.plain_id(body.process)
+        outcome, reached = await at.orchestrator.processes.publish(
+            body.name, key=body.key, process=process, variables=body.variables, ttl=ttl
+        )
+        return json_response({"outcome": outcome.value, "process": reached})
+
+    @app.post("/signals", tags=["events"], responses={200: {"model": SentSignal}})
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def broadcast(body: SignalRequest) -> Response:
+        """Send a signal to every process that waits for it, and to start events."""
+        check_variables(body.variables)
+        return json_response(
+            {"processes": await at.orchestrator.processes.broadcast(body.name, body.variables)}
+        )
+
+    @app.post("/notifications", status_code=204, tags=["notifications"])
+    async def notify(request: Request) -> Response:
+        """Read the changed Tasks from the broker; the response is sent when their changes are stored."""
+        await at.reconciler.receive_notification(request)
+        return Response(status_code=204)
+
+    @app.post("/notifications/entities/{filter_key}", status_code=204, tags=["notifications"])
+    async def notify_entities(filter_key: str, request: Request) -> Response:
+        """Deliver the changed entities of a filter; the response is sent when the consequences are stored."""
+        await at.entity_events.receive_notification(filter_key, request)
+        return Response(status_code=204)

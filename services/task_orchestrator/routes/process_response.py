@@ -1,0 +1,38 @@
+"""The response of the routes that return a process."""
+
+from typing import Any
+
+from fastapi import Response
+
+from handover.errors import Problem
+from handover.messages import message
+from services.task_orchestrator.components import Components
+from services.task_orchestrator.responses import (
+    ProcessView,
+    json_response,
+)
+from services.task_orchestrator.views import (
+    process_view,
+)
+
+PROCESS: dict[int | str, dict[str, Any]] = {200: {"model": ProcessView}}
+"""The response, for the OpenAPI document."""
+
+
+async def process_response(at: Components, process_id: str) -> Response:
+    """Return a process with all details as JSON; raise `Problem` 404 if there is none."""
+    return json_response(await process_content(at, process_id))
+
+
+async def process_content(at: Components, process_id: str) -> ProcessView:
+    """Return a process with all details; raise `Problem` 404 if there is none."""
+    store, registry = at.orchestrator.store, at.orchestrator.state.registry
+    seen = await at.orchestrator.on_disk(store.everything, at.plain_id(process_id))
+    if seen is None:
+        raise Problem(
+            404,
+            "No such process",
+            message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
+        )
+    await registry.prepare(registry.record(seen[0].definition, seen[0].version))
+    return process_view(at.settings, registry, *seen)

@@ -1,0 +1,110 @@
+"""Routes: start, read, cancel and retry processes."""
+
+from datetime import UTC
+from typing import Annotated
+
+from fastapi import FastAPI, Query, Response
+from pydantic import AwareDatetime
+from starlette.responses import JSONResponse
+
+from datamodels.entities import TaskStatus
+from handover.body_limit import max_body
+from services.task_orchestrator.components import Components
+from services.task_orchestrator.requests import (
+    MAX_PARAMETERS_BYTES,
+    MAX_VERSION,
+    CancelRequest,
+    ProcessStart,
+    RetryRequest,
+)
+from services.task_orchestrator.responses import (
+    PeriodStatistics,
+    ProcessSummary,
+    json_response,
+)
+from services.task_orchestrator.routes.process_response import PROCESS, process_content, process_response
+from services.task_orchestrator.views import (
+    period_view,
+    process_summary,
+)
+
+
+def add_processes(app: FastAPI, at: Components) -> None:
+    """Add the routes of processes."""
+    orchestrator, settings = at.orchestrator, at.settings
+    store, registry = orchestrator.store, orchestrator.state.registry
+
+    @app.post("/processes", status_code=201, tags=["processes"], responses={201: PROCESS[200], **PROCESS})
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def start(body: ProcessStart) -> JSONResponse:
+        """Start a process: 201, or 200 if the same key has started it before."""
+        process_id, created = await orchestrator.processes.start(
+            body.definition, body.parameters, version=body.version, key=body.key
+        )
+        view = await process_content(at, process_id)
+        return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})
+
+    @app.get("/processes", tags=["processes"], responses={200: {"model": list[ProcessSummary]}})
+    async def processes(
+        *,
+        status: TaskStatus | None = None,
+        definition: str | None = None,
+        version: Annotated[int | None, Query(ge=1, le=MAX_VERSION)] = None,
+        search: Annotated[
+            str | None, Query(max_length=200, description="a part of the business key or of the id")
+        ] = None,
+        involves: Annotated[
+            str | None,
+            Query(max_length=300, description="the URN of a person or resource that a Task involves"),
+        ] = None,
+        before: Annotated[
+            str | None, Query(description="the id of a process: return those started before it")
+        ] = None,
+        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    ) -> Response:
+        """Return processes, the latest first; `before` with the id of the last one returns the next page."""
+        wanted = status.value if status is not None else None
+        mark = at.plain_id(before) if before is not None else None
+        records = await orchestrator.on_disk(
+            lambda: store.page(
+                status=wanted,
+                definition=definition,
+                version=version,
+                search=search or None,
+                involves=involves,
+                before=mark,
+                limit=limit,
+            )
+        )
+        return json_response([process_summary(settings, registry, record) for record in records])
+
+    @app.get("/statistics", tags=["processes"], responses={200: {"model": PeriodStatistics}})
+    async def statistics(
+        since: Annotated[
+            AwareDatetime, Query(description="count processes that ended at this time or later")
+        ],
+    ) -> Response:
+        """Return the number of running and ended processes since a time, and their median duration."""
+        counts = await orchestrator.on_disk(store.counts_since, since.astimezone(UTC))
+        return json_response(period_view(counts))
+
+    @app.get("/processes/{process_id}", tags=["processes"], responses=PROCESS)
+    async def process(process_id: str) -> Response:
+        """Return a process with its variables, its Tasks, its waiting elements and its next activities."""
+        return await process_response(at, process_id)
+
+    @app.post("/processes/{process_id}/cancel", tags=["processes"], responses=PROCESS)
+    async def cancel(process_id: str, body: CancelRequest | None = None) -> Response:
+        """Cancel a process and its Tasks."""
+        await orchestrator.processes.cancel(
+            at.plain_id(process_id), body.by.strip() if body and body.by else None
+        )
+        return await process_response(at, process_id)
+
+    @app.post("/processes/{process_id}/tasks/{task_id}/retry", tags=["processes"], responses=PROCESS)
+    async def retry(process_id: str, task_id: str, body: RetryRequest) -> Response:
+        """Post the failed Task that has ended a process again, as a new Task; the process continues."""
+        await orchestrator.processes.retry(
+            at.plain_id(process_id), settings.entity_id("Task", task_id), body.by.strip()
+        )
+        return await process_response(at, process_id)
