@@ -18,7 +18,7 @@ from services.task_orchestrator.metrics import HandoverTimer
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
-from services.task_orchestrator.store import Store
+from services.task_orchestrator.storage.store import Store
 
 log = get_logger(__name__)
 

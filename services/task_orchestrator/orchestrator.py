@@ -17,7 +17,7 @@ from services.task_orchestrator.outbox import Outbox
 from services.task_orchestrator.records import Message
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.step_writer import StepWriter
-from services.task_orchestrator.store import Store
+from services.task_orchestrator.storage.store import Store
 from services.task_orchestrator.working_state import Clock, WorkingState, utc_now
 
 log = get_logger(__name__)

@@ -10,7 +10,6 @@ from handover.errors import HandoverError
 from handover.messages import message_in, with_code
 from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
-from services.task_orchestrator.counts import ElementCount, PeriodCount, VersionCount, count_elements
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.lookahead import upcoming_activities
@@ -45,6 +44,7 @@ from services.task_orchestrator.responses import (
     VersionStatistics,
 )
 from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.storage.counts import ElementCount, PeriodCount, VersionCount, count_elements
 
 
 def mapping_view(table: MappingTable) -> MappingView:

@@ -26,7 +26,7 @@ from services.task_orchestrator.model import Definition
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.records import DefinitionRecord, ProcessRecord, StartTimer, Step
 from services.task_orchestrator.settings import OrchestratorSettings
-from services.task_orchestrator.store import Store
+from services.task_orchestrator.storage.store import Store
 
 MAX_ALLOCATION_ROUNDS = 20
 """Rounds of the search for performers in one step; the next round is in the next step."""

@@ -7,7 +7,7 @@ from services.task_orchestrator.entities import final_attributes
 from services.task_orchestrator.process import entity_of
 from services.task_orchestrator.records import MessageKind, Step
 from services.task_orchestrator.step_writer import StepWriter
-from services.task_orchestrator.store import EndedProcess, EndedTask
+from services.task_orchestrator.storage.store import EndedProcess, EndedTask
 from services.task_orchestrator.working_state import WorkingState
 
 MAX_DELETED_ENTITIES = 50

@@ -12,10 +12,10 @@ from sqlalchemy import delete
 
 from datamodels.entities import TaskStatus
 from handover.database import connect
-from services.task_orchestrator import schema
-from services.task_orchestrator.counts import ElementCount, VersionCount, count_elements
 from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
-from services.task_orchestrator.store import Store
+from services.task_orchestrator.storage import schema
+from services.task_orchestrator.storage.counts import ElementCount, VersionCount, count_elements
+from services.task_orchestrator.storage.store import Store
 from tests.unit.task_orchestrator.drawing import NOW
 
 PROCESS = ProcessRecord(

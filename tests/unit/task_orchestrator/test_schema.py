@@ -10,9 +10,9 @@ from sqlalchemy import Engine, inspect, text
 
 from handover.database import connect
 from handover.errors import UsageError
-from services.task_orchestrator import schema
 from services.task_orchestrator.records import Step
-from services.task_orchestrator.store import Store
+from services.task_orchestrator.storage import schema
+from services.task_orchestrator.storage.store import Store
 
 
 def tables(engine: Engine) -> dict[str, list[str]]:

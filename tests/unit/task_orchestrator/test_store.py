@@ -24,7 +24,8 @@ from services.task_orchestrator.records import (
     Step,
     TaskRecord,
 )
-from services.task_orchestrator.store import Conflict, Store
+from services.task_orchestrator.storage.store import Store
+from services.task_orchestrator.storage.transaction import Conflict
 from tests.unit.task_orchestrator.drawing import NOW
 
 ODD: dict[str, Any] = {"text": "größer \u0000 'quoted'", "list": [1, None, {"deep": True}]}

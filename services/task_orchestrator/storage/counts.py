@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, Connection, and_, case, func, select
 
 from datamodels.entities import TaskStatus
 from services.task_orchestrator.records import TaskRecord
-from services.task_orchestrator.schema import processes, tasks
+from services.task_orchestrator.storage.schema import processes, tasks
 
 
 @dataclass(frozen=True, slots=True)

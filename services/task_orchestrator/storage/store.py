@@ -3,7 +3,7 @@
 One `write` is one transaction. The revision of a process detects two orchestrators on one database.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -12,32 +12,20 @@ import orjson
 from sqlalchemy import (
     Column,
     ColumnElement,
-    Connection,
     Engine,
-    Table,
-    bindparam,
     delete,
     exists,
-    insert,
     select,
     tuple_,
-    update,
 )
-from sqlalchemy.exc import IntegrityError
 
 from datamodels.entities import TaskStatus
 from handover.database import DatabaseLock
-from handover.errors import HandoverError, Problem
-from handover.messages import Message as MessageText
-from handover.messages import message, message_in, with_code
-from services.task_orchestrator import schema
+from handover.errors import Problem
+from handover.messages import message
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
-from services.task_orchestrator.counts import PeriodCount, VersionCount, count_period, count_version
 from services.task_orchestrator.records import (
-    Act,
-    ActKind,
     DefinitionRecord,
-    IncidentRecord,
     Message,
     MessageKind,
     MessageRecord,
@@ -46,47 +34,21 @@ from services.task_orchestrator.records import (
     StartTimer,
     Step,
     TaskRecord,
-    Unallocated,
 )
+from services.task_orchestrator.storage import schema
+from services.task_orchestrator.storage.counts import PeriodCount, VersionCount, count_period, count_version
+from services.task_orchestrator.storage.rows import (
+    as_column,
+    to_moment,
+    to_process,
+    to_task,
+    to_time,
+    to_values,
+)
+from services.task_orchestrator.storage.transaction import in_parts, write_step
 
-_MOMENTS = frozenset(
-    {
-        "deployed_at",
-        "started_at",
-        "ended_at",
-        "observed_at",
-        "created_at",
-        "deadline",
-        "cancelled_at",
-        "archived_at",
-    }
-)
-_MAX_IDS = 500
 _NOT_LISTED = {"state": None, "parameters": "{}", "variables": "{}", "acts": "[]"}
 """Columns that lists of processes do not show, with what stands for them."""
-_DOCUMENTS = frozenset(
-    {"parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents", "declined"}
-)
-
-
-_CONSTANT = frozenset({"id", "definition", "version", "key", "parameters", "started_at", "partner"})
-"""Columns of a process that never change."""
-_CHANGING = ("status", "observed_at", "moves", "ended_at", "cancelled_at", "alerted", "lost", "outputs")
-"""Columns of a Task that change."""
-_UPDATE_PROCESS = (
-    update(schema.processes)
-    .where(schema.processes.c.id == bindparam("its_id"), schema.processes.c.revision == bindparam("before"))
-    .values({each.name: bindparam(each.name) for each in schema.processes.c if each.name not in _CONSTANT})
-)
-_UPDATE_TASK = (
-    update(schema.tasks)
-    .where(schema.tasks.c.id == bindparam("its_id"))
-    .values({name: bindparam(name) for name in (*_CHANGING, "took_ms")})
-)
-
-
-class Conflict(HandoverError):
-    """Another orchestrator has changed the same process, or used the same key, in this database."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,21 +94,7 @@ class Store:
         Raises `Conflict` if another orchestrator wrote a process, `LockLost` if another one has taken over.
         """
         with self.lock.transaction() as connection:
-            _write_definitions(connection, step.definitions)
-            _insert(connection, schema.mappings, [_mapping_row(table) for table in step.mappings])
-            _write_processes(connection, step)
-            _write_tasks(connection, step)
-            _insert(connection, schema.inbox, [_row(move) for move in step.moves])
-            for definition, starts in step.start_timers.items():
-                table = schema.start_timers
-                connection.execute(delete(table).where(table.c.definition == definition))
-                _insert(connection, table, [_row(start) for start in starts])
-            _insert(connection, schema.outbox, [_message_row(message) for message in step.messages])
-            _write_archived(connection, step.archived)
-            _write_stored_messages(connection, step)
-            _write_entities_seen(connection, step)
-            if step.delivered:
-                connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(step.delivered)))
+            write_step(connection, step)
 
     def delete_ended(self, ended_before: datetime, at_most: int, *, archived_only: bool = False) -> int:
         """Delete processes that ended before a time, with their Tasks; return how many were deleted.
@@ -156,7 +104,7 @@ class Store:
         processes, tasks = schema.processes, schema.tasks
         with self._engine.begin() as connection:
             old = select(processes.c.id).where(
-                processes.c.ended_at < _written(ended_before), ~_has_open_tasks()
+                processes.c.ended_at < as_column(ended_before), ~_has_open_tasks()
             )
             if archived_only:
                 old = old.where(processes.c.archived_at.is_not(None))
@@ -172,7 +120,7 @@ class Store:
         statement = select(schema.definitions).order_by(
             schema.definitions.c.name, schema.definitions.c.version
         )
-        return [DefinitionRecord(**_values(row)) for row in self._rows(statement)]
+        return [DefinitionRecord(**to_values(row)) for row in self._rows(statement)]
 
     def mapping(self, version: int | None = None) -> MappingTable | None:
         """Return a version of the mapping, by default the latest; None if there is none."""
@@ -182,13 +130,13 @@ class Store:
             statement = statement.where(table.c.version == version)
         for row in self._rows(statement):
             entries = tuple(MappingEntry.model_validate(each) for each in orjson.loads(row["entries"]))
-            return MappingTable(row["version"], entries, row["confirmed_by"], row["why"], _time(row["at"]))
+            return MappingTable(row["version"], entries, row["confirmed_by"], row["why"], to_time(row["at"]))
         return None
 
     def processes(self, ids: Sequence[str]) -> list[ProcessRecord]:
         """Return those of the processes `ids` that exist."""
         statement = select(schema.processes).where(schema.processes.c.id.in_(ids))
-        return [_process(row) for row in self._rows(statement)]
+        return [to_process(row) for row in self._rows(statement)]
 
     def page(
         self,
@@ -238,7 +186,7 @@ class Store:
                 )
             began = mark[0]["started_at"]
             statement = statement.where(tuple_(table.started_at, table.id) < tuple_(began, before))
-        return [_process({**row, **_NOT_LISTED}) for row in self._rows(statement)]
+        return [to_process({**row, **_NOT_LISTED}) for row in self._rows(statement)]
 
     def unfinished(self) -> list[ProcessRecord]:
         """Return the processes that have not ended or still have Tasks that have not."""
@@ -246,7 +194,7 @@ class Store:
         statement = select(schema.processes).where(
             schema.processes.c.ended_at.is_(None) | schema.processes.c.id.in_(open_tasks)
         )
-        return [_process(row) for row in self._rows(statement)]
+        return [to_process(row) for row in self._rows(statement)]
 
     def unfinished_tasks(self) -> dict[str, list[TaskRecord]]:
         """Return the Tasks that have not ended, by process, in the order of their creation."""
@@ -254,14 +202,14 @@ class Store:
         statement = select(schema.tasks).where(table.ended_at.is_(None)).order_by(table.created_at, table.id)
         found: dict[str, list[TaskRecord]] = {}
         for row in self._rows(statement):
-            found.setdefault(row["process"], []).append(_task(row))
+            found.setdefault(row["process"], []).append(to_task(row))
         return found
 
     def task_ids(self, processes: Sequence[str]) -> dict[str, list[str]]:
         """Return the ids of all Tasks of processes, in the order of their creation."""
         table = schema.tasks.c
         found: dict[str, list[str]] = {process: [] for process in processes}
-        for some in _in_parts(processes):
+        for some in in_parts(processes):
             statement = select(table.id, table.process).where(table.process.in_(some))
             for row in self._rows(statement.order_by(table.created_at, table.id)):
                 found[row["process"]].append(row["id"])
@@ -275,20 +223,20 @@ class Store:
         table = schema.processes.c
         statement = (
             select(*_without_state())
-            .where(table.archived_at.is_(None), table.ended_at < _written(ended_before))
+            .where(table.archived_at.is_(None), table.ended_at < as_column(ended_before))
             .where(~_has_open_tasks(), ~_has_messages())
             .order_by(table.ended_at)
             .limit(at_most)
         )
-        return self._with_tasks([_process({**row, "state": None}) for row in self._rows(statement)])
+        return self._with_tasks([to_process({**row, "state": None}) for row in self._rows(statement)])
 
     def ended_processes(self, ids: Sequence[str]) -> list[EndedProcess]:
         """Return those of the processes `ids` that have ended."""
         table = schema.processes.c
         found = []
-        for some in _in_parts(ids):
+        for some in in_parts(ids):
             statement = select(*_without_state()).where(table.id.in_(some), table.ended_at.is_not(None))
-            found += [_process({**row, "state": None}) for row in self._rows(statement)]
+            found += [to_process({**row, "state": None}) for row in self._rows(statement)]
         return self._with_tasks(found)
 
     def ended_tasks(self, ids: Sequence[str]) -> list[EndedTask]:
@@ -297,9 +245,9 @@ class Store:
         statement = select(schema.tasks, schema.processes.c.archived_at).join(schema.processes, of_process)
         statement = statement.where(schema.tasks.c.ended_at.is_not(None))
         rows = [
-            row for some in _in_parts(ids) for row in self._rows(statement.where(schema.tasks.c.id.in_(some)))
+            row for some in in_parts(ids) for row in self._rows(statement.where(schema.tasks.c.id.in_(some)))
         ]
-        return [EndedTask(archived=row.pop("archived_at") is not None, task=_task(row)) for row in rows]
+        return [EndedTask(archived=row.pop("archived_at") is not None, task=to_task(row)) for row in rows]
 
     def archived(self, entities: Sequence[str], processes: Sequence[str]) -> dict[str, str]:
         """Return those of the Tasks and of the processes that are archived, each with the process's id."""
@@ -307,10 +255,10 @@ class Store:
         is_archived = schema.processes.c.archived_at.is_not(None)
         of_tasks = select(schema.tasks.c.id, schema.tasks.c.process).join(schema.processes, of_process)
         found: dict[str, str] = {}
-        for some in _in_parts(entities):
+        for some in in_parts(entities):
             statement = of_tasks.where(schema.tasks.c.id.in_(some), is_archived)
             found |= {row["id"]: row["process"] for row in self._rows(statement)}
-        for some in _in_parts(processes):
+        for some in in_parts(processes):
             ids = select(schema.processes.c.id).where(schema.processes.c.id.in_(some), is_archived)
             found |= {row["id"]: row["id"] for row in self._rows(ids)}
         return found
@@ -318,7 +266,7 @@ class Store:
     def by_key(self, key: str) -> ProcessRecord | None:
         """Return the process that was started with the idempotency key `key`."""
         rows = list(self._rows(select(schema.processes).where(schema.processes.c.key == key)))
-        return _process(rows[0]) if rows else None
+        return to_process(rows[0]) if rows else None
 
     def counts(self, definition: str, version: int) -> VersionCount:
         """Return the statistics of a version of a definition."""
@@ -328,7 +276,7 @@ class Store:
     def counts_since(self, since: datetime) -> PeriodCount:
         """Return the statistics of the processes that ended at `since` or later."""
         with self._engine.connect() as connection:
-            return count_period(connection, _written(since))
+            return count_period(connection, as_column(since))
 
     def tasks(self, process: str) -> list[TaskRecord]:
         """Return the Tasks of a process in the order of their creation."""
@@ -337,7 +285,7 @@ class Store:
             .where(schema.tasks.c.process == process)
             .order_by(schema.tasks.c.created_at, schema.tasks.c.id)
         )
-        return [_task(row) for row in self._rows(statement)]
+        return [to_task(row) for row in self._rows(statement)]
 
     def moves(self, process: str) -> list[Move]:
         """Return the changes of the Tasks of a process, in order."""
@@ -352,8 +300,8 @@ class Store:
                 r["task"],
                 r["nth"],
                 TaskStatus(r["status"]),
-                _moment(r["observed_at"]),
-                _time(r["received_at"]),
+                to_moment(r["observed_at"]),
+                to_time(r["received_at"]),
             )
             for r in self._rows(statement)
         ]
@@ -367,7 +315,7 @@ class Store:
         """Return the start timers by definition."""
         found: dict[str, tuple[StartTimer, ...]] = {}
         for row in self._rows(select(schema.start_timers)):
-            timer = StartTimer(**{**row, "due": _time(row["due"])})
+            timer = StartTimer(**{**row, "due": to_time(row["due"])})
             found[timer.definition] = (*found.get(timer.definition, ()), timer)
         return found
 
@@ -380,8 +328,8 @@ class Store:
                 orjson.loads(row["key"]),
                 orjson.loads(row["variables"]),
                 row["sender"],
-                _time(row["sent_at"]),
-                _time(row["expires_at"]),
+                to_time(row["sent_at"]),
+                to_time(row["expires_at"]),
             )
             for row in self._rows(select(schema.messages).order_by(schema.messages.c.sent_at))
         ]
@@ -395,7 +343,7 @@ class Store:
         """Return those of the business keys that processes have, with the name of their definition."""
         table = schema.processes.c
         found: dict[str, str] = {}
-        for some in _in_parts(keys):
+        for some in in_parts(keys):
             statement = select(table.key, table.definition).where(table.key.in_(some))
             found |= {row["key"]: row["definition"] for row in self._rows(statement)}
         return found
@@ -416,88 +364,8 @@ class Store:
             return [dict(row) for row in connection.execute(statement).mappings().all()]
 
 
-def _write_definitions(connection: Connection, definitions: Sequence[DefinitionRecord]) -> None:
-    _insert(connection, schema.definitions, [_row(definition) for definition in definitions])
-
-
-def _write_processes(connection: Connection, step: Step) -> None:
-    new = [_process_row(each) for each in step.processes.values() if each.id in step.new]
-    try:
-        _insert(connection, schema.processes, new)
-    except IntegrityError as error:
-        names = ", ".join(row["id"] for row in new)
-        raise Conflict(f"one of the processes {names}, or its key, exists already") from error
-    changed = [each for each in step.processes.values() if each.id not in step.new]
-    if not changed:
-        return
-    if connection.execute(_UPDATE_PROCESS, [_changed_row(each) for each in changed]).rowcount == len(changed):
-        return
-    written = {each.id: each.revision for each in changed}
-    table = schema.processes.c
-    found = {
-        row.id: row.revision
-        for some in _in_parts(list(written))
-        for row in connection.execute(select(table.id, table.revision).where(table.id.in_(some)))
-    }
-    names = ", ".join(each for each, revision in written.items() if found.get(each) != revision)
-    raise Conflict(f"another orchestrator has changed {names} in this database; stop one of them")
-
-
-def _mapping_row(table: MappingTable) -> dict[str, Any]:
-    entries = [entry.model_dump(mode="json") for entry in table.entries]
-    return {
-        "version": table.version,
-        "confirmed_by": table.by,
-        "why": table.why,
-        "at": _written(table.at),
-        "entries": orjson.dumps(entries).decode(),
-    }
-
-
-def _write_stored_messages(connection: Connection, step: Step) -> None:
-    stored = [each for each in step.messages_stored.values() if each.id not in step.messages_taken]
-    _insert(
-        connection,
-        schema.messages,
-        [{**_row(record), "key": orjson.dumps(record.key).decode()} for record in stored],
-    )
-    if step.messages_taken:
-        taken = schema.messages.c.id.in_(step.messages_taken)
-        connection.execute(delete(schema.messages).where(taken))
-
-
-def _write_entities_seen(connection: Connection, step: Step) -> None:
-    table = schema.entities_seen
-    pairs = list(step.entities_seen)
-    for start in range(0, len(pairs), _MAX_IDS):
-        some = pairs[start : start + _MAX_IDS]
-        connection.execute(delete(table).where(tuple_(table.c.filter, table.c.entity).in_(some)))
-    seen = [
-        {"filter": key, "entity": entity, "digest": digest}
-        for (key, entity), digest in step.entities_seen.items()
-        if digest is not None
-    ]
-    _insert(connection, table, seen)
-
-
-def _write_archived(connection: Connection, archived: Sequence[ProcessRecord]) -> None:
-    for process in archived:
-        unchanged = (schema.processes.c.id == process.id) & (
-            schema.processes.c.revision == process.revision - 1
-        )
-        changes = {"archived_at": _written(process.archived_at), "revision": process.revision}
-        if connection.execute(update(schema.processes).where(unchanged).values(changes)).rowcount != 1:
-            raise Conflict(f"{process.id} was changed meanwhile")
-
-
 def _without_state() -> list[Column[Any]]:
     return [column for column in schema.processes.c if column.name != "state"]
-
-
-def _in_parts(ids: Sequence[str]) -> Iterator[Sequence[str]]:
-    """Yield `ids` in parts: databases limit the parameters of a statement."""
-    for start in range(0, len(ids), _MAX_IDS):
-        yield ids[start : start + _MAX_IDS]
 
 
 def _has_open_tasks() -> ColumnElement[bool]:
@@ -508,131 +376,3 @@ def _has_open_tasks() -> ColumnElement[bool]:
 def _has_messages() -> ColumnElement[bool]:
     """Return the condition that the outbox holds messages about a process."""
     return exists().where(schema.outbox.c.stream == schema.processes.c.id)
-
-
-def _write_tasks(connection: Connection, step: Step) -> None:
-    _insert(connection, schema.tasks, [_task_row(t) for t in step.tasks.values() if t.id in step.new])
-    changed = [
-        {
-            **{name: _written(getattr(task, name)) for name in _CHANGING},
-            "took_ms": task.took_ms,
-            "its_id": task.id,
-        }
-        for task in step.tasks.values()
-        if task.id not in step.new
-    ]
-    if changed:
-        connection.execute(_UPDATE_TASK, changed)
-
-
-def _insert(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
-    if rows:
-        connection.execute(insert(table), list(rows))
-
-
-def _row(record: Any, *, but: Collection[str] = ()) -> dict[str, Any]:
-    return {name: _written(getattr(record, name)) for name in record.__dataclass_fields__ if name not in but}
-
-
-def _changed_row(process: ProcessRecord) -> dict[str, Any]:
-    """Return the parameters of the update of a process that this orchestrator has read or written before."""
-    row = _process_row(process, but=_CONSTANT)
-    return {**row, "its_id": process.id, "before": process.revision - 1}
-
-
-def _process_row(process: ProcessRecord, *, but: Collection[str] = ()) -> dict[str, Any]:
-    """Return the row of a process; the code and parameters of its reason have a separate column."""
-    incidents = orjson.dumps([_incident_values(incident) for incident in process.incidents]).decode()
-    unallocated = orjson.dumps([_unallocated_values(each) for each in process.unallocated]).decode()
-    row = {**_row(process, but=but), "incidents": incidents, "unallocated": unallocated}
-    reason = process.reason
-    if not isinstance(reason, MessageText):
-        return {**row, "reason_message": None}
-    coded = orjson.dumps(with_code("reason", reason)).decode()
-    return {**row, "reason": str(reason), "reason_message": coded}
-
-
-def _unallocated_values(each: Unallocated) -> dict[str, Any]:
-    values = {name: getattr(each, name) for name in ("token", "visit", "element", "name", "since")}
-    return {**values, **with_code("reason", each.reason)}
-
-
-def _incident_values(incident: IncidentRecord) -> dict[str, Any]:
-    values = {name: getattr(incident, name) for name in ("token", "element", "name", "since", "task", "code")}
-    return {**values, **with_code("reason", incident.reason)}
-
-
-def _task_row(task: TaskRecord) -> dict[str, Any]:
-    allocated = None if task.allocated is None else orjson.dumps(with_code("text", task.allocated)).decode()
-    return {**_row(task), "took_ms": task.took_ms, "allocated": allocated}
-
-
-def _message_row(message: Message) -> dict[str, Any]:
-    return {**_row(message), "body": orjson.dumps(message.body).decode()}
-
-
-def _written(value: Any) -> Any:
-    if isinstance(value, datetime):
-        return value.isoformat(
-            timespec="microseconds"
-        )  # of equal length, so that the order of the texts is the order of the times
-    if isinstance(value, Mapping | tuple):
-        return orjson.dumps(value).decode()
-    return str(value) if isinstance(value, TaskStatus | MessageKind) else value
-
-
-def _values(row: Mapping[str, Any]) -> dict[str, Any]:
-    values = dict(row)
-    for name, value in values.items():
-        if value is not None and name in _MOMENTS:
-            values[name] = datetime.fromisoformat(value)
-        elif value is not None and name in _DOCUMENTS:
-            values[name] = orjson.loads(value)
-    return values
-
-
-def _process(row: Mapping[str, Any]) -> ProcessRecord:
-    values = _values(row)
-    coded = values.pop("reason_message")
-    return ProcessRecord(
-        **{
-            **values,
-            "reason": values["reason"] if coded is None else message_in(orjson.loads(coded), "reason"),
-            "status": TaskStatus(values["status"]),
-            "waiting": tuple(values["waiting"]),
-            "acts": tuple(_act(act) for act in values["acts"]),
-            "incidents": tuple(_incident(incident) for incident in values["incidents"]),
-            "unallocated": tuple(_unallocated(each) for each in orjson.loads(values["unallocated"])),
-            "declined": {key: tuple(agents) for key, agents in values["declined"].items()},
-        }
-    )
-
-
-def _act(values: Mapping[str, Any]) -> Act:
-    return Act(**{**values, "at": _time(values["at"]), "act": ActKind(values["act"])})
-
-
-def _unallocated(values: Mapping[str, Any]) -> Unallocated:
-    others = {name: values[name] for name in ("token", "visit", "element", "name")}
-    return Unallocated(reason=message_in(values, "reason") or "", since=_time(values["since"]), **others)
-
-
-def _incident(values: Mapping[str, Any]) -> IncidentRecord:
-    others = {name: values[name] for name in ("token", "element", "name", "task", "code")}
-    return IncidentRecord(reason=message_in(values, "reason") or "", since=_time(values["since"]), **others)
-
-
-def _task(row: Mapping[str, Any]) -> TaskRecord:
-    values = _values(row)
-    values.pop("took_ms")
-    if values["allocated"] is not None:
-        values["allocated"] = message_in(orjson.loads(values["allocated"]), "text")
-    return TaskRecord(**{**values, "status": TaskStatus(values["status"])})
-
-
-def _moment(text: str | None) -> datetime | None:
-    return None if text is None else datetime.fromisoformat(text)
-
-
-def _time(text: str) -> datetime:
-    return datetime.fromisoformat(text)

@@ -1,0 +1,1 @@
+"""Storage: the tables of the orchestrator, the transaction of a step, and queries."""

@@ -1,0 +1,169 @@
+"""Rows: how records are written in the columns of the tables, and read from them."""
+
+from collections.abc import Collection, Mapping
+from datetime import datetime
+from typing import Any
+
+import orjson
+
+from datamodels.entities import TaskStatus
+from handover.messages import Message as MessageText
+from handover.messages import message_in, with_code
+from services.task_orchestrator.allocation.mapping import MappingTable
+from services.task_orchestrator.records import (
+    Act,
+    ActKind,
+    IncidentRecord,
+    Message,
+    MessageKind,
+    ProcessRecord,
+    TaskRecord,
+    Unallocated,
+)
+
+_MOMENTS = frozenset(
+    {
+        "deployed_at",
+        "started_at",
+        "ended_at",
+        "observed_at",
+        "created_at",
+        "deadline",
+        "cancelled_at",
+        "archived_at",
+    }
+)
+_DOCUMENTS = frozenset(
+    {"parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents", "declined"}
+)
+
+
+CONSTANT_COLUMNS = frozenset({"id", "definition", "version", "key", "parameters", "started_at", "partner"})
+"""Columns of a process that never change."""
+
+
+def as_column(value: Any) -> Any:
+    """Return a value as a column holds it; of equal length for times, so that texts have their order."""
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="microseconds")
+    if isinstance(value, Mapping | tuple):
+        return orjson.dumps(value).decode()
+    return str(value) if isinstance(value, TaskStatus | MessageKind) else value
+
+
+def plain_row(record: Any, *, but: Collection[str] = ()) -> dict[str, Any]:
+    """Return the fields of a record, without those of `but`, as columns."""
+    return {name: as_column(getattr(record, name)) for name in record.__dataclass_fields__ if name not in but}
+
+
+def mapping_row(table: MappingTable) -> dict[str, Any]:
+    """Return the row of a version of the mapping."""
+    entries = [entry.model_dump(mode="json") for entry in table.entries]
+    return {
+        "version": table.version,
+        "confirmed_by": table.by,
+        "why": table.why,
+        "at": as_column(table.at),
+        "entries": orjson.dumps(entries).decode(),
+    }
+
+
+def process_row(process: ProcessRecord, *, but: Collection[str] = ()) -> dict[str, Any]:
+    """Return the row of a process; the code and parameters of its reason have a separate column."""
+    incidents = orjson.dumps([_incident_values(incident) for incident in process.incidents]).decode()
+    unallocated = orjson.dumps([_unallocated_values(each) for each in process.unallocated]).decode()
+    row = {**plain_row(process, but=but), "incidents": incidents, "unallocated": unallocated}
+    reason = process.reason
+    if not isinstance(reason, MessageText):
+        return {**row, "reason_message": None}
+    coded = orjson.dumps(with_code("reason", reason)).decode()
+    return {**row, "reason": str(reason), "reason_message": coded}
+
+
+def changed_process_row(process: ProcessRecord) -> dict[str, Any]:
+    """Return the parameters of the update of a process that this orchestrator has read or written before."""
+    row = process_row(process, but=CONSTANT_COLUMNS)
+    return {**row, "its_id": process.id, "before": process.revision - 1}
+
+
+def task_row(task: TaskRecord) -> dict[str, Any]:
+    """Return the row of a Task."""
+    allocated = None if task.allocated is None else orjson.dumps(with_code("text", task.allocated)).decode()
+    return {**plain_row(task), "took_ms": task.took_ms, "allocated": allocated}
+
+
+def message_row(message: Message) -> dict[str, Any]:
+    """Return the row of a message of the outbox."""
+    return {**plain_row(message), "body": orjson.dumps(message.body).decode()}
+
+
+def _unallocated_values(each: Unallocated) -> dict[str, Any]:
+    values = {name: getattr(each, name) for name in ("token", "visit", "element", "name", "since")}
+    return {**values, **with_code("reason", each.reason)}
+
+
+def _incident_values(incident: IncidentRecord) -> dict[str, Any]:
+    values = {name: getattr(incident, name) for name in ("token", "element", "name", "since", "task", "code")}
+    return {**values, **with_code("reason", incident.reason)}
+
+
+def to_values(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the columns of a row as the fields of a record."""
+    values = dict(row)
+    for name, value in values.items():
+        if value is not None and name in _MOMENTS:
+            values[name] = datetime.fromisoformat(value)
+        elif value is not None and name in _DOCUMENTS:
+            values[name] = orjson.loads(value)
+    return values
+
+
+def to_process(row: Mapping[str, Any]) -> ProcessRecord:
+    """Return the record of the row of a process."""
+    values = to_values(row)
+    coded = values.pop("reason_message")
+    return ProcessRecord(
+        **{
+            **values,
+            "reason": values["reason"] if coded is None else message_in(orjson.loads(coded), "reason"),
+            "status": TaskStatus(values["status"]),
+            "waiting": tuple(values["waiting"]),
+            "acts": tuple(_act(act) for act in values["acts"]),
+            "incidents": tuple(_incident(incident) for incident in values["incidents"]),
+            "unallocated": tuple(_unallocated(each) for each in orjson.loads(values["unallocated"])),
+            "declined": {key: tuple(agents) for key, agents in values["declined"].items()},
+        }
+    )
+
+
+def to_task(row: Mapping[str, Any]) -> TaskRecord:
+    """Return the record of the row of a Task."""
+    values = to_values(row)
+    values.pop("took_ms")
+    if values["allocated"] is not None:
+        values["allocated"] = message_in(orjson.loads(values["allocated"]), "text")
+    return TaskRecord(**{**values, "status": TaskStatus(values["status"])})
+
+
+def _act(values: Mapping[str, Any]) -> Act:
+    return Act(**{**values, "at": to_time(values["at"]), "act": ActKind(values["act"])})
+
+
+def _unallocated(values: Mapping[str, Any]) -> Unallocated:
+    others = {name: values[name] for name in ("token", "visit", "element", "name")}
+    return Unallocated(reason=message_in(values, "reason") or "", since=to_time(values["since"]), **others)
+
+
+def _incident(values: Mapping[str, Any]) -> IncidentRecord:
+    others = {name: values[name] for name in ("token", "element", "name", "task", "code")}
+    return IncidentRecord(reason=message_in(values, "reason") or "", since=to_time(values["since"]), **others)
+
+
+def to_moment(text: str | None) -> datetime | None:
+    """Return the time of a column that may be empty."""
+    return None if text is None else datetime.fromisoformat(text)
+
+
+def to_time(text: str) -> datetime:
+    """Return the time of a column."""
+    return datetime.fromisoformat(text)
