@@ -2,7 +2,6 @@
 
 import re
 import unicodedata
-from collections.abc import Mapping
 from dataclasses import replace
 
 from lxml import etree
@@ -29,6 +28,13 @@ from services.task_orchestrator.notation.document import (
     local,
 )
 from services.task_orchestrator.notation.elements import referenced, refuse, warn_without_effect
+from services.task_orchestrator.notation.performers import RESOURCE_ROLES, performer_hints
+from services.task_orchestrator.notation.task_data import (
+    associated_variable,
+    has_variable,
+    own_data,
+    read_task_data,
+)
 
 _GENERATED_ID = re.compile(
     r"(?:[A-Z][A-Za-z]*_(?:[0-9a-z]{7}|\d+)|_?[0-9A-Fa-f]{8}-[0-9A-Fa-f-]{27}|(?:sid|id|_)-?[0-9A-Fa-f-]{16,})",
@@ -59,14 +65,17 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         work, spreads = ours, False
     else:
         hints = dict(work.hints)
-    parameters = dict(work.parameters)
+    hints = {**performer_hints(element, context), **hints}
+    data = read_task_data(element, context)
+    parameters = {**data.parameters, **work.parameters}
+    outputs = {**data.outputs, **work.outputs}
     if script is not None:
         parameters |= {"script": Value(script.text), "scriptFormat": Value(script.format)}
         work = _with_variable(work, script)
     if work.variable is not None:
         spreads = False
     id_ = element.get("id") or ""
-    variable = work.variable or ("" if spreads or work.outputs else context.variable(element, None))
+    variable = work.variable or ("" if spreads or outputs else context.variable(element, None))
     return Activity(
         id=id_,
         name=_drawn_name(element) or id_,
@@ -77,7 +86,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         involves=work.involves,
         happens_at=work.happens_at,
         parameters=parameters,
-        outputs=work.outputs,
+        outputs=outputs,
         variable=variable,
         handles_outcomes=work.handles_outcomes,
         hints=hints,
@@ -85,7 +94,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         skills=work.skills,
         materials=work.materials,
         assets=work.assets,
-        spreads_outputs=spreads and not work.outputs,
+        spreads_outputs=spreads and not outputs,
     )
 
 
@@ -206,10 +215,8 @@ def _data_name(element: etree._Element, reference: str, context: Context) -> str
     data = context.data.get(reference, reference)
     if data in context.data_names:
         return context.data_names[data]
-    for part in element.iterdescendants("{*}dataInput", "{*}dataOutput"):
-        if part.get("id") == reference:
-            return part.get("name") or reference
-    return reference
+    associated = associated_variable(element, reference, context) if reference else None
+    return associated or own_data(element).get(reference) or context.properties.get(reference) or reference
 
 
 def warn_without_effect_text(element: etree._Element, what: str, context: Context) -> None:
@@ -220,10 +227,13 @@ def warn_without_effect_text(element: etree._Element, what: str, context: Contex
 
 
 def read_data(
-    element: etree._Element, context: Context
+    element: etree._Element, context: Context, *, is_event: bool = False
 ) -> tuple[tuple[DataAssociation, ...], tuple[DataAssociation, ...]]:
-    """Return the data objects that an activity or event reads and writes."""
-    names = _own_data(element)
+    """Return the data objects that an activity or event reads and writes.
+
+    The Task of an activity has the associations with variables; at an event they have no effect.
+    """
+    names = own_data(element)
     inputs: list[DataAssociation] = []
     outputs: list[DataAssociation] = []
     for association in children(element, "dataInputAssociation", "dataOutputAssociation"):
@@ -233,7 +243,8 @@ def read_data(
         outer, inner = (source, target) if is_input else (target, source)
         data = context.data.get(outer, outer)
         if data not in context.data_names:
-            warn_without_effect(association, context.found)
+            if is_event or not has_variable(association, context):
+                warn_without_effect(association, context.found)
             continue
         for part in ("transformation", "assignment"):
             if child(association, part) is not None:
@@ -243,17 +254,6 @@ def read_data(
         else:
             outputs.append(DataAssociation(data, names.get(inner)))
     return tuple(inputs), tuple(outputs)
-
-
-def _own_data(element: etree._Element) -> Mapping[str, str]:
-    """Return the names of the data inputs and outputs of an activity or event, by id."""
-    specification = child(element, "ioSpecification")
-    parts = [element] if specification is None else [element, specification]
-    return {
-        each.get("id") or "": each.get("name") or ""
-        for part in parts
-        for each in children(part, "dataInput", "dataOutput")
-    }
 
 
 def check_quantities(element: etree._Element, context: Context) -> None:
@@ -266,7 +266,7 @@ def check_quantities(element: etree._Element, context: Context) -> None:
 ACTIVITY_PARTS = frozenset(
     {
         *("incoming", "outgoing", "standardLoopCharacteristics", "multiInstanceLoopCharacteristics"),
-        *("dataInputAssociation", "dataOutputAssociation", "ioSpecification"),
+        *("dataInputAssociation", "dataOutputAssociation", "ioSpecification", *RESOURCE_ROLES),
     }
 )
 TASKS = frozenset({Kind.TASK, Kind.USER_TASK, Kind.MANUAL_TASK, Kind.SERVICE_TASK, Kind.BUSINESS_RULE_TASK})

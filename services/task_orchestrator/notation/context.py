@@ -37,6 +37,8 @@ class Context:
     """Data object -> its name."""
     data_scopes: dict[str, set[str]] = field(default_factory=dict)
     """Process or subprocess -> its data objects."""
+    properties: dict[str, str] = field(default_factory=dict)
+    """Property, or other name that the file declares for a variable -> the variable."""
     variables: dict[str, str] = field(default_factory=dict)
     """Variable -> the element whose results it has."""
     _times: dict[str, int] = field(default_factory=dict)

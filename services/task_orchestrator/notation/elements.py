@@ -29,14 +29,15 @@ REFUSED: Mapping[str, str] = {
 HARMLESS = frozenset(
     {
         *("documentation", "extensionElements", "laneSet", "textAnnotation", "association", "group"),
-        *("dataObject", "dataObjectReference", "auditing", "monitoring"),
+        *("dataObject", "dataObjectReference", "auditing", "monitoring", "property"),
+        *("ioSpecification", "inputSet", "outputSet"),
     }
 )
 WITHOUT_EFFECT = frozenset(
     {
-        *("dataStoreReference", "property", "correlationSubscription", "supports", "resourceRole"),
-        *("performer", "humanPerformer", "potentialOwner", "ioSpecification", "ioBinding", "rendering"),
-        *("supportedInterfaceRef", "dataStore", "itemDefinition", "resource", "interface", "endPoint"),
+        *("dataStoreReference", "correlationSubscription", "supports", "resourceRole"),
+        *("performer", "humanPerformer", "potentialOwner", "ioBinding", "rendering"),
+        *("supportedInterfaceRef", "dataStore", "itemDefinition", "interface", "endPoint"),
         *("partnerEntity", "partnerRole", "correlationProperty", "import", "extension", "relationship"),
         *("choreography", "globalChoreographyTask", "conversation", "globalConversation", "category"),
         "globalScriptTask",
@@ -106,6 +107,8 @@ class Declarations:
     signals: dict[str, etree._Element] = field(default_factory=dict)
     escalations: dict[str, etree._Element] = field(default_factory=dict)
     event_definitions: dict[str, etree._Element] = field(default_factory=dict)
+    resources: dict[str, str] = field(default_factory=dict)
+    """Resource -> its name."""
     global_tasks: set[str] = field(default_factory=set)
     """Tasks that call activities may call instead of a process."""
 
@@ -127,6 +130,8 @@ class Declarations:
                 declared.global_tasks.add(element.get("id") or "")
             elif is_bpmn(element) and name.endswith("EventDefinition"):
                 declared.event_definitions[element.get("id") or ""] = element
+            elif is_bpmn(element) and name == "resource":
+                declared.resources[element.get("id") or ""] = element.get("name") or ""
             elif not is_bpmn(element) and namespace(element) not in _DIAGRAMS:
                 warn_unknown_extension(element, found)
             elif is_bpmn(element) and name not in _DEFINITIONS:
@@ -176,7 +181,7 @@ class Contents:
 _NODE_PARTS = frozenset(
     {
         *("incoming", "outgoing", "standardLoopCharacteristics", "multiInstanceLoopCharacteristics"),
-        *("dataInputAssociation", "dataOutputAssociation", "ioSpecification"),
+        *("dataInputAssociation", "dataOutputAssociation"),
         *("resourceRole", "performer", "humanPerformer", "potentialOwner"),
     }
 )

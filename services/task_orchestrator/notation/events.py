@@ -250,14 +250,7 @@ def _signal_name(source: _Source) -> Value:
     if declared is not None:
         name = declared.get("name") or reference
     elif reference:
-        context.found.fault(
-            element,
-            message(
-                "bpmn.unknown_signal",
-                'signalRef "{reference}" names no bpmn:signal of this file',
-                reference=reference,
-            ),
-        )
+        name = _undeclared(source, "signal", reference) or name
     else:
         context.found.warn(
             element,
@@ -277,17 +270,33 @@ def _code(source: _Source, what: str) -> str | None:
         return None
     found = (declared.errors if what == "error" else declared.escalations).get(reference)
     if found is None:
-        source.context.found.fault(
+        return _undeclared(source, what, reference)
+    return found.get(f"{what}Code") or None
+
+
+def _undeclared(source: _Source, what: str, reference: str) -> str | None:
+    """Return a reference to nothing of the file as the name; None, with a fault, in our own dialect."""
+    if source.dialect.lenient:
+        source.context.found.warn(
             source.element,
             message(
-                "bpmn.unknown_code",
-                '{what}Ref "{reference}" names no bpmn:{what} of this file',
+                "bpmn.reference_as_name",
+                '{what}Ref "{reference}" names no bpmn:{what} of this file; it is read as its name',
                 what=what,
                 reference=reference,
             ),
         )
-        return None
-    return found.get(f"{what}Code") or None
+        return reference
+    source.context.found.fault(
+        source.element,
+        message(
+            "bpmn.unknown_reference",
+            '{what}Ref "{reference}" names no bpmn:{what} of this file',
+            what=what,
+            reference=reference,
+        ),
+    )
+    return None
 
 
 def _timer(source: _Source) -> TimerEvent | None:
@@ -301,6 +310,7 @@ def _timer(source: _Source) -> TimerEvent | None:
         )
         return None
     type_ = TimerType(local(times[0]))
+    given = source.dialect.time(given)
     if source.dialect.lenient and _ZONELESS.fullmatch(given):
         found.warn(
             source.element,

@@ -20,6 +20,7 @@ from services.task_orchestrator.notation.elements import (
 from services.task_orchestrator.notation.faults import BadBpmn, Findings
 from services.task_orchestrator.notation.rules import check_process, fault_of_size
 from services.task_orchestrator.notation.scopes import collect_data, read_scope
+from services.task_orchestrator.notation.task_data import collect_properties
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,7 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
         found.fault(process, message("bpmn.wrong_process_type", "processType is None, Public or Private"))
     context.lanes = lanes(process)
     collect_data(process, context)
+    collect_properties(process, context)
     context.dialects.check(process, found)
     ours = context.dialects.handover.process(process, found)
     label = ours.label or context.dialects.main.process(process, found).label

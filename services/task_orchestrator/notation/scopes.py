@@ -33,8 +33,13 @@ from services.task_orchestrator.notation.activities import (
     warn_foreign_script,
 )
 from services.task_orchestrator.notation.context import Context
-from services.task_orchestrator.notation.dialects.base import SIMILAR_TO_JUEL, attempt
+from services.task_orchestrator.notation.dialects.base import attempt
 from services.task_orchestrator.notation.dialects.handover import has_task
+from services.task_orchestrator.notation.dialects.scripts import (
+    SIMILAR_TO_JUEL,
+    SIMILAR_URIS,
+    similar_condition,
+)
 from services.task_orchestrator.notation.document import (
     BPMN,
     child,
@@ -158,7 +163,7 @@ def _event(element: etree._Element, node: Node, context: Context, *, in_event_su
     event = read_event(element, node.kind, context, in_event_subprocess=in_event_subprocess)
     interrupting = "cancelActivity" if node.kind is Kind.BOUNDARY_EVENT else "isInterrupting"
     mapped = context.dialects.main.mapped(element, context.found)
-    data_inputs, data_outputs = read_data(element, context)
+    data_inputs, data_outputs = read_data(element, context, is_event=True)
     return replace(
         node,
         event=event,
@@ -388,19 +393,19 @@ def _condition(element: etree._Element, context: Context) -> Expression | None:
 
 
 def _similar_condition(language: str, given: str) -> Expression | None:
-    """Return a condition of JavaScript or Groovy that has the same form in JUEL; None for all others."""
-    if language.lower() not in SIMILAR_TO_JUEL:
+    """Return a condition of Java, JavaScript or Groovy in JUEL; None for those without the same form."""
+    if language.lower() not in SIMILAR_TO_JUEL | SIMILAR_URIS:
         return None
-    inner = given.rstrip(";").replace("!==", "!=").replace("===", "==")
     try:
-        return read_juel("${" + inner + "}")
+        return similar_condition(given)
     except ExpressionError:
         return None
 
 
 def _is_foreign(language: str) -> bool:
     name = language.lower()
-    return bool(name) and name not in _LANGUAGES and not name.startswith(("http:", "https:"))
+    is_uri = name.startswith(("http:", "https:"))
+    return bool(name) and name not in _LANGUAGES and (not is_uri or name in SIMILAR_URIS)
 
 
 def _with_defaults(nodes: dict[str, Node], flows: dict[str, Flow], context: Context) -> dict[str, Node]:

@@ -16,9 +16,6 @@ from services.task_orchestrator.notation.faults import Findings
 
 Read = TypeVar("Read")
 
-SIMILAR_TO_JUEL = frozenset({"javascript", "js", "ecmascript", "graal.js", "groovy"})
-"""Languages whose simple expressions are those of JUEL."""
-
 
 @dataclass(frozen=True, slots=True)
 class Work:
@@ -99,6 +96,9 @@ class Dialect(Protocol):
     lenient: bool
     """Whether a gateway's only flow without a condition is its default, and times without zone are UTC."""
 
+    potential_owner: str
+    """The hint for the name in a `potentialOwner`: groups, or in jBPM persons."""
+
     def expression(self, text: str) -> Expression:
         """Return an expression; raise `ExpressionError` if it is invalid."""
         ...
@@ -109,6 +109,10 @@ class Dialect(Protocol):
 
     def collection(self, text: str) -> Value:
         """Return an expression or the variable of this name; raise `ExpressionError`."""
+        ...
+
+    def time(self, text: str) -> str:
+        """Return a literal time of a timer in the form of ISO 8601 or cron, any other text unchanged."""
         ...
 
     def work(self, element: etree._Element, found: Findings) -> Work:

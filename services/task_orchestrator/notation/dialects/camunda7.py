@@ -4,7 +4,6 @@ Where its engine calls Java code (`class`, `delegateExpression`, a topic, script
 Task is created; its hints and the parameter `operation` name the code.
 """
 
-import re
 from collections.abc import Iterator, Mapping
 from functools import partial
 
@@ -12,12 +11,11 @@ from lxml import etree
 
 from handover.messages import message
 from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import MAX_NUMBER, Expression, ExpressionError, Json
-from services.task_orchestrator.languages.juel import read_juel, read_set_variable, read_template
+from services.task_orchestrator.languages.base import MAX_NUMBER, Expression, Json
+from services.task_orchestrator.languages.juel import read_juel, read_template
 from services.task_orchestrator.languages.native_grammar import is_variable_name
 from services.task_orchestrator.model import Assignment, Call, Value
 from services.task_orchestrator.notation.dialects.base import (
-    SIMILAR_TO_JUEL,
     Items,
     Mapped,
     Occurrence,
@@ -29,6 +27,7 @@ from services.task_orchestrator.notation.dialects.base import (
     native_script,
     native_variable,
 )
+from services.task_orchestrator.notation.dialects.scripts import SIMILAR_TO_JUEL, assigned_by, set_variables
 from services.task_orchestrator.notation.document import child_text, extensions, local, namespace, text
 from services.task_orchestrator.notation.elements import referenced
 from services.task_orchestrator.notation.faults import Findings
@@ -78,6 +77,7 @@ class Camunda7:
 
     spreads_outputs = True
     lenient = True
+    potential_owner = "candidateGroups"
 
     def expression(self, text: str) -> Expression:
         """Return a JUEL expression; `true` and `false` may stand alone."""
@@ -90,6 +90,10 @@ class Camunda7:
     def collection(self, text: str) -> Value:
         """Return a JUEL expression or the variable of this name."""
         return Value(expression=read_juel(text)) if _has_expression(text) else native_variable(text)
+
+    def time(self, text: str) -> str:
+        """Return the text unchanged: times are those of ISO 8601 and cron."""
+        return text
 
     def work(self, element: etree._Element, found: Findings) -> Work:
         """Return what attributes and extension elements say of the Task."""
@@ -244,7 +248,7 @@ class Camunda7:
         resource = _attributes(element).get("resource")
         if format_.lower() in {"", "handover"} and not resource:
             return Script(native_script(element, source, found))
-        assignments = () if variable or resource else set_variables(format_, source)
+        assignments = () if variable or resource else _set_variables(format_, source)
         if assignments:
             found.warn(
                 element,
@@ -330,32 +334,12 @@ def listener_assignments(listener: etree._Element) -> tuple[Assignment, ...]:
         return ()
     script = next(_named(listener, "script"), None)
     if script is not None:
-        return set_variables(script.get("scriptFormat") or "", text(script))
-    return _assigned(listener.get("expression") or "")
+        return _set_variables(script.get("scriptFormat") or "", text(script))
+    return assigned_by(listener.get("expression") or "")
 
 
-def set_variables(format_: str, source: str) -> tuple[Assignment, ...]:
-    """Return the variables that a script sets if it has lines `execution.setVariable('name', value)` only."""
-    if format_.lower() not in SIMILAR_TO_JUEL:
-        return ()
-    found: list[Assignment] = []
-    for line in re.split(r"[;\n]", source):
-        statement = line.strip()
-        if not statement or statement.startswith("//"):
-            continue
-        assigned = _assigned("${" + statement + "}")
-        if not assigned:
-            return ()
-        found += assigned
-    return tuple(found)
-
-
-def _assigned(expression: str) -> tuple[Assignment, ...]:
-    try:
-        found = read_set_variable(expression)
-    except ExpressionError:
-        return ()
-    return () if found is None else (Assignment(found[0], Value(expression=found[1])),)
+def _set_variables(format_: str, source: str) -> tuple[Assignment, ...]:
+    return (set_variables(source) or ()) if format_.lower() in SIMILAR_TO_JUEL else ()
 
 
 def _warn(element: etree._Element, what: str, found: Findings) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from lxml import etree
 
-from services.task_orchestrator.notation.dialects import camunda7, handover, zeebe
+from services.task_orchestrator.notation.dialects import camunda7, handover, jbpm, zeebe
 from services.task_orchestrator.notation.dialects.base import Dialect
 from services.task_orchestrator.notation.document import children, extensions, local, namespace
 from services.task_orchestrator.notation.elements import warn_unknown_extension
@@ -13,6 +13,7 @@ from services.task_orchestrator.notation.faults import Findings
 _DIALECTS: tuple[tuple[tuple[str, ...], str, Callable[[], Dialect]], ...] = (
     ((zeebe.NAMESPACE,), "Camunda Cloud", zeebe.Zeebe),
     (camunda7.NAMESPACES, "Camunda Platform", camunda7.Camunda7),
+    (jbpm.NAMESPACES, "jBPM", jbpm.Jbpm),
 )
 """The namespaces of each dialect beside ours, and the platform that Camunda Modeler names.
 

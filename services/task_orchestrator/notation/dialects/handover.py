@@ -84,6 +84,7 @@ class Handover:
 
     spreads_outputs = False
     lenient = False
+    potential_owner = "candidateGroups"
 
     def expression(self, text: str) -> Expression:
         """Return an expression of our language, or of JUEL if it is written as `${…}`."""
@@ -98,6 +99,10 @@ class Handover:
     def collection(self, text: str) -> Value:
         """Return an expression."""
         return Value(expression=self.expression(text))
+
+    def time(self, text: str) -> str:
+        """Return the text unchanged: times are those of ISO 8601 and cron."""
+        return text
 
     def work(self, element: etree._Element, found: Findings) -> Work:
         """Return what `handover:task` says."""

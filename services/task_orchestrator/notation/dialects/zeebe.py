@@ -54,6 +54,7 @@ class Zeebe:
 
     spreads_outputs = True
     lenient = True
+    potential_owner = "candidateGroups"
 
     def expression(self, text: str) -> Expression:
         """Return a FEEL expression; `=` before it may be left out where only an expression can stand."""
@@ -68,6 +69,10 @@ class Zeebe:
     def collection(self, text: str) -> Value:
         """Return a FEEL expression."""
         return Value(expression=self.expression(text))
+
+    def time(self, text: str) -> str:
+        """Return the text unchanged: times are those of ISO 8601 and cron."""
+        return text
 
     def work(self, element: etree._Element, found: Findings) -> Work:
         """Return what the extension elements say of the Task."""

@@ -224,7 +224,6 @@ def test_a_loop_over_a_data_object_reads_it_by_its_name() -> None:
         '<bpmn:itemDefinition id="i"/>',
         '<bpmn:dataStore id="d"/>',
         '<bpmn:category id="c"/>',
-        '<bpmn:resource id="r"/>',
         '<bpmn:interface id="f"/>',
         '<bpmn:correlationProperty id="k"/>',
         '<bpmn:choreography id="ch"/>',
@@ -248,6 +247,57 @@ def test_extensions_of_unknown_vendors_and_resource_roles_are_warnings() -> None
         'line 1, "x" ("Check"): extensions of "urn:other" are unknown here and have no effect',
         'line 2, "x" ("Check"): potentialOwner has no effect on the execution',
     ]
+
+
+def _role(kind: str, expression: str) -> str:
+    return (
+        f"<bpmn:{kind}><bpmn:resourceAssignmentExpression><bpmn:formalExpression>{expression}"
+        f"</bpmn:formalExpression></bpmn:resourceAssignmentExpression></bpmn:{kind}>"
+    )
+
+
+@pytest.mark.parametrize(
+    ("roles", "hints"),
+    [
+        (_role("potentialOwner", "management"), {"candidateGroups": "management"}),
+        (
+            _role("potentialOwner", "user(ann), group(night, day), cell"),
+            {"candidateUsers": "ann", "candidateGroups": "night,day,cell"},
+        ),
+        (_role("humanPerformer", "bob"), {"assignee": "bob"}),
+        (_role("performer", "${who}"), {"assignee": "${who}"}),
+        (
+            "<bpmn:potentialOwner><bpmn:resourceRef>r1</bpmn:resourceRef></bpmn:potentialOwner>",
+            {"candidateGroups": "Fitters"},
+        ),
+    ],
+)
+def test_resource_roles_are_hints_for_the_allocation(roles: str, hints: dict[str, str]) -> None:
+    found = node(
+        f'<bpmn:userTask id="x">{roles}</bpmn:userTask>', beside='<bpmn:resource id="r1" name="Fitters"/>'
+    )
+    assert found.activity is not None
+    assert found.activity.hints == hints
+
+
+def test_data_of_an_activity_comes_from_properties_and_goes_to_them() -> None:
+    declared = '<bpmn:property id="p1" name="part"/><bpmn:property id="p2" name="is whole"/>'
+    task = (
+        '<bpmn:userTask id="x"><bpmn:ioSpecification><bpmn:dataInput id="i" name="item"/>'
+        '<bpmn:dataInput id="j" name="speed"/><bpmn:dataOutput id="o" name="answer"/></bpmn:ioSpecification>'
+        "<bpmn:dataInputAssociation><bpmn:sourceRef>p1</bpmn:sourceRef><bpmn:targetRef>i</bpmn:targetRef>"
+        "</bpmn:dataInputAssociation><bpmn:dataInputAssociation><bpmn:targetRef>j</bpmn:targetRef>"
+        "<bpmn:assignment><bpmn:from>slow</bpmn:from><bpmn:to>j</bpmn:to></bpmn:assignment>"
+        "</bpmn:dataInputAssociation><bpmn:dataOutputAssociation><bpmn:sourceRef>o</bpmn:sourceRef>"
+        "<bpmn:targetRef>p2</bpmn:targetRef></bpmn:dataOutputAssociation></bpmn:userTask>"
+    )
+    definition = read(declared + between(task))
+    work = definition.scope.nodes["x"].activity
+    assert work is not None
+    given = {name: value.value({"part": "p-7"}) for name, value in work.parameters.items()}
+    assert given == {"item": "p-7", "speed": "slow"}
+    assert work.outputs == {"answer": "p2"}
+    assert definition.warnings == ()
 
 
 def test_drawings_need_no_warning() -> None:

@@ -135,7 +135,7 @@ def test_an_id_is_used_once_in_a_file() -> None:
 def test_a_definition_has_the_warnings_of_its_process_and_of_the_file() -> None:
     first = throw(0) + '<bpmn:dataStoreReference id="a"/>'
     second = catch(1) + '<bpmn:dataStoreReference id="b"/>'
-    found = read_bpmn(pools(first, second, flows=FLOW, beside='<bpmn:resource id="r"/>'))
+    found = read_bpmn(pools(first, second, flows=FLOW, beside='<bpmn:category id="r"/>'))
     assert [[each.element for each in definition.warnings] for definition in found.definitions] == [
         ["r", "a"],
         ["r", "b"],
