@@ -219,6 +219,24 @@ class Place:
     function: str | None = None
 
 
+class FormBinding(StrEnum):
+    """The version of a form: the latest at the post of the Task or at the deployment, or a number."""
+
+    LATEST = "latest"
+    DEPLOYMENT = "deployment"
+    VERSION = "version"
+
+
+@dataclass(frozen=True, slots=True)
+class FormReference:
+    """A deployed form: its id, or the name of its file if `is_file`."""
+
+    name: str
+    binding: FormBinding = FormBinding.LATEST
+    version: int | None = None
+    is_file: bool = False
+
+
 @dataclass(frozen=True, slots=True)
 class Activity:
     """The Task that an activity creates each time it is reached."""
@@ -248,6 +266,10 @@ class Activity:
     """The Materials that its Task uses; an expression may be a list of them."""
     assets: tuple[Value, ...] = ()
     """The Assets that its Task uses, likewise."""
+    form: FormReference | None = None
+    """The form of its Task; a form that the file contains is the parameter `form`."""
+    inputs_schema: Json = None
+    """The JSON Schema of the parameters of its Task."""
     spreads_outputs: bool = False
     """Whether each outputParameter becomes a variable of its own name, as Camunda has it."""
 

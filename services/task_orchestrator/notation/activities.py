@@ -62,7 +62,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
     if main is not handover and has_task(element):
         ours = handover.work(element, found)
         hints = {**work.hints, **ours.hints}
-        work, spreads = ours, False
+        work, spreads = _with_form(ours, work), False
     else:
         hints = dict(work.hints)
     hints = {**performer_hints(element, context), **hints}
@@ -94,8 +94,18 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         skills=work.skills,
         materials=work.materials,
         assets=work.assets,
+        form=work.form,
+        inputs_schema=work.inputs_schema,
         spreads_outputs=spreads and not outputs,
     )
+
+
+def _with_form(ours: Work, theirs: Work) -> Work:
+    """Return our Task with the form of the other dialect, unless it has one."""
+    if ours.form is not None or "form" in ours.parameters:
+        return ours
+    written = {name: value for name, value in theirs.parameters.items() if name == "form"}
+    return replace(ours, form=theirs.form, parameters={**written, **ours.parameters})
 
 
 def _with_variable(work: Work, script: Script) -> Work:

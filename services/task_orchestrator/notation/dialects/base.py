@@ -4,14 +4,25 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
+import orjson
 from lxml import etree
 
 from handover.durations import Duration
-from handover.messages import text_of
+from handover.messages import message, text_of
+from services.task_orchestrator.forms.form import form_fault
 from services.task_orchestrator.languages import native
 from services.task_orchestrator.languages.base import Expression, ExpressionError, Json, Variables
 from services.task_orchestrator.languages.native_grammar import is_variable_name
-from services.task_orchestrator.model import Assignment, Call, EntityFilter, Place, ProcessParameter, Value
+from services.task_orchestrator.model import (
+    Assignment,
+    Call,
+    EntityFilter,
+    FormBinding,
+    FormReference,
+    Place,
+    ProcessParameter,
+    Value,
+)
 from services.task_orchestrator.notation.faults import Findings
 
 Read = TypeVar("Read")
@@ -33,6 +44,8 @@ class Work:
     hints: Mapping[str, str] = field(default_factory=dict)
     has_implementation: bool = False
     """Whether somebody has to do it: a send task or message event is then a Task, not a message."""
+    form: FormReference | None = None
+    inputs_schema: Json = None
     role: str | None = None
     skills: tuple[str, ...] = ()
     materials: tuple[Value, ...] = ()
@@ -165,6 +178,32 @@ def attempt(element: etree._Element, reading: Callable[[], Read], otherwise: Rea
     except (ExpressionError, ValueError) as error:
         found.fault(element, text_of(error))
         return otherwise
+
+
+WRITTEN_FORM = "camunda-forms:bpmn:"
+_FORM_FILES = ("camunda-forms:deployment:", "embedded:deployment:")
+
+
+def named_form(key: str) -> FormReference | None:
+    """Return the form of a `formKey` that names a file of the deployment; None for all others."""
+    for prefix in _FORM_FILES:
+        if key.startswith(prefix) and key.endswith(".form"):
+            return FormReference(key.removeprefix(prefix), FormBinding.DEPLOYMENT, is_file=True)
+    return None
+
+
+def written_form(element: etree._Element, text: str, found: Findings) -> dict[str, Value]:
+    """Return the form that a file contains as JSON as the parameter `form`."""
+    try:
+        schema = orjson.loads(text)
+    except orjson.JSONDecodeError as error:
+        found.fault(element, message("form.not_json", "the form is no JSON: {error}", error=str(error)))
+        return {}
+    fault = form_fault(schema) if isinstance(schema, dict) else "a form is a JSON object"
+    if fault is not None:
+        found.fault(element, fault)
+        return {}
+    return {"form": Value(schema)}
 
 
 def native_variable(name: str) -> Value:

@@ -14,7 +14,7 @@ from services.task_orchestrator.languages import native
 from services.task_orchestrator.languages.base import MAX_NUMBER, Expression, Json
 from services.task_orchestrator.languages.juel import read_juel, read_template
 from services.task_orchestrator.languages.native_grammar import is_variable_name
-from services.task_orchestrator.model import Assignment, Call, Value
+from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, Value
 from services.task_orchestrator.notation.dialects.base import (
     Items,
     Mapped,
@@ -24,6 +24,7 @@ from services.task_orchestrator.notation.dialects.base import (
     Work,
     attempt,
     composed,
+    named_form,
     native_script,
     native_variable,
 )
@@ -107,7 +108,7 @@ class Camunda7:
         for extension in _ours(element):
             match local(extension):
                 case "formData":
-                    parameters["form"] = Value(_form(extension, found))
+                    parameters["form"] = self._form(extension, found)
                 case "field":
                     parameters[extension.get("name") or ""] = self._field(extension, found)
                 case "properties":
@@ -119,6 +120,7 @@ class Camunda7:
                     operation = hints["connector"] = _child_text(extension, "connectorId")
                     inputs = _connector_io(extension, "inputParameter", found)
                     parameters |= {each.target: each.value for each in inputs}
+        form = self._form_reference(attributes)
         if operation and not local(element).startswith("userTask"):
             parameters["operation"] = Value(operation)
         parameters |= {each.target: each.value for each in self._inputs(element, found)}
@@ -126,8 +128,19 @@ class Camunda7:
             parameters=parameters,
             variable=self._result_variable(element, found),
             hints=hints,
+            form=form,
             has_implementation=bool(implementation) or "connector" in hints,
         )
+
+    def _form_reference(self, attributes: Mapping[str, str]) -> FormReference | None:
+        name = attributes.get("formRef")
+        if not name:
+            return named_form(attributes.get("formKey") or "")
+        binding, version = attributes.get("formRefBinding"), attributes.get("formRefVersion") or ""
+        if binding == "version" and version.isascii() and version.isdecimal():
+            return FormReference(name, FormBinding.VERSION, int(version[:9]))
+        is_bound = binding == "deployment"
+        return FormReference(name, FormBinding.DEPLOYMENT if is_bound else FormBinding.LATEST)
 
     def mapped(self, element: etree._Element, found: Findings) -> Mapped:
         """Return the variables of `inputOutput`; of an event definition those that it sends along."""
@@ -140,6 +153,46 @@ class Camunda7:
         outputs = [each for part in connectors for each in _connector_io(part, "outputParameter", found)]
         outputs += _io(element, "outputParameter", found)
         return Mapped(tuple(self._inputs(element, found)), tuple(outputs))
+
+    def _form(self, form: etree._Element, found: Findings) -> Value:
+        """Return the JSON Schema of a generated form; default values may be expressions."""
+        properties: dict[str, Value] = {}
+        required: list[str] = []
+        for each in _named(form, "formField"):
+            name = each.get("id") or ""
+            if not name:
+                found.fault(each, "a formField needs an id")
+                continue
+            properties[name] = self._form_field(each, name, required, found)
+        members = {"type": Value("object"), "properties": composed("formData", properties)}
+        if required:
+            members["required"] = Value(required)
+        return composed("formData", members)
+
+    def _form_field(self, field: etree._Element, name: str, required: list[str], found: Findings) -> Value:
+        type_ = field.get("type") or "string"
+        schema: dict[str, Json] = dict(_FORM_TYPES.get(type_, {"type": "string"}))
+        if type_ not in _FORM_TYPES and type_ != "enum":
+            _warn(field, f'the type "{type_[:64]}" of a formField', found)
+        if field.get("label"):
+            schema["title"] = field.get("label")
+        choices = list(_named(field, "value"))
+        if choices:
+            schema["oneOf"] = [
+                {"const": choice.get("id"), "title": choice.get("name") or choice.get("id")}
+                for choice in choices
+            ]
+        for validation in _named(field, "validation"):
+            for constraint in _named(validation, "constraint"):
+                if not _constrain(schema, name, constraint, required):
+                    _warn(field, f'the constraint "{(constraint.get("name") or "")[:64]}"', found)
+        members = {key: Value(value) for key, value in schema.items()}
+        given = field.get("defaultValue")
+        if given is not None and _has_expression(given):
+            members["default"] = attempt(field, lambda: self.value(given), Value(), found)
+        elif given is not None:
+            members["default"] = Value(_default_of(schema, given))
+        return composed(f"formField {name}", members)
 
     def _field(self, field: etree._Element, found: Findings) -> Value:
         """Return the value of a field of a class."""
@@ -447,43 +500,33 @@ def _foreign_script(script: etree._Element, what: str, found: Findings) -> Value
     return Value(None)
 
 
-def _form(form: etree._Element, found: Findings) -> Json:
-    """Return the JSON Schema of a generated form."""
-    properties: dict[str, Json] = {}
-    required: list[str] = []
-    for each in _named(form, "formField"):
-        name = each.get("id") or ""
-        if not name:
-            found.fault(each, "a formField needs an id")
-            continue
-        schema: dict[str, Json] = dict(_FORM_TYPES.get(each.get("type") or "string", {"type": "string"}))
-        if each.get("label"):
-            schema["title"] = each.get("label")
-        if each.get("defaultValue") is not None:
-            schema["default"] = _default(schema["type"], each.get("defaultValue"))
-        choices = list(_named(each, "value"))
-        if choices:
-            schema["oneOf"] = [
-                {"const": choice.get("id"), "title": choice.get("name") or choice.get("id")}
-                for choice in choices
-            ]
-        for validation in _named(each, "validation"):
-            for constraint in _named(validation, "constraint"):
-                _constrain(schema, name, constraint, required)
-        properties[name] = schema
-    return {"type": "object", "properties": properties, **({"required": required} if required else {})}
-
-
-def _constrain(schema: dict[str, Json], name: str, constraint: etree._Element, required: list[str]) -> None:
+def _constrain(schema: dict[str, Json], name: str, constraint: etree._Element, required: list[str]) -> bool:
+    """Add a constraint to the JSON Schema of a field; return whether it has an effect."""
     rule, config = constraint.get("name") or "", constraint.get("config") or ""
-    if rule == "required" and config != "false":
-        required.append(name)
-    elif rule == "readonly" and config != "false":
-        schema["readOnly"] = True
+    if rule == "required":
+        if config != "false":
+            required.append(name)
+            if schema.get("type") == "string":
+                schema.setdefault("minLength", 1)
+    elif rule == "readonly":
+        if config != "false":
+            schema["readOnly"] = True
     elif rule in _LENGTHS:
         number = _default("number", config)
         if isinstance(number, int | float):
             schema[_LENGTHS[rule]] = number
+    else:
+        return False
+    return True
+
+
+def _default_of(schema: Mapping[str, Json], given: str) -> Json:
+    """Return the default of a field; a date may be written as dd/MM/yyyy."""
+    parts = given.split("/")
+    if schema.get("format") == "date" and len(parts) == 3 and all(part.isdecimal() for part in parts):
+        day, month, year = parts
+        return f"{year:0>4}-{month:0>2}-{day:0>2}"
+    return _default(str(schema["type"]), given)
 
 
 def _default(type_: str, given: str) -> Json:

@@ -11,6 +11,10 @@ the variable `outcome`; otherwise such a Task fails.
 <handover:material entity="Material:pallet-3"/> and <handover:asset expression="carrier"/> name what the Task
 uses. They are involved after the performer, and an expression may be a list of them.
 
+A Task of people has a form: <handover:form ref="inspection"/> names a deployed one, version="2" fixes its
+version, and <handover:form>{…}</handover:form> is a JSON Schema of the result, or a form of form-js. The
+attributes assignee, candidateUsers, candidateGroups, dueDate, followUpDate and priority are texts or `${…}`.
+
 Instead of handover:involves, role="operator" and skills="grip place" let an agent be chosen that has them.
 
 <handover:on type="Alert" q='severity=="critical"' variable="alert" correlation="alert.alertSource"/>
@@ -21,7 +25,7 @@ condition of a conditional event is then evaluated for each entity.
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 
 import orjson
 from lxml import etree
@@ -29,6 +33,7 @@ from lxml import etree
 from handover.durations import Duration, parse_duration
 from handover.messages import message
 from handover.task_life import PASSIVE_TYPES, type_of
+from services.task_orchestrator.forms.form import form_fault
 from services.task_orchestrator.languages import native
 from services.task_orchestrator.languages.base import Expression, Json
 from services.task_orchestrator.languages.juel import read_juel
@@ -37,6 +42,8 @@ from services.task_orchestrator.model import (
     Assignment,
     Call,
     EntityFilter,
+    FormBinding,
+    FormReference,
     Place,
     ProcessParameter,
     Value,
@@ -51,7 +58,7 @@ from services.task_orchestrator.notation.dialects.base import (
     attempt,
     native_script,
 )
-from services.task_orchestrator.notation.document import child_text, extensions, local, namespace
+from services.task_orchestrator.notation.document import child_text, extensions, local, namespace, text
 from services.task_orchestrator.notation.elements import referenced
 from services.task_orchestrator.notation.faults import Findings
 from services.task_orchestrator.references import is_reference
@@ -61,8 +68,14 @@ NAMESPACE = "urn:handover:bpmn"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
 _TYPE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[a-z][a-z0-9+.-]*:[^\s<>\"]+", re.ASCII)
 
+_HINTS = ("assignee", "candidateUsers", "candidateGroups", "dueDate", "followUpDate", "priority")
+_PARTS = frozenset(
+    {"involves", "material", "asset", "happensAt", "parameter", "output", "form", "inputSchema"}
+)
 _ATTRIBUTES: Mapping[str, frozenset[str]] = {
-    "task": frozenset({"definition", "deadline", "handlesOutcomes", "role", "skills"}),
+    "task": frozenset({"definition", "deadline", "handlesOutcomes", "role", "skills", *_HINTS}),
+    "form": frozenset({"ref", "version"}),
+    "inputSchema": frozenset(),
     "involves": frozenset({"resource", "expression"}),
     "material": frozenset({"entity", "expression"}),
     "asset": frozenset({"entity", "expression"}),
@@ -112,9 +125,7 @@ class Handover:
         definition = extension.get("definition") or ""
         if not _NAME.fullmatch(definition):
             found.fault(extension, f'definition="{definition}" is not a name; use A-Z, a-z, 0-9, - _ .')
-        parts = _parts(
-            extension, {"involves", "material", "asset", "happensAt", "parameter", "output"}, found
-        )
+        parts = _parts(extension, _PARTS, found)
         involved = [_reference(part, "resource", found) for part in parts["involves"]]
         performers = tuple(each for each in involved if _passive_type(each) is None)
         role = (extension.get("role") or "").strip() or None
@@ -137,7 +148,13 @@ class Handover:
                 Place(_reference(part, "location", found), part.get("function"))
                 for part in parts["happensAt"]
             ),
-            parameters={part.get("name") or "": _value(part, found) for part in parts["parameter"]},
+            parameters={
+                **{part.get("name") or "": _value(part, found) for part in parts["parameter"]},
+                **_written_form(parts["form"], found),
+            },
+            form=_form_reference(parts["form"], found),
+            inputs_schema=next((_schema(part, found) for part in parts["inputSchema"]), None),
+            hints={name: text for name in _HINTS if (text := (extension.get(name) or "").strip())},
             outputs=_outputs(parts["output"], found),
             handles_outcomes=_handles_outcomes(extension, found),
             has_implementation=True,
@@ -163,11 +180,11 @@ class Handover:
 
     def script(self, element: etree._Element, found: Findings) -> Script:
         """Return the assignments of a script in our language, or the text of another one."""
-        text = child_text(element, "script")
+        source = child_text(element, "script")
         format_ = (element.get("scriptFormat") or "").strip()
         if format_.lower() not in {"", "handover"}:
-            return Script(format=format_, text=text)
-        return Script(native_script(element, text, found))
+            return Script(format=format_, text=source)
+        return Script(native_script(element, source, found))
 
     def occurrence(
         self, element: etree._Element, definition: etree._Element | None, found: Findings
@@ -271,7 +288,7 @@ def _extension(element: etree._Element, name: str, found: Findings) -> etree._El
     return named[0] if named else None
 
 
-def _parts(extension: etree._Element, names: set[str], found: Findings) -> dict[str, list[etree._Element]]:
+def _parts(extension: etree._Element, names: Set[str], found: Findings) -> dict[str, list[etree._Element]]:
     parts: dict[str, list[etree._Element]] = {name: [] for name in names}
     for part in extension.iterchildren("{*}*"):
         if namespace(part) == NAMESPACE and local(part) in names:
@@ -299,6 +316,40 @@ def _check_attributes(element: etree._Element, found: Findings) -> None:
 def _deadline(extension: etree._Element, found: Findings) -> Duration | None:
     text = extension.get("deadline")
     return None if text is None else attempt(extension, lambda: parse_duration(text.strip()), None, found)
+
+
+def _form_reference(parts: list[etree._Element], found: Findings) -> FormReference | None:
+    for part in parts:
+        name, version = part.get("ref"), part.get("version")
+        if name is None:
+            continue
+        if version is None:
+            return FormReference(name)
+        if not version.isascii() or not version.isdecimal() or len(version) > 9:
+            found.fault(part, f'version="{version[:64]}" is no number')
+            return None
+        return FormReference(name, FormBinding.VERSION, int(version))
+    return None
+
+
+def _written_form(parts: list[etree._Element], found: Findings) -> dict[str, Value]:
+    """Return the form that is written in the file as the parameter `form`."""
+    if len(parts) > 1:
+        found.fault(parts[1], "one handover:form is enough")
+    if not parts or parts[0].get("ref") is not None:
+        return {}
+    return {"form": Value(_schema(parts[0], found))}
+
+
+def _schema(part: etree._Element, found: Findings) -> Json:
+    schema = _json(text(part))
+    if not isinstance(schema, dict):
+        found.fault(part, f"handover:{local(part)} contains a JSON object")
+        return None
+    fault = form_fault(schema)
+    if fault is not None:
+        found.fault(part, fault)
+    return schema
 
 
 def _handles_outcomes(extension: etree._Element, found: Findings) -> bool:

@@ -9,8 +9,9 @@ from handover.messages import message
 from services.task_orchestrator.languages.base import Expression
 from services.task_orchestrator.languages.feel import read_feel
 from services.task_orchestrator.languages.native_grammar import is_variable_name
-from services.task_orchestrator.model import Assignment, Call, Value
+from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, Value
 from services.task_orchestrator.notation.dialects.base import (
+    WRITTEN_FORM,
     Items,
     Mapped,
     Occurrence,
@@ -19,8 +20,18 @@ from services.task_orchestrator.notation.dialects.base import (
     Work,
     attempt,
     composed,
+    named_form,
+    written_form,
 )
-from services.task_orchestrator.notation.document import child_text, extensions, flag, local, namespace
+from services.task_orchestrator.notation.document import (
+    BPMN,
+    child_text,
+    extensions,
+    flag,
+    local,
+    namespace,
+    text,
+)
 from services.task_orchestrator.notation.elements import refuse
 from services.task_orchestrator.notation.faults import Findings
 
@@ -78,11 +89,15 @@ class Zeebe:
         """Return what the extension elements say of the Task."""
         hints: dict[str, str] = {}
         parameters: dict[str, Value] = {}
+        form: FormReference | None = None
         for extension in _ours(element):
             for attribute, hint in _HINTS.get(local(extension), {}).items():
                 if extension.get(attribute):
                     hints[hint] = extension.get(attribute) or ""
-            if local(extension) == "taskHeaders":
+            if local(extension) == "formDefinition":
+                form = _form_reference(extension)
+                parameters |= self._written_form(element, extension, found)
+            elif local(extension) == "taskHeaders":
                 headers = {each.get("key") or "": each.get("value") for each in _parts(extension, "header")}
                 parameters["headers"] = Value(headers)
             elif local(extension) == "properties":
@@ -93,7 +108,20 @@ class Zeebe:
         if "jobType" in hints:
             parameters["operation"] = attempt(element, lambda: self.value(hints["jobType"]), Value(), found)
         parameters |= {each.target: each.value for each in self._io(element, "input", found)}
-        return Work(parameters=parameters, hints=hints, has_implementation="jobType" in hints)
+        return Work(parameters=parameters, hints=hints, has_implementation="jobType" in hints, form=form)
+
+    def _written_form(
+        self, element: etree._Element, definition: etree._Element, found: Findings
+    ) -> dict[str, Value]:
+        """Return a form that the process contains (`camunda-forms:bpmn:…`) as the parameter `form`."""
+        key = definition.get("formKey") or ""
+        if not key.startswith(WRITTEN_FORM):
+            return {}
+        process = next(element.iterancestors(f"{{{BPMN}}}process"), None)
+        for form in () if process is None else _named(process, "userTaskForm"):
+            if form.get("id") == key.removeprefix(WRITTEN_FORM):
+                return written_form(element, text(form), found)
+        return {}
 
     def mapped(self, element: etree._Element, found: Findings) -> Mapped:
         """Return the variables of `ioMapping`; of a call activity they belong to the call."""
@@ -219,6 +247,14 @@ class Zeebe:
                         element=f"zeebe:{name}",
                     ),
                 )
+
+
+def _form_reference(definition: etree._Element) -> FormReference | None:
+    form_id, key = definition.get("formId"), definition.get("formKey") or ""
+    if not form_id:
+        return named_form(key)
+    is_bound = definition.get("bindingType") == "deployment"
+    return FormReference(form_id, FormBinding.DEPLOYMENT if is_bound else FormBinding.LATEST)
 
 
 def _ours(element: etree._Element) -> Iterator[etree._Element]:

@@ -5,6 +5,8 @@ import pytest
 from services.task_orchestrator.model import (
     ErrorEvent,
     EscalationEvent,
+    FormBinding,
+    FormReference,
     Kind,
     MultiInstance,
     Node,
@@ -450,3 +452,68 @@ def test_a_wrong_extension_is_one_fault(element: str, reason: str) -> None:
 def test_a_condition_of_our_language_in_a_file_of_camunda_is_a_fault() -> None:
     body = choice("amount > 3").replace('id="x"', f'id="x" {CAMUNDA}')
     assert faults(body)[0].startswith('line 1, "g_o"')
+
+
+def test_a_generated_form_has_types_constraints_and_defaults() -> None:
+    fields = """
+      <camunda:formField id="count" type="long" defaultValue="3"/>
+      <camunda:formField id="good" type="boolean" defaultValue="true"/>
+      <camunda:formField id="when" type="date" defaultValue="24/12/2026"/>
+      <camunda:formField id="who" type="string" defaultValue="${initiator}" label="Who">
+        <camunda:validation>
+          <camunda:constraint name="required"/><camunda:constraint name="maxlength" config="9"/>
+          <camunda:constraint name="validator" config="org.cell.Check"/>
+        </camunda:validation>
+      </camunda:formField>
+      <camunda:formField id="serial" type="string">
+        <camunda:validation><camunda:constraint name="readonly"/></camunda:validation>
+      </camunda:formField>
+      <camunda:formField id="colour" type="enum"><camunda:value id="r" name="Red"/></camunda:formField>
+      <camunda:formField id="odd" type="money"/>
+    """
+    text = extended("userTask", f"<camunda:formData>{fields}</camunda:formData>")
+    work = node(text).activity
+    assert work is not None
+    form = work.parameters["form"].value({"initiator": "Anna"})
+    properties = form["properties"]
+    assert properties["count"] == {"type": "integer", "default": 3}
+    assert properties["good"]["default"] is True
+    assert properties["when"] == {"type": "string", "format": "date", "default": "2026-12-24"}
+    assert properties["who"] == {
+        "type": "string",
+        "title": "Who",
+        "minLength": 1,
+        "maxLength": 9,
+        "default": "Anna",
+    }
+    assert properties["serial"]["readOnly"] is True
+    assert properties["colour"]["oneOf"] == [{"const": "r", "title": "Red"}]
+    assert form["required"] == ["who"]
+    said = " ".join(warnings(between(text)))
+    assert "validator" in said
+    assert "money" in said
+
+
+@pytest.mark.parametrize(
+    ("attributes", "reference"),
+    [
+        (
+            'camunda:formKey="camunda-forms:deployment:check.form"',
+            FormReference("check.form", FormBinding.DEPLOYMENT, is_file=True),
+        ),
+        ('camunda:formRef="check"', FormReference("check")),
+        (
+            'camunda:formRef="check" camunda:formRefBinding="deployment"',
+            FormReference("check", FormBinding.DEPLOYMENT),
+        ),
+        (
+            'camunda:formRef="check" camunda:formRefBinding="version" camunda:formRefVersion="2"',
+            FormReference("check", FormBinding.VERSION, 2),
+        ),
+        ('camunda:formKey="embedded:app:forms/check.html"', None),
+    ],
+)
+def test_a_user_task_names_a_deployed_form(attributes: str, reference: FormReference | None) -> None:
+    work = node(f'<bpmn:userTask id="x" {attributes}/>').activity
+    assert work is not None
+    assert work.form == reference

@@ -9,6 +9,8 @@ import services.task_orchestrator
 from services.task_orchestrator.model import (
     ConditionalEvent,
     EntityFilter,
+    FormBinding,
+    FormReference,
     MessageEvent,
     SignalEvent,
 )
@@ -196,3 +198,33 @@ def test_a_script_assigns_variables() -> None:
     ).script
     assert script is not None
     assert [(each.target, each.value.value({"a": 1})) for each in script] == [("a", 1), ("b", 2)]
+
+
+def handover_task(inner: str, attributes: str = "") -> str:
+    return extended("userTask", f'<handover:task definition="check" {attributes}>{inner}</handover:task>')
+
+
+def test_a_task_of_people_has_a_form_dates_and_candidates() -> None:
+    schema = '{"type": "object", "properties": {"mm": {"type": "number"}}}'
+    attributes = 'candidateGroups="quality" dueDate="PT2H" followUpDate="PT1H" priority="80"'
+    inner = f"<handover:form>{schema}</handover:form><handover:inputSchema>{schema}</handover:inputSchema>"
+    work = node(handover_task(inner, attributes)).activity
+    assert work is not None
+    assert work.parameters["form"].literal == work.inputs_schema
+    assert work.hints == {
+        "candidateGroups": "quality",
+        "dueDate": "PT2H",
+        "followUpDate": "PT1H",
+        "priority": "80",
+    }
+    named = node(handover_task('<handover:form ref="check" version="3"/>')).activity
+    assert named is not None
+    assert named.form == FormReference("check", FormBinding.VERSION, 3)
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["no JSON", '{"type": "nothing"}', '{"components": [{"type": "textfield"}]}', "[]"],
+)
+def test_a_wrong_form_is_a_fault(form: str) -> None:
+    assert faults(between(handover_task(f"<handover:form>{form}</handover:form>")))

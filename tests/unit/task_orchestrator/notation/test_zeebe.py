@@ -2,7 +2,13 @@
 
 import pytest
 
-from services.task_orchestrator.model import MessageEvent, MultiInstance, TimerEvent
+from services.task_orchestrator.model import (
+    FormBinding,
+    FormReference,
+    MessageEvent,
+    MultiInstance,
+    TimerEvent,
+)
 from tests.unit.task_orchestrator.drawing import end, flow, gateway, path, start
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, node, read, warnings
 
@@ -206,3 +212,28 @@ def test_a_wrong_extension_is_one_fault(element: str, reason: str) -> None:
     found = faults(between(element))
     assert len(found) == 1, found
     assert reason in found[0]
+
+
+FORM = '{"components": [{"type": "textfield", "key": "serial"}]}'
+
+
+def test_a_user_task_names_a_deployed_form() -> None:
+    latest = node(extended("userTask", '<zeebe:formDefinition formId="check"/>')).activity
+    bound = '<zeebe:formDefinition formId="check" bindingType="deployment"/>'
+    deployed = node(extended("userTask", bound)).activity
+    assert latest is not None
+    assert deployed is not None
+    assert latest.form == FormReference("check")
+    assert deployed.form == FormReference("check", FormBinding.DEPLOYMENT)
+
+
+def test_a_form_may_stand_in_the_process() -> None:
+    key = '<zeebe:formDefinition formKey="camunda-forms:bpmn:userTaskForm_1"/>'
+    task = between(extended("userTask", key))
+    written = '<zeebe:userTaskForm id="userTaskForm_1">{}</zeebe:userTaskForm>'
+    body = f"<bpmn:extensionElements>{written.format(FORM)}</bpmn:extensionElements>{task}"
+    work = read(body).scope.nodes["x"].activity
+    assert work is not None
+    assert work.parameters["form"].literal == {"components": [{"type": "textfield", "key": "serial"}]}
+    broken = f"<bpmn:extensionElements>{written.format('no')}</bpmn:extensionElements>{task}"
+    assert any("the form is no JSON" in fault for fault in faults(broken))
