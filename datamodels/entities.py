@@ -198,12 +198,16 @@ class Entity(BaseModel):
 
 
 class ProcessDefinition(Entity):
-    """A deployed process model: its BPMN 2.0, as XML or as the URL of the XML."""
+    """A process model: its BPMN 2.0, as XML or as the URL of the XML.
+
+    Definitions that a component of ours has written have a `content_digest` (`handover.content_digest`).
+    """
 
     name: Property[str]
     version: Property[str]
     bpmn: Property[str]
     description: Property[str] | None = None
+    content_digest: Property[str] | None = None
 
 
 class TaskDefinition(Entity):
@@ -221,6 +225,7 @@ class TaskDefinition(Entity):
     required_skills: Property[Words] | None = None
     work_parameters_schema: Property[dict[str, Any]] | None = None
     is_part_of: Relationship | None = None
+    content_digest: Property[str] | None = None
 
 
 class ResourceSpecification(Entity):
@@ -237,6 +242,7 @@ class ResourceSpecification(Entity):
     capacity: Property[Whole] | None = None
     shifts: Property[Objects] | None = None
     parameters: Property[dict[str, Any]] | None = None
+    content_digest: Property[str] | None = None
 
 
 class Location(Entity):

@@ -148,13 +148,19 @@ class BrokerClient:
         """Create the entities, or update the given attributes of existing ones, in one batch."""
         _require_all_done(await self._send_upsert(entities), "errors", _batch_error)
 
+    async def replace(self, entities: Sequence[Entity | NgsiLd]) -> None:
+        """Create the entities, or replace existing ones with all their attributes, in one batch."""
+        _require_all_done(await self._send_upsert(entities, "replace"), "errors", _batch_error)
+
     async def upsert_batch(self, entities: Sequence[Entity | NgsiLd]) -> frozenset[str]:
         """Create or update entities as `upsert` does; return the ids of those that were refused."""
         return _refused(await self._send_upsert(entities))
 
-    async def _send_upsert(self, entities: Sequence[Entity | NgsiLd]) -> httpx.Response:
+    async def _send_upsert(
+        self, entities: Sequence[Entity | NgsiLd], option: str = "update"
+    ) -> httpx.Response:
         body = [_as_ngsild(entity) for entity in entities]
-        return await self._call("POST", "/entityOperations/upsert", params={"options": "update"}, body=body)
+        return await self._call("POST", "/entityOperations/upsert", params={"options": option}, body=body)
 
     async def create_batch(self, entities: Sequence[Entity | NgsiLd]) -> frozenset[str]:
         """Create entities in one request; return the ids of those that exist already or were refused."""

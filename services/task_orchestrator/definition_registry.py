@@ -4,7 +4,7 @@ import asyncio
 import hashlib
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -141,7 +141,7 @@ class DefinitionRegistry(Library):
         beside: Sequence[DefinitionRecord],
         now: datetime,
         *,
-        only_if_never_seen: bool,
+        only_if_never_seen: bool = False,
     ) -> tuple[DefinitionRecord, bool]:
         """Return the record that a deployment of `definition` results in, and whether it is new.
 
@@ -163,11 +163,20 @@ class DefinitionRegistry(Library):
             label=definition.label,
             xml=definition.xml,
             deployed_at=now,
+            source=definition.source,
         )
         return record, True
 
+    def entity_id(self, name: str, version: int) -> str:
+        """Return the id of the ProcessDefinition of a version."""
+        return self.entity_id_of(self.record(name, version))
+
+    def entity_id_of(self, record: DefinitionRecord) -> str:
+        """Return the id of the ProcessDefinition of `record`: that of another system, or ours."""
+        return record.source or self._settings.entity_id("ProcessDefinition", record.name)
+
     def entities(self, record: DefinitionRecord) -> list[dict[str, Any]]:
-        """Return the ProcessDefinition and TaskDefinitions of `record`."""
+        """Return the ProcessDefinition and TaskDefinitions of `record` as this orchestrator writes them."""
         url = f"{self._settings.own_url}/definitions/{record.name}/bpmn?version={record.version}"
         definition = self.plan_of(record).definition
         return definition_entities(self._settings, definition, record.version, url)
@@ -176,7 +185,7 @@ class DefinitionRegistry(Library):
 def _read(record: DefinitionRecord) -> Plan:
     for definition in read_bpmn(record.xml).definitions:
         if definition.name == record.name:
-            return Plan(definition, record.version)
+            return Plan(replace(definition, source=record.source), record.version)
     raise RunFailed(f'the file of "{record.name}" has no such process')
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from datamodels.entities import RequestedStatus, TaskStatus
 from datamodels.times import iso
+from handover.content_digest import with_digest
 from handover.messages import message
 from handover.settings import Settings
 from handover.task_life import type_of
@@ -16,9 +17,17 @@ from services.task_orchestrator.references import is_reference, resource_id
 Entity = dict[str, Any]
 
 
+def definition_id(settings: Settings, definition: Definition) -> str:
+    """Return the id of the ProcessDefinition: the entity that it was deployed from, or that of ours."""
+    return definition.source or settings.entity_id("ProcessDefinition", definition.name)
+
+
 def definition_entities(settings: Settings, definition: Definition, version: int, url: str) -> list[Entity]:
-    """Return the ProcessDefinition and the TaskDefinitions of its activities; `url` is that of the file."""
-    process_definition = settings.entity_id("ProcessDefinition", definition.name)
+    """Return the ProcessDefinition and the TaskDefinitions of its activities; `url` is that of the file.
+
+    A definition that was deployed from an entity of another system has its ProcessDefinition already.
+    """
+    process_definition = definition_id(settings, definition)
     process: Entity = {
         "id": process_definition,
         "type": "ProcessDefinition",
@@ -36,7 +45,8 @@ def definition_entities(settings: Settings, definition: Definition, version: int
             not activity.handles_outcomes
         ):  # one activity that does not handle outcomes decides for the whole TaskDefinition
             known.pop("handlesOutcomes", None)
-    return [process, *tasks.values()]
+    ours = tasks.values() if definition.source is not None else (process, *tasks.values())
+    return [with_digest(entity) for entity in ours]
 
 
 def _task_definition(settings: Settings, activity: Activity, process_definition: str) -> Entity:
@@ -62,7 +72,7 @@ def _task_definition(settings: Settings, activity: Activity, process_definition:
 def process_entity(
     settings: Settings,
     process_id: str,
-    definition: str,
+    defined_by: str,
     *,
     status: TaskStatus,
     at: datetime,
@@ -70,14 +80,11 @@ def process_entity(
     tasks: Iterable[str],
     outputs: Mapping[str, Any] | None,
 ) -> Entity:
-    """Return the Process; `at` is the `observedAt` of its status."""
+    """Return the Process; `defined_by` is its ProcessDefinition, `at` the `observedAt` of its status."""
     entity: Entity = {
         "id": settings.entity_id("Process", process_id),
         "type": "Process",
-        "isDefinedBy": {
-            "type": "Relationship",
-            "object": settings.entity_id("ProcessDefinition", definition),
-        },
+        "isDefinedBy": {"type": "Relationship", "object": defined_by},
         "status": status_property(status, at),
         "workParameters": _property(dict(parameters)),
     }

@@ -443,6 +443,8 @@ class Definition:
     scope: Scope
     xml: bytes = field(repr=False)
     warnings: tuple[Fault, ...] = ()
+    source: str | None = None
+    """The ProcessDefinition of another system that it was deployed from."""
 
     def scopes(self) -> Iterator[Scope]:
         """Yield all scopes, the process first."""

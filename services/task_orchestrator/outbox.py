@@ -4,6 +4,9 @@ Messages of one stream (one process) are delivered in order, streams in parallel
 unavailable they wait. A message that the broker refuses is reported to the orchestrator. After a crash a
 message may be delivered twice; every kind of message is idempotent.
 
+A Task waits until the broker has acknowledged its TaskDefinition, so that a performer never sees a Task
+before its definition. A definition that the broker refuses delays nothing.
+
 New and updated entities of many streams are written together: a round takes the first messages of the streams
 that are ready, and writes all new entities in one request, then all updated ones. A message that fails within
 a round is delivered alone, with retries, before its stream takes part in a round again.
@@ -11,7 +14,7 @@ a round is delivered alone, with retries, before its stream takes part in a roun
 
 import asyncio
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from itertools import chain, islice
 from typing import Self
 
@@ -64,6 +67,10 @@ class Outbox:
         self._tasks = BackgroundTasks("outbox")
         self._delivered: list[int] = []
         self._pending: dict[str, int] = {}
+        self._definitions: dict[str, int] = {}
+        """Definitions that were not written yet, with the number of messages that have them."""
+        self._waiting: dict[str, set[str]] = {}
+        """Streams whose next message waits for a definition, by that definition."""
         self._retry_now = asyncio.Event()
         self.has_delivered = asyncio.Event()
 
@@ -81,6 +88,8 @@ class Outbox:
         for message in messages:
             self._pending[message.subject] = self._pending.get(message.subject, 0) + 1
             PENDING.inc()
+            for definition in _definitions_in(message):
+                self._definitions[definition] = self._definitions.get(definition, 0) + 1
             if message.stream in self._streams:
                 self._streams[message.stream].append(message)
             else:
@@ -123,6 +132,7 @@ class Outbox:
             await self._deliver_round(streams)
 
     async def _deliver_round(self, streams: list[str]) -> None:
+        streams = [stream for stream in streams if not self._waits_for_definition(stream)]
         failed = await self._deliver_first(MessageKind.CREATE, streams)
         failed |= await self._deliver_first(
             MessageKind.UPSERT, [each for each in streams if each not in failed]
@@ -136,6 +146,21 @@ class Outbox:
             else:
                 self._set_ready(stream)
 
+    def _waits_for_definition(self, stream: str) -> bool:
+        """Return whether the next message of a stream waits; the delivery of the definition sets it ready."""
+        awaited = self._awaited_definition(self._streams[stream][0])
+        if awaited is None:
+            return False
+        self._waiting.setdefault(awaited, set()).add(stream)
+        return True
+
+    def _awaited_definition(self, message: Message) -> str | None:
+        if not self._definitions or message.kind is not MessageKind.CREATE:
+            return None
+        link = message.body.get("isDefinedBy")
+        defined_by = link.get("object") if isinstance(link, Mapping) else None
+        return defined_by if defined_by in self._definitions else None
+
     async def _deliver_first(self, kind: MessageKind, streams: list[str]) -> set[str]:
         """Write the messages of one kind that come first in `streams`; return the streams of failed ones."""
         batch: list[Message] = []
@@ -143,6 +168,8 @@ class Outbox:
             subjects: set[str] = set()
             for message in self._streams[stream]:
                 if message.kind is not kind or message.subject in subjects or len(batch) == MAX_BATCH:
+                    break
+                if self._awaited_definition(message) is not None:
                     break
                 subjects.add(message.subject)
                 batch.append(message)
@@ -227,6 +254,8 @@ class Outbox:
                     log.debug("entity exists", subject=message.subject)
             case MessageKind.UPSERT:
                 await self._broker.upsert(message.body)
+            case MessageKind.REPLACE:
+                await self._broker.replace(message.body)
             case MessageKind.APPEND:
                 try:
                     await self._broker.append(message.subject, message.body)
@@ -255,6 +284,12 @@ class Outbox:
             self._pending[message.subject] = left
         else:
             del self._pending[message.subject]
+        for definition in _definitions_in(message):
+            self._definitions[definition] -= 1
+            if not self._definitions[definition]:
+                del self._definitions[definition]
+                for stream in self._waiting.pop(definition, ()):
+                    self._set_ready(stream)
         self.has_delivered.set()
 
     async def _wait(self, seconds: float) -> None:
@@ -263,3 +298,8 @@ class Outbox:
                 await self._retry_now.wait()
         except TimeoutError:
             return
+
+
+def _definitions_in(message: Message) -> list[str]:
+    """Return the ids of the definitions that a message writes."""
+    return [entity["id"] for entity in message.body] if message.kind is MessageKind.REPLACE else []

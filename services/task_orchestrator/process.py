@@ -19,6 +19,7 @@ from handover.task_life import FINISHED, is_reachable, performers_of
 from services.task_orchestrator import process_alerts
 from services.task_orchestrator.allocation.allocator import Allocator, Assignment, NoPerformer
 from services.task_orchestrator.entities import (
+    definition_id,
     outputs_property,
     process_entity,
     status_property,
@@ -64,7 +65,11 @@ class _StatusChange:
 
 
 def entity_of(
-    settings: OrchestratorSettings, record: ProcessRecord, composed: Iterable[str], now: datetime
+    settings: OrchestratorSettings,
+    record: ProcessRecord,
+    defined_by: str,
+    composed: Iterable[str],
+    now: datetime,
 ) -> dict[str, Any]:
     """Return the Process entity of `record`, whose Tasks have the ids `composed`."""
     outputs: dict[str, Any] | None = None
@@ -77,7 +82,7 @@ def entity_of(
     return process_entity(
         settings,
         record.id,
-        record.definition,
+        defined_by,
         status=record.status,
         at=record.ended_at or now,
         parameters=record.parameters,
@@ -131,7 +136,7 @@ class Process:
                 library,
                 at=at,
                 results=results,
-                identity=_identity(settings, record),
+                identity=_identity(settings, record, plan),
             )
         except RunFailed as failure:
             raise Problem(422, "Process cannot start", text_of(failure)) from failure
@@ -159,7 +164,7 @@ class Process:
         `tasks` are all its Tasks or, with the ids of `all_tasks`, at least those that have not ended.
         """
         running = record.state if record.ended_at is None else None
-        identity = _identity(settings, record)
+        identity = _identity(settings, record, plan)
         run = Run.resume(plan, running, library, identity=identity) if running is not None else None
         process = cls(settings, record, plan, run, library, allocator or Allocator(settings))
         for task in tasks:
@@ -421,7 +426,7 @@ class Process:
             _mend(run, act, token, now)
         except RunFailed as failure:
             assert self.record.state is not None  # noqa: S101 - a running process has one
-            identity = _identity(self.settings, self.record)
+            identity = _identity(self.settings, self.record, self.plan)
             self.run = Run.resume(self.plan, self.record.state, self.library, identity=identity)
             raise Problem(409, "Not possible", text_of(failure)) from failure
         self._record_act(act)
@@ -675,7 +680,8 @@ class Process:
     def _report_process(self, step: Step, now: datetime) -> None:
         """Write the state of the process to the broker."""
         self.reported = (self.record.status, len(self.composed))
-        entity = entity_of(self.settings, self.record, self.composed, now)
+        defined_by = definition_id(self.settings, self.plan.definition)
+        entity = entity_of(self.settings, self.record, defined_by, self.composed, now)
         step.enqueue(self.record.id, MessageKind.UPSERT, self.urn, [entity])
 
     def _record_task(self, task: TaskRecord, step: Step) -> None:
@@ -727,11 +733,11 @@ def _mend(run: Run, act: Act, token: str | None, now: datetime) -> None:
             run.cancel_token(token, now)
 
 
-def _identity(settings: OrchestratorSettings, record: ProcessRecord) -> dict[str, Any]:
+def _identity(settings: OrchestratorSettings, record: ProcessRecord, plan: Plan) -> dict[str, Any]:
     """Return the properties of `execution` in JUEL."""
     return {
         "processInstanceId": record.id,
         "processBusinessKey": record.key,
         "businessKey": record.key,
-        "processDefinitionId": settings.entity_id("ProcessDefinition", record.definition),
+        "processDefinitionId": definition_id(settings, plan.definition),
     }

@@ -11,6 +11,7 @@ from fastapi import Request
 
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
+from handover.content_digest import digest_of, is_ours
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
@@ -105,15 +106,32 @@ class Reconciler:
         """Create the subscription and the definitions in the broker, which may have lost them."""
         await self._broker.ensure_subscription(self._subscription())
         await self._broker.ensure_subscription(self._agents_subscription())
+        await self._write_definitions()
+        self._registered = True
+
+    async def _write_definitions(self) -> None:
+        """Write the definitions that are missing or outdated; those that others have changed stay."""
         registry = self._orchestrator.state.registry
+        present = {
+            entity["id"]: entity
+            for type_ in ("ProcessDefinition", "TaskDefinition")
+            for entity in await self._broker.query(type=type_)
+        }
         for record in registry.latest():
             try:
-                await self._broker.upsert(registry.entities(record))
+                wanted = {entity["id"]: entity for entity in registry.entities(record)}
+                outdated = [
+                    entity
+                    for entity_id, entity in wanted.items()
+                    if (known := present.get(entity_id)) is None
+                    or (is_ours(known) and digest_of(known) != digest_of(entity))
+                ]
+                if outdated:
+                    await self._broker.replace(outdated)
             except BrokerUnavailable:
                 raise
             except HandoverError as error:
                 log.warning("definition not written to the broker", definition=record.name, error=str(error))
-        self._registered = True
 
     async def _try_reconcile(self) -> bool:
         try:

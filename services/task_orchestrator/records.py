@@ -27,6 +27,8 @@ class DefinitionRecord:
     label: str | None
     xml: bytes
     deployed_at: datetime
+    source: str | None = None
+    """The ProcessDefinition of another system that it was deployed from."""
 
 
 class ActKind(StrEnum):
@@ -177,6 +179,7 @@ class MessageKind(StrEnum):
 
     CREATE = "create"
     UPSERT = "upsert"
+    REPLACE = "replace"
     APPEND = "append"
     RAISE = "raise"
     CLEAR = "clear"

@@ -10,6 +10,7 @@ from typing import Any, Self
 from datamodels.entities import DeviceState
 from datamodels.times import iso
 from handover.broker import BrokerClient
+from handover.content_digest import with_digest
 from handover.latest_value_writer import LatestValueWriter
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.metrics import DEVICE_WRITES_REJECTED
@@ -78,13 +79,14 @@ class RobotDevice:
             "gripper": bool(model.fingers),
             "urdf": self._urdf_url,
         }
-        return {
+        entity = {
             "id": self.specification_id,
             "type": "ResourceSpecification",
             "name": {"type": "Property", "value": model.name},
             "resourceType": {"type": "Property", "value": "robot"},
             "parameters": {"type": "Property", "value": parameters},
         }
+        return with_digest(entity)
 
 
 def described_joints(cell: Cell) -> list[dict[str, Any]]:

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime
+from typing import Any
 
 from services.task_orchestrator.entities import final_attributes
 from services.task_orchestrator.process import entity_of
@@ -75,7 +77,7 @@ class Archiving:
                 if record.archived_at is not None:
                     self._enqueue_delete(step, record.id, (urn,))
                 else:
-                    entity = entity_of(self._state.settings, record, ended.tasks, now)
+                    entity = self._entity(ended, now)
                     step.enqueue(record.id, MessageKind.UPSERT, urn, [entity])
             return len(step.messages) - before
 
@@ -85,3 +87,8 @@ class Archiving:
         for start in range(0, len(ids), MAX_DELETED_ENTITIES):
             some = list(ids[start : start + MAX_DELETED_ENTITIES])
             step.enqueue(process_id, MessageKind.DELETE, self._state.urn(process_id), some)
+
+    def _entity(self, ended: EndedProcess, now: datetime) -> dict[str, Any]:
+        record = ended.process
+        defined_by = self._state.registry.entity_id(record.definition, record.version)
+        return entity_of(self._state.settings, record, defined_by, ended.tasks, now)

@@ -44,7 +44,8 @@ class Deployments:
                     step.definitions.append(record)
                     step.start_timers[record.name] = start_timers(definition, clock())
                     entities = registry.entities(record)
-                    step.enqueue(f"definition {record.name}", MessageKind.UPSERT, entities[0]["id"], entities)
+                    subject = registry.entity_id_of(record)
+                    step.enqueue(f"definition {record.name}", MessageKind.REPLACE, subject, entities)
                 found.append(Deployment(record.name, record.version, created))
             return Deployed(tuple(found), file.warnings)
 

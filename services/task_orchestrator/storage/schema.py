@@ -29,6 +29,7 @@ definitions = Table(
     Column("label", Text),
     Column("xml", LargeBinary, nullable=False),
     Column("deployed_at", String(40), nullable=False),
+    Column("source", Text),
 )
 processes = Table(
     "orchestrator_processes",

@@ -3,6 +3,7 @@
 from collections.abc import AsyncIterator
 from typing import Any
 
+import httpx
 import pytest
 
 from handover.broker import BrokerClient
@@ -88,3 +89,61 @@ async def test_messages_of_a_stream_are_written_in_their_order(broker: BrokerCli
     assert await deliver(broker, messages) == []
     found = await broker.query(type="Task", id_pattern="^urn:ngsi-ld:Task:demo:ordered-")
     assert [entity["status"]["value"] for entity in found] == ["paused"] * len(streams)
+
+
+class SlowDefinitions(httpx.AsyncBaseTransport):
+    """Requests to a broker that refuses the first three with a definition; lists what was written."""
+
+    def __init__(self) -> None:
+        self.refused = 0
+        self.written: list[str] = []
+        self._transport = httpx.AsyncHTTPTransport(trust_env=False)
+
+    async def handle_async_request(self, request: httpx.Request) -> httpx.Response:
+        is_definition = b'"TaskDefinition"' in request.content
+        if is_definition and self.refused < 3:
+            self.refused += 1
+            return httpx.Response(503, json={"title": "Starting"})
+        response = await self._transport.handle_async_request(request)
+        if request.method == "POST":
+            self.written.append("definition" if is_definition else "other")
+        return response
+
+    async def aclose(self) -> None:
+        await self._transport.aclose()
+
+
+async def test_a_task_waits_until_its_definition_is_acknowledged(shared_cell: Cell) -> None:
+    shared_cell.run("context_broker")
+    transport = SlowDefinitions()
+    definition = {
+        "id": "urn:ngsi-ld:TaskDefinition:demo:slow",
+        "type": "TaskDefinition",
+        "name": {"type": "Property", "value": "Slow"},
+    }
+    link = {"type": "Relationship", "object": definition["id"]}
+    messages = [
+        Message(1, "definition p", MessageKind.REPLACE, str(definition["id"]), [definition]),
+        create(2, "p-1", {**task("slow-1"), "isDefinedBy": link}),
+        create(3, "p-1", {**task("slow-2"), "isDefinedBy": link}),
+        create(4, "p-2", {**task("slow-3"), "isDefinedBy": link}),
+    ]
+    settings = Settings.load(broker_url=shared_cell.url("context_broker"))
+    async with BrokerClient(settings, transport=transport) as client:
+        assert await deliver(client, messages) == []
+        assert transport.refused == 3
+        assert transport.written[0] == "definition"
+        found = await client.query(type="Task", id_pattern="^urn:ngsi-ld:Task:demo:slow-")
+    assert len(found) == 3
+
+
+async def test_a_definition_that_is_refused_for_good_delays_no_task(broker: BrokerClient) -> None:
+    bad = {"id": "urn:ngsi-ld:TaskDefinition:demo:bad", "type": "TaskDefinition", "name": {"type": "Wrong"}}
+    link = {"type": "Relationship", "object": bad["id"]}
+    messages = [
+        Message(1, "definition p", MessageKind.REPLACE, str(bad["id"]), [bad]),
+        create(2, "p-1", {**task("after-bad"), "isDefinedBy": link}),
+    ]
+    ((seq, _),) = await deliver(broker, messages)
+    assert seq == 1
+    assert await broker.retrieve("urn:ngsi-ld:Task:demo:after-bad")
