@@ -1,4 +1,4 @@
-/** The pages and where they are. Each page but the first loads when it is opened. */
+/** The pages and their paths. Each page but the first loads when it is opened. */
 import { lazy, Suspense } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, Route, Switch, useLocation } from "wouter";

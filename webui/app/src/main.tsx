@@ -1,4 +1,4 @@
-/** Where the page begins: words, theme, the link to the cell, then the pages. */
+/** The entry point: loads texts and theme, connects to the server and renders the pages. */
 import { createRoot } from "react-dom/client";
 import { eventsAfter } from "~/api/actions";
 import { App } from "~/App";

@@ -32,10 +32,10 @@ export function isUrgent(alert: AlertView): boolean {
   return alert.state === "new" && rank[alert.priority] >= rank.high;
 }
 
-/** The kinds of Alerts that the page explains; any other is shown with its own description. */
+/** The kinds of Alerts that the page explains; others are shown with their description. */
 const knownKinds = new Set(["gloveSilent", "unknownGesture", "taskNotAccepted", "taskLost", "processFailed", "processIncident"]);
 
-/** The key under which the page explains an Alert: its subcategory's, else its category's, else "other". */
+/** The key of the explanation of an Alert: by subcategory, else by category, else "other". */
 export function kindOf({ category, subCategory }: Pick<AlertView, "category" | "subCategory">): string {
   for (const word of [subCategory, category]) {
     if (word !== null && knownKinds.has(word)) return word;

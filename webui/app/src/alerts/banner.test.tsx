@@ -24,8 +24,8 @@ function shown(alerts: AlertView[]) {
 }
 
 test("the banner names how many and the worst, and is one line for five hundred", () => {
-  const many = Array.from({ length: 500 }, (_, nth) =>
-    alertOf(String(nth), nth < 100 ? { severity: "critical", priority: "critical", description: `conveyor ${nth} is blocked` } : {}),
+  const many = Array.from({ length: 500 }, (_, index) =>
+    alertOf(String(index), index < 100 ? { severity: "critical", priority: "critical", description: `conveyor ${index} is blocked` } : {}),
   );
   shown(many);
   const banner = screen.getByRole("status");

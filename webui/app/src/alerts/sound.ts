@@ -1,10 +1,10 @@
-/** A short tone when an urgent Alert is raised: off unless this device has switched it on, made without a file. */
+/** A short synthesized tone for urgent Alerts; off unless switched on for this device. */
 import { useEffect, useRef, useSyncExternalStore } from "react";
 import { useFamily, useLive } from "~/live/hooks";
 import { isUrgent } from "./attention";
 
 const STORAGE_KEY = "handover.sound";
-/** However many Alerts come, one tone in so many ms. */
+/** At most one tone in this time, however many Alerts are raised. */
 const MIN_PAUSE_MS = 5000;
 const TONE_S = 0.18;
 
@@ -29,15 +29,15 @@ export function setSound(on: boolean): void {
   if (on) playTone();
 }
 
-/** Two tones, the second higher. A browser that waits for a first touch or key stays silent until then. */
+/** Play two tones, the second higher. Browsers are silent until the first touch or key press. */
 export function playTone(): void {
   context ??= new AudioContext();
   const audio = context;
   void audio.resume().then(() => {
-    for (const [nth, hertz] of [660, 880].entries()) {
+    for (const [index, hertz] of [660, 880].entries()) {
       const oscillator = audio.createOscillator();
       const volume = audio.createGain();
-      const from = audio.currentTime + nth * TONE_S;
+      const from = audio.currentTime + index * TONE_S;
       oscillator.frequency.value = hertz;
       volume.gain.setValueAtTime(0.0001, from);
       volume.gain.exponentialRampToValueAtTime(0.3, from + 0.02);
@@ -49,19 +49,19 @@ export function playTone(): void {
   });
 }
 
-/** Play a tone when an urgent Alert comes that was not there before. */
+/** Play a tone when a new urgent Alert is raised. */
 export function useAlertSound(): void {
   const alerts = useFamily("alert");
   const live = useLive();
-  const known = useRef<Set<string> | null>(null);
+  const previous = useRef<Set<string> | null>(null);
   const playedAt = useRef(-Infinity);
   useEffect(() => {
     if (!live.hasSnapshot) return;
     const urgent = new Set(alerts.filter(isUrgent).map((alert) => `${alert.id} ${alert.dateIssued}`));
-    const before = known.current;
-    known.current = urgent;
-    // What was there when the page was opened is no news.
-    if (before === null || !isSoundOn() || [...urgent].every((one) => before.has(one))) return;
+    const before = previous.current;
+    previous.current = urgent;
+    // Alerts from before the page was opened are not new.
+    if (before === null || !isSoundOn() || [...urgent].every((alert) => before.has(alert))) return;
     const now = performance.now();
     if (now - playedAt.current < MIN_PAUSE_MS) return;
     playedAt.current = now;

@@ -1,4 +1,4 @@
-/** What an Alert is called, in the language of the page where it knows the kind. */
+/** The title of an Alert, in the language of the page if its kind is known. */
 import { useCallback } from "react";
 import { useTranslation } from "react-i18next";
 import { localizedText } from "~/i18n/server";

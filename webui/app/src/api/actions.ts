@@ -49,12 +49,12 @@ export function stopOperator(): Promise<unknown> {
   return request("operator", { method: "DELETE" });
 }
 
-/** Make a glove known to the controller, so that its Tasks can be answered on the screen without it. */
+/** Declare a glove at the controller, so that its Tasks can be answered on the screen without it. */
 export function declareGlove(glove: string, hand: "left" | "right" = "right"): Promise<unknown> {
   return requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}`, { method: "PUT", json: { hand } });
 }
 
-/** What became of an act on many Alerts. */
+/** The result of an action on many Alerts. */
 export interface Outcome {
   done: string[];
   failed: ({ alert: string } & ProblemDetails)[];

@@ -5,7 +5,7 @@ import { ApiError, errorText, requestService, type Service } from "./http";
 
 const RETRY_MS = 3000;
 
-/** Requests also run while the browser believes to be offline: the server may be on this machine. */
+/** Requests also run while the browser is offline: the server may be on this machine. */
 export const queryClient = new QueryClient({
   defaultOptions: {
     queries: { networkMode: "always", refetchOnWindowFocus: false, gcTime: 0, retry: (_count, error) => isTransient(error), retryDelay: RETRY_MS },

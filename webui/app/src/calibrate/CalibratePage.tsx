@@ -1,4 +1,4 @@
-/** The Calibrate page: how a glove fits the hand that wears it, finger by finger, over the live signal. */
+/** The Calibrate page: the thresholds of each finger over the live signal, and the guided calibration. */
 import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { requestService, errorText } from "~/api/http";
@@ -21,7 +21,7 @@ import "./CalibratePage.css";
 const LivePlot = lazy(() => import("./LivePlot"));
 
 export default function CalibratePage() {
-  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t } = useTranslation(["calibrate", "hand"]);
   const glove = useSelectedGlove();
   return (
@@ -59,7 +59,7 @@ function Wearer({ glove }: { glove: string }) {
   );
 }
 
-/** Thresholds by hand: changed here, and counting only once they are saved. */
+/** Manual thresholds: a draft that applies once it is saved. */
 function ByHand({ glove }: { glove: string }) {
   const { t } = useTranslation(["calibrate", "hand"]);
   const received = useTopicSelector(`glove/${glove}`, (view) => (view === undefined ? "" : JSON.stringify(view.thresholds)));
@@ -67,18 +67,18 @@ function ByHand({ glove }: { glove: string }) {
   const [draft, setDraft] = useState<Thresholds | null>(null);
   const [step, setStep] = useQueryParameter("step", "25");
   const [bound, setBound] = useQueryParameter("bound", "upper");
-  const [asked, setFinger] = useQueryParameter("finger", "thumb");
+  const [fingerParameter, setFinger] = useQueryParameter("finger", "thumb");
   const [failure, setFailure] = useState<string | null>(null);
-  const [said, setSaid] = useState<"saved" | "restored" | null>(null);
-  const finger = fingers.find((one) => one === asked) ?? "thumb";
-  const chosenBound: Bound = bounds.find((one) => one === bound) ?? "upper";
-  const size = Number(steps.find((one) => one === step) ?? "25");
+  const [notice, setNotice] = useState<"saved" | "restored" | null>(null);
+  const finger = fingers.find((finger) => finger === fingerParameter) ?? "thumb";
+  const chosenBound: Bound = bounds.find((each) => each === bound) ?? "upper";
+  const size = Number(steps.find((each) => each === step) ?? "25");
   const thresholds = draft ?? saved;
   const changes = saved !== null && draft !== null ? changesOf(saved, draft) : null;
 
   const move = (of: (typeof fingers)[number], which: Bound, to: number) => {
     if (thresholds === null) return;
-    setSaid(null);
+    setNotice(null);
     setDraft(moved(thresholds, of, which, to));
   };
   const forget = () => {
@@ -90,7 +90,7 @@ function ByHand({ glove }: { glove: string }) {
     try {
       await requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/${path}`, { method, ...(json === undefined ? {} : { json }) });
       setDraft(null);
-      setSaid(words);
+      setNotice(words);
     } catch (error) {
       setFailure(errorText(error));
     }
@@ -118,25 +118,25 @@ function ByHand({ glove }: { glove: string }) {
   return (
     <Card
       title={t("byHand")}
-      aside={<SegmentedControl<Step> label={t("step")} value={String(size) as Step} options={steps.map((one) => ({ value: one, name: t("stepOf", { step: one }) }))} onChange={setStep} />}
+      aside={<SegmentedControl<Step> label={t("step")} value={String(size) as Step} options={steps.map((value) => ({ value, name: t("stepOf", { step: value }) }))} onChange={setStep} />}
     >
       <p className="quiet">{t("means")}</p>
       <Suspense fallback={<div className="calibrate__plot" />}>
         <LivePlot glove={glove} finger={finger} thresholds={thresholds} onDrag={(which, to) => move(finger, which, to)} />
       </Suspense>
       <div className="calibrate__fingers">
-        {fingers.map((one) => (
+        {fingers.map((each) => (
           <FingerColumn
-            key={one}
+            key={each}
             glove={glove}
-            finger={one}
-            isChosen={one === finger}
-            saved={saved[one]}
-            thresholds={thresholds[one]}
+            finger={each}
+            isChosen={each === finger}
+            saved={saved[each]}
+            thresholds={thresholds[each]}
             step={size}
             top={topOf(saved)}
-            onChoose={() => setFinger(one)}
-            onMove={(which, to) => move(one, which, to)}
+            onChoose={() => setFinger(each)}
+            onMove={(which, to) => move(each, which, to)}
           />
         ))}
       </div>
@@ -153,7 +153,7 @@ function ByHand({ glove }: { glove: string }) {
           {changes !== null ? (
             <StatusBadge tone="attention">{t("unsaved", { count: Object.keys(changes).length })}</StatusBadge>
           ) : (
-            said !== null && <StatusBadge tone="ok">{t(`said.${said}`)}</StatusBadge>
+            notice !== null && <StatusBadge tone="ok">{t(`notice.${notice}`)}</StatusBadge>
           )}
         </p>
       </div>

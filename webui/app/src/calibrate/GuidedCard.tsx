@@ -15,7 +15,7 @@ import { useTopicSelector } from "~/live/hooks";
 import type { GuideView } from "~/live/messages";
 
 const SERVICE = "gesture-controller";
-/** The countdown is as long as its last whole second is read; the still second is the ring's. */
+/** The countdown ends one second before the step; the ring shows that last second. */
 const [COUNTDOWN_MS, STILL_MS] = [3000, 1000];
 
 interface Gesture {
@@ -125,10 +125,10 @@ function Learnt({ glove, onUse }: { glove: string; onUse: () => void }) {
   );
 }
 
-/** Records one second of a gesture as this person makes it. */
+/** Records one second of a gesture of this person. */
 function Sample({ isDisabled, onShow }: { isDisabled: boolean; onShow: (gesture: string) => void }) {
   const { t } = useTranslation("calibrate");
-  const gestures = (useServiceQuery<Gesture[]>(SERVICE, "gestures").value ?? []).filter((one) => one.code !== undefined);
+  const gestures = (useServiceQuery<Gesture[]>(SERVICE, "gestures").value ?? []).filter((gesture) => gesture.code !== undefined);
   const [chosen, choose] = useState("");
   const gesture = chosen || (gestures[0]?.name ?? "");
   return (
@@ -146,7 +146,7 @@ function Sample({ isDisabled, onShow }: { isDisabled: boolean; onShow: (gesture:
   );
 }
 
-/** What reads the hand. */
+/** The choice of the recognizer. */
 function Reader({ glove, act }: { glove: string; act: (path: string, method: "PUT", json: unknown) => void }) {
   const { t, i18n } = useTranslation("calibrate");
   const names = useServiceQuery<string[]>(SERVICE, "recognizers").value ?? [];
@@ -159,8 +159,8 @@ function Reader({ glove, act }: { glove: string; act: (path: string, method: "PU
         <SegmentedControl
           label={t("guided.reader")}
           value={name}
-          options={names.map((one) => ({ value: one, name: i18n.exists(`calibrate:guided.readers.${one}`) ? t(`guided.readers.${one}`) : one }))}
-          onChange={(wanted) => act("recognizer", "PUT", { name: wanted })}
+          options={names.map((reader) => ({ value: reader, name: i18n.exists(`calibrate:guided.readers.${reader}`) ? t(`guided.readers.${reader}`) : reader }))}
+          onChange={(name) => act("recognizer", "PUT", { name: name })}
         />
       )}
     </span>

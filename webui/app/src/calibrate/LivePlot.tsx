@@ -1,4 +1,4 @@
-/** The live signal of a minute: the chosen finger in front, its two thresholds as lines that one drags. */
+/** The live signal of one minute: the chosen finger in front, its two thresholds as draggable lines. */
 import { useCallback, useEffect, useRef, type PointerEvent } from "react";
 import { useTranslation } from "react-i18next";
 import type uPlot from "uplot";
@@ -11,7 +11,7 @@ import { bounds, type Bound, type Thresholds } from "./draft";
 
 const SECONDS = 60;
 const [CHOSEN_PX, OTHERS_PX] = [3, 1];
-/** How near a line a finger or a mouse has to be to take it: gloves are wide. */
+/** The distance within which a pointer takes a line: wide, for fingers in gloves. */
 const REACH_PX = 22;
 
 interface LivePlotProps {
@@ -24,33 +24,33 @@ interface LivePlotProps {
 export default function LivePlot({ glove, finger, thresholds, onDrag }: LivePlotProps) {
   const { t, i18n } = useTranslation("calibrate");
   const theme = useShownTheme();
-  const shown = useRef(thresholds[finger]);
+  const drawnThresholds = useRef(thresholds[finger]);
   const dragged = useRef<Bound>(null);
 
   const look = useCallback<Look>(
     (host, seconds, now) => {
       const chosen = fingers.indexOf(finger);
-      const options = bendOptions(host, seconds, now, i18n.language, (one) => (one === chosen ? CHOSEN_PX : OTHERS_PX));
+      const options = bendOptions(host, seconds, now, i18n.language, (finger) => (finger === chosen ? CHOSEN_PX : OTHERS_PX));
       const style = getComputedStyle(host);
       const [line, ground] = [style.getPropertyValue("--text"), style.getPropertyValue("--surface")];
-      const wordsOf = (bound: Bound) => `${t(`bound.${bound}`)} ${number(shown.current[bound], i18n.language)}`;
+      const wordsOf = (bound: Bound) => `${t(`bound.${bound}`)} ${number(drawnThresholds.current[bound], i18n.language)}`;
       return {
         ...options,
         scales: {
           ...options.scales,
-          y: { range: (_, least, most) => roomRound(least, most, shown.current.lower, shown.current.upper) },
+          y: { range: (_, least, most) => roomRound(least, most, drawnThresholds.current.lower, drawnThresholds.current.upper) },
         },
-        hooks: { draw: [(plot) => bounds.forEach((bound) => drawLine(plot, bound, shown.current[bound], wordsOf(bound), line, ground))] },
+        hooks: { draw: [(plot) => bounds.forEach((bound) => drawLine(plot, bound, drawnThresholds.current[bound], wordsOf(bound), line, ground))] },
       };
     },
-    // A new theme has new colours, which the plot takes in only at its beginning.
-    // eslint-disable-next-line react-hooks/exhaustive-deps -- as said
+    // The plot reads the colours of the theme only when it is created.
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- create the plot again for a new theme
     [finger, i18n.language, t, theme],
   );
   const { place, plot } = useBendPlot(glove, SECONDS, look);
 
   useEffect(() => {
-    shown.current = thresholds[finger];
+    drawnThresholds.current = thresholds[finger];
     plot.current?.redraw(true, true);
   }, [thresholds, finger, plot]);
 
@@ -58,7 +58,7 @@ export default function LivePlot({ glove, finger, thresholds, onDrag }: LivePlot
   const take = (event: PointerEvent<HTMLDivElement>) => {
     const drawn = plot.current;
     if (drawn === null) return;
-    const distance = (bound: Bound) => Math.abs(drawn.valToPos(shown.current[bound], "y") - heightOf(event));
+    const distance = (bound: Bound) => Math.abs(drawn.valToPos(drawnThresholds.current[bound], "y") - heightOf(event));
     const nearest = distance("upper") <= distance("lower") ? "upper" : "lower";
     if (distance(nearest) > REACH_PX) return;
     dragged.current = nearest;

@@ -1,4 +1,4 @@
-/** Thresholds as somebody is changing them: nothing counts until it is saved. */
+/** A draft of thresholds, which applies once it is saved. */
 import { fingers } from "~/hand/geometry";
 import type { Finger, GloveView } from "~/live/messages";
 
@@ -6,11 +6,11 @@ export type Thresholds = GloveView["thresholds"];
 export type Bound = "upper" | "lower";
 export const bounds: readonly Bound[] = ["upper", "lower"];
 
-/** How large a step is, in the glove's own units. */
+/** The step sizes, in raw units of the glove. */
 export const steps = ["5", "25", "100"] as const;
 export type Step = (typeof steps)[number];
 
-/** The thresholds with one moved; the two of a finger never pass each other. */
+/** The thresholds after moving one; the lower of a finger stays below its upper. */
 export function moved(thresholds: Thresholds, finger: Finger, bound: Bound, to: number): Thresholds {
   const { upper, lower } = thresholds[finger];
   const whole = Math.round(to);
@@ -30,7 +30,7 @@ export function stateUnder({ upper, lower }: Thresholds[Finger], bend: number): 
   return bend < lower ? "2" : "1";
 }
 
-/** The gauges end a little above the highest threshold, whatever the sensors say at the moment. */
+/** The upper end of the gauges: a little above the highest threshold, independent of the signal. */
 export function topOf(thresholds: Thresholds): number {
   return Math.ceil((Math.max(...fingers.map((finger) => thresholds[finger].upper)) * 1.35) / 100) * 100;
 }

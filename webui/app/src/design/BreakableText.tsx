@@ -1,4 +1,4 @@
-/** A topic, an identifier or a path, which may go on in a new line behind what separates its parts. */
+/** A topic, an identifier or a path that may wrap after its separators. */
 import { Fragment } from "react";
 
 export function BreakableText({ of }: { of: string }) {

@@ -1,4 +1,4 @@
-/** A button names its act. `large` ones are for gloves: 64 px and more. */
+/** A button. `large` ones can be pressed with a glove: at least 64 px. */
 import { Button as AriaButton, type ButtonProps as AriaButtonProps } from "react-aria-components";
 import type { ReactNode } from "react";
 import "./Button.css";
@@ -8,7 +8,7 @@ export interface ButtonProps extends Omit<AriaButtonProps, "children" | "classNa
   size?: "normal" | "large";
   icon?: ReactNode;
   children?: ReactNode;
-  /** For a button that shows only its icon: what it does. */
+  /** The action, for a button that shows only its icon. */
   label?: string;
 }
 

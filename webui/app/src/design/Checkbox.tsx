@@ -1,4 +1,4 @@
-/** Something that is so or not, with a box to tick. */
+/** A labelled checkbox. */
 import type { ReactNode } from "react";
 import { CheckboxButton, CheckboxField } from "react-aria-components";
 import "./Checkbox.css";

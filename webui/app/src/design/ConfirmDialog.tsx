@@ -1,4 +1,4 @@
-/** An act that cannot be undone asks once, and names what it does on the button itself. */
+/** A dialog that confirms an action which cannot be undone; its button names the action. */
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -19,7 +19,7 @@ export interface ConfirmDialogProps {
   kind?: "main" | "stop";
   size?: "normal" | "large";
   isDisabled?: boolean;
-  /** Does it; what it throws is shown, and the question stays open. */
+  /** Perform the action; an error is shown and the dialog stays open. */
   onAct: () => Promise<unknown>;
 }
 

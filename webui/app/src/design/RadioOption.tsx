@@ -1,11 +1,11 @@
-/** One place in a group of which one is chosen; how it looks is the page's. */
+/** An option of a radio group; the page styles it. */
 import type { ReactNode } from "react";
 import { RadioButton, RadioField } from "react-aria-components";
 
 export interface RadioOptionProps {
   value: string;
   className: string;
-  /** What it is called, where what it shows does not say enough. */
+  /** The accessible name, if the visible content is not enough. */
   label?: string;
   children: ReactNode;
 }

@@ -1,4 +1,4 @@
-/** A choice of one among a few visible options. */
+/** A choice between a few visible options. */
 import { ToggleButton, ToggleButtonGroup } from "react-aria-components";
 import "./SegmentedControl.css";
 

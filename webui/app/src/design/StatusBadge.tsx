@@ -1,4 +1,4 @@
-/** State is always an icon, a word and a colour together. */
+/** A state as icon, word and colour together. */
 import { CircleCheck, CircleDashed, CircleX, Info, TriangleAlert } from "lucide-react";
 import type { ReactNode } from "react";
 import "./StatusBadge.css";

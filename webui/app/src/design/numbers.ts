@@ -1,8 +1,8 @@
-/** Numbers as the language writes them: the one formatter of the page, so that 1,000 and 937.73 never mix. */
+/** Numbers in the format of the language. All pages use these functions. */
 
 const formatters = new Map<string, Intl.NumberFormat>();
 
-/** "1.000,5" in German: at most two decimals, or as `options` say. */
+/** "1.000,5" in German: at most two decimals unless `options` differ. */
 export function number(value: number, language: string, options: Intl.NumberFormatOptions = { maximumFractionDigits: 2 }): string {
   const key = `${language} ${JSON.stringify(options)}`;
   let formatter = formatters.get(key);
@@ -18,7 +18,7 @@ export function percent(share: number, language: string, digits = 0): string {
   return number(share, language, { style: "percent", maximumFractionDigits: digits });
 }
 
-/** What `number` writes, read back; the separators of the language may be left out. Null if it is no number. */
+/** Parse the output of `number`; group separators are optional. Null if it is no number. */
 export function typedNumber(text: string, language: string): number | null {
   const [decimal, group] = [separator("decimal", language), separator("group", language)];
   const typed = text.trim().replace(/\s/g, " ").replace("−", "-");

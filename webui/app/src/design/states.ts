@@ -1,4 +1,4 @@
-/** How the states of Tasks, Processes, Devices and Alerts look: one place, so that every page agrees. */
+/** Icons and colours of the states of Tasks, Processes, Devices and Alerts, for all pages. */
 import type { AlertPriority, AlertState, DeviceState, ServiceHealth, Severity, Status } from "~/live/messages";
 import type { ProcessState } from "~/live/processState";
 import type { Tone } from "./StatusBadge";

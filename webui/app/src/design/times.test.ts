@@ -9,8 +9,8 @@ describe("times as people say them", () => {
     [3 * 3600_000, "3 h ago"],
     [50 * 3600_000, "2 d ago"],
     [-5000, "0 s ago"],
-  ])("%i ms before now is %s", (before, said) => {
-    expect(ago(1e12 - before, 1e12, "en")).toBe(said);
+  ])("%i ms before now is %s", (before, text) => {
+    expect(ago(1e12 - before, 1e12, "en")).toBe(text);
   });
 
   it.each([
@@ -18,8 +18,8 @@ describe("times as people say them", () => {
     [2500, "2.5 s"],
     [185_000, "3 min 05 s"],
     [4_320_000, "1 h 12 min"],
-  ])("%i ms last %s", (ms, said) => {
-    expect(duration(ms, "en")).toBe(said);
+  ])("%i ms last %s", (ms, text) => {
+    expect(duration(ms, "en")).toBe(text);
   });
 
   it("is said in the order of the language", () => {

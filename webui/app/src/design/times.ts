@@ -1,15 +1,15 @@
-/** Times and amounts as people say them, in their language. */
+/** Times, durations and rates as text in the language of the page. */
 
 import { number } from "./numbers";
 
-/** The symbols of the SI are the same everywhere; only the day has a name of its own. */
+/** SI symbols are the same in all languages; only the day has a name. */
 const days: Record<string, string> = { de: "d", fi: "vrk" };
 
-/** "12 s ago" for a moment in ms; a moment that is not over yet counts as now. */
+/** "12 s ago" for a time in ms; a time in the future counts as now. */
 export function ago(thenMs: number, nowMs: number, language: string): string {
-  const said = span(Math.max(0, (nowMs - thenMs) / 1000), language);
-  if (language.startsWith("de")) return `vor ${said}`;
-  return language.startsWith("fi") ? `${said} sitten` : `${said} ago`;
+  const text = span(Math.max(0, (nowMs - thenMs) / 1000), language);
+  if (language.startsWith("de")) return `vor ${text}`;
+  return language.startsWith("fi") ? `${text} sitten` : `${text} ago`;
 }
 
 function span(seconds: number, language: string): string {
@@ -29,7 +29,7 @@ export function duration(ms: number, language: string): string {
   return `${Math.floor(minutes / 60)} h ${String(minutes % 60).padStart(2, "0")} min`;
 }
 
-/** "32.4 /s" for something that happens so often a second. */
+/** "32.4 /s" for a rate per second. */
 export function rate(perSecond: number, language: string): string {
   const digits = perSecond < 10 ? 1 : 0;
   return `${number(perSecond, language, { maximumFractionDigits: digits })} /s`;

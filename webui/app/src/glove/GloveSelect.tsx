@@ -1,4 +1,4 @@
-/** Of the gloves of the cell, the one that a page is about: the URL holds it, the first where it names none. */
+/** The glove of a page: named by the URL, else the first of the cell. */
 import { Hand } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { useLocation } from "wouter";
@@ -10,18 +10,18 @@ import { useQueryParameter } from "~/route/queryParameter";
 
 export function useSelectedGlove(): string | undefined {
   const gloves = useGloveNames();
-  const [asked] = useQueryParameter("glove");
-  return gloves.find((one) => one === asked) ?? gloves[0];
+  const [gloveParameter] = useQueryParameter("glove");
+  return gloves.find((glove) => glove === gloveParameter) ?? gloves[0];
 }
 
 export function GloveSelect({ glove }: { glove: string }) {
   const { t } = useTranslation("common");
   const gloves = useGloveNames();
   const [, choose] = useQueryParameter("glove");
-  return <Select label={t("glove.one")} value={glove} options={gloves.map((one) => ({ value: one, name: one }))} onChange={choose} />;
+  return <Select label={t("glove.one")} value={glove} options={gloves.map((glove) => ({ value: glove, name: glove }))} onChange={choose} />;
 }
 
-/** Stands where there is no glove yet: `means` says what would be here. */
+/** Shown while there is no glove; `means` describes the content that is missing. */
 export function NoGlove({ means }: { means: string }) {
   const { t } = useTranslation("common");
   const [, go] = useLocation();

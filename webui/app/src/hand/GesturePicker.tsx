@@ -1,5 +1,5 @@
 /**
- * One gesture of many: a button that shows the chosen hand, and a panel with the pictures of all, which can be
+* A choice of one gesture: a button with the chosen hand, and a panel with the pictures of all, which can be
  * searched. Its tiles are large enough for a finger in a glove.
  */
 import { ArrowRight, ChevronDown, Search } from "lucide-react";
@@ -11,13 +11,13 @@ import { Button } from "~/design/Button";
 import { Hand, useGestureName } from "./Hand";
 import "./GesturePicker.css";
 
-/** One that is chosen from: `hands` are what it consists of, none of no gesture at all. */
+/** An option; `hands` are its hand shapes, empty for "no gesture". */
 export interface GestureOption {
   value: string;
   hands: readonly { code: string; side: "left" | "right" }[];
-  /** They are shown one after the other. */
+  /** The hands are shown one after the other. */
   inTurn?: boolean;
-  /** What it is called, where that is not the gesture's own name. */
+  /** The label, if it is not the name of the gesture. */
   name?: string;
 }
 
@@ -35,10 +35,10 @@ export function GesturePicker({ label, value, options, onChange }: GesturePicker
   const [isOpen, setOpen] = useState(false);
   const [search, setSearch] = useState("");
   const nameOf = (option: GestureOption) => option.name ?? gestureName(option.value);
-  const chosen = options.find((one) => one.value === value);
+  const chosen = options.find((option) => option.value === value);
   const plain = (text: string) => text.toLocaleLowerCase(i18n.language);
   const words = plain(search).split(/\s+/).filter((word) => word !== "");
-  const found = options.filter((one) => words.every((word) => plain(`${nameOf(one)} ${one.value}`).includes(word)));
+  const found = options.filter((option) => words.every((word) => plain(`${nameOf(option)} ${option.value}`).includes(word)));
   const open = (next: boolean) => {
     setOpen(next);
     setSearch("");
@@ -80,7 +80,7 @@ export function GesturePicker({ label, value, options, onChange }: GesturePicker
               items={found.map((option) => ({ id: keyOf(option.value), option }))}
               renderEmptyState={() => <p className="quiet">{t("picker.none")}</p>}
               onSelectionChange={(keys) => {
-                // The one that is chosen already, chosen again, is no selection any more: it stays.
+                // Choosing the chosen option again would deselect it: keep it.
                 const [key] = keys === "all" ? [] : keys;
                 choose(valueOf(String(key ?? keyOf(value))));
               }}
@@ -102,16 +102,16 @@ export function GesturePicker({ label, value, options, onChange }: GesturePicker
   );
 }
 
-/** A key is never empty, a value may be: "with no gesture". */
+/** Keys must not be empty; the value of "no gesture" is. */
 const keyOf = (value: string) => `=${value}`;
 const valueOf = (key: string) => key.slice(1);
 
 function Hands({ option, size }: { option: GestureOption; size: string }) {
   return (
     <span className="gesture-picker__hands" aria-hidden>
-      {option.hands.map(({ code, side }, nth) => (
-        <Fragment key={nth}>
-          {option.inTurn === true && nth > 0 && <ArrowRight size={18} />}
+      {option.hands.map(({ code, side }, index) => (
+        <Fragment key={index}>
+          {option.inTurn === true && index > 0 && <ArrowRight size={18} />}
           <Hand states={code} side={side} size={size} />
         </Fragment>
       ))}

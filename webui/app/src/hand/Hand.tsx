@@ -1,4 +1,4 @@
-/** A hand: the same drawing for every gesture that is asked for and for the live hand in the glove. */
+/** A drawing of a hand: for requested gestures and for the live hand in the glove. */
 import type { CSSProperties } from "react";
 import { useTranslation } from "react-i18next";
 import type { Finger } from "~/live/messages";
@@ -19,9 +19,9 @@ export interface HandProps {
   size?: string;
   /** Draw the hand as large as it fits, instead of every hand at the same scale. */
   closeUp?: boolean;
-  /** Fingers to point out. */
+  /** Fingers to highlight. */
   differs?: readonly Finger[];
-  /** What it is called, "Thumbs up"; else the states of the fingers are listed. */
+  /** The name, "Thumbs up"; by default a list of the finger states. */
   label?: string;
 }
 
@@ -52,7 +52,7 @@ export function Hand({ states, side = "right", animateFrom, moveMs = 450, size, 
 export function useFingers(states: string): string {
   const { t } = useTranslation("hand");
   return fingers
-    .map((finger, nth) => t(`is.${states[nth] ?? "0"}`, { finger: t(`finger.${finger}`) }))
+    .map((finger, index) => t(`fingerState.${states[index] ?? "0"}`, { finger: t(`finger.${finger}`) }))
     .join(", ");
 }
 

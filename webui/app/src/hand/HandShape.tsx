@@ -4,29 +4,29 @@ import { outline, palm, palmLines, shapeOf, type Bend, type FingerShape, type Ph
 
 export interface HandShapeProps {
   bends: readonly Bend[];
-  /** Fingers to point out. */
+  /** Fingers to highlight. */
   differs?: readonly Finger[];
 }
 
 export function HandShape({ bends, differs = [] }: HandShapeProps) {
   const shapes = shapeOf(bends);
   const [thumb, ...others] = shapes;
-  // The hand is one surface: all outlines first, then all fills, so that no line runs where parts join.
+  // Draw all outlines first, then all fills, so that no line appears where parts join.
   const flat = shapes.flatMap((shape) => shape.phalanges.filter(({ folded }) => !folded).map((phalanx) => ({ shape, phalanx })));
   return (
     <>
       <g className="hand__edge">
         <polygon points={places(palm)} />
-        {flat.map(({ phalanx }, nth) => (
-          <Bone key={nth} phalanx={phalanx} />
+        {flat.map(({ phalanx }, index) => (
+          <Bone key={index} phalanx={phalanx} />
         ))}
       </g>
       <g className="hand__skin">
         <polygon points={places(palm)} />
       </g>
       <g className="hand__crease">
-        {palmLines.map((line, nth) => (
-          <polyline key={nth} points={places(line)} />
+        {palmLines.map((line, index) => (
+          <polyline key={index} points={places(line)} />
         ))}
       </g>
       {others.map((shape) => (
@@ -44,28 +44,28 @@ function FingerDrawing({ shape, differs }: { shape: FingerShape; differs: boolea
     <g className={differs ? "hand__finger hand__finger--differs" : "hand__finger"}>
       {flat.length > 0 && (
         <g className="hand__skin">
-          {flat.map((phalanx, nth) => (
-            <Bone key={nth} phalanx={phalanx} />
+          {flat.map((phalanx, index) => (
+            <Bone key={index} phalanx={phalanx} />
           ))}
         </g>
       )}
       {folded.length > 0 && (
         <>
           <g className="hand__edge">
-            {folded.map((phalanx, nth) => (
-              <Bone key={nth} phalanx={phalanx} />
+            {folded.map((phalanx, index) => (
+              <Bone key={index} phalanx={phalanx} />
             ))}
           </g>
           <g className="hand__skin hand__skin--folded">
-            {folded.map((phalanx, nth) => (
-              <Bone key={nth} phalanx={phalanx} />
+            {folded.map((phalanx, index) => (
+              <Bone key={index} phalanx={phalanx} />
             ))}
           </g>
         </>
       )}
       <g className="hand__crease">
-        {shape.creases.map((crease, nth) => (
-          <polyline key={nth} points={places(crease)} />
+        {shape.creases.map((crease, index) => (
+          <polyline key={index} points={places(crease)} />
         ))}
       </g>
       {shape.nail !== null && <polygon className="hand__nail" points={places(shape.nail)} />}

@@ -1,8 +1,8 @@
 /**
  * The hand as a shape: five finger states become the outlines of three phalanges a finger, over a palm.
  *
- * Seen is the palm of a right hand, fingers up, thumb at the right; a left hand is its mirror image. A finger
- * bends in depth, towards who looks: its phalanges shorten, and past a right angle lie over the palm with the
+* The view is the palm of a right hand, fingers up, thumb at the right; a left hand is its mirror image. A finger
+* bends in depth, towards the viewer: its phalanges shorten, and past a right angle lie over the palm with the
  * nail visible. The thumb bends across the palm, below the folded fingers.
  */
 import type { Finger } from "~/live/messages";
@@ -11,7 +11,7 @@ import hand from "./hand.json";
 
 export type Point = readonly [x: number, y: number];
 export type Side = "left" | "right";
-/** How far a finger is bent: 0 straight, 1 between, 2 bent, and anything in between while it moves. */
+/** The bend of a finger: 0 straight, 1 between, 2 bent; fractions while it moves. */
 export type Bend = number;
 
 export interface Phalanx {
@@ -20,7 +20,7 @@ export interface Phalanx {
   /** Half the width at either end. */
   fromRadius: number;
   toRadius: number;
-  /** It has turned its back to who looks, and lies over what is below. */
+  /** Its back faces the viewer, and it covers what is below. */
   folded: boolean;
 }
 
@@ -40,7 +40,7 @@ export const box = hand.box;
 
 interface Anatomy {
   knuckle: Point;
-  /** Away from straight up, towards the thumb, in degrees. */
+  /** The angle from vertical towards the thumb, in degrees. */
   splay: number;
   lengths: readonly [number, number, number];
   radii: readonly [number, number, number, number];
@@ -50,10 +50,10 @@ type Joints = readonly [number, number, number];
 
 const anatomy = hand.fingers as unknown as Record<Exclude<Finger, "thumb">, Anatomy>;
 
-/** How much each joint has turned in depth when the finger is straight, between and bent, in degrees. */
+/** The rotation of each joint in depth for a straight, half bent and bent finger, in degrees. */
 const fingerJoints = hand.fingerJoints as unknown as readonly [Joints, Joints, Joints];
 
-/** Where the thumb's two joints and its tip are when it is straight, between and bent. */
+/** The positions of the thumb's two joints and tip for a straight, half bent and bent thumb. */
 const thumbWay = hand.thumb.way as unknown as readonly (readonly [Point, Point, Point])[];
 const thumbRoot = hand.thumb.root as unknown as Point;
 const thumbRadii = hand.thumb.radii;
@@ -61,18 +61,18 @@ const thumbRadii = hand.thumb.radii;
 /** The outline of the palm down to the wrist. */
 export const palm: readonly Point[] = rounded(hand.palm as unknown as Point[]);
 
-/** The lines that make a palm a palm; they are left out where a finger lies over them. */
+/** The lines of the palm; those below a finger are omitted. */
 export const palmLines: readonly (readonly Point[])[] = (hand.palmLines as unknown as Point[][]).map((line) => rounded(line));
 
 /** Return the shape of all five fingers of a right hand, thumb first. */
 export function shapeOf(bends: readonly Bend[]): FingerShape[] {
-  return fingers.map((finger, nth) => {
-    const bend = Math.min(2, Math.max(0, bends[nth] ?? 0));
+  return fingers.map((finger, index) => {
+    const bend = Math.min(2, Math.max(0, bends[index] ?? 0));
     return finger === "thumb" ? thumb(bend) : longFinger(finger, bend);
   });
 }
 
-/** A fist is not drawn larger than this: its palm would be as large as a whole hand. */
+/** The smallest box to fit: a fist that fills the drawing would have a palm as large as a whole hand. */
 const MIN_FRAME_HEIGHT = 248;
 
 /** Return the part of `box` that a right hand with `bends` fills, with a margin for its lines. */
@@ -91,7 +91,7 @@ export function frameOf(bends: readonly Bend[], margin = 8): { x: number; y: num
 
 /** Return the bends of five finger states; invalid states count as straight. */
 export function bendsOf(states: string): Bend[] {
-  return fingers.map((_, nth) => ["0", "1", "2"].indexOf(states[nth] ?? "0")).map((bend) => Math.max(0, bend));
+  return fingers.map((_, index) => ["0", "1", "2"].indexOf(states[index] ?? "0")).map((bend) => Math.max(0, bend));
 }
 
 /** Return a phalanx as a polygon, counter-clockwise on the screen, round at both ends. */
@@ -107,7 +107,7 @@ export function outline({ from, to, fromRadius, toRadius }: Phalanx, steps = 7):
   return points;
 }
 
-/** Say whether two convex polygons share any area: no line can be put between them (separating axes). */
+/** Whether two convex polygons share any area: no line separates them (separating axis theorem). */
 export function overlap(some: readonly Point[], others: readonly Point[]): boolean {
   return ![...normals(some), ...normals(others)].some((normal) => {
     const [least, most] = extent(some, normal);
@@ -124,11 +124,11 @@ function longFinger(finger: Exclude<Finger, "thumb">, bend: Bend): FingerShape {
   const points: Point[] = [knuckle];
   const folded: boolean[] = [];
   let angle = 0;
-  lengths.forEach((length, nth) => {
-    angle += turned[nth] ?? 0;
-    const seen = length * Math.cos(rad(angle));
-    const [x, y] = points[nth] ?? knuckle;
-    points.push([x + up[0] * seen, y + up[1] * seen]);
+  lengths.forEach((length, index) => {
+    angle += turned[index] ?? 0;
+    const visible = length * Math.cos(rad(angle));
+    const [x, y] = points[index] ?? knuckle;
+    points.push([x + up[0] * visible, y + up[1] * visible]);
     folded.push(angle > 75);
   });
   const phalanges = chain(points, radii, folded);
@@ -136,10 +136,10 @@ function longFinger(finger: Exclude<Finger, "thumb">, bend: Bend): FingerShape {
 }
 
 function thumb(bend: Bend): FingerShape {
-  const nth = bend <= 1 ? 0 : 1;
-  const before = thumbWay[nth] ?? [thumbRoot, thumbRoot, thumbRoot];
-  const after = thumbWay[nth + 1] ?? before;
-  const joints = before.map((point, joint) => between(point, after[joint] ?? point, bend - nth));
+  const index = bend <= 1 ? 0 : 1;
+  const before = thumbWay[index] ?? [thumbRoot, thumbRoot, thumbRoot];
+  const after = thumbWay[index + 1] ?? before;
+  const joints = before.map((point, joint) => between(point, after[joint] ?? point, bend - index));
   const phalanges = chain([thumbRoot, ...joints], thumbRadii, [false, bend > 1.4, bend > 1.4]);
   const [, , tip] = phalanges;
   return {
@@ -151,17 +151,17 @@ function thumb(bend: Bend): FingerShape {
 }
 
 function chain(points: readonly Point[], radii: readonly number[], folded: readonly boolean[]): FingerShape["phalanges"] {
-  const phalanx = (nth: 0 | 1 | 2): Phalanx => ({
-    from: points[nth] ?? [0, 0],
-    to: points[nth + 1] ?? [0, 0],
-    fromRadius: radii[nth] ?? 0,
-    toRadius: radii[nth + 1] ?? 0,
-    folded: folded[nth] ?? false,
+  const phalanx = (index: 0 | 1 | 2): Phalanx => ({
+    from: points[index] ?? [0, 0],
+    to: points[index + 1] ?? [0, 0],
+    fromRadius: radii[index] ?? 0,
+    toRadius: radii[index + 1] ?? 0,
+    folded: folded[index] ?? false,
   });
   return [phalanx(0), phalanx(1), phalanx(2)];
 }
 
-/** A nail sits on the back of the tip; `angle` says how far that has turned into view. */
+/** The nail on the back of the tip; `angle` is the rotation of the tip into view. */
 function nailOf({ from, to, toRadius }: Phalanx, angle: number): Point[] {
   const way = Math.atan2(to[1] - from[1], to[0] - from[0]);
   const long = toRadius * Math.min(1, Math.sin(rad(Math.min(angle, 180) - 90)) + 0.35) * 0.72;
@@ -188,14 +188,14 @@ function creasesOf(phalanges: FingerShape["phalanges"]): [Point, Point][] {
 
 /** Return a smooth line through `points` (Catmull-Rom). */
 function rounded(points: readonly Point[], steps = 4): Point[] {
-  const at = (nth: number): Point => points[Math.min(points.length - 1, Math.max(0, nth))] ?? [0, 0];
-  return points.flatMap((point, nth) =>
-    nth === points.length - 1
+  const at = (index: number): Point => points[Math.min(points.length - 1, Math.max(0, index))] ?? [0, 0];
+  return points.flatMap((point, index) =>
+    index === points.length - 1
       ? [point]
       : Array.from({ length: steps }, (_, step): Point => {
           const part = step / steps;
           const on = (axis: 0 | 1) => {
-            const [a, b, c, d] = [at(nth - 1)[axis], at(nth)[axis], at(nth + 1)[axis], at(nth + 2)[axis]];
+            const [a, b, c, d] = [at(index - 1)[axis], at(index)[axis], at(index + 1)[axis], at(index + 2)[axis]];
             return b + 0.5 * part * (c - a + part * (2 * a - 5 * b + 4 * c - d + part * (3 * (b - c) + d - a)));
           };
           return [on(0), on(1)];
@@ -216,8 +216,8 @@ function onCircle([x, y]: Point, radius: number, angle: number): Point {
 }
 
 function normals(polygon: readonly Point[]): Point[] {
-  return polygon.map(([x, y], nth) => {
-    const [nextX, nextY] = polygon[(nth + 1) % polygon.length] ?? [x, y];
+  return polygon.map(([x, y], index) => {
+    const [nextX, nextY] = polygon[(index + 1) % polygon.length] ?? [x, y];
     return [nextY - y, x - nextX];
   });
 }

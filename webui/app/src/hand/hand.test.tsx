@@ -4,7 +4,7 @@ import { bendsOf, box, fingers, outline, overlap, shapeOf, type Point } from "./
 import { Hand } from "./Hand";
 import { HandShape } from "./HandShape";
 
-const states = Array.from({ length: 243 }, (_, nth) => nth.toString(3).padStart(5, "0"));
+const states = Array.from({ length: 243 }, (_, index) => index.toString(3).padStart(5, "0"));
 
 describe("a hand", () => {
   it("looks different in each of the 243 states", () => {
@@ -29,10 +29,10 @@ describe("a hand", () => {
 
   it.each(states)("has no finger over another in %s", (state) => {
     const shapes = shapeOf(bendsOf(state)).map((shape) => shape.phalanges.map((phalanx) => outline(phalanx)));
-    const crossed = fingers.flatMap((finger, nth) =>
-      fingers.slice(nth + 1).filter((_, later) => {
-        const [some, others] = [shapes[nth] ?? [], shapes[nth + 1 + later] ?? []];
-        return some.some((one) => others.some((other) => overlap(one, other)));
+    const crossed = fingers.flatMap((finger, index) =>
+      fingers.slice(index + 1).filter((_, later) => {
+        const [some, others] = [shapes[index] ?? [], shapes[index + 1 + later] ?? []];
+        return some.some((first) => others.some((second) => overlap(first, second)));
       }).map((other) => `${finger} and ${other}`),
     );
     expect(crossed).toEqual([]);
@@ -60,7 +60,7 @@ describe("a hand", () => {
     for (let bend = 0; bend < 2; bend += 0.02) {
       const tips = (at: number) => shapeOf([at, at, at, at, at]).map(({ phalanges }) => phalanges[2].to);
       const [before, after] = [tips(bend), tips(bend + 0.02)];
-      before.forEach(([x, y], nth) => expect(Math.hypot((after[nth]?.[0] ?? 0) - x, (after[nth]?.[1] ?? 0) - y)).toBeLessThan(6));
+      before.forEach(([x, y], index) => expect(Math.hypot((after[index]?.[0] ?? 0) - x, (after[index]?.[1] ?? 0) - y)).toBeLessThan(6));
     }
   });
 });

@@ -1,5 +1,5 @@
 /**
- * English, German and Finnish. One JSON file a page and language; the words of a page load with it, those of
+* English, German and Finnish. One JSON file per page and language; the texts of a page load with it, those of
  * the frame (`common`) with the first load.
  */
 import i18next from "i18next";
@@ -48,7 +48,7 @@ export async function initI18n(): Promise<void> {
       interpolation: { escapeValue: false },
       returnNull: false,
     });
-  void i18next.loadNamespaces("server"); // after the first page: nothing waits for it
+  void i18next.loadNamespaces("server"); // in the background, after the first page
   document.documentElement.lang = i18next.language;
   i18next.on("languageChanged", (language) => {
     document.documentElement.lang = language;

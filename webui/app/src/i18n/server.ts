@@ -1,6 +1,6 @@
 /**
- * What servers say, in the language of the page: they send an English text with a code and parameters, and
- * `server.json` has the words of each code. A code that is new to the page is left in English.
+* Messages of servers in the language of the page: they send an English text with a code and parameters, and
+* `server.json` has the text of each code. Texts with an unknown code stay in English.
  */
 import i18next from "i18next";
 import { number } from "~/design/numbers";
@@ -11,7 +11,7 @@ export interface Said {
   parameters: Record<string, unknown>;
 }
 
-/** Read the member `name` of a JSON object with its code and parameters; null where there is no text. */
+/** Read the member `name` of a JSON object with its code and parameters; null without a text. */
 export function eventText(members: object, name: string): Said | null {
   const of = members as Record<string, unknown>;
   const text = of[name];
@@ -25,17 +25,17 @@ export function eventText(members: object, name: string): Said | null {
   };
 }
 
-/** Return what was said in the language of the page. */
+/** Return a text in the language of the page. */
 export function inWords({ text, code, parameters }: Said): string {
   if (code === null || !i18next.exists(`server:${code}`)) return text;
   const words = Object.entries(parameters).map(([name, value]) => [name, asWord(value)]);
   return i18next.t(`server:${code}`, Object.fromEntries(words) as Record<string, string>);
 }
 
-/** Return the member `name` of a JSON object in the language of the page; null where there is no text. */
+/** Return the member `name` of a JSON object in the language of the page; null without a text. */
 export function localizedText(members: object, name: string): string | null {
-  const said = eventText(members, name);
-  return said === null ? null : inWords(said);
+  const text = eventText(members, name);
+  return text === null ? null : inWords(text);
 }
 
 function asWord(value: unknown): string {

@@ -1,4 +1,4 @@
-/** Every page speaks all languages, with the same words and the same values in them. */
+/** All languages have the same texts with the same parameters. */
 import { describe, expect, it } from "vitest";
 
 interface Words {
@@ -16,7 +16,7 @@ function flat(words: Words, prefix = ""): Map<string, string> {
   return all;
 }
 
-/** The plural forms of a language differ (English "one" and "other"); what they are forms of must not. */
+/** Plural forms differ between languages (English "one" and "other"); their base keys must not. */
 function meanings(words: Map<string, string>): string[] {
   return [...new Set([...words.keys()].map((key) => key.replace(/_(zero|one|two|few|many|other)$/, "")))].sort();
 }

@@ -1,18 +1,18 @@
 /**
- * The link to the server: one WebSocket that comes back by itself. After every break the server sends a
- * snapshot, so that nothing is shown that is no longer so.
+* The connection to the server: one WebSocket that reconnects by itself. After each reconnection the server
+* sends a snapshot, so that no stale value is shown.
  */
 import type { Batch, LiveEvent, SubscribeMessage } from "./messages";
 import type { LiveStore } from "./store";
 
 const MIN_RETRY_MS = 250;
 const MAX_RETRY_MS = 5000;
-/** The server says something at least every five seconds; silence for longer is a broken link. */
+/** The server sends at least every five seconds; after this time without a message the connection is broken. */
 const HEARTBEAT_TIMEOUT_MS = 12_000;
 
 export interface LiveConnectionOptions {
   url: string;
-  /** Fetches events after a `seq`, when the link has left some out. */
+  /** Fetches events after a `seq`, to fill a gap. */
   fetchEvents: (after: number) => Promise<LiveEvent[]>;
 }
 
@@ -68,7 +68,7 @@ export class LiveConnection {
   #restartTimeout(socket: WebSocket): void {
     clearTimeout(this.#timeout);
     this.#timeout = setTimeout(() => {
-      // A cable that was pulled never says goodbye, and closing would wait for it.
+      // After an unplugged cable no close frame arrives, so do not wait for it.
       socket.onclose = null;
       socket.close();
       this.#onClose(socket);

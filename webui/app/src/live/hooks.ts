@@ -1,4 +1,4 @@
-/** How parts of a page look at what is live. */
+/** Hooks for live values. */
 import { createContext, useContext, useEffect, useSyncExternalStore } from "react";
 import type {
   AlertView, DefinitionView, DeviceView, GloveView, LiveEvent, ProcessView, RobotView, TasklistView, TopicValues,
@@ -51,7 +51,7 @@ export function useTopicSelector<T extends keyof TopicValues, P>(
   );
 }
 
-/** A topic that is only sent while somebody shows it; `T` is what `messages.ts` says it carries. */
+/** A topic that is only sent while it is shown; `T` is its type in `messages.ts`. */
 // eslint-disable-next-line @typescript-eslint/no-unnecessary-type-parameters -- the wire has no types
 export function useSubscription<T>(topic: string | null): T | undefined {
   const live = useLive();

@@ -1,4 +1,4 @@
-/** The state of a process as people see it: its status, or that a part of it cannot continue. */
+/** The visible state of a process: its status, or "incident" if a part of it cannot continue. */
 import type { ProcessView, Status } from "./messages";
 
 export type ProcessState = Status | "incident";

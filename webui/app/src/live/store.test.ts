@@ -47,8 +47,8 @@ describe("the live store", () => {
     live.apply(batch({}, [event(1), event(2)]));
     live.apply(batch({}, [event(6)]));
     live.addEvents([event(2), event(3), event(4), event(5), event(6)]);
-    expect(live.events.map((one) => one.seq)).toEqual([1, 2, 3, 4, 5, 6]);
-    live.addEvents(Array.from({ length: 2000 }, (_, nth) => event(7 + nth)));
+    expect(live.events.map((event) => event.seq)).toEqual([1, 2, 3, 4, 5, 6]);
+    live.addEvents(Array.from({ length: 2000 }, (_, index) => event(7 + index)));
     expect(live.events.length).toBe(500);
     expect(live.events.at(-1)?.seq).toBe(2006);
   });

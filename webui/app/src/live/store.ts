@@ -1,5 +1,5 @@
 /**
- * What the page knows: the newest value of every topic, and the last events. React parts subscribe to the
+* The live state of the page: the newest value of every topic, and the last events. Components subscribe to the
  * topics they show, so a moving robot does not render the view of a hand.
  */
 import type { Batch, LiveEvent, TopicValues } from "./messages";
@@ -19,7 +19,7 @@ export class LiveStore {
   #events: LiveEvent[] = [];
   #link: ConnectionState = "connecting";
   #hasSnapshot = false;
-  /** Called when what the page wants beyond the usual topics has changed. */
+  /** Called when the set of requested topics has changed. */
   onSubscriptionsChange: () => void = () => undefined;
 
   get link(): ConnectionState {
@@ -83,7 +83,7 @@ export class LiveStore {
     this.#notify(this.#families, families);
   }
 
-  /** Take in events that were fetched, because the link had left some out or the page looks further back. */
+  /** Add events that were fetched: after a gap, or older ones. */
   addEvents(events: LiveEvent[]): void {
     this.apply({ type: "batch", at: "", topics: {}, events });
   }
@@ -96,7 +96,7 @@ export class LiveStore {
     return addListener(this.#families, family, listener);
   }
 
-  /** Ask for a topic that is only sent to pages that show it, until what is returned is called. */
+  /** Request a topic that is only sent to pages that show it; call the returned function to release it. */
   subscribe(topic: string): () => void {
     const count = this.#subscribers.get(topic) ?? 0;
     this.#subscribers.set(topic, count + 1);
@@ -142,11 +142,11 @@ function addListener(listeners: Map<string, Set<Listener>>, name: string, listen
   };
 }
 
-/** Two runs of events as one: by `seq`, each once, the newest `MAX_EVENTS`. */
-function merged(known: readonly LiveEvent[], news: readonly LiveEvent[]): LiveEvent[] {
-  const last = known.at(-1)?.seq ?? -1;
+/** Merge two lists of events by `seq`, each once, up to the newest `MAX_EVENTS`. */
+function merged(current: readonly LiveEvent[], news: readonly LiveEvent[]): LiveEvent[] {
+  const last = current.at(-1)?.seq ?? -1;
   const first = news[0]?.seq ?? 0;
-  const all = [...known, ...news];
+  const all = [...current, ...news];
   if (first <= last) {
     const bySeq = new Map(all.map((event) => [event.seq, event]));
     all.splice(0, all.length, ...[...bySeq.values()].sort((a, b) => a.seq - b.seq));

@@ -1,4 +1,4 @@
-/** A gesture as it is made: one hand, two, or one after the other. */
+/** The picture of a gesture: one hand, two, or a sequence. */
 import { ArrowRight } from "lucide-react";
 import { Fragment } from "react";
 import { Hand, useGestureName } from "~/hand/Hand";
@@ -9,9 +9,9 @@ export function GesturePicture({ gesture, size }: { gesture: Gesture; size: stri
   const inTurn = "sequence" in gesture;
   return (
     <span className="gesture-picture">
-      {partsOf(gesture).map(({ code, side }, nth) => (
-        <Fragment key={nth}>
-          {inTurn && nth > 0 && <ArrowRight aria-hidden size={18} />}
+      {partsOf(gesture).map(({ code, side }, index) => (
+        <Fragment key={index}>
+          {inTurn && index > 0 && <ArrowRight aria-hidden size={18} />}
           <Hand states={code} side={side} size={size} label={gestureName(gesture.name)} />
         </Fragment>
       ))}

@@ -1,4 +1,4 @@
-/** A new gesture: by its five fingers, by making it, for both hands, or two in turn. */
+/** A new gesture: by its finger states, by recording, for both hands, or as a sequence of two. */
 import { Hand as HandIcon } from "lucide-react";
 import { Fragment, useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -17,7 +17,7 @@ import { define, type Nearest, type PersonInFull, type Recording } from "./peopl
 const ways = ["fingers", "make", "hands", "turn"] as const;
 type Way = (typeof ways)[number];
 
-/** How long a gesture is recorded: long enough to see whether the hand is still. */
+/** The duration of a recording: long enough to see whether the hand is still. */
 const RECORD_MS = 1500;
 const FIST = "22222";
 
@@ -33,8 +33,8 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
   const [failure, setFailure] = useState<string | null>(null);
   const [made, setMade] = useState<{ name: string; nearest: Nearest | null } | null>(null);
 
-  const plain = person.gestures.filter((one) => "code" in one);
-  const worn = person.gloves.find((one) => one.glove === glove) ?? person.gloves[0];
+  const plain = person.gestures.filter((gesture) => "code" in gesture);
+  const worn = person.gloves.find((each) => each.glove === glove) ?? person.gloves[0];
   const [first, second] = [pair[0] || (plain[0]?.name ?? ""), pair[1] || (plain[1]?.name ?? "")];
   const how = (): Recording | null => {
     switch (way) {
@@ -65,28 +65,28 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
       setBusy(false);
     }
   };
-  const options = (side: "left" | "right") => plain.map((one) => ({ value: one.name, hands: [{ code: one.code, side }] }));
+  const options = (side: "left" | "right") => plain.map((gesture) => ({ value: gesture.name, hands: [{ code: gesture.code, side }] }));
 
   return (
     <section className="new-gesture" aria-label={t("new.title")}>
       <h3>{t("new.title")}</h3>
-      <SegmentedControl label={t("new.way")} value={way} options={ways.map((one) => ({ value: one, name: t(`new.ways.${one}`) }))} onChange={setWay} />
+      <SegmentedControl label={t("new.way")} value={way} options={ways.map((way) => ({ value: way, name: t(`new.ways.${way}`) }))} onChange={setWay} />
       <Field label={t("new.name")} value={name} onChange={setName} />
       {way === "fingers" && (
         <div className="new-gesture__fingers">
           <Hand states={code} size="140px" moveMs={160} />
           <div className="new-gesture__states">
-            {fingers.map((finger, nth) => (
+            {fingers.map((finger, index) => (
               <Fragment key={finger}>
                 <span aria-hidden>{t(`hand:finger.${finger}`)}</span>
                 <SegmentedControl
                   label={t(`hand:finger.${finger}`)}
-                  value={code[nth] ?? "2"}
+                  value={code[index] ?? "2"}
                   options={[
                     { value: "0", name: t("new.straight") },
                     { value: "2", name: t("new.bent") },
                   ]}
-                  onChange={(state) => setCode(code.slice(0, nth) + state + code.slice(nth + 1))}
+                  onChange={(state) => setCode(code.slice(0, index) + state + code.slice(index + 1))}
                 />
               </Fragment>
             ))}
@@ -99,15 +99,15 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
         ) : (
           <>
             {person.gloves.length > 1 && (
-              <Select label={t("new.glove")} value={worn.glove} options={person.gloves.map((one) => ({ value: one.glove, name: one.glove }))} onChange={setGlove} />
+              <Select label={t("new.glove")} value={worn.glove} options={person.gloves.map((glove) => ({ value: glove.glove, name: glove.glove }))} onChange={setGlove} />
             )}
             <p className="quiet">{t("new.makeMeans")}</p>
           </>
         ))}
       {(way === "hands" || way === "turn") && (
         <div className="new-gesture__pair">
-          <GesturePicker label={t(way === "hands" ? "new.left" : "new.first")} value={first} options={options(way === "hands" ? "left" : "right")} onChange={(one) => setPair([one, second])} />
-          <GesturePicker label={t(way === "hands" ? "new.right" : "new.second")} value={second} options={options("right")} onChange={(one) => setPair([first, one])} />
+          <GesturePicker label={t(way === "hands" ? "new.left" : "new.first")} value={first} options={options(way === "hands" ? "left" : "right")} onChange={(name) => setPair([name, second])} />
+          <GesturePicker label={t(way === "hands" ? "new.right" : "new.second")} value={second} options={options("right")} onChange={(name) => setPair([first, name])} />
         </div>
       )}
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}

@@ -20,7 +20,7 @@ import "./PeoplePage.css";
 const NOBODY: readonly Person[] = [];
 
 export default function PeoplePage() {
-  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t } = useTranslation(["people", "hand"]);
   const [requests, setRequests] = useState(0);
   // The revision changes when somebody has changed a person, here or in another browser.

@@ -78,7 +78,7 @@ export function PersonPanel({ name, people, revision, onChange, onRemoved }: Per
 
 type Act = (action: Promise<unknown>) => Promise<void>;
 
-/** Who wears each glove; it can be given to this person or taken off. */
+/** The wearer of each glove; a glove can be assigned to this person or released. */
 function Gloves({ person, people, act }: { person: Person; people: readonly Person[]; act: Act }) {
   const { t } = useTranslation("people");
   const gloves = useGloveNames();
@@ -86,14 +86,14 @@ function Gloves({ person, people, act }: { person: Person; people: readonly Pers
   return (
     <div className="people__gloves">
       {gloves.map((glove) => {
-        const wearer = people.find((one) => one.gloves.some((worn) => worn.glove === glove));
+        const wearer = people.find((each) => each.gloves.some((worn) => worn.glove === glove));
         const offered = wearer === undefined || wearer.name === person.name ? [person] : [wearer, person];
         return (
           <Select
             key={glove}
             label={t("gloves.wears", { glove })}
             value={wearer?.name ?? NONE}
-            options={[{ value: NONE, name: t("gloves.nobody") }, ...offered.map((one) => ({ value: one.name, name: one.title ?? one.name }))]}
+            options={[{ value: NONE, name: t("gloves.nobody") }, ...offered.map((each) => ({ value: each.name, name: each.title ?? each.name }))]}
             onChange={(name) => void act(wear(glove, name === NONE ? null : name))}
           />
         );
@@ -104,20 +104,20 @@ function Gloves({ person, people, act }: { person: Person; people: readonly Pers
 
 function Commands({ person, act }: { person: PersonInFull; act: Act }) {
   const { t } = useTranslation("people");
-  const options = [{ value: NONE, name: t("commands.without"), hands: [] }, ...person.gestures.map((one) => ({ value: one.name, hands: partsOf(one), inTurn: "sequence" in one }))];
+  const options = [{ value: NONE, name: t("commands.without"), hands: [] }, ...person.gestures.map((gesture) => ({ value: gesture.name, hands: partsOf(gesture), inTurn: "sequence" in gesture }))];
   const numbers = [...new Set([...Object.keys(person.commands), ...Object.keys(person.ownCommands)])].sort((a, b) => Number(a) - Number(b));
   return (
     <ul className="people__commands">
       {numbers.map((command) => {
-        const given = person.commands[command];
+        const gesture = person.commands[command];
         const isOwn = command in person.ownCommands;
         return (
           <li key={command} data-own={isOwn || undefined}>
             <GesturePicker
               label={t("commands.command", { command })}
-              value={given ?? NONE}
+              value={gesture ?? NONE}
               options={options}
-              onChange={(wanted) => void act(giveCommands(person.name, exchanged(person, command, wanted === NONE ? null : wanted)))}
+              onChange={(chosen) => void act(giveCommands(person.name, exchanged(person, command, chosen === NONE ? null : chosen)))}
             />
             {isOwn && (
               <Button
@@ -137,7 +137,7 @@ function Commands({ person, act }: { person: PersonInFull; act: Act }) {
 function OwnGestures({ person, act }: { person: PersonInFull; act: Act }) {
   const { t } = useTranslation("people");
   const gestureName = useGestureName();
-  const own = person.gestures.filter((one): one is Gesture => one.name in person.ownGestures);
+  const own = person.gestures.filter((gesture): gesture is Gesture => gesture.name in person.ownGestures);
   if (own.length === 0) return <p className="quiet">{t("own.none")}</p>;
   return (
     <ul className="people__own">

@@ -57,9 +57,9 @@ export function takeProfile(person: string, yaml: string): Promise<Person> {
 
 /** The request that gives a command a gesture; a command that has this gesture gets the present one in exchange. */
 export function exchanged(person: Person, command: string, gesture: string | null): Record<string, string | null> {
-  const other = Object.entries(person.commands).find(([one, its]) => its === gesture && one !== command)?.[0];
-  const given = { [command]: gesture };
-  return other === undefined ? given : { ...given, [other]: person.commands[command] ?? null };
+  const other = Object.entries(person.commands).find(([name, value]) => value === gesture && name !== command)?.[0];
+  const change = { [command]: gesture };
+  return other === undefined ? change : { ...change, [other]: person.commands[command] ?? null };
 }
 
 /** The hand shapes that show a gesture. */

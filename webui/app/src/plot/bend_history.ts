@@ -1,4 +1,4 @@
-/** The last half minute of the five bends, in room that is taken once and never grows. */
+/** The last 30 s of the five bends, in a buffer of fixed size. */
 
 const FINGERS = 5;
 
@@ -13,7 +13,7 @@ export class BendHistory {
     this.#bends = Array.from({ length: FINGERS }, () => new Float64Array(room));
   }
 
-  /** Add what was seen at `atS`; what is older than the strip, or than its room, is dropped. */
+  /** Add the bends at `atS`; values that are too old, or exceed the buffer, are dropped. */
   push(atS: number, bend: readonly number[]): void {
     let drop = 0;
     while (drop < this.#count && (this.#times[drop] ?? 0) < atS - this.seconds) drop++;
@@ -29,7 +29,7 @@ export class BendHistory {
     this.#count += 1;
   }
 
-  /** Times, then the five bends: views of what is kept, for the plot. */
+  /** Times, then the five bends: views of the buffer, for the plot. */
   columns(): Float64Array[] {
     return [this.#times, ...this.#bends].map((column) => column.subarray(0, this.#count));
   }

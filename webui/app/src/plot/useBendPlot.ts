@@ -1,6 +1,6 @@
 /**
- * A plot of the five bends of a glove over the last seconds: thirty times a second at most, and only while it
- * is seen.
+* A live plot of the five bends of a glove, updated at most 30 times a second and only while it
+* is visible.
  */
 import { useEffect, useRef, type RefObject } from "react";
 import uPlot from "uplot";
@@ -12,12 +12,12 @@ import { BendHistory } from "./bend_history";
 import { dashes } from "./fingers";
 import "./fingers.css";
 
-/** What makes a plot: its options for the place it stands in, beginning `now` (seconds since 1970). */
+/** Creates the options of a plot for its element; it starts at `now` (seconds since 1970). */
 export type Look = (host: HTMLElement, seconds: number, now: number) => uPlot.Options;
 
 /**
- * Draw the bends of `glove` into the place that is returned, `look` as often as it is another one. The plot
- * itself is there for those who draw on it.
+* Draw the bends of `glove` into the returned element; another `look` creates the plot again. The plot
+* is returned for custom drawing.
  */
 export function useBendPlot(glove: string, seconds: number, look: Look): { place: RefObject<HTMLDivElement | null>; plot: RefObject<uPlot | null> } {
   const live = useLive();
@@ -28,7 +28,7 @@ export function useBendPlot(glove: string, seconds: number, look: Look): { place
   useEffect(() => {
     const host = place.current;
     if (host === null) return;
-    // What has been seen stays when the plot is drawn in another way.
+    // Keep the history when the plot is created again.
     if (history.current?.glove !== glove || history.current.bends.seconds !== seconds) {
       history.current = { glove, bends: new BendHistory(seconds) };
     }
@@ -55,17 +55,17 @@ export function useBendPlot(glove: string, seconds: number, look: Look): { place
       bends.push(Date.now() / 1000, bend);
       drawSoon();
     });
-    const seen = new IntersectionObserver(([entry]) => {
+    const visibility = new IntersectionObserver(([entry]) => {
       isSeen = entry?.isIntersecting ?? true;
       drawSoon();
     });
-    seen.observe(host);
+    visibility.observe(host);
     const resized = new ResizeObserver(() => made.setSize({ width: host.clientWidth, height: host.clientHeight }));
     resized.observe(host);
     return () => {
       cancelAnimationFrame(frame);
       unwatch();
-      seen.disconnect();
+      visibility.disconnect();
       resized.disconnect();
       made.destroy();
       plot.current = null;
@@ -75,7 +75,7 @@ export function useBendPlot(glove: string, seconds: number, look: Look): { place
   return { place, plot };
 }
 
-/** The axes, scales and lines that all such plots have; `width` of a line by finger. */
+/** The common axes, scales and lines; `width` is the line width by finger. */
 export function bendOptions(host: HTMLElement, seconds: number, now: number, language: string, width: (finger: number) => number): uPlot.Options {
   const style = getComputedStyle(host);
   const colour = (name: string) => style.getPropertyValue(name).trim();
@@ -113,9 +113,9 @@ function columnsOf(history: BendHistory): uPlot.AlignedData {
   return history.columns();
 }
 
-/** What the scale has to show, in steps of 250, so that it does not breathe with every movement. */
-export function roomRound(...shown: (number | null)[]): [number, number] {
-  const values = shown.filter((value) => value !== null);
+/** The range of the scale in steps of 250, so that it does not change with every movement. */
+export function roomRound(...included: (number | null)[]): [number, number] {
+  const values = included.filter((value) => value !== null);
   if (values.length === 0) return [0, 2000];
   const least = Math.floor(Math.min(...values) / 250) * 250;
   return [least, Math.max(Math.ceil(Math.max(...values) / 250) * 250, least + 250)];

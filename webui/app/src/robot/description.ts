@@ -1,4 +1,4 @@
-/** What a robot is, as the robot itself describes it: joints with limits, home, gripper and URDF. */
+/** The description of a robot: joints with limits, home, gripper and URDF. */
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { degrees, metres, shortMetres, wholeDegrees } from "./units";
 
@@ -14,7 +14,7 @@ export interface JointDescription {
   labels: Record<string, string>;
 }
 
-/** A joint of the gripper, and where it is in each state of the gripper. */
+/** A joint of the gripper and its position in each state of the gripper. */
 export interface FingerDescription {
   joint: string;
   opened: number;

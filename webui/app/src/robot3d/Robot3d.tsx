@@ -1,4 +1,4 @@
-/** The robot as it moves now, in its cell. Everything of three comes with this part, when it is first shown. */
+/** The live 3D view of a robot in its cell. three.js loads with this module when it is first shown. */
 import { RotateCcw, ZoomIn, ZoomOut } from "lucide-react";
 import { useEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -86,7 +86,7 @@ export default function Robot3d({ robot, description, failure }: { robot: string
   );
 }
 
-/** Update the 3D scene without React: thirty changes of joints a second render nothing else. */
+/** Update the 3D scene without React, because joints change 30 times a second. */
 function follow(live: LiveStore, robot: string, stage: Stage): () => void {
   const [state, stream] = [`robot/${robot}` as const, `robot/${robot}/joints`];
   let scene = new AbortController();
@@ -114,7 +114,7 @@ function follow(live: LiveStore, robot: string, stage: Stage): () => void {
   };
 }
 
-/** Parts come to lie elsewhere only when one is gripped or let go, or a Task begins or ends. */
+/** Positions of parts change only when one is gripped or released, or a Task begins or ends. */
 function arrangementOf(view: RobotView): string {
   return `${view.gripper.holds ?? ""} ${view.task ?? ""}`;
 }
@@ -124,7 +124,7 @@ async function arrange(robot: string, stage: Stage, signal: AbortSignal): Promis
   try {
     scene = await requestService<CellScene>("trajectory-tool", `robots/${encodeURIComponent(robot)}/scene`, { signal });
   } catch {
-    // A robot that does not say what stands round it is shown on a bare table.
+    // A robot without a scene is shown on an empty table.
   }
   if (!signal.aborted) stage.furnish(scene);
 }

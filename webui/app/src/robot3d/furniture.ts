@@ -1,6 +1,6 @@
 /**
- * What stands round the robot: the table, its bins and fixtures and the parts in them, as plain boxes in the
- * frame of the robot's base (metres). The trajectory tool says where the gripper goes; the rest follows from it.
+* The furniture of the cell: the table, its bins and fixtures and the parts in them, as boxes in the
+* frame of the robot's base (metres). Derived from the positions that the trajectory tool gives.
  */
 
 export type Triple = readonly [number, number, number];
@@ -21,7 +21,7 @@ export interface CellScene {
 
 export type PieceKind = "table" | "bin" | "fixture" | "nest" | "part";
 
-/** A box: its middle, its size along its own axes. */
+/** A box: its centre and its size along its own axes. */
 export interface Piece {
   kind: PieceKind;
   name: string;
@@ -30,7 +30,7 @@ export interface Piece {
   orientation: Quaternion;
 }
 
-/** A part as the gripper holds it, by its middle, across the fingers. */
+/** A part in the gripper, held at its centre across the fingers. */
 export const PART_SIZE: Triple = [0.03, 0.075, 0.03];
 
 const UPRIGHT: Quaternion = [0, 0, 0, 1];
@@ -40,13 +40,13 @@ const BIN_HEIGHT_M = 0.11;
 const ROOM_M = 0.075;
 const NEST: Triple = [0.05, 0.085, 0.008];
 
-/** The corners of the robot's foot on the table. */
+/** The corners of the robot's base on the table. */
 export type Footprint = readonly [least: readonly [x: number, y: number], most: readonly [x: number, y: number]];
 
 const SMALL_FOOT: Footprint = [[0, 0], [0, 0]];
 const AROUND_FOOT_M = 0.25;
 
-/** All that stands in a cell; without its scene only the table that the robot needs. */
+/** The furniture of a scene; without a scene only the table below the robot. */
 export function furnitureOf(scene: CellScene | null, foot: Footprint = SMALL_FOOT): Piece[] {
   const bins = Object.entries(scene?.bins ?? {}).flatMap(([name, bin]) => binPieces(name, bin.parts));
   const fixtures = Object.entries(scene?.fixtures ?? {}).flatMap(([name, { nests }]) => fixturePieces(name, nests));
@@ -57,7 +57,7 @@ export function furnitureOf(scene: CellScene | null, foot: Footprint = SMALL_FOO
   return [table(standing, foot), ...standing, ...parts];
 }
 
-/** The table reaches under the robot and all that stands on it. */
+/** The table: below the robot and everything on it. */
 function table(standing: readonly Piece[], [from, to]: Footprint): Piece {
   const corners: Triple[] = [
     [Math.min(from[0], -AROUND_FOOT_M), Math.min(from[1], -AROUND_FOOT_M), 0],
@@ -112,13 +112,13 @@ function fixturePieces(name: string, nests: readonly Spot[]): Piece[] {
   return [plate, ...marks];
 }
 
-/** A turn about the vertical. */
+/** A rotation about the vertical axis. */
 function turned(degrees: number): Quaternion {
   const half = (degrees * Math.PI) / 360;
   return [0, 0, Math.sin(half), Math.cos(half)];
 }
 
-/** The corners of what holds all `points`, with some room round it. */
+/** The corners of the bounding box of `points` with a margin. */
 function extent(points: readonly Triple[], room: number): [Triple, Triple] {
   const along = (axis: 0 | 1 | 2) => points.map((point) => point[axis]);
   return [

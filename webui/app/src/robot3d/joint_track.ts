@@ -1,11 +1,11 @@
 /**
- * Joint states come some 30 times a second at most, a screen draws 60 times: between two of them the arm glides.
- * Every new state is reached in the time that it took to come, so that the arm never overtakes the robot.
+* Joint states arrive at most 30 times a second, a screen draws 60 times: positions between are interpolated.
+* A new state is reached in the interval since the previous one, so that the drawing never overtakes the robot.
  */
 
 const MIN_DURATION_MS = 16;
 const MAX_DURATION_MS = 300;
-/** Nobody sees a joint that moves by less. */
+/** Smaller changes of a joint are not visible. */
 const SAME_RAD = 1e-5;
 
 export class JointTrack {
@@ -42,7 +42,7 @@ export class JointTrack {
     });
   }
 
-  /** Whether the arm still glides after `nowMs`. */
+  /** Whether the interpolation continues after `nowMs`. */
   glides(nowMs: number): boolean {
     return nowMs < this.#startMs + this.#durationMs;
   }

@@ -8,7 +8,7 @@ import known from "./ur10.poses.json";
 const urdf = readFileSync("../../services/trajectory_tool/robots/ur10/ur10.urdf", "utf8")
 const fingers = ["left", "right"].map((side) => ({ joint: `finger_${side}_joint`, opened: 0.034, closed: 0, holding: 0.015 }));;
 
-/** Where the tip of the gripper is for joint angles in rad, seen from the base. */
+/** The position of the gripper's tip for joint angles in rad, in the frame of the base. */
 function tipOf(joints: number[]): { position: Vector3; orientation: Quaternion } {
   const robot = parsed(urdf);
   bend(robot, known.joint_names, joints);

@@ -1,30 +1,30 @@
-/** Turning the view with keys: where the camera stands after a step round what it looks at (z is up, metres). */
+/** Turning the view with keys: the camera's position after a step around its target (z is up, metres). */
 
 export type Point = readonly [x: number, y: number, z: number];
 
 export interface Step {
-  /** To the right round the vertical, rad. */
+  /** Around the vertical to the right, rad. */
   right?: number;
   /** Upwards, rad. */
   up?: number;
-  /** Nearer below 1, farther above. */
+  /** Factor of the distance: below 1 is nearer. */
   distance?: number;
 }
 
-/** How near and how far the camera may be; a large robot needs more. */
+/** The limits of the camera's distance, in reaches of the robot. */
 export interface Distances {
   least: number;
   most: number;
 }
 
 export const DISTANCES: Distances = { least: 0.6, most: 6 };
-/** Neither straight from above nor from below the ground. */
+/** The limits of the polar angle: not vertical, and not from below the ground. */
 const LOWEST_RAD = -0.08;
 const HIGHEST_RAD = Math.PI / 2 - 0.05;
 
 const TURN_RAD = Math.PI / 24;
 
-/** What a key means for the view; null for a key that means nothing here. */
+/** The step of a key; null for other keys. */
 export function stepOf(key: string): Step | "reset" | null {
   switch (key) {
     case "ArrowLeft":

@@ -1,6 +1,6 @@
 /**
- * The stage: the robot in its cell, drawn by three. It draws only when something has changed, a joint, the
- * camera, the theme, the size, and not at all while nobody can see it.
+* The 3D view of the robot in its cell, with three.js. It renders only when a joint, the camera, the theme or
+* the size has changed, and never while it is not visible.
  */
 import {
   AmbientLight, Box3, BoxGeometry, type ColorRepresentation, DirectionalLight, EdgesGeometry, GridHelper, Group,
@@ -15,13 +15,13 @@ import { type CellScene, type Footprint, furnitureOf, PART_SIZE, type Piece, typ
 import { JointTrack } from "./joint_track";
 import { DISTANCES, type Distances, stepOf, stepped } from "./orbit";
 
-/** From the middle of the cell to the camera. */
+/** The direction from the middle of the cell to the camera. */
 const DIRECTION = new Vector3(-1.75, -1.45, 0.98).normalize();
-/** The sphere around a cell is larger than what is seen of it. */
+/** The bounding sphere of a cell is larger than its projection. */
 const FILLED = 0.78;
-/** A view from above shows more of the table below the middle. */
+/** The shift of the view's centre: from above, more of the table is below the middle. */
 const LOWERED = 0.12;
-/** Wider than high, the arm fits at any height; on a narrow screen the camera steps back. */
+/** Below this ratio of width to height the camera moves back. */
 const FITS_AT_ASPECT = 1.3;
 const MAX_PIXEL_RATIO = 2;
 const GROUND_M = -0.051;
@@ -43,7 +43,7 @@ export class Stage {
   readonly #camera = new PerspectiveCamera(38, 1, 0.05, 20);
   readonly #controls: OrbitControls;
   readonly #resized: ResizeObserver;
-  readonly #seen: IntersectionObserver;
+  readonly #visibility: IntersectionObserver;
   readonly #furniture = new Group();
   readonly #track = new JointTrack();
   readonly #description: RobotDescription;
@@ -51,12 +51,12 @@ export class Stage {
   readonly #robotBox: Box3;
   readonly #foot: Footprint;
   readonly #sun = new DirectionalLight("#ffffff", 2.2);
-  readonly #held: Mesh;
+  readonly #grippedPart: Mesh;
   #palette: Palette;
   #grid: GridHelper | null = null;
   #cell: CellScene | null = null;
   #distances: Distances = DISTANCES;
-  /** The view follows the size of the cell until somebody turns it. */
+  /** The view follows the size of the cell until a user turns it. */
   #isTurned = false;
   #names: readonly string[] = [];
   #gripper = "";
@@ -82,34 +82,34 @@ export class Stage {
     this.#camera.up.set(0, 0, 1);
     this.#controls = new OrbitControls(this.#camera, this.#renderer.domElement);
     this.#controls.maxPolarAngle = Math.PI / 2 + 0.08;
-    // The wheel scrolls the page until somebody takes the view in hand; a finger goes on to scroll up and down.
+    // The wheel scrolls the page until the view has been used; vertical touch gestures always scroll.
     this.#controls.enableZoom = false;
     this.#renderer.domElement.style.touchAction = "pan-y";
     this.#controls.addEventListener("change", this.draw);
     this.#controls.addEventListener("start", () => (this.#isTurned = true));
 
-    this.#held = new Mesh(new BoxGeometry(...PART_SIZE), new MeshStandardMaterial());
-    this.#held.visible = false;
-    this.#held.castShadow = true;
-    robot.links[description.tip]?.add(this.#held);
+    this.#grippedPart = new Mesh(new BoxGeometry(...PART_SIZE), new MeshStandardMaterial());
+    this.#grippedPart.visible = false;
+    this.#grippedPart.castShadow = true;
+    robot.links[description.tip]?.add(this.#grippedPart);
     this.#scene.add(robot, this.#furniture, this.#sun, this.#sun.target, ...ambientLights());
     this.#shine();
     this.restyle(palette);
 
     this.#resized = new ResizeObserver(() => this.#fit());
     this.#resized.observe(host);
-    this.#seen = new IntersectionObserver(([entry]) => {
+    this.#visibility = new IntersectionObserver(([entry]) => {
       this.#inView = entry?.isIntersecting ?? true;
       this.draw();
     });
-    this.#seen.observe(host);
+    this.#visibility.observe(host);
     document.addEventListener("visibilitychange", this.draw);
     host.addEventListener("focusin", this.#taken);
     host.addEventListener("focusout", this.#left);
     this.#renderer.domElement.addEventListener("webglcontextrestored", this.draw);
   }
 
-  /** Take notice of the joints as they are now; the arm glides there. */
+  /** Set the target positions of the joints; the arm is interpolated to them. */
   joints(names: readonly string[], positions: readonly number[]): void {
     this.#names = names;
     if (this.#track.push(positions, performance.now())) this.draw();
@@ -120,11 +120,11 @@ export class Stage {
     if (state === this.#gripper) return;
     this.#gripper = state;
     grip(this.#robot, this.#description.fingers, closed, holds);
-    this.#held.visible = holds;
+    this.#grippedPart.visible = holds;
     this.draw();
   }
 
-  /** Put up what stands round the robot. */
+  /** Show the furniture of the cell. */
   furnish(cell: CellScene | null): void {
     this.#cell = cell;
     for (const piece of [...this.#furniture.children]) release(piece);
@@ -136,7 +136,7 @@ export class Stage {
   restyle(palette: Palette): void {
     this.#palette = palette;
     this.#renderer.setClearColor(palette.ground);
-    (this.#held.material as MeshStandardMaterial).color.set(palette.part);
+    (this.#grippedPart.material as MeshStandardMaterial).color.set(palette.part);
     this.#dropGrid();
     const size = Math.max(6, Math.ceil(4 * sphereOf(this.#robotBox).radius));
     this.#grid = new GridHelper(size, 4 * size, palette.line, palette.line);
@@ -146,7 +146,7 @@ export class Stage {
     this.furnish(this.#cell);
   }
 
-  /** Answer a key; returns whether it meant something. */
+  /** Handle a key; returns whether it had an effect. */
   key(key: string): boolean {
     const step = stepOf(key);
     if (step === null) return false;
@@ -162,7 +162,7 @@ export class Stage {
     return true;
   }
 
-  /** Look at the whole cell as at first. */
+  /** Restore the initial view of the whole cell. */
   reset(): void {
     const { center, radius } = sphereOf(new Box3().setFromObject(this.#furniture).union(this.#robotBox));
     const back = Math.max(1, FITS_AT_ASPECT / this.#camera.aspect);
@@ -180,7 +180,7 @@ export class Stage {
     this.draw();
   }
 
-  /** Have a picture drawn soon, if anybody can see it. */
+  /** Request a frame if the view is visible. */
   readonly draw = (): void => {
     if (this.#frame !== 0 || document.hidden || !this.#inView) return;
     this.#frame = requestAnimationFrame((nowMs) => {
@@ -195,7 +195,7 @@ export class Stage {
     cancelAnimationFrame(this.#frame);
     this.#frame = -1;
     this.#resized.disconnect();
-    this.#seen.disconnect();
+    this.#visibility.disconnect();
     document.removeEventListener("visibilitychange", this.draw);
     this.#host.removeEventListener("focusin", this.#taken);
     this.#host.removeEventListener("focusout", this.#left);
@@ -205,7 +205,7 @@ export class Stage {
     release(this.#robot);
     this.#sun.dispose();
     this.#renderer.dispose();
-    // A browser gives out only some sixteen contexts; one that waits for the collector may be one too many.
+    // Browsers limit WebGL contexts to about 16: release it now, not at garbage collection.
     this.#renderer.forceContextLoss();
     this.#renderer.domElement.remove();
   }
@@ -218,7 +218,7 @@ export class Stage {
     this.#controls.enableZoom = false;
   };
 
-  /** Put the sun over the robot; its shadows reach as far as the arm. */
+  /** Place the light above the robot; its shadows cover the reach of the arm. */
   #shine(): void {
     const { center, radius } = sphereOf(this.#robotBox);
     const reach = Math.max(1.6, 1.6 * radius);

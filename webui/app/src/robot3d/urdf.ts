@@ -51,8 +51,8 @@ function showSomething(link: URDFLink, rod: number): void {
 
 function drawn(part: Object3D): boolean {
   let found = false;
-  part.traverse((one) => {
-    found ||= one instanceof Mesh;
+  part.traverse((child) => {
+    found ||= child instanceof Mesh;
   });
   return found;
 }
@@ -77,7 +77,7 @@ function rodRadius(robot: URDFRobot): number {
   return 0.03 * Math.max(...distances, 0.1);
 }
 
-/** Move the joints by name (rad or m); joints that the description lacks are left out. */
+/** Move the joints by name (rad or m); unknown joints are ignored. */
 export function bend(robot: URDFRobot, names: readonly string[], positions: readonly number[]): void {
   names.forEach((name, number) => {
     const angle = positions[number];
@@ -85,7 +85,7 @@ export function bend(robot: URDFRobot, names: readonly string[], positions: read
   });
 }
 
-/** Open or close the fingers; they close round a part, or upon each other. */
+/** Open or close the fingers; they close around a part, or completely. */
 export function grip(robot: URDFRobot, fingers: readonly FingerDescription[], closed: boolean, holds: boolean): void {
   for (const { joint, ...at } of fingers) {
     if (joint in robot.joints) robot.setJointValue(joint, closed ? (holds ? at.holding : at.closed) : at.opened);
@@ -101,13 +101,13 @@ export function boxesOf(robot: URDFRobot, names: readonly string[], positions: r
   return { robot: new Box3().setFromObject(robot), root };
 }
 
-/** Give back what the graphics card keeps for `object` and all in it. */
+/** Release the graphics memory of `object` and its children. */
 export function release(object: Object3D): void {
   object.traverse((part) => {
     if (!(part instanceof Mesh || part instanceof LineSegments)) return;
     const { geometry, material } = part as Mesh;
     geometry.dispose();
-    for (const one of Array.isArray(material) ? material : [material]) one.dispose();
+    for (const each of Array.isArray(material) ? material : [material]) each.dispose();
   });
   object.removeFromParent();
 }

@@ -1,4 +1,4 @@
-/** The URL holds the state of a page, so that it can be sent to a colleague. */
+/** State of a page in the URL, so that a link shows the same to a colleague. */
 import { useCallback } from "react";
 import { useSearchParams } from "wouter";
 

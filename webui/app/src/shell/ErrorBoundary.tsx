@@ -1,4 +1,4 @@
-/** What stands in the place of a page that has a fault of its own: the work does not depend on it. */
+/** Replaces a page that failed to render; the rest of the application keeps working. */
 import { Component, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";

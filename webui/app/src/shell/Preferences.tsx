@@ -1,4 +1,4 @@
-/** How the screen looks and speaks, and whose name it notes; kept on this device. */
+/** Theme, language and user name, stored on this device. */
 import { useState } from "react";
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";

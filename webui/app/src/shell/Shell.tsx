@@ -1,4 +1,4 @@
-/** The frame round every page: where one can go, whether the cell is there, and how the screen speaks. */
+/** The frame of every page: navigation, connection state and preferences. */
 import {
   CircleHelp, ClipboardList, Cog, Crosshair, HardHat, House, ListTodo, Settings2, SlidersHorizontal, Users, Workflow,
 } from "lucide-react";
@@ -39,8 +39,8 @@ export function Shell({ children }: { children: ReactNode }) {
     const listen = (event: KeyboardEvent) => {
       if (isForOtherTarget(event)) return;
       const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-      const page = pages.find((one) => one.key === key);
-      const act = pageKeys.find((one) => one.key === key)?.act;
+      const page = pages.find((each) => each.key === key);
+      const act = pageKeys.find((each) => each.key === key)?.act;
       if (key === "?") setShowsKeys(true);
       else if (act !== undefined) act();
       else if (page !== undefined) go(page.path);
@@ -115,7 +115,7 @@ function LinkBanner() {
   const [late, setLate] = useState(false);
   useEffect(() => {
     if (link === "open") return;
-    // A reconnection that takes a moment is nobody's concern; nothing blinks for it.
+    // A short reconnection is not shown, so that the bar does not flicker.
     const timer = setTimeout(() => setLate(true), 1000);
     return () => {
       clearTimeout(timer);

@@ -4,7 +4,7 @@ import { useEffect, useRef, useSyncExternalStore } from "react";
 export interface Key {
   /** A `KeyboardEvent.key`, in lower case. */
   key: string;
-  /** What it does, in the language of the page. */
+  /** The action, in the language of the page. */
   does: string;
   act: () => void;
 }
@@ -17,7 +17,7 @@ function set(keys: readonly Key[]): void {
   for (const listener of listeners) listener();
 }
 
-/** Offer keys while this page is shown. */
+/** Handle keys while the page is mounted. */
 export function useKeys(keys: readonly Key[]): void {
   const signature = keys.map((key) => `${key.key} ${key.does}`).join("\n");
   const newest = useRef(keys);
@@ -25,7 +25,7 @@ export function useKeys(keys: readonly Key[]): void {
     newest.current = keys;
   });
   useEffect(() => {
-    set(newest.current.map((key, nth) => ({ ...key, act: () => newest.current[nth]?.act() })));
+    set(newest.current.map((key, index) => ({ ...key, act: () => newest.current[index]?.act() })));
     return () => set([]);
   }, [signature]);
 }

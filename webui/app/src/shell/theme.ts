@@ -8,17 +8,17 @@ const device = matchMedia("(prefers-color-scheme: dark)");
 const listeners = new Set<() => void>();
 
 export function storedTheme(): Theme {
-  const kept = localStorage.getItem(STORAGE_KEY);
-  return kept === "light" || kept === "dark" ? kept : "system";
+  const stored = localStorage.getItem(STORAGE_KEY);
+  return stored === "light" || stored === "dark" ? stored : "system";
 }
 
-function shown(): "light" | "dark" {
+function effectiveTheme(): "light" | "dark" {
   const chosen = storedTheme();
   return chosen === "system" ? (device.matches ? "dark" : "light") : chosen;
 }
 
 function apply(): void {
-  document.documentElement.dataset["theme"] = shown();
+  document.documentElement.dataset["theme"] = effectiveTheme();
   for (const listener of listeners) listener();
 }
 
@@ -32,10 +32,10 @@ export function initTheme(): void {
   apply();
 }
 
-/** The theme that is shown, for what cannot be drawn with CSS: plots and the 3D view. */
+/** The effective theme, for drawings without CSS: plots and the 3D view. */
 export function useShownTheme(): "light" | "dark" {
   return useSyncExternalStore((listener) => {
     listeners.add(listener);
     return () => listeners.delete(listener);
-  }, shown);
+  }, effectiveTheme);
 }

@@ -1,4 +1,4 @@
-/** Who stands at this screen: asked once, kept on this device, noted with what is done by hand. */
+/** The name of the person at this screen: asked once, stored on this device, recorded with manual actions. */
 import { useState, useSyncExternalStore } from "react";
 import { useTranslation } from "react-i18next";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
@@ -24,16 +24,16 @@ export function useUserName(): string {
 }
 
 /**
- * Do something that is noted with a name: `withName(act)` runs `act(name)` at once when the name is known,
- * else asks for it first; `question` is the dialog to put on the page.
+* An action that is recorded with a name: `withName(act)` runs `act(name)` at once if the name is known,
+* else asks for it first; render `question`, the dialog.
  */
 export function useWithName(size: "normal" | "large" = "normal") {
   const { t } = useTranslation("common");
   const [waiting, setWaiting] = useState<((name: string) => Promise<unknown>) | null>(null);
   const [name, setName] = useState("");
   const withName = async (act: (name: string) => Promise<unknown>): Promise<void> => {
-    const known = userName();
-    if (known !== "") await act(known);
+    const name = userName();
+    if (name !== "") await act(name);
     else setWaiting(() => act);
   };
   const question = (

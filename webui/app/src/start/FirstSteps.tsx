@@ -1,4 +1,4 @@
-/** First steps: three things make a cell, and whether each is there. */
+/** First steps: a glove, a robot and a process, and whether each is ready. */
 import { Bot, Hand, Play, Workflow, X } from "lucide-react";
 import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -37,7 +37,7 @@ export function FirstSteps({ onDismiss }: { onDismiss: () => void }) {
 function ProcessCard() {
   const { t } = useTranslation("common");
   const definition = useTopic(`definition/${DEMO}`);
-  const running = useFamily("process").some((one) => one.definition === DEMO && one.endedAt === null);
+  const running = useFamily("process").some((process) => process.definition === DEMO && process.endedAt === null);
   const [, go] = useLocation();
   const { busy, failure, perform } = useAction();
   const isReady = definition !== undefined && definition.unusable === undefined;
@@ -80,12 +80,12 @@ function GloveCard() {
   const operator = useTopic("operator");
   const { busy, failure, perform } = useAction();
   const connected = gloves.find((glove) => glove.connected);
-  const known = connected ?? gloves[0];
+  const firstGlove = connected ?? gloves[0];
   const state =
     connected !== undefined ? (
       <StatusBadge tone="ok">{t("start.glove.connected", { glove: connected.glove })}</StatusBadge>
-    ) : known !== undefined ? (
-      <StatusBadge tone="attention">{t("start.glove.waiting", { glove: known.glove })}</StatusBadge>
+    ) : firstGlove !== undefined ? (
+      <StatusBadge tone="attention">{t("start.glove.waiting", { glove: firstGlove.glove })}</StatusBadge>
     ) : (
       <StatusBadge tone="neutral">{t("start.glove.none")}</StatusBadge>
     );
@@ -100,7 +100,7 @@ function GloveCard() {
         </Button>
       ) : (
         connected === undefined && (
-          <Button isDisabled={busy || operator === undefined} onPress={() => perform(() => startOperator(known?.glove ?? DEFAULT_GLOVE))}>
+          <Button isDisabled={busy || operator === undefined} onPress={() => perform(() => startOperator(firstGlove?.glove ?? DEFAULT_GLOVE))}>
             {t("start.glove.simulate")}
           </Button>
         )

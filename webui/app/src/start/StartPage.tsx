@@ -1,4 +1,4 @@
-/** The first page: what runs, what waits for whom, what is wrong, how the day goes. */
+/** The start page: running processes, waiting Tasks, problems and the counts of the day. */
 import { CircleCheck } from "lucide-react";
 import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -25,7 +25,7 @@ import { FirstSteps } from "./FirstSteps";
 import { byPerformer, failedSince, startOfDay, waitingTasks, withIncidents } from "./overview";
 import "./StartPage.css";
 
-/** So many of each are listed; the page of the rest is one press away. */
+/** Each list shows this many entries and a link to the rest. */
 const MAX_LISTED = 6;
 const POLL_INTERVAL_MS = 15_000;
 const DISMISSED = "handover.firstSteps";
@@ -54,19 +54,19 @@ export default function StartPage() {
   );
 }
 
-/** The first steps go when they have been followed (a glove, a robot, and a process that ended well) or dismissed. */
+/** Whether the first steps are hidden: completed (a glove, a robot, a completed process) or dismissed. */
 function useFirstSteps(): [boolean, (dismissed?: boolean) => void] {
   const gloves = useFamily("glove");
   const robots = useFamily("robot");
   const isFollowed =
     useFamily("process").some((process) => process.status === "completed") && gloves.some((glove) => glove.connected) && robots.length > 0;
-  const [kept, setKept] = useState(() => localStorage.getItem(DISMISSED));
+  const [stored, setStored] = useState(() => localStorage.getItem(DISMISSED));
   const dismiss = (dismissed = true) => {
     const value = dismissed ? "dismissed" : "wanted";
     localStorage.setItem(DISMISSED, value);
-    setKept(value);
+    setStored(value);
   };
-  return [kept === "dismissed" || (kept === null && isFollowed), dismiss];
+  return [stored === "dismissed" || (stored === null && isFollowed), dismiss];
 }
 
 /** The counts of the processes that ended today. */
@@ -79,14 +79,14 @@ function useDay(): PeriodStatistics | null {
 function Day() {
   const { t, i18n } = useTranslation("common");
   const day = useDay();
-  const said = (value: number | undefined) => (value === undefined ? "–" : number(value, i18n.language));
+  const formatted = (value: number | undefined) => (value === undefined ? "–" : number(value, i18n.language));
   return (
     <Card className="start__day" title={t("start.day.title")}>
       <dl className="start__figures">
-        <Figure name={t("start.day.running")}>{said(day?.running)}</Figure>
-        <Figure name={t("start.day.completed")}>{said(day?.completed)}</Figure>
+        <Figure name={t("start.day.running")}>{formatted(day?.running)}</Figure>
+        <Figure name={t("start.day.completed")}>{formatted(day?.completed)}</Figure>
         <Figure name={t("start.day.failed")} isBad={(day?.failed ?? 0) > 0}>
-          {said(day?.failed)}
+          {formatted(day?.failed)}
         </Figure>
         <Figure name={t("start.day.median")}>{day?.medianMs == null ? "–" : duration(day.medianMs, i18n.language)}</Figure>
       </dl>
@@ -129,9 +129,9 @@ function WaitingFor() {
     <Listing title={t("start.waiting.title")} all={waiting} href="/processes" none={t("start.waiting.none")}
       lead={who.length > 0 && (
         <p className="start__who small">
-          {who.slice(0, MAX_LISTED).map((one) => (
-            <span key={one.who}>
-              {one.who || t("start.waiting.nobody")} <strong>{one.count}</strong>
+          {who.slice(0, MAX_LISTED).map((each) => (
+            <span key={each.who}>
+              {each.who || t("start.waiting.nobody")} <strong>{each.count}</strong>
             </span>
           ))}
         </p>
@@ -182,7 +182,7 @@ function Wrong() {
           <li>
             <Link href="/system?tab=alerts">{t("start.wrong.alerts", { count })}</Link>
             <span className="quiet small">
-              {(["critical", "high", "medium", "low"] as const).filter((one) => byPriority[one] > 0).map((one) => `${t(`priority.${one}`)} ${byPriority[one]}`).join(" · ")}
+              {(["critical", "high", "medium", "low"] as const).filter((priority) => byPriority[priority] > 0).map((priority) => `${t(`priority.${priority}`)} ${byPriority[priority]}`).join(" · ")}
             </span>
           </li>
         )}
@@ -232,7 +232,7 @@ interface ListingProps<T> {
   href: string;
   none: string;
   lead?: ReactNode;
-  children: (one: T) => ReactNode;
+  children: (item: T) => ReactNode;
 }
 
 function Listing<T>({ title, all, href, none, lead, children }: ListingProps<T>) {

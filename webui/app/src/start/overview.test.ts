@@ -11,7 +11,7 @@ test("open tasks stand by how long they have waited, and for whom", () => {
     process({ id: "b", tasks: [asked("early", "ur10-1", 3), asked("middle", "glove-1", 5), task({ id: "called back", cancelled: true })] }),
     process({ id: "c", endedAt: at(9), tasks: [asked("of an ended process", "glove-2", 1)] }),
   ]);
-  expect(waiting.map((one) => one.task.id)).toEqual(["early", "middle", "late"]);
+  expect(waiting.map((each) => each.task.id)).toEqual(["early", "middle", "late"]);
   expect(waiting[1]?.since).toBe(at(5));
   expect(byPerformer(waiting)).toEqual([
     { who: "glove-1", count: 2, since: at(5) },
@@ -21,7 +21,7 @@ test("open tasks stand by how long they have waited, and for whom", () => {
 
 test("failed processes of the day, the newest first", () => {
   const failed = (id: string, second: number) => process({ id, status: "failed", endedAt: at(second) });
-  expect(failedSince([failed("a", 5), failed("b", 9), failed("old", 1), process({ id: "runs" })], at(2)).map((one) => one.id)).toEqual(["b", "a"]);
+  expect(failedSince([failed("a", 5), failed("b", 9), failed("old", 1), process({ id: "runs" })], at(2)).map((each) => each.id)).toEqual(["b", "a"]);
 });
 
 test("a day begins at midnight where the reader is", () => {

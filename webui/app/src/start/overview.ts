@@ -1,4 +1,4 @@
-/** What the dashboard shows of the cell: which Tasks wait for whom and since when, and which processes need a look. */
+/** Data of the dashboard: waiting Tasks by resource, and processes that need attention. */
 import type { ProcessView, TaskView } from "~/live/messages";
 import { processState } from "~/live/processState";
 import { shortName } from "~/live/urn";
@@ -6,13 +6,13 @@ import { shortName } from "~/live/urn";
 export interface Waiting {
   process: ProcessView;
   task: TaskView;
-  /** For whom, by the short name of the first resource; "" for nobody. */
+  /** The short name of the first resource; "" without one. */
   who: string;
-  /** When the Task got the state it has. */
+  /** The time of the last change of the Task's state. */
   since: string;
 }
 
-/** The open Tasks, the one that has waited longest first: an order that new Tasks do not change. */
+/** The open Tasks, the longest waiting first, so that new Tasks do not move the others. */
 export function waitingTasks(processes: readonly ProcessView[]): Waiting[] {
   const all = processes
     .filter((process) => process.endedAt === null)
@@ -27,18 +27,18 @@ export function waitingTasks(processes: readonly ProcessView[]): Waiting[] {
   return all.sort((a, b) => (a.since === b.since ? (a.task.id < b.task.id ? -1 : 1) : a.since < b.since ? -1 : 1));
 }
 
-/** How many open Tasks each has, the busiest first. */
+/** The number of open Tasks by resource, the highest first. */
 export function byPerformer(waiting: readonly Waiting[]): { who: string; count: number; since: string }[] {
   const found = new Map<string, { who: string; count: number; since: string }>();
   for (const { who, since } of waiting) {
-    const known = found.get(who);
-    if (known === undefined) found.set(who, { who, count: 1, since });
-    else known.count += 1;
+    const group = found.get(who);
+    if (group === undefined) found.set(who, { who, count: 1, since });
+    else group.count += 1;
   }
   return [...found.values()].sort((a, b) => b.count - a.count || (a.who < b.who ? -1 : 1));
 }
 
-/** The processes that failed since a moment, the newest first. */
+/** The processes that failed since a time, the newest first. */
 export function failedSince(processes: readonly ProcessView[], since: string): ProcessView[] {
   return processes
     .filter((process) => process.status === "failed" && (process.endedAt ?? "") >= since)
@@ -51,7 +51,7 @@ export function withIncidents(processes: readonly ProcessView[]): ProcessView[] 
   return processes.filter((process) => processState(process) === "incident").sort((a, b) => (since(a) < since(b) ? -1 : 1));
 }
 
-/** The first moment of the day that `now` (in ms) is in, where the reader is. */
+/** The start of the day of `now` (in ms), in the local time zone. */
 export function startOfDay(now: number): string {
   const day = new Date(now);
   day.setHours(0, 0, 0, 0);

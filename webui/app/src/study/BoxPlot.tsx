@@ -1,4 +1,4 @@
-/** Box plots from 0 to 100: quartiles, median, whiskers, what lies beyond, and the mean. */
+/** Box plots from 0 to 100: quartiles, median, whiskers, outliers and mean. */
 import type { Summary } from "./study";
 
 export interface BoxPlotProps {
@@ -18,12 +18,12 @@ const at = (value: number): number => LEFT + ((WIDTH - LEFT - RIGHT) * value) / 
 
 export function BoxPlot({ label, rows, line }: BoxPlotProps) {
   const heights = rows.map((row) => row.parts.length * (PART + 4) + GAP);
-  const topOf = (nth: number) => heights.slice(0, nth).reduce((sum, height) => sum + height, 6);
+  const topOf = (index: number) => heights.slice(0, index).reduce((sum, height) => sum + height, 6);
   const bottom = topOf(rows.length);
   return (
     <div className="boxes__scroll" role="region" tabIndex={0} aria-label={label}>
       <svg className="boxes" viewBox={`0 0 ${WIDTH} ${bottom + 24}`} role="img" aria-label={label}>
-        {Array.from({ length: 11 }, (_, nth) => nth * 10).map((value) => (
+        {Array.from({ length: 11 }, (_, index) => index * 10).map((value) => (
           <g key={value}>
             <line className="boxes__grid" x1={at(value)} x2={at(value)} y1={0} y2={bottom} />
             <text className="boxes__tick" x={at(value)} y={bottom + 17} textAnchor="middle">
@@ -32,13 +32,13 @@ export function BoxPlot({ label, rows, line }: BoxPlotProps) {
           </g>
         ))}
         {line !== undefined && <line className="boxes__line" x1={at(line)} x2={at(line)} y1={0} y2={bottom} />}
-        {rows.map((row, nth) => (
+        {rows.map((row, index) => (
           <g key={row.name}>
-            <text className="boxes__name" x={LEFT - 12} y={topOf(nth) + ((heights[nth] ?? 0) - GAP) / 2 + 3} textAnchor="end">
+            <text className="boxes__name" x={LEFT - 12} y={topOf(index) + ((heights[index] ?? 0) - GAP) / 2 + 3} textAnchor="end">
               {row.name}
             </text>
             {row.parts.map(({ tone, summary }, place) => (
-              <Box key={tone} tone={tone} summary={summary} y={topOf(nth) + place * (PART + 4)} />
+              <Box key={tone} tone={tone} summary={summary} y={topOf(index) + place * (PART + 4)} />
             ))}
           </g>
         ))}
@@ -58,8 +58,8 @@ function Box({ tone, summary, y }: { tone: string; summary: Summary; y: number }
       <path d={whiskers + ends} />
       <rect x={at(box.q1)} y={y} width={Math.max(1, at(box.q3) - at(box.q1))} height={PART} />
       <path className="boxes__median" d={`M${at(box.median)} ${y}v${PART}`} />
-      {box.outliers.map((value, nth) => (
-        <circle key={nth} cx={at(value)} cy={middle} r={3} />
+      {box.outliers.map((value, index) => (
+        <circle key={index} cx={at(value)} cy={middle} r={3} />
       ))}
       {mean !== null && <path className="boxes__mean" d={`M${at(mean) - 5} ${middle}l5 -5l5 5l-5 5z`} />}
     </g>

@@ -54,13 +54,13 @@ function Begin({ open }: { open: (session: string) => void }) {
   const { t, i18n } = useTranslation("study");
   const gloves = useGloveNames();
   const [pseudonym, setPseudonym] = useState("");
-  const [language, setLanguage] = useState<Language>(languages.find((one) => one === i18n.language) ?? "en");
+  const [language, setLanguage] = useState<Language>(languages.find((each) => each === i18n.language) ?? "en");
   const [chosen, setGlove] = useState<string | null>(null);
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const glove = chosen ?? gloves[0] ?? "";
   const person = useTopicSelector(`glove/${glove}`, (view) => view?.person ?? null);
-  const options = [...gloves.map((one) => ({ value: one, name: one })), { value: "", name: t("begin.noGlove") }];
+  const options = [...gloves.map((glove) => ({ value: glove, name: glove })), { value: "", name: t("begin.noGlove") }];
   const begin = async () => {
     setBusy(true);
     setFailure(null);
@@ -91,7 +91,7 @@ function Begin({ open }: { open: (session: string) => void }) {
         <SegmentedControl<Language>
           label={t("begin.language")}
           value={language}
-          options={languages.map((one) => ({ value: one, name: t(`language.${one}`) }))}
+          options={languages.map((language) => ({ value: language, name: t(`language.${language}`) }))}
           onChange={setLanguage}
         />
         {language !== "en" && <p className="quiet">{t("begin.translated")}</p>}
@@ -107,7 +107,7 @@ function Begin({ open }: { open: (session: string) => void }) {
   );
 }
 
-/** Whose gestures "personal" are: without any of their own, both conditions would be the same. */
+/** The person whose gestures are "personal": without own gestures, both conditions would be equal. */
 function Wearer({ person }: { person: string | null }) {
   const { t } = useTranslation("study");
   const { value } = useServiceQuery<{ ownCommands: Record<string, unknown> }>("gesture-controller", person === null ? null : `people/${encodeURIComponent(person)}`);

@@ -1,4 +1,4 @@
-/** For who takes part: one step at a time, in their own language, kept as soon as it is answered. */
+/** The participant's view: one step at a time, in their language, stored as soon as it is answered. */
 import { CircleCheck } from "lucide-react";
 import { useEffect, useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -43,7 +43,7 @@ export function Participant({ session: id }: { session: string }) {
   };
   const mode = useParticipantMode();
   useEffect(() => {
-    // From here on the screen is the participant's.
+    // Enter the participant's mode.
     if (loaded !== null) enterParticipantMode({ session: loaded.id, glove: loaded.glove, language: loaded.language, pseudonym: loaded.pseudonym });
   }, [loaded]);
   if (lost !== null) return <ErrorMessage act={mode === null ? null : <LeaveButton mode={mode} />}>{lost}</ErrorMessage>;

@@ -1,4 +1,4 @@
-/** The frame round what a participant sees: no other pages, and one button that pauses or withdraws. */
+/** The frame of the participant's pages: no navigation, and one button that pauses or withdraws. */
 import { CirclePause } from "lucide-react";
 import i18next from "i18next";
 import { Suspense, useEffect, useState, type ReactNode } from "react";
@@ -117,7 +117,7 @@ function Withdrawn({ mode }: { mode: ParticipantMode }) {
   );
 }
 
-/** Gives the screen back to who leads the study, who has the code. */
+/** Returns the screen to the study leader, who has the code. */
 export function LeaveButton({ mode }: { mode: ParticipantMode }) {
   const { t } = useTranslation("study", { lng: mode.language });
   const [asking, setAsking] = useState(false);

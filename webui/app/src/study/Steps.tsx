@@ -1,4 +1,4 @@
-/** The steps between the questionnaires: consent, a word about oneself, tasks, and what was preferred. */
+/** The steps between the questionnaires: consent, introduction, tasks and preference. */
 import { HardHat } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -58,9 +58,9 @@ export function About({ words, session, answer, busy }: StepProps) {
         <RadioGroup value={experience} onChange={setExperience} className="participant__choices">
           <Label>{words.introduction.experience}</Label>
           <div>
-            {experiences.map((one) => (
-              <RadioOption key={one} value={one} className="participant__choice">
-                {words.introduction[one]}
+            {experiences.map((experience) => (
+              <RadioOption key={experience} value={experience} className="participant__choice">
+                {words.introduction[experience]}
               </RadioOption>
             ))}
           </div>
@@ -112,9 +112,9 @@ export function Preference({ words, session, answer, busy }: StepProps) {
       <h1>{words.steps.preference.title}</h1>
       <RadioGroup aria-label={words.steps.preference.title} value={preferred} onChange={setPreferred} className="participant__choices">
         <div>
-          {preferences.map((one) => (
-            <RadioOption key={one} value={one} className="participant__choice">
-              {words.preference[one]}
+          {preferences.map((preference) => (
+            <RadioOption key={preference} value={preference} className="participant__choice">
+              {words.preference[preference]}
             </RadioOption>
           ))}
         </div>

@@ -1,4 +1,4 @@
-/** The Study page: sessions and what they say, for who leads the study; step by step for who takes part. */
+/** The Study page: sessions and results for the study leader, the steps for a participant. */
 import { useQueryParameter } from "~/route/queryParameter";
 import { Overview } from "./Overview";
 import { Participant } from "./Participant";

@@ -1,4 +1,4 @@
-/** SUS on the screen: ten statements, five big places each; the arrow keys move, all must be answered. */
+/** The SUS questionnaire: ten statements with five large options each; all must be answered. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Label, RadioGroup } from "react-aria-components";
@@ -12,19 +12,19 @@ export function SusForm({ words, session, answer, busy }: StepProps) {
   const { t } = useTranslation("study", { lng: session.language });
   const { sus } = words;
   const [answers, setAnswers] = useState<readonly (number | null)[]>(() => sus.items.map(() => null));
-  const open = answers.filter((one) => one === null).length;
-  const set = (nth: number, value: string) => setAnswers(answers.map((one, other) => (other === nth ? Number(value) : one)));
+  const open = answers.filter((answer) => answer === null).length;
+  const set = (index: number, value: string) => setAnswers(answers.map((answer, other) => (other === index ? Number(value) : answer)));
   const nameOf = (place: number) => (place === 1 ? `1, ${sus.disagree}` : place === 5 ? `5, ${sus.agree}` : String(place));
   return (
     <>
       <h1>{sus.title}</h1>
       <p className="participant__text">{sus.ask}</p>
       <ol className="questions">
-        {sus.items.map((item, nth) => (
+        {sus.items.map((item, index) => (
           <li key={item}>
-            <RadioGroup orientation="horizontal" value={answers[nth]?.toString() ?? null} onChange={(value) => set(nth, value)}>
+            <RadioGroup orientation="horizontal" value={answers[index]?.toString() ?? null} onChange={(value) => set(index, value)}>
               <Label>
-                {nth + 1}. {item}
+                {index + 1}. {item}
               </Label>
               <div className="questions__places">
                 <span aria-hidden>{sus.disagree}</span>

@@ -1,6 +1,6 @@
 /**
- * NASA-TLX on the screen: six scales that begin unmarked, without a mark or a filled track that would suggest a
- * place, then one of each of fifteen pairs.
+* The NASA-TLX questionnaire: six scales without an initial mark or a filled track that would suggest a
+* value, then a choice in each of fifteen pairs.
  */
 import { useState, type CSSProperties } from "react";
 import { useTranslation } from "react-i18next";
@@ -85,7 +85,7 @@ function Pairs({ words, session, answer, busy, ratings, back }: PairsProps) {
   const pairs = session.pairs ?? [];
   const [chosen, setChosen] = useState<readonly string[]>([]);
   const pair = pairs[chosen.length];
-  const send = (all: readonly string[]) => answer({ ratings, choices: pairs.map((of, nth) => ({ of, chosen: all[nth] })) });
+  const send = (all: readonly string[]) => answer({ ratings, choices: pairs.map((of, index) => ({ of, chosen: all[index] })) });
   const choose = (scale: string) => {
     const all = [...chosen, scale];
     setChosen(all);
@@ -95,7 +95,7 @@ function Pairs({ words, session, answer, busy, ratings, back }: PairsProps) {
   return (
     <>
       <h1>{words.tlx.choose}</h1>
-      <p className="participant__text">{t("pair", { nth: Math.min(chosen.length + 1, pairs.length), of: pairs.length })}</p>
+      <p className="participant__text">{t("pair", { index: Math.min(chosen.length + 1, pairs.length), of: pairs.length })}</p>
       {pair !== undefined && (
         <div className="pair" key={pair.join(" ")}>
           {pair.map((scale) => (

@@ -1,7 +1,7 @@
 /**
  * The participant's mode of this browser: while a participant has the screen, it shows the study and the Work
- * page of their glove and nothing else. Kept on this device, so that loading the page again changes nothing.
- * The code keeps a participant from leaving by chance; it is no protection against an attacker.
+* page of their glove and nothing else. Stored on this device, so that reloading the page does not end it.
+* The code prevents leaving by accident; it is no protection against an attacker.
  */
 import { useSyncExternalStore } from "react";
 import type { Language } from "./study";
@@ -54,10 +54,10 @@ export function leaveParticipantMode(): void {
   set(null);
 }
 
-/** Return the code that gives the screen back to who leads the study; four digits, made up once a device. */
+/** Return the code that returns the screen to the study leader: four digits, generated once per device. */
 export function leaderCode(): string {
-  const kept = localStorage.getItem(KEPT_CODE);
-  if (kept !== null && kept !== "") return kept;
+  const stored = localStorage.getItem(KEPT_CODE);
+  if (stored !== null && stored !== "") return stored;
   const [number = 0] = crypto.getRandomValues(new Uint32Array(1));
   const code = String(1000 + (number % 9000));
   localStorage.setItem(KEPT_CODE, code);

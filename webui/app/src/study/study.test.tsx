@@ -11,7 +11,7 @@ const scales = ["mental", "physical", "effort"];
 const scale = (title: string) => ({ title, ask: `How much ${title}?`, low: "Low", high: "High" });
 const words = {
   sus: { title: "How was the system?", ask: "", disagree: "Disagree", agree: "Agree", items: ["I like it.", "It is complex."] },
-  tlx: { title: "How was the task?", ask: "", choose: "Which of the two?", scales: Object.fromEntries(scales.map((one) => [one, scale(one)])) },
+  tlx: { title: "How was the task?", ask: "", choose: "Which of the two?", scales: Object.fromEntries(scales.map((name) => [name, scale(name)])) },
   scales,
   scaleStep: 5,
 } as unknown as Wording;
@@ -47,14 +47,14 @@ describe("the questionnaires", () => {
     const { container } = render(<TlxForm words={words} session={session} busy={false} answer={answer} />);
     const sliders = [...container.querySelectorAll("input[type=range]")];
     expect(sliders.map((slider) => slider.getAttribute("aria-valuetext"))).toEqual(Array(3).fill("not rated yet"));
-    sliders.forEach((slider, nth) => fireEvent.change(slider, { target: { value: String(10 * (nth + 1)) } }));
+    sliders.forEach((slider, index) => fireEvent.change(slider, { target: { value: String(10 * (index + 1)) } }));
     fireEvent.click(screen.getByText("Next"));
     fireEvent.click(screen.getByText("mental"));
     fireEvent.click(screen.getByText("Back"));
     for (const chosen of ["physical", "mental", "effort"]) fireEvent.click(screen.getByText(chosen));
     expect(answer).toHaveBeenCalledWith({
       ratings: { mental: 10, physical: 20, effort: 30 },
-      choices: pairs.map((of, nth) => ({ of, chosen: ["physical", "mental", "effort"][nth] })),
+      choices: pairs.map((of, index) => ({ of, chosen: ["physical", "mental", "effort"][index] })),
     });
   });
 

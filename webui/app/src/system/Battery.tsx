@@ -1,4 +1,4 @@
-/** A battery: how full, and whether somebody should think of charging it. */
+/** The level of a battery, and whether it should be charged. */
 import { BatteryFull, BatteryLow, BatteryMedium, BatteryWarning } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { percent as percentOf } from "~/design/numbers";

@@ -1,4 +1,4 @@
-/** The System page: whether every part of the cell is well, and what has happened to it. */
+/** The System page: the health of all parts of the cell, and its events. */
 import { useTranslation } from "react-i18next";
 import { useEffect, useRef, type ReactNode } from "react";
 import { Tab, TabList, TabPanel, Tabs } from "react-aria-components";
@@ -30,13 +30,13 @@ const allTabs = [
 type TabId = (typeof allTabs)[number]["id"];
 
 export default function SystemPage() {
-  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t } = useTranslation(["system", "hand"]);
-  const [asked, setTab] = useQueryParameter("tab", "services");
+  const [tabParameter, setTab] = useQueryParameter("tab", "services");
   const hasRos = (useTopic("services") ?? []).some((service) => service.name === "ros-bridge");
-  // A cell without a ROS bridge lacks nothing; it has one tab less.
-  const tabs = allTabs.filter((one) => one.id !== "ros" || hasRos);
-  const tab = tabs.find((one) => one.id === asked)?.id ?? "services";
+  // Without a ROS bridge there is no ROS tab.
+  const tabs = allTabs.filter((tab) => tab.id !== "ros" || hasRos);
+  const tab = tabs.find((tab) => tab.id === tabParameter)?.id ?? "services";
   useKeys(tabs.map(({ id, key }) => ({ key, does: t("keys.show", { tab: t(`tab.${id}`) }), act: () => setTab(id) })));
   return (
     <div className="system">
@@ -65,7 +65,7 @@ export default function SystemPage() {
   );
 }
 
-/** On a phone the row of tabs is longer than the screen: the open one is always visible. */
+/** On a phone the tabs are wider than the screen: scroll the open one into view. */
 function ScrolledIntoView({ isWanted, children }: { isWanted: boolean; children: ReactNode }) {
   const face = useRef<HTMLSpanElement>(null);
   useEffect(() => {
@@ -78,7 +78,7 @@ function ScrolledIntoView({ isWanted, children }: { isWanted: boolean; children:
   );
 }
 
-/** What a tab has to say while another is open: how many there are, or how many need somebody. */
+/** The badge of a tab: the number of entries, or of those that need attention. */
 function Count({ tab }: { tab: TabId }): ReactNode {
   switch (tab) {
     case "services":

@@ -24,24 +24,24 @@ const tones: Partial<Record<Phase, Tone>> = { finished: "ok", interrupted: "atte
 export function Accuracy({ glove }: { glove: string }) {
   const { t } = useTranslation("test");
   const onItsWay = useTopicSelector(`glove/${glove}`, (view) => view?.accuracyTest?.id ?? null);
-  const [asked, setTest] = useQueryParameter("test");
+  const [testParameter, setTest] = useQueryParameter("test");
   const { value: tests, failure, reload } = useServiceQuery<TestSummary[]>("gesture-controller", "tests", { revision: onItsWay ?? "" });
   if (onItsWay !== null) return <Trial glove={glove} />;
   const mine = (tests ?? []).filter((test) => test.glove === glove);
-  const shown = mine.find((test) => test.id === asked) ?? mine[0];
+  const selected = mine.find((test) => test.id === testParameter) ?? mine[0];
   return (
     <div className="test__columns">
       <div className="test__column">
         <Planning glove={glove} />
         {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-        {shown !== undefined && <Earlier tests={mine} shown={shown.id} show={setTest} reload={reload} />}
+        {selected !== undefined && <Earlier tests={mine} selected={selected.id} show={setTest} reload={reload} />}
       </div>
-      {tests !== null && shown === undefined && (
+      {tests !== null && selected === undefined && (
         <Card title={t("report.title")}>
           <EmptyState title={t("earlier.none.title")}>{t("earlier.none.means")}</EmptyState>
         </Card>
       )}
-      {shown !== undefined && <TestReport key={`${shown.id} ${shown.phase}`} test={shown.id} />}
+      {selected !== undefined && <TestReport key={`${selected.id} ${selected.phase}`} test={selected.id} />}
     </div>
   );
 }
@@ -55,9 +55,9 @@ function Planning({ glove }: { glove: string }) {
   const [failure, setFailure] = useState<string | null>(null);
   const [busy, setBusy] = useState(false);
   const isConnected = useTopicSelector(`glove/${glove}`, (view) => view?.connected) === true;
-  const plain = (gestures ?? []).filter(isPlain).map((one) => one.name);
-  const chosen = plain.filter((one) => !left.includes(one));
-  const often = Number(rounds.find((one) => one === howOften) ?? "10");
+  const plain = (gestures ?? []).filter(isPlain).map((gesture) => gesture.name);
+  const chosen = plain.filter((name) => !left.includes(name));
+  const often = Number(rounds.find((round) => round === howOften) ?? "10");
   const begin = async () => {
     setBusy(true);
     setFailure(null);
@@ -73,7 +73,7 @@ function Planning({ glove }: { glove: string }) {
     <Card title={t("plan.title")}>
       <p className="quiet">{t("plan.means")}</p>
       <div className="test__plan">
-        <SegmentedControl label={t("plan.rounds")} value={String(often)} options={rounds.map((one) => ({ value: one, name: t("plan.times", { count: Number(one) }) }))} onChange={setHowOften} />
+        <SegmentedControl label={t("plan.rounds")} value={String(often)} options={rounds.map((round) => ({ value: round, name: t("plan.times", { count: Number(round) }) }))} onChange={setHowOften} />
         <Button kind="main" isDisabled={busy || !isConnected || chosen.length === 0} onPress={() => void begin()}>
           {t("plan.begin", { count: chosen.length * often })}
         </Button>
@@ -84,13 +84,13 @@ function Planning({ glove }: { glove: string }) {
         <summary>{t("plan.which", { chosen: chosen.length, all: plain.length })}</summary>
         {plain.length < (gestures ?? []).length && <p className="quiet">{t("plan.composed")}</p>}
         <div className="test__gestures">
-          {plain.map((one) => (
+          {plain.map((name) => (
             <Checkbox
-              key={one}
-              isSelected={!left.includes(one)}
-              onChange={(isSelected) => setLeft(isSelected ? left.filter((other) => other !== one) : [...left, one])}
+              key={name}
+              isSelected={!left.includes(name)}
+              onChange={(isSelected) => setLeft(isSelected ? left.filter((other) => other !== name) : [...left, name])}
             >
-              {nameOf(one)}
+              {nameOf(name)}
             </Checkbox>
           ))}
         </div>
@@ -101,12 +101,12 @@ function Planning({ glove }: { glove: string }) {
 
 interface EarlierProps {
   tests: readonly TestSummary[];
-  shown: string;
+  selected: string;
   show: (test: string) => void;
   reload: () => void;
 }
 
-function Earlier({ tests, shown, show, reload }: EarlierProps) {
+function Earlier({ tests, selected, show, reload }: EarlierProps) {
   const { t, i18n } = useTranslation("test");
   const when = (at: string) => new Date(at).toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "short" });
   const [leaving, setLeaving] = useState<TestSummary | null>(null);
@@ -120,7 +120,7 @@ function Earlier({ tests, shown, show, reload }: EarlierProps) {
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       <ul className="test__list">
         {tests.map((test) => (
-          <li key={test.id} aria-current={test.id === shown || undefined}>
+          <li key={test.id} aria-current={test.id === selected || undefined}>
             <button type="button" className="test__open" onClick={() => show(test.id)}>
               {when(test.beganAt)} · {t("earlier.size", { gestures: test.gestures.length, rounds: test.rounds })}
             </button>

@@ -23,17 +23,17 @@ export function FreeTrial({ glove }: { glove: string }) {
   const { t } = useTranslation(["test", "hand"]);
   const nameOf = useGestureName();
   const [failure, setFailure] = useState<string | null>(null);
-  const [asked, setAsked] = useQueryParameter("gesture", "Thumbs up");
+  const [gestureParameter, setGesture] = useQueryParameter("gesture", "Thumbs up");
   const { value: gestures } = useServiceQuery<Gesture[]>("gesture-controller", "gestures");
   const plain = (gestures ?? []).filter(isPlain);
-  const wanted = plain.find((one) => one.name === asked) ?? plain[0];
+  const target = plain.find((gesture) => gesture.name === gestureParameter) ?? plain[0];
   const isTesting = useTopicSelector(`glove/${glove}`, (view) => view?.testing) === true;
   const side = useTopicSelector(`glove/${glove}`, (view) => view?.hand) ?? "right";
   const states = useTopicSelector(`glove/${glove}`, (view) => view?.states ?? null);
-  const seen = useTopicSelector(`glove/${glove}`, (view) => view?.gesture ?? null);
-  const isRight = seen !== null && seen === wanted?.name;
-  const code = wanted?.code ?? "";
-  const differs = states === null || isRight ? [] : fingers.filter((_, nth) => code[nth] !== undefined && states[nth] !== code[nth]);
+  const recognized = useTopicSelector(`glove/${glove}`, (view) => view?.gesture ?? null);
+  const isRight = recognized !== null && recognized === target?.name;
+  const code = target?.code ?? "";
+  const differs = states === null || isRight ? [] : fingers.filter((_, index) => code[index] !== undefined && states[index] !== code[index]);
   const change = (on: boolean) => {
     setFailure(null);
     setTesting(glove, on).catch((error: unknown) => setFailure(errorText(error)));
@@ -53,18 +53,18 @@ export function FreeTrial({ glove }: { glove: string }) {
     >
       <p>{isTesting ? <StatusBadge tone="accent">{t("try.isOn")}</StatusBadge> : <StatusBadge tone="attention">{t("try.isOff")}</StatusBadge>}</p>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-      {wanted !== undefined && (
+      {target !== undefined && (
         <div className="test__two">
           <section className="test__side">
-            <GesturePicker label={t("try.wanted")} value={wanted.name} options={plain.map((one) => ({ value: one.name, hands: [{ code: one.code, side }] }))} onChange={setAsked} />
-            <Hand key={wanted.name} states={code} side={side} animateFrom="00000" size="min(44vh, 420px)" label={nameOf(wanted.name)} />
+            <GesturePicker label={t("try.wanted")} value={target.name} options={plain.map((gesture) => ({ value: gesture.name, hands: [{ code: gesture.code, side }] }))} onChange={setGesture} />
+            <Hand key={target.name} states={code} side={side} animateFrom="00000" size="min(44vh, 420px)" label={nameOf(target.name)} />
           </section>
           <section className={isRight ? "test__side test__side--right" : "test__side test__side--wrong"} aria-live="polite">
             <p className="test__seen">
               {states === null ? (
                 <StatusBadge tone="neutral">{t("try.unseen")}</StatusBadge>
               ) : (
-                <StatusBadge tone={isRight ? "ok" : "stop"}>{seen === null ? t("try.noGesture") : nameOf(seen)}</StatusBadge>
+                <StatusBadge tone={isRight ? "ok" : "stop"}>{recognized === null ? t("try.noGesture") : nameOf(recognized)}</StatusBadge>
               )}
             </p>
             {states !== null && <Hand states={states} side={side} moveMs={140} size="min(44vh, 420px)" differs={differs} />}
@@ -91,11 +91,11 @@ function Values({ glove, differs }: { glove: string; differs: readonly Finger[] 
         </tr>
       </thead>
       <tbody>
-        {fingers.map((finger, nth) => (
+        {fingers.map((finger, index) => (
           <tr key={finger} data-differs={differs.includes(finger) || undefined}>
             <th scope="row">{t(`hand:finger.${finger}`)}</th>
-            <td>{values[nth] === undefined ? "–" : number(Number(values[nth]), i18n.language)}</td>
-            <td>{states[nth] === undefined ? "–" : t(`try.is.${words[Number(states[nth])] ?? "between"}`)}</td>
+            <td>{values[index] === undefined ? "–" : number(Number(values[index]), i18n.language)}</td>
+            <td>{states[index] === undefined ? "–" : t(`try.fingerState.${words[Number(states[index])] ?? "between"}`)}</td>
           </tr>
         ))}
       </tbody>

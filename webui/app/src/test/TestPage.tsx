@@ -14,12 +14,12 @@ const parts = ["try", "accuracy"] as const;
 type Part = (typeof parts)[number];
 
 export default function TestPage() {
-  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t } = useTranslation(["test", "hand"]);
   const glove = useSelectedGlove();
   const [askedPart, setPart] = useQueryParameter("part", "try");
-  const part: Part = parts.find((one) => one === askedPart) ?? "try";
-  useKeys(parts.map((one) => ({ key: one.charAt(0), does: t(`part.${one}`), act: () => setPart(one) })));
+  const part: Part = parts.find((part) => part === askedPart) ?? "try";
+  useKeys(parts.map((part) => ({ key: part.charAt(0), does: t(`part.${part}`), act: () => setPart(part) })));
   return (
     <div className="test">
       <header className="test__head">
@@ -27,7 +27,7 @@ export default function TestPage() {
         {glove !== undefined && (
           <>
             <GloveSelect glove={glove} />
-            <SegmentedControl<Part> label={t("title")} value={part} options={parts.map((one) => ({ value: one, name: t(`part.${one}`) }))} onChange={setPart} />
+            <SegmentedControl<Part> label={t("title")} value={part} options={parts.map((part) => ({ value: part, name: t(`part.${part}`) }))} onChange={setPart} />
             <Link glove={glove} />
           </>
         )}

@@ -90,7 +90,7 @@ function Matrix({ report }: { report: Report }) {
   const { t } = useTranslation("test");
   const nameOf = useGestureName();
   const { asked, recognized, counts } = report.confusion;
-  const called = (one: string) => (one === "no gesture" ? t("report.noGesture") : one === "nothing kept" ? t("report.nothing") : nameOf(one));
+  const nameOfColumn = (name: string) => (name === "no gesture" ? t("report.noGesture") : name === "nothing kept" ? t("report.nothing") : nameOf(name));
   const columns = columnsOf(report.confusion);
   return (
     <div className="test__scroll" role="region" tabIndex={0} aria-label={t("report.confusion")}>
@@ -100,7 +100,7 @@ function Matrix({ report }: { report: Report }) {
             <td />
             {columns.map((column) => (
               <th key={column} scope="col">
-                <span>{called(recognized[column] ?? "")}</span>
+                <span>{nameOfColumn(recognized[column] ?? "")}</span>
               </th>
             ))}
           </tr>

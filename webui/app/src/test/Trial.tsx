@@ -1,4 +1,4 @@
-/** A test on its way: the hand to make, large, and what came of the one before. */
+/** A running test: the requested hand and the result of the previous trial. */
 import { Check, CircleX, Hand as HandIcon, RotateCcw, TriangleAlert } from "lucide-react";
 import { memo, useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -41,12 +41,12 @@ function Stage({ accuracyTest, side, states, isConnected }: StageProps) {
     ...(waits ? [{ key: "Enter", does: t("trial.continue"), act: () => lead("continue") }] : []),
     { key: "x", does: t("trial.stop"), act: () => lead("stop") },
   ]);
-  const held = Math.min(1, accuracyTest.heldMs / accuracyTest.holdMs);
+  const holdPart = Math.min(1, accuracyTest.heldMs / accuracyTest.holdMs);
   const title = asked === null ? t(`trial.${waits ? phase : "rest"}.title`) : nameOf(asked.gesture);
   return (
     <section className="trial" data-phase={phase}>
       <div className="trial__figure">
-        <Asked code={asked?.code ?? "00000"} side={side} label={title} />
+        <RequestedHand code={asked?.code ?? "00000"} side={side} label={title} />
       </div>
       <div className="trial__words">
         <p className="trial__how">{asked === null ? t("trial.wait") : t("trial.show")}</p>
@@ -54,7 +54,7 @@ function Stage({ accuracyTest, side, states, isConnected }: StageProps) {
         {asked === null && <p className="trial__said">{t(`trial.${waits ? phase : "rest"}.means`)}</p>}
         {asked !== null && (
           <div className="trial__held" role="presentation">
-            <div style={{ inlineSize: `${held * 100}%` }} />
+            <div style={{ inlineSize: `${holdPart * 100}%` }} />
           </div>
         )}
         {!isConnected && !waits && <ErrorMessage>{t("trial.away")}</ErrorMessage>}
@@ -82,7 +82,7 @@ function Stage({ accuracyTest, side, states, isConnected }: StageProps) {
   );
 }
 
-const Asked = memo(function Asked({ code, side, label }: { code: string; side: "left" | "right"; label: string }) {
+const RequestedHand = memo(function RequestedHand({ code, side, label }: { code: string; side: "left" | "right"; label: string }) {
   return <Hand key={code} states={code} side={side} animateFrom="00000" size="100%" label={label} />;
 });
 

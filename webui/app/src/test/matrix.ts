@@ -1,4 +1,4 @@
-/** The confusion matrix: which of its columns say anything. */
+/** The columns of the confusion matrix that are worth showing. */
 import type { Report } from "./tests";
 
 /** The columns with counts and those of the requested gestures, in their order. */

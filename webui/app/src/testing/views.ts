@@ -1,4 +1,4 @@
-/** Tasks and processes for tests, as the orchestrator answers them. */
+/** Tasks and processes for tests, in the format of the orchestrator. */
 import type { Incident, ProcessView, TaskView } from "~/live/messages";
 
 const START = Date.parse("2026-03-02T08:00:00Z");

@@ -1,4 +1,4 @@
-/** The acts of a situation, in one place at the foot of the page: the main one is always visible. */
+/** The actions of a situation, at the bottom of the page; the main one is always visible. */
 import { Ban, CircleX, MessageSquareWarning } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -40,7 +40,7 @@ function OtherActs({ situation, acts, acting, report }: ActionBarProps) {
   const [, go] = useLocation();
   const mayLeave = useParticipantMode() === null;
   switch (situation.kind) {
-    case "asked":
+    case "prompt":
     case "gloveLost":
       return (
         acts.report !== null && (
@@ -85,7 +85,7 @@ function OtherActs({ situation, acts, acting, report }: ActionBarProps) {
   }
 }
 
-/** Cancels a process that cannot continue, so that another one can be started; asks once. */
+/** Cancels a process that cannot continue, after a confirmation, so that another can be started. */
 function CancelButton({ process, acting }: { process: ProcessView; acting: ActionState }) {
   const { t } = useTranslation("work");
   const [asks, setAsks] = useState(false);

@@ -1,4 +1,4 @@
-/** The gestures that answer something else than the one asked for: small hands with their words. */
+/** The gestures for the other outcomes (not good, problem): small hands with labels. */
 import { memo } from "react";
 import { useTranslation } from "react-i18next";
 import { Hand, useGestureName } from "~/hand/Hand";
@@ -7,12 +7,12 @@ import type { AnswerOption, GloveTask, GloveView, Outcome } from "~/live/message
 export interface AnswerHandsProps {
   task: GloveTask;
   side: GloveView["hand"];
-  /** What the gesture that is held would answer. */
+  /** The outcome of the gesture that is held. */
   held: Outcome | null;
 }
 
 export function AnswerHands({ task, side, held }: AnswerHandsProps) {
-  return (task.answers ?? []).map((one) => <AnswerHand key={one.outcome} {...one} side={side} held={held === one.outcome} />);
+  return (task.answers ?? []).map((answer) => <AnswerHand key={answer.outcome} {...answer} side={side} held={held === answer.outcome} />);
 }
 
 const AnswerHand = memo(function AnswerHand({ outcome, gesture, code, side, held }: AnswerOption & { side: GloveView["hand"]; held: boolean }) {

@@ -1,4 +1,4 @@
-/** A gesture of both hands, or of two in turn: both parts, which of them is right, and which is due. */
+/** A gesture of both hands or of two in sequence: both parts with their states. */
 import { ArrowRight } from "lucide-react";
 import { Fragment } from "react";
 import { useTranslation } from "react-i18next";
@@ -12,7 +12,7 @@ import "./ComposedFigure.css";
 export interface ComposedFigureProps {
   glove: GloveView;
   parts: readonly GesturePart[];
-  /** Whether holding it counts now. */
+  /** Whether holding the gesture counts now. */
   open: boolean;
   done?: boolean;
 }
@@ -25,11 +25,11 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
   const inTurn = parts.every(({ hand }) => hand === null);
   return (
     <ul className="figures">
-      {parts.map((part, nth) => {
+      {parts.map((part, index) => {
         const state = done ? "done" : part.state;
         return (
-          <Fragment key={nth}>
-            {inTurn && nth > 0 && (
+          <Fragment key={index}>
+            {inTurn && index > 0 && (
               <li className="figures__then" aria-hidden>
                 <ArrowRight width="100%" />
               </li>
@@ -40,9 +40,9 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
                 <PromptHand code={part.code} side={part.hand ?? glove.hand} gesture={part.gesture} done={done} />
                 {done && <DoneCheck />}
               </div>
-              <p className="figures__place">{t(`part.${part.hand ?? (nth === 0 ? "first" : "second")}`)}</p>
+              <p className="figures__place">{t(`part.${part.hand ?? (index === 0 ? "first" : "second")}`)}</p>
               <p className="figures__name">{nameOf(part.gesture)}</p>
-              <StatusBadge tone={tones[state]}>{t(`part.is.${state}`)}</StatusBadge>
+              <StatusBadge tone={tones[state]}>{t(`part.state.${state}`)}</StatusBadge>
             </li>
           </Fragment>
         );
@@ -51,7 +51,7 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
   );
 }
 
-/** Whether the ring of a part fills: of both hands once both are right, of two in turn that of the one that is due. */
+/** Whether the ring of a part fills: for two hands once both are right, in a sequence for the present part. */
 function isHeld(glove: GloveView, parts: readonly GesturePart[], part: GesturePart): boolean {
   if (part.hand !== null) return parts.every(({ state }) => state === "held");
   return part.state === "now" && glove.states === part.code && glove.hold.gesture !== null && !glove.hold.spent;

@@ -1,4 +1,4 @@
-/** The states in which the work stands still, as the whole page: an icon, a word, a colour, and what to do. */
+/** Full-page states that stop the work: an icon, a word, a colour and the remedy. */
 import { CirclePause, CloudOff, HandHelping, Hourglass, OctagonX, ServerCrash, Users, WifiOff } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
@@ -11,7 +11,7 @@ import { FullPageState } from "./FullPageState";
 
 export function FaultStage({ situation, choose }: { situation: Situation; choose: (glove: string) => void }) {
   const { t } = useTranslation("work");
-  const said = useMessageText();
+  const messageText = useMessageText();
   switch (situation.kind) {
     case "connecting":
       return <FullPageState tone="neutral" icon={<Hourglass aria-hidden />} title={t("connecting.title")} />;
@@ -21,7 +21,7 @@ export function FaultStage({ situation, choose }: { situation: Situation; choose
           tone="attention"
           icon={<CirclePause aria-hidden />}
           title={t("paused")}
-          means={said(situation.glove.message)}
+          means={messageText(situation.glove.message)}
           todo={t("waitingStep", { task: situation.task.description })}
         />
       );
@@ -69,9 +69,9 @@ export function FaultStage({ situation, choose }: { situation: Situation; choose
     case "chooseGlove":
       return (
         <FullPageState tone="accent" icon={<Users aria-hidden />} title={t("choose.title")} means={t("choose.means")}>
-          {situation.gloves.map((one) => (
-            <Button key={one.glove} size="large" onPress={() => choose(one.glove)}>
-              {t("by.choose", { name: one.person === null ? one.glove : `${one.person} (${one.glove})` })}
+          {situation.gloves.map((glove) => (
+            <Button key={glove.glove} size="large" onPress={() => choose(glove.glove)}>
+              {t("by.choose", { name: glove.person === null ? glove.glove : `${glove.person} (${glove.glove})` })}
             </Button>
           ))}
         </FullPageState>
@@ -81,7 +81,7 @@ export function FaultStage({ situation, choose }: { situation: Situation; choose
   }
 }
 
-/** A failed process: what a person has reported, or the reason in the service's own words. */
+/** A failed process: the report of a person, or the reason from the service. */
 function Failed({ process }: { process: ProcessView }) {
   const { t } = useTranslation("work");
   const reported = useReported(process);
@@ -97,7 +97,7 @@ function Failed({ process }: { process: ProcessView }) {
   );
 }
 
-/** An incident: the step that cannot continue, and why; other steps of the process may continue. */
+/** An incident: the step that cannot continue and the reason; other steps may continue. */
 function Stopped({ process, incident }: { process: ProcessView; incident: Incident }) {
   const { t } = useTranslation("work");
   const reported = useReported(process, incident.task);
@@ -121,13 +121,13 @@ function useReported(process: ProcessView, of: string | null = null): string | n
   const { t } = useTranslation("work");
   const failed = process.tasks.filter(({ status, outputParameters }) => status === "failed" && isReport(outputParameters?.["outcome"]));
   const task: TaskView | undefined = of === null ? failed.at(-1) : failed.find(({ id }) => isSame(id, of));
-  const given = task?.outputParameters;
-  if (task === undefined || given == null) return null;
-  const { outcome, note, operator } = given;
+  const output = task?.outputParameters;
+  if (task === undefined || output == null) return null;
+  const { outcome, note, operator } = output;
   const who = typeof operator === "string" ? operator : "";
   const what = t(`outcome.${outcome === "problem" ? "problem" : "notGood"}`);
-  const said = who === "" ? t("reported.what", { what, task: task.name }) : t("reported.by", { what, who, task: task.name });
-  return typeof note === "string" && note !== "" ? `${said} ${t("reported.note", { note })}` : said;
+  const messageText = who === "" ? t("reported.what", { what, task: task.name }) : t("reported.by", { what, who, task: task.name });
+  return typeof note === "string" && note !== "" ? `${messageText} ${t("reported.note", { note })}` : messageText;
 }
 
 function isReport(outcome: unknown): boolean {

@@ -1,4 +1,4 @@
-/** The gesture to show, large in its ring, and the check mark after it was confirmed. */
+/** The requested gesture in its ring, and the check mark after it was confirmed. */
 import { Check } from "lucide-react";
 import { memo } from "react";
 import { Hand, useGestureName } from "~/hand/Hand";
@@ -41,7 +41,7 @@ interface PromptHandProps {
   done?: boolean;
 }
 
-/** Rendered once per step, not for every frame of the glove; it moves from the open hand unless it is done. */
+/** Rendered once per step, not for every frame of the glove; animated from the open hand unless done. */
 export const PromptHand = memo(function PromptHand({ code, side, gesture, done = false }: PromptHandProps) {
   const nameOf = useGestureName();
   return <Hand states={code} side={side} {...(done ? {} : { animateFrom: "00000" })} closeUp label={nameOf(gesture)} />;

@@ -1,4 +1,4 @@
-/** A state of the whole page: what has happened, what it means for the work, what to do. */
+/** A full-page state: the event, its effect on the work and the remedy. */
 import type { ReactNode } from "react";
 import type { Tone } from "~/design/StatusBadge";
 import "./FullPageState.css";
@@ -9,7 +9,7 @@ export interface FullPageStateProps {
   title: string;
   means?: string | undefined;
   todo?: string | undefined;
-  /** In the service's own words. */
+  /** The text of the service. */
   detail?: string | null | undefined;
   children?: ReactNode;
 }

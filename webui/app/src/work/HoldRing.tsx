@@ -1,7 +1,7 @@
 /**
- * The ring round the hand: grey while nothing counts, filling while the right gesture is held. It is drawn
- * from what the controller says, and by the clock of the page between two of its words; never further than
- * a moment beyond them.
+* The ring around the hand: grey while nothing counts, filling while the right gesture is held. It is drawn
+* from the messages of the controller and, between two messages, by the clock of the page, at most
+* a short time ahead.
  */
 import { useEffect, useRef } from "react";
 import type { GloveView } from "~/live/messages";
@@ -13,9 +13,9 @@ const ROUND = 2 * Math.PI * RADIUS;
 
 export interface HoldRingProps {
   hold: GloveView["hold"];
-  /** What is held is what is asked for. */
+  /** The held gesture is the requested one. */
   right: boolean;
-  /** It has counted: the ring is closed. */
+  /** The gesture was confirmed: the ring is closed. */
   closed?: boolean;
 }
 

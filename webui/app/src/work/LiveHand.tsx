@@ -1,4 +1,4 @@
-/** The hand in the glove as the controller reads it, small, with the fingers that differ pointed out. */
+/** The live hand in the glove; fingers that differ from the requested gesture are highlighted. */
 import { memo } from "react";
 import { useTranslation } from "react-i18next";
 import { fingers } from "~/hand/geometry";
@@ -18,11 +18,11 @@ export function LiveHand({ glove }: { glove: GloveView }) {
   );
 }
 
-/** The same of both hands where both are asked. */
+/** Both live hands for a gesture of two hands. */
 export function LiveHands({ glove, parts }: { glove: GloveView; parts: readonly GesturePart[] }) {
   const { t } = useTranslation("work");
   const gloves = useFamily("glove");
-  const other = gloves.find((one) => glove.person !== null && one.person === glove.person && one.hand !== glove.hand);
+  const other = gloves.find((each) => glove.person !== null && each.person === glove.person && each.hand !== glove.hand);
   if (other === undefined || parts.every(({ hand }) => hand === null)) return <LiveHand glove={glove} />;
   const worn = [glove, other].sort((a, b) => (a.hand < b.hand ? -1 : 1));
   return (
@@ -41,14 +41,14 @@ export function LiveHands({ glove, parts }: { glove: GloveView; parts: readonly 
   );
 }
 
-/** An open hand differs in everything; fingers are pointed out when the controller speaks of them. */
+/** Fingers are highlighted only if the controller's message names them: an open hand differs in all. */
 function showsAdvice({ message }: GloveView): boolean {
   return message.key === "almost" || message.key === "wrong";
 }
 
 function differing(states: string, side: GloveView["hand"], parts: readonly GesturePart[]): string {
   const code = parts.find(({ hand }) => hand === side)?.code ?? states;
-  return fingers.filter((_, nth) => states[nth] !== code[nth]).join(" ");
+  return fingers.filter((_, index) => states[index] !== code[index]).join(" ");
 }
 
 const Drawn = memo(function Drawn({ states, side, differs }: { states: string; side: "left" | "right"; differs: string }) {

@@ -1,4 +1,4 @@
-/** What the hand is asked for: what to do, the gesture, what the controller says, and the hand as it is. */
+/** A Task for the hand: description, gesture, message of the controller and the live hand. */
 import { MessageSquareWarning } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { useGestureName } from "~/hand/Hand";
@@ -22,7 +22,7 @@ export interface PromptStageProps {
 export function PromptStage({ glove, task, answerWaits }: PromptStageProps) {
   const { t } = useTranslation("work");
   const nameOf = useGestureName();
-  const said = useMessageText();
+  const messageText = useMessageText();
   const gesture = nameOf(task.gesture);
   const isRight = glove.message.key === "holdOn";
   return (
@@ -34,7 +34,7 @@ export function PromptStage({ glove, task, answerWaits }: PromptStageProps) {
           <span className="work__show">{t("show")}</span> {gesture}
         </p>
         <p className={isRight ? "work__message work__message--right" : "work__message"} role="status">
-          {said(glove.message)}
+          {messageText(glove.message)}
         </p>
         {glove.testing && <p className="work__notice">{t("testing")}</p>}
         {!glove.filtering && <p className="work__notice">{t("unfiltered")}</p>}
@@ -64,7 +64,7 @@ function TaskFigure({ glove, task, open, done = false }: TaskFigureProps) {
   );
 }
 
-/** The calm check: it has counted. What was reported is said as calmly, with its own sign. */
+/** The confirmation of an answer: a check mark, or the sign of a report. */
 export function DoneStage({ glove, task, operator, outcome }: { glove: GloveView; task: GloveTask; operator: string | null; outcome: Outcome }) {
   const { t } = useTranslation("work");
   if (outcome !== "ok") {

@@ -1,4 +1,4 @@
-/** Answering that something is not good, or that there is a problem: a note if one likes, and one confirmation. */
+/** Reports "not good" or a problem, with an optional note and a confirmation. */
 import { useState } from "react";
 import { Label, TextArea, TextField } from "react-aria-components";
 import { useTranslation } from "react-i18next";
@@ -7,12 +7,12 @@ import type { Outcome } from "~/live/messages";
 
 export type ReportedOutcome = Exclude<Outcome, "ok">;
 
-/** As long as the gesture controller takes. */
+/** The limit of the gesture controller. */
 const MAX_NOTE = 500;
 
 export interface ReportPanelProps {
   outcome: ReportedOutcome;
-  /** What was asked, in words. */
+  /** The name of the Task. */
   task: string;
   onReport: (outcome: Outcome, note: string) => Promise<void>;
   onClose: () => void;

@@ -1,4 +1,4 @@
-/** The robot's turn: what it does, how far it is and how long it still takes, so that nobody reaches in. */
+/** A robot works: its operation, progress and remaining time, so that nobody reaches into the cell. */
 import { Bot, Hourglass, OctagonAlert } from "lucide-react";
 import { ProgressBar } from "react-aria-components";
 import { useTranslation } from "react-i18next";
@@ -39,7 +39,7 @@ export function RobotStage({ process, task, robot }: { process: ProcessView; tas
   );
 }
 
-/** Nobody at this screen is asked: a step is being prepared, or it is another person's. */
+/** No Task for this screen: the next step is being prepared, or another person works on it. */
 export function BetweenStage({ task }: { task: TaskView | null }) {
   const { t } = useTranslation("work");
   return (

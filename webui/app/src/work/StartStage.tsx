@@ -18,7 +18,7 @@ const START_GESTURE = "Thumbs up";
 export interface StartStageProps {
   glove: GloveView;
   startable: readonly DefinitionView[];
-  /** The process that has just been completed, if that is what is shown. */
+  /** The process that was just completed. */
   completed: ProcessView | null;
   acting: ActionState;
   onStart: (definition: DefinitionView) => void;
@@ -32,7 +32,7 @@ export function StartStage({ glove, startable, completed, acting, onStart }: Sta
   const counted = useHold(glove);
   useEffect(() => {
     if (counted && open) onStart(first);
-    // The hold counts once: what else changes in the meantime starts nothing.
+    // A hold counts once: other changes must not start a process.
     // eslint-disable-next-line react-hooks/exhaustive-deps
   }, [counted]);
   const gesture = nameOf(START_GESTURE);
@@ -94,7 +94,7 @@ export function StartStage({ glove, startable, completed, acting, onStart }: Sta
   );
 }
 
-/** Whether the hand has held the starting gesture to the end since this stage was put up. */
+/** Whether the hand has held the start gesture to the end since the component was mounted. */
 function useHold(glove: GloveView): boolean {
   const [wait, setWait] = useState(waiting);
   const now = waitAfter(wait, glove);

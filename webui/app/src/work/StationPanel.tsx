@@ -1,4 +1,4 @@
-/** The station's settings: how large the screen is and from how far it is read. Kept on this device. */
+/** The settings of the station: screen size and viewing distance, stored on this device. */
 import { Minus, Plus } from "lucide-react";
 import { useState } from "react";
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
@@ -14,7 +14,7 @@ export function StationPanel({ onClose }: { onClose: () => void }) {
   const { station } = useStation();
   const [draft, setDraft] = useState<Station>(station);
   const { width, height } = window.screen;
-  const shown = (value: number) => number(value, i18n.language, { maximumFractionDigits: 1 });
+  const formatted = (value: number) => number(value, i18n.language, { maximumFractionDigits: 1 });
   const px = Math.round(minFontPx(draft, { width, height }));
   return (
     <ModalOverlay className="confirm-dialog__overlay" isOpen onOpenChange={(open) => !open && onClose()} isDismissable>
@@ -27,19 +27,19 @@ export function StationPanel({ onClose }: { onClose: () => void }) {
           <Stepper
             label={t("station.diagonal")}
             value={draft.diagonalIn}
-            shown={t("station.inches", { value: shown(draft.diagonalIn) })}
+            formatted={t("station.inches", { value: formatted(draft.diagonalIn) })}
             {...bounds.diagonalIn}
             onChange={(diagonalIn) => setDraft({ ...draft, diagonalIn })}
           />
           <Stepper
             label={t("station.distance")}
             value={draft.distanceM}
-            shown={t("station.metres", { value: shown(draft.distanceM) })}
+            formatted={t("station.metres", { value: formatted(draft.distanceM) })}
             {...bounds.distanceM}
             onChange={(distanceM) => setDraft({ ...draft, distanceM })}
           />
           <p className="quiet" role="status">
-            {t("station.result", { px: shown(px) })}
+            {t("station.result", { px: formatted(px) })}
           </p>
           <div className="confirm-dialog__actions">
             <Button
@@ -71,21 +71,21 @@ export function StationPanel({ onClose }: { onClose: () => void }) {
 interface StepperProps {
   label: string;
   value: number;
-  shown: string;
+  formatted: string;
   min: number;
   max: number;
   step: number;
   onChange: (value: number) => void;
 }
 
-function Stepper({ label, value, shown, min, max, step, onChange }: StepperProps) {
+function Stepper({ label, value, formatted, min, max, step, onChange }: StepperProps) {
   const { t } = useTranslation("work");
   const moved = (by: number) => Math.round(Math.min(max, Math.max(min, value + by)) * 10) / 10;
   return (
     <div className="station__stepper" role="group" aria-label={label}>
       <span>{label}</span>
       <Button size="large" label={t("station.less", { what: label })} icon={<Minus aria-hidden size="1em" />} isDisabled={value <= min} onPress={() => onChange(moved(-step))} />
-      <output>{shown}</output>
+      <output>{formatted}</output>
       <Button size="large" label={t("station.more", { what: label })} icon={<Plus aria-hidden size="1em" />} isDisabled={value >= max} onPress={() => onChange(moved(step))} />
     </div>
   );

@@ -1,4 +1,4 @@
-/** The strip over the work: how the glove, the robot and the process are, and the one button that pauses. */
+/** The status bar of the operator's page: glove, robot, process and the pause button. */
 import { Bot, Hand as HandIcon, Pause, Play, Users, Workflow } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
@@ -14,9 +14,9 @@ export interface StatusStripProps {
   process: ProcessView | null;
   pause: OperatorActions["pause"];
   busy: boolean;
-  /** Nothing is known of the cell just now: old states are not shown as if they were so. */
+  /** The connection is lost: old states are not shown as present ones. */
   unknown: boolean;
-  /** Leads to the choice of another glove, where there are several. */
+  /** Opens the choice of another glove, if there are several. */
   onChange: (() => void) | null;
 }
 

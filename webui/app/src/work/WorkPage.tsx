@@ -1,4 +1,4 @@
-/** The operator's page: the one thing that counts now, large, and the acts that answer it, always visible. */
+/** The operator's page: the present situation and its actions. */
 import { MonitorCog, OctagonAlert } from "lucide-react";
 import { useEffect, useLayoutEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -34,7 +34,7 @@ export default function WorkPage() {
   const answered = useAnswered(situation, scene);
   const only = chosen === "" && "glove" in situation ? situation.glove.glove : "";
   useEffect(() => {
-    // Who works here goes on working when another glove joins.
+    // Keep the glove of this page when another one connects.
     if (only !== "") choose(only);
   }, [only, choose]);
   const isParticipant = useParticipantMode() !== null;
@@ -46,11 +46,11 @@ export default function WorkPage() {
   const [showsStation, setShowsStation] = useState(false);
   const { minPx } = useStation();
   useLayoutEffect(() => {
-    // On the root: dialogs lie outside of the page.
+    // On the root element, because dialogs are outside of the page.
     document.documentElement.style.setProperty("--read", `${minPx}px`);
   }, [minPx]);
   const page = useRef<HTMLDivElement>(null);
-  // With the names of hands: the page would disappear with the focus while a panel of it loads them.
+  // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
   const { t, i18n } = useTranslation(["work", "hand"]);
   useFit(page, `${step} ${i18n.language} ${minPx}`);
   useOperatorKeys(answered === null ? acts : { ...acts, main: null, complete: null, report: null }, step, report);
@@ -104,7 +104,7 @@ function Stage({ situation, answered, acts, acting, choose }: StageProps) {
     return <DoneStage glove={situation.glove} {...answered} />;
   }
   switch (situation.kind) {
-    case "asked":
+    case "prompt":
       return <PromptStage glove={situation.glove} task={situation.task} answerWaits={situation.answerWaits} />;
     case "robot":
       return <RobotStage process={situation.process} task={situation.task} robot={situation.robot} />;
@@ -150,7 +150,7 @@ function Next({ situation }: { situation: Situation }) {
 function robotOf(situation: Situation, scene: Scene): RobotView | null {
   if (situation.kind === "robot") return situation.robot;
   const process = shownProcess(situation, scene);
-  const taking = scene.robots.find((robot) => process?.tasks.some((task) => task.involves.some((one) => isSame(one, robot.device))));
+  const taking = scene.robots.find((robot) => process?.tasks.some((task) => task.involves.some((resource) => isSame(resource, robot.device))));
   return taking ?? scene.robots[0] ?? null;
 }
 
@@ -159,11 +159,11 @@ function shownProcess(situation: Situation, scene: Scene): ProcessView | null {
   return situation.kind === "idle" ? null : latest(scene.processes.filter(({ endedAt }) => endedAt === null));
 }
 
-/** What the step is called: another one slides in, the same one stays where it is. */
+/** The key of the step: a new key slides in. */
 function stepOf(situation: Situation): string {
   switch (situation.kind) {
-    case "asked":
-      return `asked ${situation.task.id}`;
+    case "prompt":
+      return `prompt ${situation.task.id}`;
     case "robot":
       return `robot ${situation.task.id}`;
     case "completed":

@@ -11,12 +11,12 @@ export function resumeGlove(glove: string): Promise<unknown> {
 }
 
 /**
- * Answer `task`, the one that was visible when the button was pressed, not one that followed it.
+* Answer `task`, which must be the one that was visible when the button was pressed.
  * With another outcome than `ok` it ends failed, unless its definition handles outcomes.
  */
 export function answerByHand(glove: string, task: string | undefined, by: string, outcome: Outcome = "ok", note = ""): Promise<unknown> {
-  const said = outcome === "ok" ? {} : { outcome, ...(note === "" ? {} : { note }) };
-  return requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/complete`, { method: "POST", json: { by, task, ...said } });
+  const outcomeFields = outcome === "ok" ? {} : { outcome, ...(note === "" ? {} : { note }) };
+  return requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/complete`, { method: "POST", json: { by, task, ...outcomeFields } });
 }
 
 /** Leave testing mode: gestures count again. */

@@ -1,6 +1,6 @@
-/** How much of the ring is drawn. */
+/** The drawn part of the ring. */
 
-/** Frames come 20 to 200 times a second: without a frame for longer than this the ring stops. */
+/** Frames arrive 20 to 200 times a second: after this time without a frame the ring stops. */
 const BEYOND_MS = 120;
 
 export interface Held {

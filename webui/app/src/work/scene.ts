@@ -1,10 +1,10 @@
-/** The scene as it is live now, and the situation that it makes, without what passes in a moment. */
+/** The live scene and its situation, without short transitions. */
 import { useEffect, useMemo, useRef, useState } from "react";
 import { useFamily, useConnectionState, useLive, useTopic } from "~/live/hooks";
 import type { GloveTask, Outcome, ServiceHealth } from "~/live/messages";
 import { situationOf, type Scene, type Situation } from "./situation";
 
-/** Between two steps nobody is asked for a moment, and a link that comes back at once was never lost. */
+/** Situations that are shown only if they last: gaps between steps and short reconnections. */
 const PASSING_MS = 800;
 /** How long the check is shown before the next step slides in. */
 const CHECK_MS = 1200;
@@ -25,7 +25,7 @@ export function useScene(chosen: string | null): Scene {
   );
 }
 
-/** Return the situation to show: what passes in a moment is waited out, what stops the work is not. */
+/** Return the situation to show: short transitions are skipped, faults are shown at once. */
 export function useSituation(scene: Scene): Situation {
   const situation = useMemo(() => situationOf(scene), [scene]);
   const [shown, setShown] = useState(situation);
@@ -53,14 +53,14 @@ export interface Answered {
   outcome: Outcome;
 }
 
-/** Return the Task that this screen has just seen answered, for as long as its check is shown. */
+/** Return the Task that was just answered, while its check mark is shown. */
 export function useAnswered(situation: Situation, scene: Scene): Answered | null {
   const [last, setLast] = useState<GloveTask | null>(null);
   const [over, setOver] = useState<string | null>(null);
-  const glove = "glove" in situation ? (scene.gloves.find((one) => one.glove === situation.glove.glove) ?? null) : null;
+  const glove = "glove" in situation ? (scene.gloves.find((glove) => glove.glove === situation.glove.glove) ?? null) : null;
   const answered = glove?.answered ?? null;
   const isFresh = last !== null && answered?.task === last.id && over !== last.id;
-  const task = situation.kind === "asked" || situation.kind === "gloveLost" || situation.kind === "paused" ? situation.task : null;
+  const task = situation.kind === "prompt" || situation.kind === "gloveLost" || situation.kind === "paused" ? situation.task : null;
   if (!isFresh && task !== null && task.id !== last?.id) setLast(task);
   const fresh = isFresh ? last.id : null;
   useEffect(() => {

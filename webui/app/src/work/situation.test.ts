@@ -11,14 +11,14 @@ const table: [string, Partial<Scene>, Situation["kind"]][] = [
   ["without the controller", { services: [service("gesture-controller", "down")] }, "serviceLost"],
   ["without the orchestrator", { services: [service("task-orchestrator", "down")] }, "serviceLost"],
   ["with a service that is only impaired", { services: [service("context-broker", "degraded")] }, "idle"],
-  ["without the orchestrator, but asked already", { services: [service("task-orchestrator", "down")], gloves: [glove({ task })] }, "asked"],
+  ["without the orchestrator, but asked already", { services: [service("task-orchestrator", "down")], gloves: [glove({ task })] }, "prompt"],
   ["without any glove", { gloves: [] }, "noGlove"],
   ["with another glove than the chosen one", { chosen: "glove-9" }, "noGlove"],
   ["with several gloves and none chosen", { gloves: [glove(), glove({ glove: "glove-2" })] }, "chooseGlove"],
   ["with several gloves and one chosen", { gloves: [glove(), glove({ glove: "glove-2" })], chosen: "glove-2" }, "idle"],
   ["with a person chosen", { gloves: [glove({ person: "anna" }), glove({ glove: "glove-2" })], chosen: "anna" }, "idle"],
-  ["with a Task", { gloves: [glove({ task })], processes: [process({ tasks: [userTask] })] }, "asked"],
-  ["with a Task and no glove on", { gloves: [glove({ task, connected: false })] }, "asked"],
+  ["with a Task", { gloves: [glove({ task })], processes: [process({ tasks: [userTask] })] }, "prompt"],
+  ["with a Task and no glove on", { gloves: [glove({ task, connected: false })] }, "prompt"],
   ["when the glove goes silent in a Task", { gloves: [glove({ task, connected: false, lost: true })] }, "gloveLost"],
   ["when the work is paused", { gloves: [glove({ task, paused: true })] }, "paused"],
   ["when the robot works", { processes: [process({ tasks: [robotTask] })] }, "robot"],
@@ -31,7 +31,7 @@ const table: [string, Partial<Scene>, Situation["kind"]][] = [
   ["when the process was cancelled", { processes: [{ ...failed, reason: "cancelled by Anna", retry: null }] }, "idle"],
   ["when the process is done", { processes: [completed] }, "completed"],
   ["when a step has stopped with an incident", { processes: [stopped] }, "incident"],
-  ["when another branch asks this glove beside an incident", { gloves: [glove({ task })], processes: [{ ...stopped, tasks: [userTask] }] }, "asked"],
+  ["when another branch asks this glove beside an incident", { gloves: [glove({ task })], processes: [{ ...stopped, tasks: [userTask] }] }, "prompt"],
   ["when a robot moves beside an incident", { processes: [{ ...stopped, tasks: [robotTask] }] }, "robot"],
   ["when another person is asked beside an incident", { processes: [{ ...stopped, tasks: [{ ...userTask, involves: ["urn:ngsi-ld:Person:demo:ben"] }] }] }, "incident"],
   ["when an older process moves the robot beside an incident", { processes: [process({ id: "p-1", tasks: [robotTask] }), { ...stopped, startedAt: "2026-01-02T10:00:00Z" }] }, "robot"],
@@ -47,15 +47,15 @@ describe("the situation", () => {
   it("has the process that asks, not another one that runs", () => {
     const mine = process({ id: "p-1", tasks: [userTask] });
     const other = process({ id: "p-2", startedAt: "2026-01-02T10:00:00Z", tasks: [robotTask] });
-    const asked = situationOf(scene({ gloves: [glove({ task })], processes: [mine, other] }));
-    expect(asked.kind === "asked" && asked.process?.id).toBe("p-1");
+    const situation = situationOf(scene({ gloves: [glove({ task })], processes: [mine, other] }));
+    expect(situation.kind === "prompt" && situation.process?.id).toBe("p-1");
   });
 
   it("follows the process that this glove has a part in", () => {
     const mine = process({ id: "p-1", tasks: [robotTask], parameters: { operator: "Device:glove-1" } });
     const other = process({ id: "p-2", startedAt: "2026-01-02T10:00:00Z", tasks: [robotTask], parameters: {} });
-    const seen = situationOf(scene({ processes: [mine, other] }));
-    expect(seen.kind === "robot" && seen.process.id).toBe("p-1");
+    const situation = situationOf(scene({ processes: [mine, other] }));
+    expect(situation.kind === "robot" && situation.process.id).toBe("p-1");
   });
 
   it("has the incident at a step of this glove before others", () => {
@@ -63,20 +63,20 @@ describe("the situation", () => {
     const mine = views.incident({ token: "4", element: "confirm", task: userTask.id });
     const ended = "2026-01-01T10:00:09Z";
     const tasks = [{ ...robotTask, endedAt: ended }, { ...userTask, endedAt: ended }];
-    const seen = situationOf(scene({ processes: [process({ tasks, incidents: [other, mine] })] }));
-    expect(seen.kind === "incident" && seen.incident.token).toBe("4");
+    const situation = situationOf(scene({ processes: [process({ tasks, incidents: [other, mine] })] }));
+    expect(situation.kind === "incident" && situation.incident.token).toBe("4");
     const without = situationOf(scene({ processes: [process({ incidents: [other] })] }));
     expect(without.kind === "incident" && without.incident.token).toBe("3");
   });
 
   it("is no other person's turn while the Task of this glove is on its way", () => {
-    const seen = situationOf(scene({ processes: [process({ tasks: [userTask] })] }));
-    expect(seen.kind === "between" && seen.task).toBeNull();
+    const situation = situationOf(scene({ processes: [process({ tasks: [userTask] })] }));
+    expect(situation.kind === "between" && situation.task).toBeNull();
   });
 
   it("says that an answer waits while the orchestrator is away", () => {
-    const seen = situationOf(scene({ services: [service("task-orchestrator", "down")], gloves: [glove({ task })] }));
-    expect(seen.kind === "asked" && seen.answerWaits).toBe(true);
+    const situation = situationOf(scene({ services: [service("task-orchestrator", "down")], gloves: [glove({ task })] }));
+    expect(situation.kind === "prompt" && situation.answerWaits).toBe(true);
   });
 });
 
@@ -94,10 +94,10 @@ describe("what can be started", () => {
   });
 
   it("works with the glove of the page, where the process has exactly one", () => {
-    const one = definition({ parameters: [{ name: "operator", required: false, default: "Device:glove-1" }] });
-    expect(parametersFor(one, "glove-1")).toEqual({});
-    expect(parametersFor(one, "glove-2")).toEqual({ operator: "Device:glove-2" });
-    const two = definition({ parameters: [...one.parameters, { name: "helper", required: false, default: "Device:glove-2" }] });
+    const single = definition({ parameters: [{ name: "operator", required: false, default: "Device:glove-1" }] });
+    expect(parametersFor(single, "glove-1")).toEqual({});
+    expect(parametersFor(single, "glove-2")).toEqual({ operator: "Device:glove-2" });
+    const two = definition({ parameters: [...single.parameters, { name: "helper", required: false, default: "Device:glove-2" }] });
     expect(parametersFor(two, "glove-3")).toEqual({});
   });
 

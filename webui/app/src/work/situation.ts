@@ -1,8 +1,8 @@
 /**
- * The situation: out of all that is live, the one thing that the operator at this screen has to know now.
+* The situation: what the operator at this screen has to know now, derived from the live state.
  *
- * What stops the work goes first, then what the hand is asked for, then what the robot does, then what could
- * be started. No time and no drawing here.
+* In this order: faults, the Task for the hand, the robot's work, the processes that can be started. Without
+* timers and rendering.
  */
 import type {
   Activity, DefinitionView, GloveTask, GloveView, Incident, ProcessView, RobotView, ServiceHealth, TaskView,
@@ -19,13 +19,13 @@ export interface Scene {
   robots: readonly RobotView[];
   processes: readonly ProcessView[];
   definitions: readonly DefinitionView[];
-  /** The glove that the address of the page names. */
+  /** The glove in the URL of the page. */
   chosen: string | null;
 }
 
 export type NeededService = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool";
 
-export interface Asked {
+export interface Prompt {
   glove: GloveView;
   task: GloveTask;
   process: ProcessView | null;
@@ -33,7 +33,7 @@ export interface Asked {
 }
 
 export interface Offer {
-  /** What can be started with nothing else to say; the first is the page's main act. */
+  /** Definitions without required parameters; the first is the main action. */
   startable: readonly DefinitionView[];
   glove: GloveView;
 }
@@ -44,9 +44,9 @@ export type Situation =
   | { kind: "serviceLost"; service: NeededService; detail: string | null }
   | { kind: "noGlove"; chosen: string | null }
   | { kind: "chooseGlove"; gloves: readonly GloveView[] }
-  | ({ kind: "gloveLost" } & Asked)
-  | ({ kind: "paused" } & Asked)
-  | ({ kind: "asked"; answerWaits: boolean } & Asked)
+  | ({ kind: "gloveLost" } & Prompt)
+  | ({ kind: "paused" } & Prompt)
+  | ({ kind: "prompt"; answerWaits: boolean } & Prompt)
   | { kind: "robot"; glove: GloveView; process: ProcessView; task: TaskView; robot: RobotView | null; next: Activity | null }
   | { kind: "between"; glove: GloveView; process: ProcessView; task: TaskView | null; next: Activity | null }
   | { kind: "incident"; glove: GloveView; process: ProcessView; incident: Incident }
@@ -54,7 +54,7 @@ export type Situation =
   | ({ kind: "completed"; process: ProcessView } & Offer)
   | ({ kind: "idle" } & Offer);
 
-/** Return the one situation that counts. */
+/** Return the present situation. */
 export function situationOf(scene: Scene): Situation {
   if (!scene.hasSnapshot) return scene.link === "lost" ? { kind: "linkLost" } : { kind: "connecting" };
   if (scene.link === "lost") return { kind: "linkLost" };
@@ -68,7 +68,7 @@ export function situationOf(scene: Scene): Situation {
       : { kind: "noGlove", chosen: scene.chosen };
   }
   const orchestratorLost = lost("task-orchestrator");
-  if (glove.task !== null) return askedOf(scene, glove, glove.task, orchestratorLost !== null);
+  if (glove.task !== null) return promptOf(scene, glove, glove.task, orchestratorLost !== null);
   if (orchestratorLost !== null) return orchestratorLost;
   const process = processOf(scene, glove);
   if (process === null) return endedOf(scene, glove);
@@ -79,27 +79,27 @@ export function situationOf(scene: Scene): Situation {
   return turn ?? { kind: "between", glove, process, task: null, next: nextOf(process) };
 }
 
-/** Return the glove of this page: the one it was asked for, else the only one. */
+/** Return the glove of this page: the one in the URL, else the only one. */
 export function gloveOf({ gloves, chosen }: Pick<Scene, "gloves" | "chosen">): GloveView | null {
   if (chosen !== null) return gloves.find((glove) => glove.glove === chosen || glove.person === chosen) ?? null;
   return gloves.length === 1 ? (gloves[0] ?? null) : null;
 }
 
-/** Return what can be started with nothing else to say, the one that ran last first. */
+/** Return the definitions without required parameters, the last used first. */
 export function startable(scene: Pick<Scene, "definitions" | "processes">): DefinitionView[] {
   const last = latest(scene.processes)?.definition;
   return scene.definitions
-    .filter((one) => one.unusable === undefined && !one.parameters.some(({ required }) => required))
+    .filter((definition) => definition.unusable === undefined && !definition.parameters.some(({ required }) => required))
     .sort((a, b) => Number(b.name === last) - Number(a.name === last) || (a.title < b.title ? -1 : 1));
 }
 
 /**
- * Return the parameters with which this page starts a process: where the definition has exactly one glove,
- * that is the page's own.
+* Return the parameters with which this page starts a process: if the definition has exactly one glove,
+* it is the glove of the page.
  */
 export function parametersFor(definition: DefinitionView, glove: string): Record<string, string> {
   const gloves = definition.parameters.filter(
-    (one) => typeof one.default === "string" && /^Device:glove\b/.test(one.default),
+    (parameter) => typeof parameter.default === "string" && /^Device:glove\b/.test(parameter.default),
   );
   const [only] = gloves;
   const own = `Device:${glove}`;
@@ -109,37 +109,37 @@ export function parametersFor(definition: DefinitionView, glove: string): Record
 /** Return the process that was started last. */
 export function latest(processes: readonly ProcessView[]): ProcessView | null {
   return processes.reduce<ProcessView | null>(
-    (last, one) => (last === null || one.startedAt > last.startedAt ? one : last),
+    (last, process) => (last === null || process.startedAt > last.startedAt ? process : last),
     null,
   );
 }
 
-function askedOf(scene: Scene, glove: GloveView, task: GloveTask, answerWaits: boolean): Situation {
-  const process = scene.processes.find((one) => one.tasks.some(({ id }) => isSame(task.id, id))) ?? null;
-  const asked: Asked = { glove, task, process, next: nextOf(process) };
-  if (glove.lost) return { kind: "gloveLost", ...asked };
-  if (glove.paused) return { kind: "paused", ...asked };
-  return { kind: "asked", answerWaits, ...asked };
+function promptOf(scene: Scene, glove: GloveView, task: GloveTask, answerWaits: boolean): Situation {
+  const process = scene.processes.find((process) => process.tasks.some(({ id }) => isSame(task.id, id))) ?? null;
+  const prompt: Prompt = { glove, task, process, next: nextOf(process) };
+  if (glove.lost) return { kind: "gloveLost", ...prompt };
+  if (glove.paused) return { kind: "paused", ...prompt };
+  return { kind: "prompt", answerWaits, ...prompt };
 }
 
-/** What somebody else does in the process just now: a robot before another person. */
+/** The work of others in the process: of a robot, else of another person. */
 function othersTurn(scene: Scene, glove: GloveView, process: ProcessView): Situation | null {
   const open = process.tasks.filter(({ endedAt }) => endedAt === null);
   const robotOf = (task: TaskView) =>
-    scene.robots.find((robot) => task.involves.some((one) => isSame(one, robot.device))) ?? null;
+    scene.robots.find((robot) => task.involves.some((resource) => isSame(resource, robot.device))) ?? null;
   const atRobot = open.find((task) => robotOf(task) !== null) ?? open.find(({ workParameters }) => "operation" in workParameters);
   if (atRobot !== undefined) {
     const away = lostService(scene.services, "trajectory-tool");
     if (away !== null) return away;
     return { kind: "robot", glove, process, task: atRobot, robot: robotOf(atRobot), next: nextOf(process) };
   }
-  // A Task of this very glove is about to be asked: that is no other person's turn.
-  const task = open.find(({ involves }) => !involves.some((one) => namesOf(glove).some((name) => isSame(one, name)))) ?? null;
+  // A Task of this glove, which the controller shows soon, is not another person's.
+  const task = open.find(({ involves }) => !involves.some((resource) => namesOf(glove).some((name) => isSame(resource, name)))) ?? null;
   return task === null ? null : { kind: "between", glove, process, task, next: nextOf(process) };
 }
 
 /**
- * Return the running process that this glove has a part in, else any running one. One with a robot at work comes
+* Return the running process in which this glove is involved, else any. A process with a working robot comes
  * first if the latest has an incident.
  */
 function processOf(scene: Scene, glove: GloveView): ProcessView | null {
@@ -159,7 +159,7 @@ export function stepOf({ name, element }: Pick<Incident, "name" | "element">): s
 /** Return the incident to show: one at a Task of this glove, else the first. */
 export function incidentOf(process: ProcessView, glove: GloveView): Incident | null {
   const isMine = ({ task }: Incident) =>
-    process.tasks.some(({ id, involves: who }) => isSame(id, task) && who.some((one) => namesOf(glove).some((name) => isSame(one, name))));
+    process.tasks.some(({ id, involves: who }) => isSame(id, task) && who.some((resource) => namesOf(glove).some((name) => isSame(resource, name))));
   return process.incidents.find(isMine) ?? process.incidents[0] ?? null;
 }
 

@@ -1,9 +1,9 @@
 /**
- * The station: how large its screen is, from how far it is read, and how large type must be for that.
+* The station: screen size, viewing distance and the minimum text size that follows from them.
  *
- * ISO 9241-303 asks for a cap height of 16 minutes of arc at least. Seen from `distanceM`, an angle `a` covers
- * 2 * distance * tan(a / 2); on a screen with `diagonalIn` inches that is so many of its CSS pixels, whatever
- * its resolution and scaling. From 2 m, 16' are 9.3 mm: 34 px of cap height on a 24-inch full HD screen.
+* ISO 9241-303 requires a cap height of at least 16 minutes of arc. At `distanceM`, an angle `a` covers
+* 2 * distance * tan(a / 2). On a screen of `diagonalIn` inches this length is converted to CSS pixels, whatever
+* the resolution and scaling. From 2 m, 16' are 9.3 mm: 34 px of cap height on a 24-inch full HD screen.
  */
 import { useSyncExternalStore } from "react";
 
@@ -12,11 +12,11 @@ export interface Station {
   distanceM: number;
 }
 
-/** The cap height of Inter, in parts of its font size. */
+/** The cap height of Inter as a fraction of its font size. */
 export const CAP_HEIGHT = 0.727;
 export const MIN_READ_ARCMIN = 16;
 export const DEFAULT_STATION: Station = { diagonalIn: 24, distanceM: 2 };
-/** A phone is held in the hand. */
+/** The default station of a phone. */
 export const HAND_HELD: Station = { diagonalIn: 6.1, distanceM: 0.4 };
 export const MAX_PHONE_PX = 600;
 export const bounds = {
@@ -33,12 +33,12 @@ export interface Screen {
   height: number;
 }
 
-/** Return what a screen is taken for as long as nobody has set it. */
+/** Return the default station of a screen. */
 export function defaultStation({ width, height }: Screen): Station {
   return Math.min(width, height) < MAX_PHONE_PX ? HAND_HELD : DEFAULT_STATION;
 }
 
-/** Return how many CSS pixels `arcmin` minutes of arc cover on `screen`. */
+/** Return the number of CSS pixels of `arcmin` minutes of arc on `screen`. */
 export function pxOf(arcmin: number, { diagonalIn, distanceM }: Station, { width, height }: Screen): number {
   const pxPerMm = Math.hypot(width, height) / (diagonalIn * MM_PER_INCH);
   const angle = (arcmin / 60) * (Math.PI / 180);
@@ -54,7 +54,7 @@ function within(value: unknown, { min, max }: { min: number; max: number }): num
   return typeof value === "number" && value >= min && value <= max ? value : null;
 }
 
-function kept(): Station | null {
+function storedStation(): Station | null {
   try {
     const written = JSON.parse(localStorage.getItem(STORAGE_KEY) ?? "null") as Partial<Station> | null;
     const diagonalIn = within(written?.diagonalIn, bounds.diagonalIn);
@@ -65,7 +65,7 @@ function kept(): Station | null {
   }
 }
 
-/** Keep the station on this device; null: as long as nothing is set, the default of the screen counts. */
+/** Store the station on this device; null restores the default of the screen. */
 export function keepStation(station: Station | null): void {
   if (station === null) localStorage.removeItem(STORAGE_KEY);
   else localStorage.setItem(STORAGE_KEY, JSON.stringify(station));
@@ -83,10 +83,10 @@ function subscribe(listener: () => void): () => void {
   };
 }
 
-/** As text, so that what has not changed is the same value. */
+/** As text, so that an unchanged station is an equal value. */
 function snapshot(): string {
   const { width, height } = window.screen;
-  const { diagonalIn, distanceM } = kept() ?? defaultStation({ width, height });
+  const { diagonalIn, distanceM } = storedStation() ?? defaultStation({ width, height });
   return [diagonalIn, distanceM, width, height].join(" ");
 }
 

@@ -1,9 +1,9 @@
-/** How long a robot still takes, as far as anybody knows. */
+/** The remaining time of a robot's Task. */
 import type { ElementCount, RobotView, TaskView } from "~/live/messages";
 
 /**
- * Return whole seconds, at least one: what the robot itself says, else what this step has taken so far in
- * this process; null if it was never done, or takes longer than it ever did.
+* Return whole seconds, at least one: the robot's own estimate, else an estimate from earlier durations of the
+* step in this process; null without them, or if it takes longer than ever before.
  */
 export function secondsLeft(
   robot: Pick<RobotView, "remainingS"> | null,

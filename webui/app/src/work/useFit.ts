@@ -1,15 +1,15 @@
 /**
- * Type as large as the stage has room for, and never below what can be read from the station.
+* Text as large as it fits, and never smaller than is legible from the station.
  *
- * `data-fit` on the page counts up from 0 (generous) until nothing overflows; the style sheet says what each
- * level gives up: size above the minimum first, then what helps but is not needed, and at last it scrolls. A
- * level is kept while the same step is shown, so that nothing grows and shrinks with every word.
+* `data-fit` on the page increases from 0 (largest) until nothing overflows; the style sheet defines the
+* levels: first size above the minimum, then optional content, finally scrolling. A
+* level is kept for the whole step, so that the size does not change with every message.
  */
 import { useCallback, useLayoutEffect, useRef, type RefObject } from "react";
 
 export const MAX_FIT = 6;
 const HIGH = ".work__stage, .work__text, .full-page-state";
-/** The stage is not among these: what slides in is a little beside its place. */
+/** The stage is not listed: while content slides in, it overflows. */
 const WIDE = ".work__text, .full-page-state, .work__strip, .work__footer";
 
 function overflows(page: HTMLElement): boolean {
@@ -20,7 +20,7 @@ function overflows(page: HTMLElement): boolean {
   );
 }
 
-/** `step`: what is shown; another one begins generously again, and so does another size of the page. */
+/** `step` identifies the content; a new step or page size starts at level 0. */
 export function useFit(page: RefObject<HTMLElement | null>, step: string): void {
   const level = useRef(0);
   const fit = useCallback(() => {
@@ -44,12 +44,12 @@ export function useFit(page: RefObject<HTMLElement | null>, step: string): void 
     };
     const sized = new ResizeObserver(again);
     sized.observe(element);
-    const said = new MutationObserver(fit);
-    said.observe(element, { childList: true, characterData: true, subtree: true });
+    const mutations = new MutationObserver(fit);
+    mutations.observe(element, { childList: true, characterData: true, subtree: true });
     void document.fonts.ready.then(again);
     return () => {
       sized.disconnect();
-      said.disconnect();
+      mutations.disconnect();
     };
   }, [page, fit]);
 }

@@ -1,4 +1,4 @@
-/** What the operator can do in a situation: the main act, answering on the screen, pausing and resuming. */
+/** The operator's actions in a situation: the main action, answering on the screen, pausing, resuming. */
 import { useTranslation } from "react-i18next";
 import { retryToken, startOperator, startProcess } from "~/api/actions";
 import type { DefinitionView, Outcome } from "~/live/messages";
@@ -15,7 +15,7 @@ export interface Act {
 export interface OperatorActions {
   main: Act | null;
   complete: Act | null;
-  /** Answers something else than `ok`; throws what is refused, and resolves once the name is known. */
+  /** Report another outcome than `ok`; rejects if refused, resolves once the name is known. */
   report: ((outcome: Outcome, note: string) => Promise<void>) | null;
   pause: (Act & { goesOn: boolean }) | null;
   start: ((definition: DefinitionView) => void) | null;
@@ -40,14 +40,14 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
   }
 
   function completeAct(): Act | null {
-    if (situation.kind !== "asked" && situation.kind !== "gloveLost") return null;
+    if (situation.kind !== "prompt" && situation.kind !== "gloveLost") return null;
     if (situation.glove.testing) return null;
     const { glove, task } = situation.glove;
     return { name: t("by.hand"), do: () => perform(() => withName((name) => answerByHand(glove, task?.id, name))) };
   }
 
   function reportWith() {
-    if (situation.kind !== "asked" && situation.kind !== "gloveLost") return null;
+    if (situation.kind !== "prompt" && situation.kind !== "gloveLost") return null;
     const { glove, task } = situation.glove;
     return (outcome: Outcome, note: string) => withName((name) => answerByHand(glove, task?.id, name, outcome, note));
   }
@@ -63,7 +63,7 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
         return situation.glove.message.key === "pausedByProcess"
           ? act(true, () => requestStatus(situation.task.id, "inProgress"))
           : act(true, () => resumeGlove(situation.glove.glove));
-      case "asked":
+      case "prompt":
       case "gloveLost":
         return act(false, () => pauseGlove(situation.glove.glove));
       case "robot":
@@ -83,7 +83,7 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
 
   function mainAct(): Act | null {
     switch (situation.kind) {
-      case "asked":
+      case "prompt":
         return situation.glove.testing ? leaveTesting(situation.glove.glove) : complete;
       case "gloveLost":
         return complete;

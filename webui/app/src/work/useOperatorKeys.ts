@@ -5,7 +5,7 @@ import { useKeys, type Key } from "~/shell/keys";
 import type { ReportedOutcome } from "./ReportPanel";
 import type { OperatorActions } from "./useOperatorActions";
 
-/** A key that was meant for the step before is not an answer to the next one. */
+/** A key press shortly after a new step was meant for the previous one. */
 const CALM_MS = 600;
 
 export function useOperatorKeys(acts: OperatorActions, step: string, open: (outcome: ReportedOutcome) => void): void {
@@ -26,7 +26,7 @@ export function useOperatorKeys(acts: OperatorActions, step: string, open: (outc
   useKeys(keys);
 }
 
-/** Whether the step has been there for a moment. */
+/** Whether the step is visible for long enough that a key is an answer to it. */
 function useCalm(step: string): boolean {
   const [calm, setCalm] = useState<string | null>(null);
   useEffect(() => {

@@ -135,8 +135,8 @@ function definitionOf<T extends object>(column: Column<T>): ColumnDef<Features, 
   };
 }
 
-function compareValues(one: { getValue: (id: string) => unknown }, other: { getValue: (id: string) => unknown }, id: string): number {
-  const [a, b] = [one.getValue(id), other.getValue(id)];
+function compareValues(first: { getValue: (id: string) => unknown }, second: { getValue: (id: string) => unknown }, id: string): number {
+  const [a, b] = [first.getValue(id), second.getValue(id)];
   return typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), undefined, { numeric: true });
 }
 

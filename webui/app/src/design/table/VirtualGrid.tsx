@@ -114,9 +114,9 @@ export function VirtualGrid<T>(props: VirtualGridProps<T>) {
   const toggle = (key: string, isRange: boolean) => {
     if (selected === undefined) return;
     const isSelecting = !selected.has(key);
-    const [one, other] = [rowKeys.indexOf(isRange ? (rangeStart.current ?? key) : key), rowKeys.indexOf(key)];
+    const [start, end] = [rowKeys.indexOf(isRange ? (rangeStart.current ?? key) : key), rowKeys.indexOf(key)];
     const after = new Set(selected);
-    for (const each of rowKeys.slice(Math.max(0, Math.min(one, other)), Math.max(one, other) + 1)) {
+    for (const each of rowKeys.slice(Math.max(0, Math.min(start, end)), Math.max(start, end) + 1)) {
       if (isSelecting) after.add(each);
       else after.delete(each);
     }

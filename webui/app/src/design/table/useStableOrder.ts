@@ -24,34 +24,34 @@ export function useStableOrder<T>(
   isHeld: boolean,
   signature: string,
 ): StableOrder<T> {
-  const [kept, setKept] = useState<{ signature: string; keys: readonly string[] }>({ signature, keys: [] });
+  const [stable, setStable] = useState<{ signature: string; keys: readonly string[] }>({ signature, keys: [] });
   const keys = rows.map(keyOf);
-  const follows = !isHeld || kept.signature !== signature || !kept.keys.some((key) => all.has(key));
+  const follows = !isHeld || stable.signature !== signature || !stable.keys.some((key) => all.has(key));
   if (follows) {
-    if (kept.signature !== signature || !isSame(kept.keys, keys)) setKept({ signature, keys });
+    if (stable.signature !== signature || !isSame(stable.keys, keys)) setStable({ signature, keys });
     return { rows, waiting: 0, release: () => undefined };
   }
-  const known = new Set(kept.keys);
+  const known = new Set(stable.keys);
   const below = keys.slice(keys.findLastIndex((key) => known.has(key)) + 1);
-  const shown = below.length === keys.length ? kept.keys : [...kept.keys, ...below];
-  if (shown.length > kept.keys.length) setKept({ signature, keys: shown });
+  const shown = below.length === keys.length ? stable.keys : [...stable.keys, ...below];
+  if (shown.length > stable.keys.length) setStable({ signature, keys: shown });
   const isShown = new Set(shown);
   return {
     rows: shown.map((key) => all.get(key)).filter((row) => row !== undefined),
     waiting: keys.filter((key) => !isShown.has(key)).length,
-    release: () => setKept({ signature, keys }),
+    release: () => setStable({ signature, keys }),
   };
 }
 
-function isSame(one: readonly string[], other: readonly string[]): boolean {
-  return one.length === other.length && one.every((key, index) => key === other[index]);
+function isSame(first: readonly string[], second: readonly string[]): boolean {
+  return first.length === second.length && first.every((key, index) => key === second[index]);
 }
 
 /** Whether somebody reads the element with the handlers: it has the pointer or the focus, or is scrolled down. */
 export function useIsReading() {
   const [reasons, setReasons] = useState<readonly string[]>([]);
   const set = (reason: string, on: boolean) =>
-    setReasons((all) => (all.includes(reason) === on ? all : on ? [...all, reason] : all.filter((one) => one !== reason)));
+    setReasons((all) => (all.includes(reason) === on ? all : on ? [...all, reason] : all.filter((other) => other !== reason)));
   const handlers = {
     onPointerEnter: (event: PointerEvent) => set("pointer", event.pointerType === "mouse"),
     onPointerLeave: () => set("pointer", false),

@@ -1,4 +1,4 @@
-/** What can be done with the selected Alerts: one request for all of them, and each failure is listed. */
+/** The actions on the selected Alerts: one request for all; each failure is listed. */
 import { BellOff, BellRing, UserCheck } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
@@ -67,7 +67,7 @@ export function AlertButtons({ alerts, acts }: { alerts: readonly AlertView[]; a
   );
 }
 
-/** The acts, their questions and what became of them. */
+/** The actions, their dialogs and their results. */
 export function useAlertActions(onDone: () => void) {
   const { t } = useTranslation("system");
   const { withName, question } = useWithName();
@@ -101,9 +101,9 @@ export function useAlertActions(onDone: () => void) {
         <ErrorMessage>
           <p>{t("alert.partly", { done: outcome.done.length, count: outcome.failed.length })}</p>
           <ul>
-            {outcome.failed.slice(0, MAX_FAILURES_SHOWN).map((one) => (
-              <li key={one.alert}>
-                {shortName(one.alert)}: {localizedText(one, "detail") ?? one.detail}
+            {outcome.failed.slice(0, MAX_FAILURES_SHOWN).map((failure) => (
+              <li key={failure.alert}>
+                {shortName(failure.alert)}: {localizedText(failure, "detail") ?? failure.detail}
               </li>
             ))}
           </ul>

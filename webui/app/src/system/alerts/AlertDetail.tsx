@@ -1,4 +1,4 @@
-/** One Alert: what it means, what to do, who has acknowledged or shelved it. */
+/** The details of an Alert: meaning, remedy, and who acknowledged or shelved it. */
 import { UserCheck, X } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";

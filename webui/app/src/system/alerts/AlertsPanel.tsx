@@ -151,7 +151,7 @@ function useView(alerts: readonly AlertView[]) {
   const [text, setText] = useQueryParameter("find");
   const [group, setGroup] = useQueryParameter("group");
   const filter: AlertFilter = useMemo(() => ({ state, severity, category, source, text }), [state, severity, category, source, text]);
-  const grouping: AlertGrouping = GROUPINGS.find((one) => one === group) ?? "";
+  const grouping: AlertGrouping = GROUPINGS.find((each) => each === group) ?? "";
   const all = { value: "", name: t("alert.filter.all") };
   const offered = (values: readonly string[], value: string) => [...new Set([...values, ...(value === "" ? [] : [value])])];
   const bar = (

@@ -1,4 +1,4 @@
-/** The icon of each severity: with its word and its colour, never alone. */
+/** The icon of each severity, always shown with its word and colour. */
 import { BadgeInfo, CircleAlert, OctagonAlert, TriangleAlert } from "lucide-react";
 import type { Severity } from "~/live/messages";
 

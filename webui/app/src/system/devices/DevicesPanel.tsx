@@ -61,7 +61,7 @@ function nameOf(device: DeviceView): string {
 function useColumns(): readonly Column<DeviceView>[] {
   const { t, i18n } = useTranslation(["system", "common"]);
   return useMemo(() => {
-    const kindOf = (device: DeviceView) => device.category.map((one) => t(`device.kind.${one}`, { defaultValue: one })).join(", ");
+    const kindOf = (device: DeviceView) => device.category.map((category) => t(`device.kind.${category}`, { defaultValue: category })).join(", ");
     return [
       {
         id: "device", name: t("device.device"), width: "minmax(170px, 2fr)", sortBy: nameOf,

@@ -1,4 +1,4 @@
-/** The value of any device in a few words: whatever a component wrote there, it fits into a row. */
+/** The value of a device as one line, whatever a component has written. */
 
 import { number } from "~/design/numbers";
 
@@ -13,7 +13,7 @@ export function valueInWords(value: unknown, language: string): string | null {
 function inWords(value: unknown, language: string): string {
   if (typeof value === "string") return value;
   if (typeof value === "number") return number(value, language, { maximumFractionDigits: 3 });
-  // A list has no commas between its numbers, since some languages have them within.
-  if (Array.isArray(value) && value.every((one) => typeof one === "number")) return value.map((one) => inWords(one, language)).join(" · ");
+  // Separate numbers without commas, which some languages use as the decimal separator.
+  if (Array.isArray(value) && value.every((item) => typeof item === "number")) return value.map((item) => inWords(item, language)).join(" · ");
   return JSON.stringify(value);
 }

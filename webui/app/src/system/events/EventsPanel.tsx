@@ -90,7 +90,7 @@ function useColumns(textOf: (event: LiveEvent) => string): readonly Column<LiveE
           return (
             <span className="event__level" data-level={event.level}>
               <Icon aria-hidden size={16} />
-              <span>{t(`events.is.${event.level}`)}</span>
+              <span>{t(`events.eventLevel.${event.level}`)}</span>
             </span>
           );
         },
@@ -129,7 +129,7 @@ function useLog() {
     setFailure(null);
     eventsBefore(events[0]?.seq ?? Number.MAX_SAFE_INTEGER, PAGE)
       .then((older) => {
-        setEvents((known) => merged(known, older));
+        setEvents((current) => merged(current, older));
         setIsWhole(older.length < PAGE);
       })
       .catch((error: unknown) => setFailure(errorText(error)))
@@ -153,9 +153,9 @@ function useFilter() {
   const bar = (sources: readonly string[]) => {
     const options = [
       { value: "", name: t("events.allSources") },
-      ...[...new Set([...sources, ...(source === "" ? [] : [source])])].map((one) => ({
-        value: one,
-        name: t(`common:services.${one}`, { defaultValue: one }),
+      ...[...new Set([...sources, ...(source === "" ? [] : [source])])].map((name) => ({
+        value: name,
+        name: t(`common:services.${name}`, { defaultValue: name }),
       })),
     ];
     return (

@@ -21,10 +21,10 @@ export function useMessageText(): (event: LiveEvent) => string {
         ...(state === undefined ? {} : { state: t(`common:deviceState.${state}`, { defaultValue: state }) }),
         ...(service === undefined ? {} : { service: t(`common:services.${service}`, { defaultValue: service }) }),
       };
-      const said = t(key, words);
+      const text = t(key, words);
       // The reason is translated if the component gave it a code.
       const why = localizedText(event.values, "reason") ?? detail ?? "";
-      return why === "" ? said : `${said}: ${why}`;
+      return why === "" ? text : `${text}: ${why}`;
     },
     [t, i18n],
   );

@@ -10,7 +10,7 @@ function event(seq: number, rest: Partial<LiveEvent> = {}): LiveEvent {
 }
 
 const all = { level: "", source: "", text: "" } as const;
-const seqs = (events: readonly LiveEvent[]) => events.map((one) => one.seq);
+const seqs = (events: readonly LiveEvent[]) => events.map((event) => event.seq);
 
 describe("merging", () => {
   test("joins older and newer events, each once, sorted", () => {
@@ -37,17 +37,17 @@ describe("filtering", () => {
   test("by level includes higher levels", () => {
     const levels = (["info", "attention", "stop"] as const).map((level, seq) => event(seq, { level }));
     const passing = (level: "" | "attention" | "stop") =>
-      levels.filter((one) => passes(one, { ...all, level }, "")).map((one) => one.level);
+      levels.filter((each) => passes(each, { ...all, level }, "")).map((each) => each.level);
     expect(passing("")).toEqual(["info", "attention", "stop"]);
     expect(passing("attention")).toEqual(["attention", "stop"]);
     expect(passing("stop")).toEqual(["stop"]);
   });
 
   test("by text searches the displayed text and the source, ignoring case", () => {
-    const one = event(1, { text: "glove-1 is busy" });
-    expect(passes(one, { ...all, text: " ARBEITET " }, "glove-1 arbeitet")).toBe(true);
-    expect(passes(one, { ...all, text: "Glove-1" }, "")).toBe(true);
-    expect(passes(one, { ...all, text: "ur10" }, "glove-1 arbeitet")).toBe(false);
+    const each = event(1, { text: "glove-1 is busy" });
+    expect(passes(each, { ...all, text: " ARBEITET " }, "glove-1 arbeitet")).toBe(true);
+    expect(passes(each, { ...all, text: "Glove-1" }, "")).toBe(true);
+    expect(passes(each, { ...all, text: "ur10" }, "glove-1 arbeitet")).toBe(false);
   });
 
   test("by source matches exactly", () => {
@@ -63,7 +63,7 @@ describe("export", () => {
     const asked: number[] = [];
     const page = (before: number) => {
       asked.push(before);
-      return Promise.resolve(kept.filter((one) => one.seq < before).slice(-3));
+      return Promise.resolve(kept.filter((each) => each.seq < before).slice(-3));
     };
     expect(seqs(await allEvents(page))).toEqual([1, 2, 3, 4, 5, 6, 7]);
     expect(asked).toHaveLength(4);

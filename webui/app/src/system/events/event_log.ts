@@ -15,12 +15,12 @@ export interface EventFilter {
 export const LEVELS: readonly LiveEvent["level"][] = ["info", "attention", "stop"];
 
 /** The newest `max` of both lists, sorted by `seq`, each once. */
-export function merged(known: readonly LiveEvent[], received: readonly LiveEvent[], max = MAX_SHOWN): readonly LiveEvent[] {
-  if (received.length === 0) return known;
-  const bySeq = new Map(known.map((event) => [event.seq, event]));
+export function merged(current: readonly LiveEvent[], received: readonly LiveEvent[], max = MAX_SHOWN): readonly LiveEvent[] {
+  if (received.length === 0) return current;
+  const bySeq = new Map(current.map((event) => [event.seq, event]));
   const before = bySeq.size;
   for (const event of received) bySeq.set(event.seq, event);
-  if (bySeq.size === before) return known;
+  if (bySeq.size === before) return current;
   return [...bySeq.values()].sort((a, b) => a.seq - b.seq).slice(-max);
 }
 
@@ -28,8 +28,8 @@ export function merged(known: readonly LiveEvent[], received: readonly LiveEvent
 export function passes(event: LiveEvent, filter: EventFilter, text: string): boolean {
   if (filter.level !== "" && LEVELS.indexOf(event.level) < LEVELS.indexOf(filter.level)) return false;
   if (filter.source !== "" && event.source !== filter.source) return false;
-  const wanted = filter.text.trim().toLowerCase();
-  return wanted === "" || `${text} ${event.source} ${event.text}`.toLowerCase().includes(wanted);
+  const searched = filter.text.trim().toLowerCase();
+  return searched === "" || `${text} ${event.source} ${event.text}`.toLowerCase().includes(searched);
 }
 
 /** The sources of the events, sorted. */

@@ -1,4 +1,4 @@
-/** The live strip of the five bends: half a minute, thirty times a second at most, and only while it is seen. */
+/** The live plot of the five bends: 30 s, at most 30 updates a second, and only while visible. */
 import { useCallback } from "react";
 import { useTranslation } from "react-i18next";
 import { useTopicSelector } from "~/live/hooks";
@@ -17,8 +17,8 @@ export default function BendStrip({ glove }: { glove: string }) {
   const theme = useShownTheme();
   const look = useCallback<Look>(
     (host, seconds, now) => bendOptions(host, seconds, now, i18n.language, () => LINE_PX),
-    // A new theme has new colours, which the plot takes in only at its beginning.
-    // eslint-disable-next-line react-hooks/exhaustive-deps -- as said
+    // The plot reads the colours of the theme only when it is created.
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- create the plot again for a new theme
     [i18n.language, theme],
   );
   const { place } = useBendPlot(glove, SECONDS, look);

@@ -1,4 +1,4 @@
-/** A glove: who wears it, how it sends, what the hand does now, and the switches of its controller. */
+/** A glove: wearer, rates, present gesture, and the switches of its controller. */
 import { lazy, Suspense, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { SwitchButton, SwitchField, Text } from "react-aria-components";
@@ -88,7 +88,7 @@ function Fact({ name, children }: { name: string; children: React.ReactNode }) {
   );
 }
 
-/** Counters of a hundred frames a second are read once a second. */
+/** Counters are updated once a second, not with every frame. */
 function Signal({ glove }: { glove: string }) {
   const { t, i18n } = useTranslation("system");
   const live = useLive();
@@ -147,7 +147,7 @@ function Modes({ glove }: { glove: string }) {
   );
 }
 
-/** The switch shows what the controller says, not what was pressed: it moves once the controller has done it. */
+/** The switch shows the state of the controller: it moves once the controller has applied the change. */
 function Mode({ name, means, isOn, onChange }: { name: string; means: string; isOn: boolean; onChange: (on: boolean) => void }) {
   const { t } = useTranslation("system");
   return (

@@ -1,4 +1,4 @@
-/** The gripper: whether it is open, what it holds, and a way to get a part out of it. */
+/** The gripper: its state, the part it holds, and a button that releases the part. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { requestService } from "~/api/http";

@@ -1,4 +1,4 @@
-/** The joints with their ranges, and where the tip of the tool is: the robot in numbers, with or without a picture. */
+/** The joints with their ranges and the position of the tool's tip, as a table. */
 import { useTranslation } from "react-i18next";
 import { useTopic } from "~/live/hooks";
 import { type JointDescription, labelOf, positionText, rangeText, type RobotDescription, speedText } from "~/robot/description";
@@ -9,7 +9,7 @@ export function JointTable({ robot, description }: { robot: string; description:
   const view = useTopic(`robot/${robot}`);
   if (view === undefined) return null;
   const { name, position, velocity } = view.joints;
-  const described = (joint: string) => description?.joints.find((one) => one.name === joint) ?? undescribed(joint);
+  const described = (joint: string) => description?.joints.find((each) => each.name === joint) ?? undescribed(joint);
   return (
     <section className="joints">
       <table>
@@ -45,7 +45,7 @@ export function JointTable({ robot, description }: { robot: string; description:
   );
 }
 
-/** A joint whose description has not arrived. */
+/** A joint without a description. */
 function undescribed(name: string): JointDescription {
   return { name, type: "revolute", unit: "rad", lower: null, upper: null, maxVelocity: 0, labels: {} };
 }

@@ -1,4 +1,4 @@
-/** A robot: how it stands and moves now, what it does, and its gripper. */
+/** A robot: its joints, motion, Task and gripper. */
 import { lazy, Suspense } from "react";
 import { useTranslation } from "react-i18next";
 import { Card } from "~/design/Card";

@@ -11,7 +11,7 @@ import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { rate } from "~/design/times";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
-import { oneLine, standing, useRules, type RuleView, type Standing } from "./rules";
+import { oneLine, stateOf, useRules, type RuleView, type Standing } from "./rules";
 import "./RosPanel.css";
 
 const tones: Record<Standing, Tone> = { off: "neutral", silent: "attention", works: "ok", waits: "accent" };
@@ -66,8 +66,8 @@ function useColumns(turn: (rule: RuleView, on: boolean) => void): readonly Colum
         ),
       },
       {
-        id: "state", name: t("ros.state"), width: "minmax(140px, 1.4fr)", sortBy: (rule) => t(`ros.stands.${standing(rule)}`),
-        cell: (rule) => <StatusBadge tone={tones[standing(rule)]}>{t(`ros.stands.${standing(rule)}`)}</StatusBadge>,
+        id: "state", name: t("ros.state"), width: "minmax(140px, 1.4fr)", sortBy: (rule) => t(`ros.ruleState.${stateOf(rule)}`),
+        cell: (rule) => <StatusBadge tone={tones[stateOf(rule)]}>{t(`ros.ruleState.${stateOf(rule)}`)}</StatusBadge>,
       },
       {
         id: "rates", name: t("ros.rates"), width: "minmax(150px, 1.6fr)", isDescendingFirst: true, sortBy: (rule) => rule.receivedPerS,

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { oneLine, standing, type RuleView } from "./rules";
+import { oneLine, stateOf, type RuleView } from "./rules";
 
 const rule: RuleView = {
   name: "battery",
@@ -18,18 +18,18 @@ const rule: RuleView = {
   lastErrorAt: null,
 };
 
-describe("standing", () => {
+describe("stateOf", () => {
   it("is off when it is switched off, whatever else there is", () => {
-    expect(standing({ ...rule, enabled: false, received: 7, publishers: 1 })).toBe("off");
+    expect(stateOf({ ...rule, enabled: false, received: 7, publishers: 1 })).toBe("off");
   });
 
   it("is silent when nobody speaks on the topic it listens to", () => {
-    expect(standing({ ...rule, publishers: 0, received: 7 })).toBe("silent");
+    expect(stateOf({ ...rule, publishers: 0, received: 7 })).toBe("silent");
   });
 
   it("waits until something has come, and works from then on", () => {
-    expect(standing(rule)).toBe("waits");
-    expect(standing({ ...rule, publishers: 1, received: 1 })).toBe("works");
+    expect(stateOf(rule)).toBe("waits");
+    expect(stateOf({ ...rule, publishers: 1, received: 1 })).toBe("works");
   });
 });
 

@@ -13,7 +13,7 @@ export interface Rules {
   /** Null until the bridge has responded. */
   rules: readonly RuleView[] | null;
   failure: string | null;
-  /** Switch a rule on or off; it stays so after a restart. */
+  /** Switch a rule on or off, also after a restart. */
   turn: (rule: RuleView, on: boolean) => void;
 }
 
@@ -41,7 +41,7 @@ export function oneLine(value: unknown, maxLength = 160): string {
 export type Standing = "off" | "silent" | "works" | "waits";
 
 /** The state of a rule: off, without a publisher, receiving, or waiting for the first message. */
-export function standing(rule: RuleView): Standing {
+export function stateOf(rule: RuleView): Standing {
   if (!rule.enabled) return "off";
   if (rule.publishers === 0) return "silent";
   return rule.received > 0 ? "works" : "waits";
