@@ -29,7 +29,6 @@ from typing import Any, cast
 import httpx
 import orjson
 import psutil
-from httpx_aiohttp import AiohttpTransport
 
 from benchmarks.steal_time import report_steal_time
 from handover.broker import BrokerClient
@@ -172,9 +171,7 @@ async def _all(
     store = TypeStore()
     robot = await join(store, JoinSettings(node="robot", domain_id=bench.domain, interfaces=("127.0.0.1",)))
     url = f"http://127.0.0.1:{bench.broker_port}"
-    async with BrokerClient(
-        Settings.load(broker_url=url), transport=AiohttpTransport(trust_env=False)
-    ) as broker:
+    async with BrokerClient(Settings.load(broker_url=url)) as broker:
         await broker.ensure_subscription(
             {
                 "id": "urn:ngsi-ld:Subscription:demo:bench",

@@ -5,16 +5,19 @@ have the same meaning for all clients.
 """
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
+from http import HTTPStatus
 from typing import Any, Self, TypeVar
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 import httpx
 import orjson
 
 from datamodels.entities import Entity
 from handover.errors import Problem
+from handover.http_client import BodyReadingHttpClient, HttpResponse, SendError, address
 from handover.settings import Settings
 from handover.telemetry import get_logger
 
@@ -23,6 +26,7 @@ log = get_logger(__name__)
 JSON = "application/json"
 PAGE = 500
 """Entities per page; many brokers refuse more than 1000."""
+MAX_RESPONSE_BYTES = 256 * 1024 * 1024
 
 AnEntity = TypeVar("AnEntity", bound=Entity)
 NgsiLd = Mapping[str, Any]
@@ -48,7 +52,7 @@ class BrokerClient:
     """A client of the broker of `settings`; an asynchronous context manager.
 
     Every method raises `BrokerUnavailable` when the broker does not answer, and another `BrokerError` when
-    it refuses the request. `transport` replaces the httpx transport, for example by an ASGI one.
+    it refuses the request. `transport` replaces the HTTP client, for example by the ASGI transport of httpx.
     """
 
     def __init__(
@@ -58,33 +62,26 @@ class BrokerClient:
         transport: httpx.AsyncBaseTransport | None = None,
         timeout_s: float = 10.0,
     ) -> None:
-        headers = {
-            "Accept": JSON,
-            "Link": f'<{settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"; '
-            'type="application/ld+json"',
-        }
+        context = f'<{settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"'
+        headers = [("Accept", JSON), ("Link", f'{context}; type="application/ld+json"')]
         if settings.broker_tenant:
-            headers["NGSILD-Tenant"] = settings.broker_tenant
+            headers.append(("NGSILD-Tenant", settings.broker_tenant))
         self.url = settings.broker_url
-        self._transport = transport or httpx.AsyncHTTPTransport(trust_env=False)
-        self._http = httpx.AsyncClient(
-            base_url=f"{settings.broker_url}/ngsi-ld/v1",
-            headers=headers,
-            timeout=timeout_s,
-            transport=self._transport,
-            trust_env=False,
-        )
+        self._base = address(f"{settings.broker_url.rstrip('/')}/ngsi-ld/v1")
+        self._timeout_s = timeout_s
+        self._transport = transport
+        self._http = BodyReadingHttpClient(max_response_bytes=MAX_RESPONSE_BYTES)
         # A robot may be updated hundreds of times a second, so the headers are built once.
-        self._prepared = self._http.build_request("GET", "")
-        self._with_body = self._http.build_request("POST", "", headers={"Content-Type": JSON})
-        del self._with_body.headers["Content-Length"]
-        self._base = str(self._prepared.url).rstrip("/")
+        self._headers = tuple(headers)
+        self._with_body = (*headers, ("Content-Type", JSON))
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self._http.aclose()
+        self._http.close()
+        if self._transport is not None:
+            await self._transport.aclose()
 
     async def probe(self) -> None:
         """Send a small query; raise `BrokerUnavailable` if the broker does not answer."""
@@ -97,7 +94,7 @@ class BrokerClient:
     async def retrieve(self, entity_id: str) -> dict[str, Any]:
         """Return an entity in normalized form; raise `NotFound` if there is none."""
         response = await self._call("GET", f"/entities/{_in_path(entity_id)}")
-        entity: dict[str, Any] = orjson.loads(response.content)
+        entity: dict[str, Any] = orjson.loads(response.body)
         return entity
 
     async def get(self, entity_id: str, model: type[AnEntity]) -> AnEntity:
@@ -156,9 +153,7 @@ class BrokerClient:
         """Create or update entities as `upsert` does; return the ids of those that were refused."""
         return _refused(await self._send_upsert(entities))
 
-    async def _send_upsert(
-        self, entities: Sequence[Entity | NgsiLd], option: str = "update"
-    ) -> httpx.Response:
+    async def _send_upsert(self, entities: Sequence[Entity | NgsiLd], option: str = "update") -> HttpResponse:
         body = [_as_ngsild(entity) for entity in entities]
         return await self._call("POST", "/entityOperations/upsert", params={"options": option}, body=body)
 
@@ -188,7 +183,7 @@ class BrokerClient:
     async def types(self) -> list[str]:
         """Return the types of all entities."""
         response = await self._call("GET", "/types")
-        return [str(name) for name in orjson.loads(response.content).get("typeList", [])]
+        return [str(name) for name in orjson.loads(response.body).get("typeList", [])]
 
     async def subscriptions(self) -> list[dict[str, Any]]:
         """Return all subscriptions."""
@@ -205,7 +200,7 @@ class BrokerClient:
         offset = 0
         while True:
             page = await self._call("GET", path, params={**params, "limit": PAGE, "offset": offset})
-            entities = orjson.loads(page.content)
+            entities = orjson.loads(page.body)
             for entity in entities:
                 yield entity
             if len(entities) < PAGE:
@@ -214,64 +209,76 @@ class BrokerClient:
 
     async def _call(
         self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None
-    ) -> httpx.Response:
-        prepared = self._prepared if body is None else self._with_body
-        request = httpx.Request(
-            method,
-            f"{self._base}{path}",
-            params=params,
-            headers=prepared.headers,
-            content=None if body is None else orjson.dumps(body),
-            extensions=prepared.extensions,
-        )
-        return await self._answer(self._send_directly(request), f"{method} {path}")
-
-    async def _send_directly(self, request: httpx.Request) -> httpx.Response:
-        """Send a request without redirects, cookies and credentials, which brokers do not use."""
-        response = await self._transport.handle_async_request(request)
-        response.request = request
+    ) -> HttpResponse:
+        query = f"?{urlencode(params, quote_via=quote, safe=':,')}" if params else ""
+        url = replace(self._base, target=f"{self._base.target}{path}{query}")
+        headers = self._headers if body is None else self._with_body
+        content = b"" if body is None else orjson.dumps(body)
         try:
-            await response.aread()
-        finally:
-            await response.aclose()
-        return response
-
-    async def _answer(self, asking: Awaitable[httpx.Response], act: str) -> httpx.Response:
-        try:
-            response = await asking
-        except (httpx.TransportError, asyncio.IncompleteReadError) as error:
+            if self._transport is None:
+                response = await self._http.request(method, url, headers, content, self._timeout_s)
+            else:
+                response = await self._send_by(self._transport, method, url.target, headers, content)
+        except (SendError, httpx.TransportError, asyncio.IncompleteReadError) as error:
             reason = str(error) or type(error).__name__
             raise BrokerUnavailable(
                 503, "Broker unavailable", f"{self.url} does not answer: {reason}"
             ) from error
-        if response.is_success:
+        if 200 <= response.status < 300:
             return response
-        raise _refusal(response, act)
+        raise _refusal(response, f"{method} {path}")
+
+    async def _send_by(
+        self,
+        transport: httpx.AsyncBaseTransport,
+        method: str,
+        target: str,
+        headers: Iterable[tuple[str, str]],
+        content: bytes,
+    ) -> HttpResponse:
+        timeout = httpx.Timeout(self._timeout_s).as_dict()
+        url = httpx.URL(self.url).join(target)
+        request = httpx.Request(
+            method, url, headers=list(headers), content=content, extensions={"timeout": timeout}
+        )
+        response = await transport.handle_async_request(request)
+        try:
+            body = await response.aread()
+        finally:
+            await response.aclose()
+        return HttpResponse(response.status_code, dict(response.headers), body)
 
 
-def _refusal(response: httpx.Response, act: str) -> BrokerError:
+def _refusal(response: HttpResponse, act: str) -> BrokerError:
     try:
-        problem = orjson.loads(response.content)
+        problem = orjson.loads(response.body)
     except orjson.JSONDecodeError:
         problem = {}
     if not isinstance(problem, dict):
         problem = {}
-    title = str(problem.get("title") or response.reason_phrase)
-    detail = str(problem.get("detail") or response.text[:500])
+    status = response.status
+    title = str(problem.get("title") or _phrase(status))
+    detail = str(problem.get("detail") or response.body.decode(errors="replace")[:500])
     kind = str(problem.get("type", "about:blank"))
-    status = response.status_code
     error_class = BrokerError
-    if status == httpx.codes.NOT_FOUND:
+    if status == HTTPStatus.NOT_FOUND:
         error_class = NotFound
-    elif status == httpx.codes.CONFLICT:
+    elif status == HTTPStatus.CONFLICT:
         error_class = AlreadyExists
-    elif status >= httpx.codes.INTERNAL_SERVER_ERROR or status == httpx.codes.TOO_MANY_REQUESTS:
+    elif status >= HTTPStatus.INTERNAL_SERVER_ERROR or status == HTTPStatus.TOO_MANY_REQUESTS:
         error_class = BrokerUnavailable
     return error_class(status, title, f"{detail} ({act})", kind)
 
 
+def _phrase(status: int) -> str:
+    try:
+        return HTTPStatus(status).phrase
+    except ValueError:
+        return f"Status {status}"
+
+
 def _require_all_done(
-    answer: httpx.Response,
+    answer: HttpResponse,
     undone: str,
     describe: Callable[[NgsiLd], str],
     *,
@@ -281,17 +288,17 @@ def _require_all_done(
 
     Failures for which `is_ignored` is true are ignored.
     """
-    if answer.status_code == httpx.codes.MULTI_STATUS:
-        failures = [each for each in orjson.loads(answer.content).get(undone, []) if not is_ignored(each)]
+    if answer.status == HTTPStatus.MULTI_STATUS:
+        failures = [each for each in orjson.loads(answer.body).get(undone, []) if not is_ignored(each)]
         if failures:
             raise BrokerError(400, "Refused in part", "; ".join(map(describe, failures)))
 
 
-def _refused(answer: httpx.Response) -> frozenset[str]:
+def _refused(answer: HttpResponse) -> frozenset[str]:
     """Return the ids of the entities that a batch operation refused; raise `BrokerError` if one has no id."""
-    if answer.status_code != httpx.codes.MULTI_STATUS:
+    if answer.status != HTTPStatus.MULTI_STATUS:
         return frozenset()
-    errors = orjson.loads(answer.content).get("errors", [])
+    errors = orjson.loads(answer.body).get("errors", [])
     if not all(isinstance(error.get("entityId"), str) for error in errors):
         raise BrokerError(400, "Refused in part", "; ".join(map(_batch_error, errors)))
     return frozenset(error["entityId"] for error in errors)
@@ -310,6 +317,8 @@ def _parameter(name: str) -> str:
 
 
 def _joined(value: Any) -> Any:
+    if isinstance(value, bool):
+        return str(value).lower()
     return ",".join(value) if isinstance(value, list | tuple | set | frozenset) else value
 
 

@@ -41,7 +41,6 @@ SPDX = {
 KNOWN = {
     "colorama": "BSD-3-Clause",  # Windows only
     "tzdata": "Apache-2.0",  # Windows only
-    "httpx-aiohttp": "BSD-3-Clause",  # its metadata has the text of the licence
     "scipy": "BSD-3-Clause",  # its metadata has the text of the licence
     "bpmn-js": "bpmn.io licence (MIT, and its mark in a diagram stays visible)",
     "diagram-js": "MIT",

@@ -5,7 +5,6 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
-from httpx_aiohttp import AiohttpTransport
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
@@ -44,7 +43,7 @@ def make_app(settings: BridgeSettings) -> FastAPI:
     document = read_mapping(settings)
     store = planning.type_store(document)
     planning.make(document, store, settings.factory)  # report errors of the mapping before anything starts
-    broker = BrokerClient(settings, transport=AiohttpTransport(trust_env=False))
+    broker = BrokerClient(settings)
     holder = _BridgeHolder()
 
     @asynccontextmanager

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from typing import Final
 from uuid import uuid4
 
+from handover.http_client import PooledHttpClient
 from services.context_broker.delivery.mqtt_sender import MqttSender
 from services.context_broker.delivery.notifier import Notifier
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.problems import bad_request_data, no_such_tenant
 from services.context_broker.model.validation import MAX_TENANT_LENGTH, TENANT, inside, outside, shown
-from services.context_broker.network.http_client import PooledHttpClient
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.storage.commits import CommitQueue, Commits, Failed, stored
 from services.context_broker.storage.entries import DocumentKind, Entries

@@ -6,11 +6,11 @@ from typing import Final, Protocol
 
 from prometheus_client import Counter
 
+from handover.http_client import SendError
 from handover.telemetry import get_logger
 from services.context_broker.delivery.endpoint_queue import EndpointQueue
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.model.validation import timestamp_now
-from services.context_broker.network.http_client import SendError
 from services.context_broker.storage.entries import PendingNotification
 from services.context_broker.storage.journal import Journal
 

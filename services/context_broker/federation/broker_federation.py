@@ -9,6 +9,7 @@ answered from the map; its pages are read with the same distribution.
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 
+from handover.http_client import BodyReadingHttpClient
 from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.extensions.federation import wants_map
 from services.context_broker.federation.distribution.distributed_operations import (
@@ -23,7 +24,6 @@ from services.context_broker.federation.operations.source_subscription_operation
     SourceSubscriptionOperations,
 )
 from services.context_broker.federation.tenant_state import FederatedTenant, federated
-from services.context_broker.network.http_client import BodyReadingHttpClient
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings

@@ -17,6 +17,7 @@ from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Final, Self
 
+from handover.http_client import AddressRefused
 from services.context_broker.model.problems import bad_request_data
 
 SETTING: Final = "HANDOVER_BROKER_OUTBOUND_ALLOW"
@@ -68,10 +69,6 @@ _NETWORKS: Final = tuple((kind, ip_network(one)) for kind, listed in _KINDS for 
 _PUBLIC_IPV6: Final = ip_network("2000::/3")
 _ALWAYS_REFUSED: Final = frozenset({AddressKind.LINK_LOCAL, AddressKind.METADATA, AddressKind.MULTICAST})
 """Kinds that a broker refuses even if it listens on loopback only."""
-
-
-class AddressRefused(Exception):
-    """The destination is refused; the text names the rule and the setting."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,11 @@ from uuid import uuid4
 
 import orjson
 
+from handover.http_client import SendError
 from handover.retry import Backoff
 from handover.telemetry import get_logger
 from services.context_broker.delivery.delivery_worker import DROPPED
 from services.context_broker.model.validation import tenant_headers, timestamp_now
-from services.context_broker.network.http_client import SendError
 from services.context_broker.snapshots.snapshot import Snapshot
 from services.context_broker.storage.entries import DocumentKey, DocumentKind, Entries
 

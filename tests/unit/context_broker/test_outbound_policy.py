@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem, UsageError
-from services.context_broker.network.http_client import (
+from handover.http_client import (
+    AddressRefused,
     BodyReadingHttpClient,
     PooledHttpClient,
     ResponseTooLarge,
@@ -19,7 +20,6 @@ from services.context_broker.network.http_client import (
 )
 from services.context_broker.network.outbound_policy import (
     SETTING,
-    AddressRefused,
     OutboundPolicy,
     is_loopback,
 )

@@ -13,6 +13,7 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
+from handover.http_client import HttpResponse
 from services.context_broker.federation.distribution.distributed_operations import Sources, gather_all
 from services.context_broker.federation.distribution.forwarding import (
     SILENT,
@@ -31,7 +32,6 @@ from services.context_broker.federation.registrations.registration import (
 )
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
-from services.context_broker.network.http_client import HttpResponse
 from services.context_broker.query.parameters import FILTERS, FORWARDED_TEXTS
 from services.context_broker.request.request_context import JSON
 

@@ -12,6 +12,13 @@ from urllib.parse import quote
 
 import orjson
 
+from handover.http_client import (
+    BodyReadingHttpClient,
+    HttpResponse,
+    ResponseTimeout,
+    ResponseTooLarge,
+    SendError,
+)
 from handover.telemetry import get_logger
 from services.context_broker.contexts.context_resolver import CORE, ContextResolver
 from services.context_broker.federation.distribution.translation import older, translated
@@ -19,13 +26,7 @@ from services.context_broker.federation.distribution.via import append_to_via, c
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.federation.registrations.registry import Registry
 from services.context_broker.model.context import Context
-from services.context_broker.network.http_client import (
-    BodyReadingHttpClient,
-    HttpResponse,
-    ResponseTimeout,
-    ResponseTooLarge,
-    SendError,
-)
+from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.request.request_context import JSON, JSON_LD
 
 log = get_logger(__name__)
@@ -116,7 +117,9 @@ class Forwarder:
 
     contexts: ContextResolver
     timeout_s: float
-    http_client: BodyReadingHttpClient = field(default_factory=BodyReadingHttpClient)
+    http_client: BodyReadingHttpClient = field(
+        default_factory=lambda: BodyReadingHttpClient(OutboundPolicy())
+    )
     small_pages: set[str] = field(default_factory=set)
     """Endpoints of sources that refuse large pages."""
     _aliases: dict[tuple[str, str], str] = field(default_factory=dict)

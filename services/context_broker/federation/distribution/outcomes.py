@@ -7,10 +7,10 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
+from handover.http_client import HttpResponse
 from services.context_broker.federation.distribution.forwarding import SourceError
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.model.problems import ERRORS
-from services.context_broker.network.http_client import HttpResponse
 from services.context_broker.request.request_context import JSON, Response
 
 _PASSED_ON: Final = frozenset({404, 409})

@@ -9,6 +9,7 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
+from handover.http_client import HttpResponse
 from services.context_broker.federation.distribution.distributed_operations import Sources
 from services.context_broker.federation.distribution.forwarding import (
     INVALID,
@@ -23,7 +24,6 @@ from services.context_broker.federation.distribution.fragments import read_fragm
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
-from services.context_broker.network.http_client import HttpResponse
 
 _FROM_ELSEWHERE: Final = 1 << 62
 """The first place in the order for entities of other sources, which are ordered by a hash of their id: the

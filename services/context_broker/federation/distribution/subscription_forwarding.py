@@ -14,6 +14,7 @@ from uuid import uuid4
 
 from handover.background_tasks import BackgroundTasks
 from handover.errors import Problem
+from handover.http_client import HttpResponse
 from handover.retry import Backoff
 from handover.telemetry import get_logger
 from services.context_broker.contexts.context_resolver import ContextResolver
@@ -52,7 +53,6 @@ from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import bad_request_data, not_found, not_stored
 from services.context_broker.model.validation import shown
-from services.context_broker.network.http_client import HttpResponse
 from services.context_broker.request.request_context import (
     JSON,
     RequestContext,

@@ -12,6 +12,7 @@ from typing import Final
 import orjson
 
 from handover.errors import Problem
+from handover.http_client import HttpResponse
 from services.context_broker.federation.distribution import temporal_merge
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
@@ -32,7 +33,6 @@ from services.context_broker.federation.distribution.translation import translat
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import too_many_results
-from services.context_broker.network.http_client import HttpResponse
 from services.context_broker.request.derived_request import derived
 from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.temporal.durations import written_time

@@ -1,28 +1,25 @@
-"""HTTP client for outgoing requests: pooled connections, opened only to addresses that the policy allows.
+"""HTTP client: pooled connections, opened only to addresses that a resolver allows.
 
-A general client costs about a millisecond of processor time per request, this one about a tenth of that. A
-notification can therefore leave right after its commit.
+A general client costs about a millisecond of processor time per request, this one about a tenth of that.
 
 `PooledHttpClient.post` returns the status as soon as the head of the response is complete. A receiver that
 answers 2xx has the notification, however its response ends (with its length, with the connection, or not at
-all). The rest of the response is read and discarded. `BodyReadingHttpClient.request` returns whole responses
-of context sources and @context servers, up to a limit that also holds for the inflated body. Neither follows
-redirects: `contexts/fetching.py` does, and checks each URL.
+all). The rest of the response is read and discarded. `BodyReadingHttpClient.request` returns whole
+responses, up to a limit that also holds for the inflated body. Neither follows redirects.
 """
 
 import asyncio
+import socket
 import ssl
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final, Protocol, cast
 from urllib.parse import urlsplit
 
 import httptools
-
-from services.context_broker.network.outbound_policy import AddressRefused, OutboundPolicy
 
 MAX_IDLE: Final = 8
 """Idle connections kept open for each address."""
@@ -35,9 +32,34 @@ REST_TIMEOUT_S: Final = 1.0
 FRESH_S: Final = 1.0
 """Idle time up to which a connection is reused for a request that must not be sent twice. Servers close
 idle connections later than that."""
-ON_LOOPBACK: Final = OutboundPolicy()
-"""The default policy: that of a broker that listens on loopback."""
 _INFLATED: Final = frozenset({"gzip", "x-gzip", "deflate"})
+
+
+class AddressRefused(Exception):
+    """The destination is refused; the text names the rule and the setting."""
+
+
+class Resolver(Protocol):
+    """Decides which addresses a client connects to."""
+
+    async def resolved(self, host: str, port: int) -> list[str]:
+        """Return the allowed addresses of `host`, in the order to try them.
+
+        Raises `AddressRefused` when all are refused, `OSError` when the name cannot be resolved.
+        """
+        ...
+
+
+class AnyAddress:
+    """The resolver of the system: every address is allowed."""
+
+    async def resolved(self, host: str, port: int) -> list[str]:
+        """Return the addresses of `host`; raise `OSError` when the name cannot be resolved."""
+        known = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        return list(dict.fromkeys(str(one[4][0]) for one in known))
+
+
+ANY_ADDRESS: Final = AnyAddress()
 
 
 class SendError(Exception):
@@ -238,8 +260,8 @@ class PooledHttpClient:
     """Posts to many addresses over pooled connections. `ca_file` (PEM) names authorities that are trusted
     besides those of the system."""
 
-    def __init__(self, policy: OutboundPolicy = ON_LOOPBACK, ca_file: Path | None = None) -> None:
-        self._policy = policy
+    def __init__(self, resolver: Resolver = ANY_ADDRESS, ca_file: Path | None = None) -> None:
+        self._resolver = resolver
         self._ca_file = ca_file
         self._make_connection: Callable[[], _Connection] = _Connection
         self._idle: dict[tuple[str, int, bool], list[_Connection]] = {}
@@ -253,14 +275,14 @@ class PooledHttpClient:
     async def _send(
         self,
         method: str,
-        url: str,
+        url: str | Address,
         headers: Iterable[tuple[str, str]],
         body: bytes,
         timeout_s: float,
         *,
         may_repeat: bool,
     ) -> Any:
-        where = address(url)
+        where = url if isinstance(url, Address) else address(url)
         lines = [f"{method} {where.target} HTTP/1.1", f"Host: {where.host_header}"]
         if body or method != "GET":
             lines.append(f"Content-Length: {len(body)}")
@@ -316,7 +338,7 @@ class PooledHttpClient:
         loop = asyncio.get_running_loop()
         tls = self._tls if where.tls else None
         failure: OSError | None = None
-        for resolved in await self._policy.resolved(where.host, where.port):
+        for resolved in await self._resolver.resolved(where.host, where.port):
             try:
                 _, connection = await loop.create_connection(
                     self._make_connection,
@@ -345,19 +367,25 @@ class BodyReadingHttpClient(PooledHttpClient):
 
     def __init__(
         self,
-        policy: OutboundPolicy = ON_LOOPBACK,
+        resolver: Resolver = ANY_ADDRESS,
         ca_file: Path | None = None,
         max_response_bytes: int = MAX_RESPONSE_BYTES,
     ) -> None:
-        super().__init__(policy, ca_file)
+        super().__init__(resolver, ca_file)
         self._max_response_bytes = max_response_bytes
         self._make_connection = partial(_ReadingConnection, max_response_bytes)
 
     async def request(
-        self, method: str, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float
+        self,
+        method: str,
+        url: str | Address,
+        headers: Iterable[tuple[str, str]],
+        body: bytes,
+        timeout_s: float,
     ) -> HttpResponse:
         """Return the decoded response; raise `SendError` when there is none within `timeout_s`.
 
+        `url` may be given in parts, which saves a client of one server the cache of parsed URLs.
         A POST or PATCH with an unknown result is not sent again: it may have been carried out.
         """
         may_repeat = method not in {"POST", "PATCH"}
