@@ -141,6 +141,57 @@ def set_variables(process: Process, by: By, variables: Variables, why: Why = Non
 
 
 @app.command()
+def migrate(
+    by: By,
+    process: Annotated[str | None, typer.Argument(help="The id of the process.")] = None,
+    *,
+    definition: Annotated[str | None, typer.Option("--definition", help="All of this definition.")] = None,
+    source: Annotated[int | None, typer.Option("--from", help="All that have this version.")] = None,
+    version: Annotated[int | None, typer.Option("--to", help="The version; the latest if absent.")] = None,
+    mapping: Annotated[
+        list[str] | None, typer.Option("--map", help="An element with another id in that version, old=new.")
+    ] = None,
+    why: Why = None,
+    variables: Variables = None,
+    dry: Annotated[bool, typer.Option("--dry", help="Only show what differs.")] = False,
+) -> None:
+    """Continue a process, or all of a version, in another version of the definition; open Tasks stay."""
+    body: dict[str, Any] = {
+        "by": by,
+        "why": why,
+        "version": version,
+        "variables": dict(_parameter(each) for each in variables or []),
+        "mapping": {name: str(value) for name, value in map(_parameter, mapping or [])},
+    }
+    query = {"dry": dry}
+    if process is not None:
+        _print_migration(_ask("POST", f"/processes/{process}/migration", json=body, params=query))
+        return
+    if definition is None or source is None:
+        raise UsageError("name a process, or a definition and a version: --definition NAME --from VERSION")
+    body["source"] = source
+    answer = _ask("POST", f"/definitions/{definition}/migration", json=body, params=query)
+    for report in answer["processes"]:
+        _print_migration(report)
+    print(f"{answer['migrated']} migrated, {answer['refused']} not possible")
+
+
+def _print_migration(report: dict[str, Any]) -> None:
+    to = f"version {report['target']}"
+    if report["migrated"]:
+        print(f"{report['process']} is migrated to {to}")
+    else:
+        print(f"{report['process']} {'can' if report['possible'] else 'cannot'} be migrated to {to}")
+    for finding in report["findings"]:
+        print(f"  {_finding(finding)}")
+
+
+def _finding(finding: dict[str, Any]) -> str:
+    kind = "obstacle" if finding["obstacle"] else "differs"
+    return f"{kind}  {_drawn(finding)}: {finding['reason']}"
+
+
+@app.command()
 def pause(
     by: By,
     process: Annotated[str | None, typer.Argument(help="The id of the process; all if absent.")] = None,
@@ -254,6 +305,9 @@ def _refusal(answer: httpx.Response) -> str:
     ]
     if faults:
         return "\n".join([f"{problem.get('title')}:", *faults])
+    findings = [f"  {_finding(finding)}" for finding in problem.get("findings", [])]
+    if findings:
+        return "\n".join([f"{problem.get('title')}:", *findings])
     return str(problem.get("detail") or problem.get("title"))
 
 

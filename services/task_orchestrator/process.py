@@ -27,6 +27,7 @@ from services.task_orchestrator.entities import (
     task_entity,
 )
 from services.task_orchestrator.execution.graph import Plan
+from services.task_orchestrator.execution.migration import Finding
 from services.task_orchestrator.execution.run import OpenActivity, OpenIncident, Run
 from services.task_orchestrator.execution.state import Library, RunFailed
 from services.task_orchestrator.languages.base import ExpressionError
@@ -89,6 +90,23 @@ def entity_of(
         tasks=composed,
         outputs=outputs,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class MigrationReport:
+    """What differs for a process in another version; with an obstacle it cannot be migrated."""
+
+    process: str
+    source: int
+    target: int
+    findings: tuple[Finding, ...]
+    tasks: Mapping[str, str]
+    """The open Tasks, by token."""
+
+    @property
+    def is_possible(self) -> bool:
+        """Return whether there is no obstacle."""
+        return not any(finding.is_obstacle for finding in self.findings)
 
 
 @dataclass
@@ -432,6 +450,68 @@ class Process:
         self._record_act(act)
         self._update(step, now)
 
+    def migrate(
+        self, plan: Plan, act: Act, step: Step, now: datetime, *, dry: bool = False
+    ) -> MigrationReport:
+        """Continue in the version of `plan`, unless there is an obstacle; with `dry` only report.
+
+        Open Tasks and due dates of timers stay. Raises `Problem` 409 if the process has ended, has that
+        version, or cannot be read.
+        """
+        run = self._require_running()
+        source, target = self.record.version, plan.version
+        if source == target:
+            raise Problem(
+                409,
+                "Has this version",
+                message(
+                    "process.has_version",
+                    "{process} has version {version} already",
+                    process=self.record.id,
+                    version=source,
+                ),
+            )
+        open_tasks = {task.token: task.id for task in self.tasks.values() if self._is_current(run, task)}
+        mapping = act.mapping or {}
+        try:
+            identity = _identity(self.settings, self.record, plan)
+            migrated = Run.resume(self.plan, run.snapshot(), self.library, identity=identity)
+            findings = migrated.migrate(plan, mapping, act.values or {}, now)
+        except RunFailed as failure:
+            raise Problem(409, "Cannot be migrated", text_of(failure)) from failure
+        report = MigrationReport(self.record.id, source, target, tuple(findings), open_tasks)
+        if dry or not report.is_possible:
+            return report
+        step.touched.add(self.record.id)
+        self.run, self.plan = migrated, plan
+        self._revise(version=target)
+        self._record_act(replace(act, to=str(target)))
+        self._rename_elements(migrated, step)
+        self._update(step, now)
+        return report
+
+    def _rename_elements(self, run: Run, step: Step) -> None:
+        """Give open Tasks, incidents and declined activities the elements of the present version."""
+        for task in list(self.tasks.values()):
+            element = run.element(task.token) if self._is_current(run, task) else None
+            if element is not None and element != task.element:
+                key = _declined_key(task.token, task.element)
+                if key in self.record.declined:
+                    declined = dict(self.record.declined)
+                    declined[_declined_key(task.token, element)] = declined.pop(key)
+                    self._revise(declined=declined)
+                name = run.activity(task.token).name
+                self._record_task(task.changed(element=element, name=name), step)
+        found = {each.token: each for each in run.incidents()}
+        self._revise(
+            incidents=tuple(
+                replace(each, element=found[each.token].element, name=found[each.token].name)
+                if each.token in found
+                else each
+                for each in self.record.incidents
+            )
+        )
+
     # Consequences
 
     def _apply(self, task: TaskRecord, change: _StatusChange, step: Step, now: datetime) -> None:
@@ -475,7 +555,7 @@ class Process:
         if "\0" in reason or not isinstance(reason, MessageText):
             reason = str(reason).replace("\0", "") or NO_REASON  # PostgreSQL does not accept it
         code = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
-        run.fail(task.token, None if code is None else str(code), reason, now)
+        run.fail(task.token, None if code is None else str(code), reason, now, task=task.id)
 
     def _ask_next(self, run: Run, task: TaskRecord, change: _StatusChange, now: datetime) -> None:
         """Open the activity again: its performer has declined it, so that another gets it."""
@@ -541,7 +621,7 @@ class Process:
         self._revise(incidents=tuple(present.values()))
 
     def _incident(self, found: OpenIncident) -> IncidentRecord:
-        failed = found.visit and self._task_id(found.element, found.visit)
+        failed = found.details.get("task") or (found.visit and self._task_id(found.element, found.visit))
         code = found.details.get("code")
         return IncidentRecord(
             token=found.token,

@@ -42,6 +42,7 @@ class ActKind(StrEnum):
     SET_VARIABLES = "setVariables"
     PAUSE = "pause"
     RESUME = "resume"
+    MIGRATE = "migrate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +58,11 @@ class Act:
     task: str | None = None
     element: str | None = None
     to: str | None = None
-    """The element to which a token was moved."""
+    """The element to which a token was moved, or the version to which the process was migrated."""
     why: str | None = None
     values: Mapping[str, Any] | None = None
+    mapping: Mapping[str, str] | None = None
+    """The elements that a migration has mapped to elements of another id."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,6 +51,23 @@ class MendRequest(BaseModel):
     variables: dict[str, Any] = Field(default_factory=dict, description="variables that are set before")
 
 
+class MigrationRequest(MendRequest):
+    """A request to migrate a process to another version of its definition."""
+
+    version: int | None = Field(
+        None, ge=1, le=MAX_VERSION, description="the version to continue in; the latest if absent"
+    )
+    mapping: dict[str, str] = Field(
+        default_factory=dict, description="elements that have another id in that version, by their present id"
+    )
+
+
+class MigrationOfAllRequest(MigrationRequest):
+    """A request to migrate all running processes of a version."""
+
+    source: int = Field(ge=1, le=MAX_VERSION, description="the version that the processes have")
+
+
 class PauseRequest(BaseModel):
     """A request to pause or resume processes."""
 

@@ -247,7 +247,8 @@ class TaskView(Reason, Allocated):
 class ActView(TypedDict):
     """An action of a person on a process; nobody has verified the name `by` while `verified` is false.
 
-    `to` is the element that a token was moved to, `values` are the variables that were set.
+    `to` is the element that a token was moved to, or the version that the process was migrated to; `values`
+    are the variables that were set, `mapping` the elements that have another id in the new version.
     """
 
     at: str
@@ -259,6 +260,7 @@ class ActView(TypedDict):
     to: str | None
     why: str | None
     values: Mapping[str, Any] | None
+    mapping: Mapping[str, str] | None
 
 
 class ProcessView(ProcessSummary):
@@ -327,6 +329,46 @@ class SentSignal(TypedDict):
     """The processes that a signal reached or started."""
 
     processes: list[str]
+
+
+class MigrationFinding(KnownReason):
+    """What differs at an element; an obstacle prevents the migration.
+
+    `token` is the token there and `task` its open Task; `target` is the element of the new version, if it has
+    another id.
+    """
+
+    element: str
+    name: str
+    target: str | None
+    token: str | None
+    task: str | None
+    obstacle: bool
+
+
+class MigrationView(TypedDict):
+    """The result of a migration or of its check: it is possible if no finding is an obstacle."""
+
+    process: str
+    source: int
+    target: int
+    possible: bool
+    migrated: bool
+    findings: list[MigrationFinding]
+
+
+class MigrationOfAllView(TypedDict):
+    """The result of the migration of the processes of a version, or of its check.
+
+    A process that ended meanwhile is not among them.
+    """
+
+    definition: str
+    source: int
+    target: int
+    migrated: int
+    refused: int
+    processes: list[MigrationView]
 
 
 class PausedProcesses(TypedDict):

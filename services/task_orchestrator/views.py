@@ -14,6 +14,7 @@ from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.lookahead import upcoming_activities
 from services.task_orchestrator.model import Activity, Definition
+from services.task_orchestrator.process import MigrationReport
 from services.task_orchestrator.records import (
     Act,
     DefinitionRecord,
@@ -35,6 +36,8 @@ from services.task_orchestrator.responses import (
     KnownReason,
     MappedName,
     MappingView,
+    MigrationOfAllView,
+    MigrationView,
     NextActivity,
     PeriodStatistics,
     ProcessSummary,
@@ -296,6 +299,45 @@ def _act_view(act: Act) -> ActView:
         "to": act.to,
         "why": act.why,
         "values": act.values,
+        "mapping": act.mapping,
+    }
+
+
+def migration_view(report: MigrationReport, *, dry: bool) -> MigrationView:
+    """Return the result of a migration, or of its check."""
+    return {
+        "process": report.process,
+        "source": report.source,
+        "target": report.target,
+        "possible": report.is_possible,
+        "migrated": report.is_possible and not dry,
+        "findings": [
+            {
+                "element": each.element,
+                "name": each.name,
+                "target": each.target,
+                "token": each.token,
+                "task": report.tasks.get(each.token or ""),
+                "obstacle": each.is_obstacle,
+                **_known_reason(each.reason),
+            }
+            for each in report.findings
+        ],
+    }
+
+
+def migration_of_all_view(
+    definition: str, source: int, target: int, reports: Sequence[MigrationReport], *, dry: bool
+) -> MigrationOfAllView:
+    """Return the result of the migration of the processes of a version, or of its check."""
+    views = [migration_view(report, dry=dry) for report in reports]
+    return {
+        "definition": definition,
+        "source": source,
+        "target": target,
+        "migrated": sum(view["migrated"] for view in views),
+        "refused": sum(not view["possible"] for view in views),
+        "processes": views,
     }
 
 

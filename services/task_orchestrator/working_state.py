@@ -167,14 +167,16 @@ class WorkingState:
             raise Problem(409, "Process cannot be resumed", reason)
         return process
 
-    async def require_process(self, process_id: str) -> None:
-        """Raise `Problem` 404 if the database has no such process."""
-        if not await self.on_disk(self.store.processes, [process_id]):
+    async def require_process(self, process_id: str) -> ProcessRecord:
+        """Return a process as the database has it; raise `Problem` 404 if there is none."""
+        found: list[ProcessRecord] = await self.on_disk(self.store.processes, [process_id])
+        if not found:
             raise Problem(
                 404,
                 "No such process",
                 message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
             )
+        return found[0]
 
     def settle(self, step: Step) -> None:
         """Apply the consequences of a change for other processes, in the same step."""

@@ -305,18 +305,22 @@ class TaskView(TypedDict):
 class Act(TypedDict):
     """An action of a person on a process; nobody has checked the name `by` while `verified` is false.
 
-    `to` is the element that a token was moved to, `values` are the variables that were set.
+    `to` is the element that a token was moved to, or the version that the process was migrated to; `values`
+    are the variables that were set, `mapping` the elements that have another id in the new version.
     """
 
     at: str
     by: str | None
     verified: bool
-    act: Literal["cancel", "retry", "skip", "move", "cancelBranch", "setVariables", "pause", "resume"]
+    act: Literal[
+        "cancel", "retry", "skip", "move", "cancelBranch", "setVariables", "pause", "resume", "migrate"
+    ]
     task: str | None
     element: str | None
     to: str | None
     why: str | None
     values: dict[str, Any] | None
+    mapping: dict[str, str] | None
 
 
 class Incident(TypedDict):

@@ -23,6 +23,7 @@ from services.task_orchestrator.execution.compensation import continue_compensat
 from services.task_orchestrator.execution.events import enter, trigger
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.machine import ACTIVE, MAX_STEPS, Effect, Machine
+from services.task_orchestrator.execution.migration import Finding, Migration
 from services.task_orchestrator.execution.navigation import arrive, check_joins, find_stalled
 from services.task_orchestrator.execution.propagation import (
     register_event_subprocesses,
@@ -49,6 +50,12 @@ from services.task_orchestrator.model import Activity, EntityFilter, Kind, entit
 log = get_logger(__name__)
 
 STEP_FAILURES = (RunFailed, ExpressionError)
+
+
+class _HasObstacles(RunFailed):
+    """The run cannot be migrated."""
+
+
 _NEVER = datetime.min.replace(tzinfo=UTC)
 """The moment of a machine that only reads."""
 
@@ -323,10 +330,13 @@ class Run:
 
         self._change(act, now, blame)
 
-    def fail(self, token: str, code: str | None, reason: str, now: datetime) -> bool:
+    def fail(
+        self, token: str, code: str | None, reason: str, now: datetime, *, task: str | None = None
+    ) -> bool:
         """Continue at the event that catches the error `code` of an open activity, else raise an incident.
 
-        Returns whether an event has caught it. The variable `error` then has `activity`, `code` and `reason`.
+        The incident keeps the id of the failed `task`. Returns whether an event has caught the error. The
+        variable `error` then has `activity`, `code` and `reason`.
         """
         caught = False
 
@@ -336,7 +346,7 @@ class Run:
             details = {"activity": activity.node, "reason": str(reason), "code": code}
             caught = throw_error(machine, activity, code, details)
             if not caught:
-                machine.raise_incident(activity, reason, {"code": code}, stage=TokenState.WORK)
+                machine.raise_incident(activity, reason, {"code": code, "task": task}, stage=TokenState.WORK)
 
         def blame(state: State, error: Exception) -> None:
             nonlocal caught
@@ -513,6 +523,29 @@ class Run:
                 cancel_instance(machine, found)
 
         self._change(act, now)
+
+    def migrate(
+        self, plan: Plan, mapping: Mapping[str, str], values: Mapping[str, Any], now: datetime
+    ) -> list[Finding]:
+        """Continue in another version of the definition, after the variables `values` are set.
+
+        `mapping` names the elements that have another id in the new version. Returns what differs; if there
+        is an obstacle, nothing has changed.
+        """
+        found: list[Finding] = []
+
+        def act(machine: Machine) -> None:
+            machine.set_variables(self._state.root, values)
+            found.extend(Migration(machine, self.plan, plan, mapping).apply())
+            if any(each.is_obstacle for each in found):
+                raise _HasObstacles
+
+        try:
+            self._change(act, now)
+        except _HasObstacles:
+            return found
+        self.plan = plan
+        return found
 
     # Steps
 

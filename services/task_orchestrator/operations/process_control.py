@@ -9,8 +9,9 @@ import orjson
 
 from handover.errors import Problem
 from handover.messages import message, text_of
+from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.languages.native import is_variable_name
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process import MigrationReport, Process
 from services.task_orchestrator.records import Act, ActKind, MessageOutcome, Step
 from services.task_orchestrator.step_writer import StepWriter
 from services.task_orchestrator.working_state import WorkingState
@@ -113,6 +114,56 @@ class ProcessControl:
             if process.run is not None and definition in (None, process.record.definition)
         }
         return list(await self._writer.apply_each(wanted))
+
+    async def migrate(
+        self, process_id: str, version: int | None, act: Act, *, dry: bool = False
+    ) -> MigrationReport:
+        """Continue a process in another version, by default the latest; with `dry` only report what differs.
+
+        Raises `Problem` 404 if there is no such process or version, 409 if it has ended or has that version.
+        """
+        record = await self._state.require_process(process_id)
+        plan = await self._plan(record.definition, version)
+        return await self._writer.apply_to(
+            process_id,
+            lambda process, step: process.migrate(plan, act, step, self._state.clock(), dry=dry),
+        )
+
+    async def migrate_all(
+        self, definition: str, source: int, version: int | None, act: Act, *, dry: bool = False
+    ) -> tuple[int, list[MigrationReport]]:
+        """Migrate the running processes of the version `source`, each if it is possible for it.
+
+        Returns the version that they are migrated to, and their reports.
+        """
+        plan = await self._plan(definition, version)
+        if plan.version == source:
+            raise Problem(
+                422,
+                "Same version",
+                message(
+                    "process.same_version",
+                    "the processes of version {version} cannot be migrated to the same version",
+                    version=source,
+                ),
+            )
+
+        def migrating(process: Process) -> Callable[[Step], MigrationReport]:
+            return lambda step: process.migrate(plan, act, step, self._state.clock(), dry=dry)
+
+        wanted = {
+            process.record.id: migrating(process)
+            for process in self._state.active_processes.processes.values()
+            if process.run is not None
+            and (process.record.definition, process.record.version) == (definition, source)
+        }
+        reports = await self._writer.apply_each(wanted)
+        return plan.version, list(reports.values())
+
+    async def _plan(self, definition: str, version: int | None) -> Plan:
+        record = self._state.registry.record(definition, version)
+        await self._state.registry.prepare(record)
+        return self._state.registry.plan_of(record)
 
     async def publish(
         self,

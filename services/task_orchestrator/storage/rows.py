@@ -38,7 +38,7 @@ _DOCUMENTS = frozenset(
 )
 
 
-CONSTANT_COLUMNS = frozenset({"id", "definition", "version", "key", "parameters", "started_at", "partner"})
+CONSTANT_COLUMNS = frozenset({"id", "definition", "key", "parameters", "started_at", "partner"})
 """Columns of a process that never change."""
 
 

@@ -34,7 +34,10 @@ from services.task_orchestrator.storage.rows import (
     task_row,
 )
 
-_CHANGING = ("status", "observed_at", "moves", "ended_at", "cancelled_at", "alerted", "lost", "outputs")
+_CHANGING = (
+    *("element", "name", "status", "observed_at", "moves", "ended_at", "cancelled_at"),
+    *("alerted", "lost", "outputs"),
+)
 """Columns of a Task that change."""
 _UPDATE_PROCESS = (
     update(schema.processes)

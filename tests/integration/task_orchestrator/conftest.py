@@ -1,11 +1,19 @@
 """Cells of the orchestrator, and the databases that it is tested on."""
 
-from collections.abc import Iterator
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
+import httpx
 import pytest
+import uvicorn
 
+from handover.broker import BrokerClient
+from services.context_broker.app import create_broker
+from services.context_broker.settings import BrokerSettings
+from services.task_orchestrator.settings import OrchestratorSettings
 from tests.integration.task_orchestrator.cell import Cell, cell
+from tests.integration.task_orchestrator.rest import service, settings_in
 from tests.kit.ports import next_free_port
 
 
@@ -34,3 +42,39 @@ def running(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cell]:
         for member in shared.members:
             member.run()
         yield shared
+
+
+@pytest.fixture
+async def api(tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
+    async with service(settings_in(tmp_path)) as client:
+        yield client
+
+
+@pytest.fixture
+async def broker(tmp_path: Path, free_port: Callable[[], int]) -> AsyncIterator[BrokerClient]:
+    """A real broker, in this process."""
+    port = free_port()
+    settings = BrokerSettings(_env_file=None, data_dir=tmp_path, broker_url=f"http://127.0.0.1:{port}")
+    app = create_broker(settings)
+    server = uvicorn.Server(uvicorn.Config(app, port=port, log_config=None, timeout_graceful_shutdown=1))
+    serving = asyncio.create_task(server.serve())
+    while not server.started:
+        await asyncio.sleep(0.01)
+    try:
+        async with BrokerClient(settings) as client:
+            yield client
+    finally:
+        server.should_exit = True
+        await serving
+
+
+@pytest.fixture
+def at_broker(tmp_path: Path, broker: BrokerClient, free_port: Callable[[], int]) -> OrchestratorSettings:
+    """The settings of an orchestrator that works with the real broker; no notification reaches it."""
+    return settings_in(tmp_path, broker_url=broker.url, orchestrator_port=free_port())
+
+
+@pytest.fixture
+async def joined(at_broker: OrchestratorSettings) -> AsyncIterator[httpx.AsyncClient]:
+    async with service(at_broker) as client:
+        yield client

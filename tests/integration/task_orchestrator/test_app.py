@@ -1,145 +1,27 @@
 """The orchestrator's HTTP interface, while the broker is away and beside a real one."""
 
 import asyncio
-import json
-import re
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-import uvicorn
-from fastapi import FastAPI
-from fastapi.routing import APIRoute
-from pydantic import TypeAdapter
 
-from datamodels.times import iso
 from handover.broker import BrokerClient
 from handover.notifications import KEY_HEADER
-from services.context_broker.app import create_broker
-from services.context_broker.settings import BrokerSettings
-from services.task_orchestrator.app import make_app
-from services.task_orchestrator.orchestrator import utc_now
 from services.task_orchestrator.settings import OrchestratorSettings
+from tests.integration.task_orchestrator.rest import (
+    KEYED,
+    XML,
+    a_task,
+    deployed,
+    moved,
+    notify,
+    service,
+    settings_in,
+)
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, parameters, path, start
-
-NOBODY = "http://127.0.0.1:9"
-"""The discard port: no broker answers there."""
-XML = {"Content-Type": "application/xml"}
-KEYED = {KEY_HEADER: "what-the-broker-sends"}
-
-
-def settings_in(folder: Path, **more: Any) -> OrchestratorSettings:
-    given = {"broker_url": NOBODY, "notification_key": KEYED[KEY_HEADER], **more}
-    return OrchestratorSettings(_env_file=None, data_dir=folder, **given)
-
-
-@asynccontextmanager
-async def service(settings: OrchestratorSettings) -> AsyncIterator[httpx.AsyncClient]:
-    """A client of a service; every response to it is compared with its type."""
-    app = make_app(settings)
-    transport = httpx.ASGITransport(app)
-    hooks = {"response": [partial(check_type, types_of(app))]}
-    async with (
-        app.router.lifespan_context(app),
-        httpx.AsyncClient(transport=transport, base_url="http://orchestrator", event_hooks=hooks) as client,
-    ):
-        yield client
-
-
-def types_of(app: FastAPI) -> dict[tuple[str, str, int], TypeAdapter[Any]]:
-    """The declared types of the JSON responses, by method, pattern of the path and status."""
-    return {
-        (method, route.path_regex.pattern, int(status)): TypeAdapter(response["model"])
-        for route in app.routes
-        if isinstance(route, APIRoute)
-        for method in route.methods
-        for status, response in route.responses.items()
-    }
-
-
-async def check_type(types: dict[tuple[str, str, int], TypeAdapter[Any]], response: httpx.Response) -> None:
-    """Fail if a JSON response has no declared type, a member that its type lacks, or lacks one itself."""
-    asked = response.request
-    is_json = response.headers.get("content-type") == "application/json"
-    if not response.is_success or not is_json or asked.url.path in {"/healthz", "/readyz"}:
-        return
-    (declared,) = [
-        type_
-        for (method, path, status), type_ in types.items()
-        if (method, status) == (asked.method, response.status_code) and re.match(path, asked.url.path)
-    ]
-    body = await response.aread()
-    assert declared.validate_json(body, strict=True) == json.loads(body), f"{asked.method} {asked.url.path}"
-
-
-@pytest.fixture
-async def api(tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
-    async with service(settings_in(tmp_path)) as client:
-        yield client
-
-
-async def deployed(api: httpx.AsyncClient, body: str = ONE_STEP) -> None:
-    assert (await api.post("/definitions", content=drawing(body), headers=XML)).status_code == 201
-
-
-@pytest.fixture
-async def broker(tmp_path: Path, free_port: Callable[[], int]) -> AsyncIterator[BrokerClient]:
-    """A real broker, in this process."""
-    port = free_port()
-    settings = BrokerSettings(_env_file=None, data_dir=tmp_path, broker_url=f"http://127.0.0.1:{port}")
-    app = create_broker(settings)
-    server = uvicorn.Server(uvicorn.Config(app, port=port, log_config=None, timeout_graceful_shutdown=1))
-    serving = asyncio.create_task(server.serve())
-    while not server.started:
-        await asyncio.sleep(0.01)
-    try:
-        async with BrokerClient(settings) as client:
-            yield client
-    finally:
-        server.should_exit = True
-        await serving
-
-
-@pytest.fixture
-def at_broker(tmp_path: Path, broker: BrokerClient, free_port: Callable[[], int]) -> OrchestratorSettings:
-    """The settings of an orchestrator that works with the real broker; no notification reaches it."""
-    return settings_in(tmp_path, broker_url=broker.url, orchestrator_port=free_port())
-
-
-@pytest.fixture
-async def joined(at_broker: OrchestratorSettings) -> AsyncIterator[httpx.AsyncClient]:
-    async with service(at_broker) as client:
-        yield client
-
-
-def a_task(task: str, status: str, **outputs: Any) -> dict[str, Any]:
-    return {
-        "id": task,
-        "type": "Task",
-        "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"},
-        "status": {"type": "Property", "value": status, "observedAt": iso(utc_now())},
-        "outputParameters": {"type": "Property", "value": outputs},
-    }
-
-
-async def notify(api: httpx.AsyncClient, *entities: Any, **headers: str) -> httpx.Response:
-    """Notify the orchestrator as the broker does."""
-    body = {"type": "Notification", "data": entities}
-    return await api.post("/notifications", json=body, headers=KEYED | headers)
-
-
-async def moved(
-    api: httpx.AsyncClient, broker: BrokerClient, task: str, status: str, **outputs: Any
-) -> httpx.Response:
-    """Move a Task in the broker, and notify the orchestrator of it."""
-    entity = a_task(task, status, **outputs)
-    await broker.upsert([entity])
-    return await notify(api, entity)
 
 
 async def test_the_same_file_twice_changes_nothing_and_a_changed_one_is_a_new_version(

@@ -1,6 +1,6 @@
 /** The actions that more than one page offers. */
 import type { LiveEvent } from "~/live/messages";
-import type { CancelRequest, MendRequest, MoveRequest, ProcessStart, ProcessView } from "./generated/task-orchestrator";
+import type { CancelRequest, MendRequest, MigrationOfAllRequest, MigrationOfAllView, MigrationRequest, MigrationView, MoveRequest, PausedProcesses, PauseRequest, ProcessStart, ProcessView } from "./generated/task-orchestrator";
 import { request, requestService, type ProblemDetails } from "./http";
 
 export function startProcess(definition: string, parameters: Record<string, unknown> = {}, key?: string): Promise<ProcessView> {
@@ -39,6 +39,28 @@ function decide(process: string, path: string, json: MendRequest): Promise<Proce
 export function cancelProcess(process: string, by: string): Promise<ProcessView> {
   const json: CancelRequest = { by };
   return requestService("task-orchestrator", `processes/${encodeURIComponent(process)}/cancel`, { method: "POST", json });
+}
+
+/** Continue a process in another version of its definition; with `dry` only report what differs. */
+export function migrateProcess(process: string, json: MigrationRequest, dry = false): Promise<MigrationView> {
+  return requestService("task-orchestrator", `processes/${encodeURIComponent(process)}/migration${dry ? "?dry=true" : ""}`, { method: "POST", json });
+}
+
+/** Continue the running processes of a version in another one, each if it can; with `dry` only report what differs. */
+export function migrateProcesses(definition: string, json: MigrationOfAllRequest, dry = false): Promise<MigrationOfAllView> {
+  return requestService("task-orchestrator", `definitions/${encodeURIComponent(definition)}/migration${dry ? "?dry=true" : ""}`, { method: "POST", json });
+}
+
+export type Pace = "pause" | "resume";
+
+export function changePace(process: string, pace: Pace, json: PauseRequest): Promise<ProcessView> {
+  return requestService("task-orchestrator", `processes/${encodeURIComponent(process)}/${pace}`, { method: "POST", json });
+}
+
+/** Pause or resume all processes, or those of a definition. */
+export function changePaceOfAll(pace: Pace, json: PauseRequest, definition?: string): Promise<PausedProcesses> {
+  const query = definition === undefined ? "" : `?definition=${encodeURIComponent(definition)}`;
+  return requestService("task-orchestrator", `${pace}${query}`, { method: "POST", json });
 }
 
 export function startOperator(glove: string): Promise<unknown> {

@@ -225,18 +225,20 @@ export interface RobotView {
 /**
  * An action of a person on a process; nobody has checked the name `by` while `verified` is false.
  *
- * `to` is the element that a token was moved to, `values` are the variables that were set.
+ * `to` is the element that a token was moved to, or the version that the process was migrated to; `values`
+ * are the variables that were set, `mapping` the elements that have another id in the new version.
  */
 export interface Act {
   at: string;
   by: string | null;
   verified: boolean;
-  act: "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume";
+  act: "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume" | "migrate";
   task: string | null;
   element: string | null;
   to: string | null;
   why: string | null;
   values: Record<string, unknown> | null;
+  mapping: Record<string, string> | null;
 }
 
 /** An activity of a process; `involves` has the URNs of the resources that are known. */

@@ -5,12 +5,13 @@
  */
 
 /** An action of a person on a process. */
-export type ActKind = "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume";
+export type ActKind = "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume" | "migrate";
 
 /**
  * An action of a person on a process; nobody has verified the name `by` while `verified` is false.
  *
- * `to` is the element that a token was moved to, `values` are the variables that were set.
+ * `to` is the element that a token was moved to, or the version that the process was migrated to; `values`
+ * are the variables that were set, `mapping` the elements that have another id in the new version.
  */
 export interface ActView {
   at: string;
@@ -22,6 +23,7 @@ export interface ActView {
   to: string | null;
   why: string | null;
   values: Record<string, unknown> | null;
+  mapping: Record<string, string> | null;
 }
 
 /** The performer of an activity as far as it is known before a process runs, the reason, and a warning. */
@@ -199,6 +201,67 @@ export interface MendRequest {
   variables?: Record<string, unknown>;
 }
 
+/**
+ * What differs at an element; an obstacle prevents the migration.
+ *
+ * `token` is the token there and `task` its open Task; `target` is the element of the new version, if it has
+ * another id.
+ */
+export interface MigrationFinding {
+  reason: string;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
+  element: string;
+  name: string;
+  target: string | null;
+  token: string | null;
+  task: string | null;
+  obstacle: boolean;
+}
+
+/** A request to migrate all running processes of a version. */
+export interface MigrationOfAllRequest {
+  by: string;
+  why?: string | null;
+  variables?: Record<string, unknown>;
+  version?: number | null;
+  mapping?: Record<string, string>;
+  source: number;
+}
+
+/**
+ * The result of the migration of the processes of a version, or of its check.
+ *
+ * A process that ended meanwhile is not among them.
+ */
+export interface MigrationOfAllView {
+  definition: string;
+  source: number;
+  target: number;
+  migrated: number;
+  refused: number;
+  processes: MigrationView[];
+}
+
+/** A request to migrate a process to another version of its definition. */
+export interface MigrationRequest {
+  by: string;
+  why?: string | null;
+  variables?: Record<string, unknown>;
+  version?: number | null;
+  mapping?: Record<string, string>;
+}
+
+/** The result of a migration or of its check: it is possible if no finding is an obstacle. */
+export interface MigrationView {
+  process: string;
+  source: number;
+  target: number;
+  possible: boolean;
+  migrated: boolean;
+  findings: MigrationFinding[];
+}
+
 /** A request to move a token. */
 export interface MoveRequest {
   by: string;
@@ -223,6 +286,11 @@ export interface NextActivity {
 export interface PauseRequest {
   by: string;
   why?: string | null;
+}
+
+/** The processes that were paused or resumed. */
+export interface PausedProcesses {
+  processes: string[];
 }
 
 /** The statistics of a period. */

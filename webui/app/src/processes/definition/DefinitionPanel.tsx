@@ -1,5 +1,5 @@
 /** A definition: its diagram with what became of all its processes, its versions, and a way to start one. */
-import { Download, Play } from "lucide-react";
+import { Download, GitBranch, Play } from "lucide-react";
 import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { download } from "~/api/download";
@@ -17,6 +17,8 @@ import type { DefinitionView } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
 import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
+import { MigrateAllDialog } from "../migration/MigrateAllDialog";
+import { PaceButton } from "../pause/PaceButton";
 import { bpmnPath, SERVICE, useBpmn } from "../records";
 import { Activities } from "./Activities";
 import "./DefinitionPanel.css";
@@ -81,12 +83,12 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
         </div>
         {definition.unusable !== undefined && <ErrorMessage>{t("definition.unusable", { why: definition.unusable })}</ErrorMessage>}
       </header>
-      <Body definition={definition} />
+      <Body definition={definition} newest={newest} />
     </div>
   );
 }
 
-function Body({ definition }: { definition: DefinitionWithActivities }) {
+function Body({ definition, newest }: { definition: DefinitionWithActivities; newest: number }) {
   const { t } = useTranslation("processes");
   const words = useMarkWords("all");
   const bpmn = useBpmn(definition.name, definition.version);
@@ -95,11 +97,13 @@ function Body({ definition }: { definition: DefinitionWithActivities }) {
   const statistics = useServiceQuery<VersionStatistics>(SERVICE, path, { revision: turn });
   const elements = statistics.value?.elements;
   const marks = useMemo(() => marksOfStatistics(elements ?? {}, words), [elements, words]);
+  const running = statistics.value?.processes.running ?? 0;
   const [centred, setCentred] = useState<{ element: string; at: number } | null>(null);
   return (
     <>
       <div className="definition__counts">
         {statistics.value !== null && <Counts statistics={statistics.value} />}
+        {running > 0 && <Running definition={definition} newest={newest} />}
         {statistics.failure !== null && <ErrorMessage>{t("unread", { why: statistics.failure })}</ErrorMessage>}
       </div>
       <div className="definition__diagram">
@@ -116,6 +120,26 @@ function Body({ definition }: { definition: DefinitionWithActivities }) {
         onPick={(element) => setCentred({ element, at: Date.now() })}
       />
     </>
+  );
+}
+
+/** What can be done with the running processes of a version. */
+function Running({ definition, newest }: { definition: DefinitionWithActivities; newest: number }) {
+  const { t } = useTranslation("processes");
+  const [migrates, setMigrates] = useState(false);
+  const { name, title, version } = definition;
+  const paused = useFamily("process").filter((process) => process.definition === name && process.status === "paused");
+  return (
+    <div className="definition__running">
+      <PaceButton pace="pause" of={{ definition: name, title }} />
+      {paused.length > 0 && <PaceButton pace="resume" of={{ definition: name, title }} />}
+      {version !== newest && (
+        <Button icon={<GitBranch aria-hidden size={18} />} onPress={() => setMigrates(true)}>
+          {t("migration.openAll", { version: newest })}
+        </Button>
+      )}
+      {migrates && <MigrateAllDialog definition={name} title={title} source={version} target={newest} onClose={() => setMigrates(false)} />}
+    </div>
   );
 }
 

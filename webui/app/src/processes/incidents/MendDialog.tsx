@@ -18,13 +18,14 @@ export interface MendDialogProps {
   /** The variables to edit, with their label; absent where the act sets none. */
   variables?: { label: string; hint: string; before: Readonly<Record<string, unknown>>; isRequired?: boolean };
   children?: ReactNode;
+  isDisabled?: boolean;
   onClose: () => void;
   onAct: (decision: MendRequest) => Promise<unknown>;
 }
 
 const MAX_ROWS = 14;
 
-export function MendDialog({ title, act, kind = "main", means, variables, children, onClose, onAct }: MendDialogProps) {
+export function MendDialog({ title, act, kind = "main", means, variables, children, isDisabled = false, onClose, onAct }: MendDialogProps) {
   const { t } = useTranslation(["processes", "common"]);
   const known = useUserName();
   const [name, setName] = useState(known);
@@ -48,7 +49,7 @@ export function MendDialog({ title, act, kind = "main", means, variables, childr
       title={title}
       act={act}
       kind={kind}
-      isDisabled={name.trim() === "" || why.trim() === "" || fault !== undefined || lacksChange}
+      isDisabled={isDisabled || name.trim() === "" || why.trim() === "" || fault !== undefined || lacksChange}
       onAct={decide}
     >
       <p>{means}</p>

@@ -19,6 +19,7 @@ import { shortName } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
 import { pathOf, samePlace, type Place } from "../address";
 import { markOf } from "../names";
+import { PaceButton } from "../pause/PaceButton";
 import { useHistory } from "./history";
 import { activityOf, found, foundDefinitions, held, sameSections, SORT_ORDERS, type ProcessFilter, type ProcessRow, type Sections } from "./rows";
 import "./ProcessList.css";
@@ -102,6 +103,8 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
         <Button icon={<FileUp aria-hidden size={18} />} onPress={onUpload}>
           {t("list.upload")}
         </Button>
+        {sections.running.some(({ status }) => status !== "paused") && <PaceButton pace="pause" of="everything" />}
+        {sections.running.some(({ status }) => status === "paused") && <PaceButton pace="resume" of="everything" />}
       </div>
       {history.failure !== null && <ErrorMessage>{t("list.unread", { why: history.failure })}</ErrorMessage>}
       <VirtualGrid

@@ -1,5 +1,5 @@
 /** The heading of a process: its definition, state and actions. */
-import { Ban } from "lucide-react";
+import { Ban, GitBranch } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
@@ -12,12 +12,15 @@ import { processTone } from "~/design/states";
 import { duration } from "~/design/times";
 import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
+import { useTopic } from "~/live/hooks";
 import type { ProcessView } from "~/live/messages";
 import { processState } from "~/live/processState";
 import { shortName } from "~/live/urn";
 import { useUserName } from "~/shell/userName";
 import { pathOf } from "../address";
+import { MigrateDialog } from "../migration/MigrateDialog";
 import { markOf, nameOf } from "../names";
+import { PaceButton } from "../pause/PaceButton";
 
 export function ProcessHead({ process }: { process: ProcessView }) {
   const { t, i18n } = useTranslation(["processes", "common"]);
@@ -63,8 +66,17 @@ function Acts({ process }: { process: ProcessView }) {
   const { t } = useTranslation("processes");
   const name = useUserName();
   const [asks, setAsks] = useState(false);
+  const [migrates, setMigrates] = useState(false);
+  const newest = useTopic(`definition/${process.definition}`)?.version ?? process.version;
   return (
     <div className="process__actions">
+      {process.endedAt === null && newest > 1 && (
+        <Button icon={<GitBranch aria-hidden size={18} />} onPress={() => setMigrates(true)}>
+          {t("migration.open")}
+        </Button>
+      )}
+      {migrates && <MigrateDialog process={process} newest={newest} onClose={() => setMigrates(false)} />}
+      {process.endedAt === null && <PaceButton pace={process.status === "paused" ? "resume" : "pause"} of={{ process: process.id, title: process.title }} />}
       {process.endedAt === null && (
         <Button icon={<Ban aria-hidden size={18} />} onPress={() => setAsks(true)}>
           {t("cancel.act", { title: process.title })}
