@@ -94,7 +94,7 @@ $(ROS_VENV)/.ready: requirements/rclpy.lock pyproject.toml
 crashes: setup  ## kill the broker a hundred times while it writes, and check its data
 	@HANDOVER_TEST_CRASHES=100 $(PYTEST) -q tests/integration/context_broker/test_crashes*.py $(ARGS)
 
-kill-test: setup  ## kill broker, orchestrator and performer at random moments (ARGS="--seconds 600 --processes 1000")
+kill-test: setup  ## kill broker, orchestrator and performer at random moments for ten minutes (ARGS="--seconds 60 --processes 100")
 	@$(BIN)/python -m tests.load.kill_test $(ARGS)
 
 thorough: crashes  ## the crashes, every test of the broker on PostgreSQL, and many more examples

@@ -5,7 +5,6 @@ The database is authoritative. After a failed transaction the affected processes
 
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from datetime import datetime
-from heapq import heapify, heappop, heappush
 from typing import Any
 
 from prometheus_client import Counter
@@ -14,6 +13,7 @@ from handover.errors import HandoverError
 from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.definition_registry import DefinitionRegistry
+from services.task_orchestrator.due_queue import DueQueue
 from services.task_orchestrator.metrics import HandoverTimer
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
@@ -24,8 +24,6 @@ log = get_logger(__name__)
 
 ENDED = Counter("handover_orchestrator_processes_total", "Processes that have ended", ["status"])
 
-MIN_QUEUE = 1000
-"""Entries of the queue of timers that may be out of date before it is built again."""
 OnDisk = Callable[..., Awaitable[Any]]
 """Runs a blocking action of the store in the one thread that may."""
 
@@ -48,9 +46,8 @@ class ActiveProcesses:
         self._on_disk = on_disk
         self.processes: dict[str, Process] = {}
         self._owners: dict[str, str] = {}
-        self._dues: dict[str, datetime] = {}
-        self._queue: list[tuple[datetime, str]] = []
-        """A heap of `_dues`, with entries that are out of date."""
+        self._by_key: dict[str, str] = {}
+        self._dues = DueQueue[str]()
         self._stale: set[str] = set()
         self._handover_timer = HandoverTimer()
         self.on_loaded: Callable[[Process], None] = lambda _: None
@@ -76,18 +73,26 @@ class ActiveProcesses:
 
     def due(self, now: datetime) -> list[Process]:
         """Return the processes with a timer that is due."""
-        return [self.processes[process_id] for process_id, due in self._dues.items() if due <= now]
+        return [self.processes[process_id] for process_id in self._dues.due(now)]
 
     def postpone(self, process_id: str, until: datetime) -> None:
         """Regard the timers of a process as due at `until`, since they could not be processed."""
         if process_id in self._dues:
-            self._set_next(process_id, until)
+            self._dues.set(process_id, until)
 
     def next_due(self) -> datetime | None:
         """Return when the next timer is due."""
-        while self._queue and self._dues.get(self._queue[0][1]) != self._queue[0][0]:
-            heappop(self._queue)
-        return self._queue[0][0] if self._queue else None
+        return self._dues.next_due()
+
+    def add(self, process: Process) -> None:
+        """Add a process that was started or loaded."""
+        self.processes[process.record.id] = process
+        if process.record.key is not None:
+            self._by_key[process.record.key] = process.record.id
+
+    def with_key(self, key: str) -> Process | None:
+        """Return the process that was started with a key."""
+        return self.processes.get(self._by_key.get(key, ""))
 
     def mark_stale(self, process_ids: Iterable[str]) -> None:
         """Mark processes to be loaded again by `refresh`: a step with them was not written."""
@@ -172,28 +177,19 @@ class ActiveProcesses:
             log.exception("process not resumed", process=record.id)
             return
         if include_over or not process.over:
-            self.processes[record.id] = process
+            self.add(process)
             self._owners.update(dict.fromkeys(process.tasks, record.id))
             self._set_due(process)
             self.on_loaded(process)
 
     def _set_due(self, process: Process) -> None:
-        self._dues.pop(process.record.id, None)
-        due = process.next_due()
-        if due is not None:
-            self._set_next(process.record.id, due)
-
-    def _set_next(self, process_id: str, due: datetime) -> None:
-        self._dues[process_id] = due
-        heappush(self._queue, (due, process_id))
-        if len(self._queue) > 2 * len(self._dues) + MIN_QUEUE:
-            self._queue = [(due, process_id) for process_id, due in self._dues.items()]
-            heapify(self._queue)
+        self._dues.set(process.record.id, process.next_due())
 
     def _remove(self, process_id: str) -> None:
-        self._dues.pop(process_id, None)
+        self._dues.set(process_id, None)
         process = self.processes.pop(process_id, None)
         if process is not None:
+            self._by_key.pop(process.record.key or "", None)
             process.release()
         for task_id in process.tasks if process is not None else ():
             self._owners.pop(task_id, None)

@@ -26,6 +26,7 @@ from services.task_orchestrator.execution.state import WaitType
 from services.task_orchestrator.model import Definition
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.records import MessageOutcome, MessageRecord, Step
+from services.task_orchestrator.stored_messages import StoredMessages
 
 log = get_logger(__name__)
 
@@ -59,7 +60,7 @@ class EventDelivery:
         self._starts: dict[Name, dict[str, EventStart]] = {}
         self.index = WaitIndex()
         self.entity_index = EntityIndex()
-        self.stored: dict[str, MessageRecord] = {}
+        self.stored = StoredMessages()
         self._awaited: frozenset[Name] = frozenset()
         """The names that processes have begun to wait for since stored messages were last looked at."""
 
@@ -153,20 +154,21 @@ class EventDelivery:
 
     def expire(self, step: Step, now: datetime) -> None:
         """Delete the stored messages whose time to live is over."""
-        for record in self.stored.values():
-            if record.expires_at <= now and record.id not in step.messages_taken:
+        for record in self.stored.expired(now):
+            if record.id not in step.messages_taken:
                 log.warning("message expired", name=record.name, key=record.key)
                 step.messages_taken.add(record.id)
 
     def next_expiry(self) -> datetime | None:
         """Return when the next stored message expires."""
-        return min((record.expires_at for record in self.stored.values()), default=None)
+        return self.stored.next_expiry()
 
     def apply(self, step: Step) -> None:
         """Take over what a step has stored, once it is written."""
-        self.stored.update(step.messages_stored)
+        for record in step.messages_stored.values():
+            self.stored.add(record)
         for taken in step.messages_taken:
-            self.stored.pop(taken, None)
+            self.stored.remove(taken)
         self.update_index(step)
 
     def update_index(self, step: Step) -> None:
@@ -222,8 +224,10 @@ class EventDelivery:
         """Deliver one stored message that somebody waits for now; return whether there was one."""
         if not self._awaited:
             return False
-        for record in (*self.stored.values(), *step.messages_stored.values()):
-            if record.id in step.messages_taken or (WaitType.MESSAGE, record.name) not in self._awaited:
+        names = {name for type_, name in self._awaited if type_ is WaitType.MESSAGE}
+        new = (record for record in step.messages_stored.values() if record.name in names)
+        for record in (*self.stored.named(names), *new):
+            if record.id in step.messages_taken:
                 continue
             found = self._receivers(record)
             if found:

@@ -27,6 +27,7 @@ from services.task_orchestrator.process import Process
 from services.task_orchestrator.records import DefinitionRecord, ProcessRecord, StartTimer, Step
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.storage.store import Store
+from services.task_orchestrator.stored_messages import StoredMessages
 
 MAX_ALLOCATION_ROUNDS = 20
 """Rounds of the search for performers in one step; the next round is in the next step."""
@@ -84,7 +85,7 @@ class WorkingState:
                 self._add_events(self.registry.plan_of(record).definition)
         await self.active_processes.load_unfinished()
         self.start_timers = await self.on_disk(self.store.start_timers)
-        self.events.stored = {each.id: each for each in await self.on_disk(self.store.stored_messages)}
+        self.events.stored = StoredMessages(await self.on_disk(self.store.stored_messages))
         self.entities.seen = SeenEntities(await self.on_disk(self.store.entities_seen))
         metrics.register_open_tasks(self.active_processes.open_tasks, self.clock)
 
@@ -133,7 +134,7 @@ class WorkingState:
             at=at,
             results=results,
         )
-        self.active_processes.processes[record.id] = process
+        self.active_processes.add(process)
         return record.id
 
     def start_by_event(

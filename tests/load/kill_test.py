@@ -1,6 +1,6 @@
 """Processes of all element kinds, while broker, orchestrator and performer are killed at random moments.
 
-    python -m tests.load.kill_test [--seconds 60] [--processes 100] [--seed 7]
+    python -m tests.load.kill_test [--seconds 600] [--processes 1000] [--seed 7]
 
 Kills a random member with SIGKILL every few seconds and starts it again. At the end every process must have
 completed or stand with an incident, which is counted; every Task must have been done once and have ended
@@ -222,8 +222,8 @@ def run(seconds: float, count: int, seed: int, note: Callable[[str], None] = pri
 def main() -> int:
     """Run the kill test; return 1 if something was lost or doubled."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long members are killed")
-    parser.add_argument("--processes", type=int, default=100)
+    parser.add_argument("--seconds", type=float, default=600.0, help="how long members are killed")
+    parser.add_argument("--processes", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=None, help="of the moments; random by default")
     arguments = parser.parse_args()
     seed = random.randrange(1_000_000) if arguments.seed is None else arguments.seed

@@ -44,7 +44,7 @@ class ProcessControl:
             await registry.prepare(registry.record(definition, version))
 
         def act(step: Step) -> tuple[str, bool]:
-            earlier = self._started_with(key)
+            earlier = None if key is None else state.active_processes.with_key(key)
             if earlier is not None:
                 return earlier.record.id, False
             deployed = registry.record(definition, version)
@@ -201,12 +201,6 @@ class ProcessControl:
             process.pause(act, step, now)
         else:
             process.resume_work(act, step, now)
-
-    def _started_with(self, key: str | None) -> Process | None:
-        if key is None:
-            return None
-        begun = self._state.active_processes.processes.values()
-        return next((process for process in begun if process.record.key == key), None)
 
 
 def check_variables(variables: Mapping[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """Transaction: writes all changes of a step with a constant number of statements a table."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import orjson
 from sqlalchemy import (
@@ -57,6 +57,9 @@ MAX_IDS = 500
 """Parameters of one statement: databases limit them."""
 
 
+T = TypeVar("T", str, int)
+
+
 class Conflict(HandoverError):
     """Another orchestrator has changed the same process, or used the same key, in this database."""
 
@@ -76,11 +79,11 @@ def write_step(connection: Connection, step: Step) -> None:
     _write_archived(connection, step.archived)
     _write_stored_messages(connection, step)
     _write_entities_seen(connection, step)
-    if step.delivered:
-        connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(step.delivered)))
+    for delivered in in_parts(step.delivered):
+        connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(delivered)))
 
 
-def in_parts(ids: Sequence[str]) -> Iterator[Sequence[str]]:
+def in_parts(ids: Sequence[T]) -> Iterator[Sequence[T]]:
     """Yield `ids` in parts: databases limit the parameters of a statement."""
     for start in range(0, len(ids), MAX_IDS):
         yield ids[start : start + MAX_IDS]
@@ -122,9 +125,8 @@ def _write_stored_messages(connection: Connection, step: Step) -> None:
         schema.messages,
         [{**plain_row(record), "key": orjson.dumps(record.key).decode()} for record in stored],
     )
-    if step.messages_taken:
-        taken = schema.messages.c.id.in_(step.messages_taken)
-        connection.execute(delete(schema.messages).where(taken))
+    for taken in in_parts(list(step.messages_taken)):
+        connection.execute(delete(schema.messages).where(schema.messages.c.id.in_(taken)))
 
 
 def _write_entities_seen(connection: Connection, step: Step) -> None:
