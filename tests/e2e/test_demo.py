@@ -97,11 +97,21 @@ def test_no_service_outlives_a_killed_launcher(handover: Start, eventually: Call
 @pytest.mark.parametrize(
     "killed",
     [
-        [("pick", "context_broker"), ("place", "gesture_controller"), ("home", "context_broker")],
-        [("is asked", "task_orchestrator"), ("pick", "trajectory_tool"), ("place", "webui")],
-        [("scan", "trajectory_tool"), ("pick", "task_orchestrator"), ("place", "trajectory_tool")],
+        [
+            ("scan", "trajectory_tool"),
+            ("is asked", "task_orchestrator"),
+            ("pick", "context_broker"),
+            ("place", "gesture_controller"),
+            ("home", "context_broker"),
+        ],
+        [
+            ("pick", "task_orchestrator"),
+            ("pick", "trajectory_tool"),
+            ("place", "trajectory_tool"),
+            ("place", "webui"),
+        ],
     ],
-    ids=lambda killed: "-".join(service for _, service in killed),
+    ids=["task by task", "twice in a task"],
 )
 def test_killed_services_are_restarted_and_the_process_completes(
     handover: Start, killed: list[tuple[str, str]]

@@ -9,6 +9,7 @@ from pathlib import Path
 from handover.settings import Settings
 from tests.kit import processes
 from tests.kit.ports import next_free_port
+from tests.kit.processes import Process
 from tests.kit.waiting import scaled
 
 TOP_LEVEL = frozenset({"webui", "ros_fiware_bridge"})
@@ -35,7 +36,7 @@ class Cell:
     ports: dict[str, int]
     extra: dict[str, str] = field(default_factory=dict)
     """Settings of this cell beside the usual ones."""
-    processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    processes: dict[str, Process] = field(default_factory=dict)
     host: "Cell | None" = None
     """The cell whose broker this cell uses, as a tenant of its own."""
     tenant: str = ""
@@ -85,8 +86,8 @@ class Cell:
             services = tuple(service for service in services if service != "context_broker")
         for service in services:
             module = service if service in TOP_LEVEL else f"services.{service}"
-            self.processes[service] = processes.spawn(
-                processes.module_command(module), self.environment, self._log_file(service), self.data_dir
+            self.processes[service] = processes.spawn_module(
+                module, self.environment, self._log_file(service), self.data_dir
             )
         for service in services:
             self.wait_ready(service, within_s)

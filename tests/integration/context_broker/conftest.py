@@ -31,9 +31,11 @@ class BrokerProcess:
     data_dir: Path
     port: int = field(default_factory=next_free_port)
     extra: dict[str, str] = field(default_factory=dict)
-    process: subprocess.Popen[bytes] | None = None
+    process: processes.Process | None = None
     log_dir: Path | None = None
     """Where its log goes, if not into the data directory."""
+    is_forked: bool = True
+    """Start it by the fork server; otherwise as `python -m`, which takes longer."""
 
     @property
     def url(self) -> str:
@@ -46,15 +48,14 @@ class BrokerProcess:
     def log(self) -> str:
         return ((self.log_dir or self.data_dir) / "log").read_text(errors="replace")
 
-    def spawn(self) -> subprocess.Popen[bytes]:
+    def spawn(self) -> processes.Process:
         environment = processes.clean_environment()
         environment |= {"HANDOVER_BROKER_PORT": str(self.port), "HANDOVER_DATA_DIR": str(self.data_dir)}
-        return processes.spawn(
-            processes.module_command("services.context_broker"),
-            environment | self.extra,
-            (self.log_dir or self.data_dir) / "log",
-            self.data_dir,
-        )
+        module, log = "services.context_broker", (self.log_dir or self.data_dir) / "log"
+        if self.is_forked:
+            return processes.spawn_module(module, environment | self.extra, log, self.data_dir)
+        command = processes.module_command(module)
+        return processes.spawn(command, environment | self.extra, log, self.data_dir)
 
     def start(self) -> "BrokerProcess":
         self.process = self.spawn()

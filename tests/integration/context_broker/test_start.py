@@ -42,6 +42,7 @@ def test_common_contexts_need_no_network(own_broker: Any) -> None:
 
 @in_a_file
 def test_rarely_used_modules_are_not_loaded_at_the_start(own_broker: Any) -> None:
+    own_broker.is_forked = False
     own_broker.start()
     loaded = Path(f"/proc/{own_broker.process.pid}/maps")
     if not loaded.exists():

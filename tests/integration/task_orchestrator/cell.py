@@ -1,6 +1,5 @@
 """A cell for tests: broker, orchestrator and a scripted performer as real processes that can be killed."""
 
-import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -27,17 +26,20 @@ def eventually(look: Callable[[], T | None], what: str) -> T:
 
 
 class Member:
-    """A process of the cell: `start` it, `kill` it without warning, `start` it again."""
+    """A process of the cell: `start` it, `kill` it without warning, `start` it again.
+
+    `program` is a module, or the file of a script.
+    """
 
     def __init__(
-        self, name: str, command: list[str], environment: Mapping[str, str], log: Path, ready: str
+        self, name: str, program: str | Path, environment: Mapping[str, str], log: Path, ready: str
     ) -> None:
         self.name = name
-        self._command = command
+        self._program = program
         self.environment = environment
         self._log = log
         self._ready = ready
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: processes.Process | None = None
 
     def start(self) -> None:
         """Start it and wait until it answers."""
@@ -46,7 +48,13 @@ class Member:
 
     def launch(self) -> None:
         """Start it without waiting."""
-        self._process = processes.spawn(self._command, self.environment, self._log, self._log.parent)
+        if isinstance(self._program, Path):
+            command = [sys.executable, str(self._program)]
+            self._process = processes.spawn(command, self.environment, self._log, self._log.parent)
+        else:
+            self._process = processes.spawn_module(
+                self._program, self.environment, self._log, self._log.parent
+            )
 
     def run(self) -> None:
         """Start it if it does not run."""
@@ -105,24 +113,23 @@ class Cell:
             "PERFORMER_DONE": str(self.done_file),
             "PERFORMER_SCRIPT": str(self.script_file),
         }
-        python = sys.executable
         self.broker = Member(
             "broker",
-            [python, "-m", "services.context_broker"],
+            "services.context_broker",
             environment,
             folder / "broker.log",
             f"http://127.0.0.1:{broker}/readyz",
         )
         self.orchestrator = Member(
             "orchestrator",
-            [python, "-m", "services.task_orchestrator"],
+            "services.task_orchestrator",
             of_orchestrator,
             folder / "orchestrator.log",
             f"http://127.0.0.1:{orchestrator}/healthz",
         )
         self.performer = Member(
             "performer",
-            [python, str(Path(__file__).parent / "scripted_performer.py")],
+            Path(__file__).parent / "scripted_performer.py",
             of_performer,
             folder / "performer.log",
             f"http://127.0.0.1:{performer}/healthz",

@@ -1,0 +1,128 @@
+"""Runs modules as processes that are forked from a process with the third-party libraries already imported.
+
+A service spends most of its start on these imports, and the tests start hundreds of services. The server has
+imported nothing of ours: each process imports its module and runs it as `python -m` does, with its own
+environment, folder, standard streams and resource limits. Tests of the start itself use `processes.spawn`.
+
+Protocol: a request is a JSON object with three file descriptors: standard input, output (also for errors)
+and the status pipe. To the pipe the server writes the process id and, at the end of the process, its exit
+status.
+"""
+
+import gc
+import importlib
+import json
+import os
+import resource
+import runpy
+import selectors
+import signal
+import socket
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+PRELOADED: Final = (
+    "croniter",
+    "fastapi",
+    "httpx_aiohttp",
+    "jsonschema",
+    "lxml.etree",
+    "orjson",
+    "prometheus_client",
+    "pydantic_settings",
+    "sqlalchemy.dialects.sqlite",
+    "structlog",
+    "uvicorn.lifespan.on",
+    "uvicorn.loops.uvloop",
+    "uvicorn.protocols.http.httptools_impl",
+    "uvicorn.protocols.websockets.auto",
+    "yaml",
+)
+LIMITS: Final = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE)
+"""The resource limits of a process: those of the client at the time of the request."""
+MAX_REQUEST_BYTES: Final = 1 << 20
+MAX_DESCRIPTORS: Final = 1024
+
+
+def serve(requests: socket.socket) -> dict[str, Any] | None:
+    """Serve until the other end of `requests` is closed: then return None.
+
+    Returns in each forked process too, with its request.
+    """
+    statuses: dict[int, int] = {}
+    """The status pipes by process id."""
+    wake_up, woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    signal.set_wakeup_fd(woken)
+    signal.signal(signal.SIGCHLD, lambda *_: None)  # wakes up the selector
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal also reaches the processes
+    with selectors.DefaultSelector() as selector:
+        selector.register(requests, selectors.EVENT_READ)
+        selector.register(wake_up, selectors.EVENT_READ)
+        while True:
+            for key, _ in selector.select():
+                if key.fileobj is not requests:
+                    os.read(wake_up, MAX_DESCRIPTORS)
+                    _report_ended(statuses)
+                    continue
+                received, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, 3)
+                if not received:
+                    return None
+                process = os.fork()
+                if process == 0:
+                    return _prepare(json.loads(received), *descriptors)
+                *streams, statuses[process] = descriptors
+                for stream in streams:
+                    os.close(stream)
+                os.write(statuses[process], f"{process}\n".encode())
+
+
+def _report_ended(statuses: dict[int, int]) -> None:
+    while statuses:
+        process, status = os.waitpid(-1, os.WNOHANG)
+        if process == 0:
+            return
+        pipe = statuses.pop(process)
+        with suppress(BrokenPipeError):  # nobody asks for it any more
+            os.write(pipe, f"{os.waitstatus_to_exitcode(status)}\n".encode())
+        os.close(pipe)
+
+
+def _prepare(request: dict[str, Any], standard_input: int, output: int, _status: int) -> dict[str, Any]:
+    """Give this process what the request asks for, and nothing of the server."""
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for descriptor, source in enumerate((standard_input, output, output)):
+        os.dup2(source, descriptor)
+    os.closerange(3, MAX_DESCRIPTORS)
+    for limit, value in zip(LIMITS, request["limits"], strict=True):
+        resource.setrlimit(limit, tuple(value))
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    os.chdir(request["folder"])
+    return request
+
+
+def main() -> None:
+    """Import the libraries, serve, and in a forked process run its module."""
+    for module in PRELOADED:
+        importlib.import_module(module)
+    if len(list(Path("/proc/self/task").iterdir())) > 1:
+        raise SystemExit("a library has started a thread, which a forked process would lack")
+    gc.collect()
+    gc.freeze()  # otherwise each process would copy all memory that it shares with the server
+    requests = socket.socket(fileno=int(sys.argv[1]))
+    request = serve(requests)
+    if request is None:
+        return
+    requests.detach()  # it is closed already
+    added = request["environment"].get("PYTHONPATH", "")
+    sys.path[:1] = [request["folder"], *filter(None, added.split(os.pathsep))]
+    sys.argv = [request["module"]]
+    runpy.run_module(request["module"], run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    main()
