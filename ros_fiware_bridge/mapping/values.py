@@ -15,6 +15,8 @@ OBSERVED_AT = "observedAt"
 """The name by which templates refer to times of observation: `{observedAt.status}`."""
 OF_EVERY_ENTITY = frozenset({"id", "entityId", "type"})
 """The names by which templates refer to the last part of an entity's id, the id, and the type."""
+RESOURCE = "resource"
+"""The name by which a request to the graph refers to the Task's resource: `resource.jointNames`."""
 MADE_OF = ("field", "text", "constant", "list", "point", "languages", "object")
 """The possible sources of an attribute."""
 _ENTITY_MEMBERS = {"id", "type", "scope", "@context", "createdAt", "modifiedAt"}

@@ -24,7 +24,7 @@ from ros_fiware_bridge.mapping.model import (
 )
 from ros_fiware_bridge.mapping.paths import Path
 from ros_fiware_bridge.mapping.templates import Template
-from ros_fiware_bridge.mapping.values import Attribute, Source
+from ros_fiware_bridge.mapping.values import RESOURCE, Attribute, Source
 from ros_fiware_bridge.rules import attributes
 from ros_fiware_bridge.rules.attributes import CompileContext, MadeAttribute
 from ros_fiware_bridge.rules.entity_extractor import EntityExtractor, ErrorScope, ReportError
@@ -90,6 +90,12 @@ class PlannedRequest:
     feedback: tuple[MadeAttribute, ...]
     resource: str | None
     selector: EntitySelector | None
+
+    @property
+    def reads_resource(self) -> bool:
+        """Return whether a field is an attribute of the Task's resource: `resource.jointNames`."""
+        fields = self.rule.request if isinstance(self.rule, ServiceCall) else self.rule.goal
+        return any(RESOURCE in source.attributes() for source in fields.values())
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,9 @@ from handover.telemetry import get_logger
 from ros_fiware_bridge.graph.port import Goal, GoalStatus, Message, RosGraph
 from ros_fiware_bridge.mapping import paths
 from ros_fiware_bridge.mapping.model import ActionGoal, Change, ServiceCall
+from ros_fiware_bridge.mapping.values import RESOURCE
 from ros_fiware_bridge.rules.attributes import MadeAttribute
+from ros_fiware_bridge.rules.change_tracker import scope_of
 from ros_fiware_bridge.rules.entity_extractor import MESSAGE_ERRORS
 from ros_fiware_bridge.rules.message_builder import Scope
 from ros_fiware_bridge.rules.outbox import Update
@@ -202,9 +204,11 @@ class RosTaskPerformer(Performer):
             job.report_progress(_fraction(feedback.get("progress")), **others)
 
         await job.checkpoint()
-        scope = Scope({**job.parameters, "taskId": job.task.id, "id": job.task.id.rsplit(":", 1)[-1]})
+        values = {**job.parameters, "taskId": job.task.id, "id": job.task.id.rsplit(":", 1)[-1]}
         try:
-            return await request.execute(scope, on_feedback, job)
+            if request.planned.reads_resource:
+                values[RESOURCE] = scope_of(await self.broker.retrieve(job.resource), 0.0).values
+            return await request.execute(Scope(values), on_feedback, job)
         except RequestFailed as failure:
             raise TaskFailed(text_of(failure), **failure.outputs) from failure
         except TaskCancelled:

@@ -101,7 +101,10 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
         """Return the cell in the frame of the robot's base: bins, fixtures, and the pose of each part."""
         _require_known(controller, robot)
         cell = controller.cell
-        parts = [{"part": one.part, "place": one.place, **one.pose.written()} for one in cell.contents.lying]
+        parts = [
+            {"part": lying.part, "place": lying.place, **lying.pose.written()}
+            for lying in cell.contents.lying
+        ]
         return {**cell.scene.model_dump(mode="json"), "parts": parts}
 
     @app.post("/robots/{robot}/gripper/free", tags=["robots"])
@@ -158,11 +161,11 @@ def _require_known(controller: Controller, robot: str) -> None:
         )
 
 
-def _rate(asked: str | None) -> float:
-    if asked is None:
+def _rate(rate: str | None) -> float:
+    if rate is None:
         return STREAM_HZ
     try:
-        hz = float(asked)
+        hz = float(rate)
     except ValueError:
         hz = math.nan
     if not 0 < hz <= MAX_HZ:

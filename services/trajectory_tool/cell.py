@@ -126,7 +126,7 @@ class Cell:
 
     def look_into(self, bin_name: str) -> Lying | None:
         """Return the part that the camera detects in a bin; None without one."""
-        found = self.camera.look([one.part for one in self.parts_in(bin_name)])
+        found = self.camera.look([lying.part for lying in self.parts_in(bin_name)])
         self.seen = found or self.seen
         return self.contents.find(found) if found else None
 

@@ -30,20 +30,20 @@ class Contents:
 
     def in_place(self, place: str) -> list[Lying]:
         """Return the parts in a bin or a fixture, the topmost first."""
-        return [one for one in self.lying if one.place == place]
+        return [part for part in self.lying if part.place == place]
 
     def find(self, part: str) -> Lying | None:
         """Return the part `part`; None if it is not in the cell."""
-        return next((one for one in self.lying if one.part == part), None)
+        return next((lying for lying in self.lying if lying.part == part), None)
 
     def between_fingers(self, tool: Pose, opening_m: float) -> str | None:
         """Return the part that a gripper at `tool` would grip; None if there is none."""
-        near = [one for one in self.lying if one.pose.distance_m(tool) <= opening_m]
-        return min(near, key=lambda one: one.pose.distance_m(tool)).part if near else None
+        near = [part for part in self.lying if part.pose.distance_m(tool) <= opening_m]
+        return min(near, key=lambda part: part.pose.distance_m(tool)).part if near else None
 
     def gripped(self, part: str) -> "Contents":
         """Return the contents after the gripper gripped `part`."""
-        return replace(self, lying=tuple(one for one in self.lying if one.part != part), held=part)
+        return replace(self, lying=tuple(lying for lying in self.lying if lying.part != part), held=part)
 
     def freed(self) -> "Contents":
         """Return the contents after a person removed the part from the gripper."""
@@ -65,7 +65,7 @@ class Contents:
 
     def emptied(self, place: str) -> "Contents":
         """Return the contents after the parts of a fixture were removed."""
-        return replace(self, lying=tuple(one for one in self.lying if one.place != place))
+        return replace(self, lying=tuple(lying for lying in self.lying if lying.place != place))
 
     def free_nest(self, scene: Scene, fixture: str) -> Pose | None:
         """Return the first free nest of a fixture."""

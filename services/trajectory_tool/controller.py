@@ -65,12 +65,12 @@ class Controller(Performer):
         began_s = time.monotonic()
         with _counted(name), self._device_state():
             operation = operations.known(name)
-            given = parameters.read(operation.parameters, name, _parameters_of(job, name))
-            speed = self._speed * given.speed
+            values = parameters.read(operation.parameters, name, _parameters_of(job, name))
+            speed = self._speed * values.speed
             self.work = work = Work(job.task.id, name, self.cell, _Steering(job, self.device), speed)
             log.info("robot starts", task=job.task.id, operation=name, again=job.resumed)
             async with self.cell.in_hand, _progress_reports(job, work):
-                result = await operation.perform(work, given)
+                result = await operation.perform(work, values)
         return {**result, "durationS": round(time.monotonic() - began_s, 2), "progress": 1.0}
 
     @contextmanager
@@ -124,12 +124,12 @@ def _operation_of(job: Job) -> str:
 
 def _parameters_of(job: Job, operation: str) -> Mapping[str, Any]:
     """Return the workParameters; a pick without a target takes the only Material of the Task as its part."""
-    given = job.parameters
-    if operation != "pick" or PICK_TARGETS & given.keys():
-        return given
+    values = job.parameters
+    if operation != "pick" or PICK_TARGETS & values.keys():
+        return values
     involved = (link.object for link in job.task.involves or ())
     materials = [each for each in involved if type_of(each) == "Material"]
-    return {**given, "part": materials[0]} if len(materials) == 1 else given
+    return {**values, "part": materials[0]} if len(materials) == 1 else values
 
 
 @asynccontextmanager

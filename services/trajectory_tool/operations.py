@@ -54,35 +54,35 @@ async def move_to(work: Work, asked: given.MoveTo) -> Result:
     return await _move(work, _reach(work, target.pose, work.cell.joints, 'parameter "pose" of moveTo'))
 
 
-async def scan(work: Work, asked: given.Scan) -> Result:
+async def scan(work: Work, request: given.Scan) -> Result:
     """Look into a bin from above and return the part on top and its pose."""
     cell = work.cell
-    if asked.bin not in cell.scene.bins:
-        raise TaskFailed(_unknown_bin("scan", asked.bin, cell.scene.bins))
-    seen_bin = cell.scene.bins[asked.bin]
-    view = _reach(work, seen_bin.view.pose, cell.joints, f"the view of {asked.bin}")
+    if request.bin not in cell.scene.bins:
+        raise TaskFailed(_unknown_bin("scan", request.bin, cell.scene.bins))
+    seen_bin = cell.scene.bins[request.bin]
+    view = _reach(work, seen_bin.view.pose, cell.joints, f"the view of {request.bin}")
     work.intend(view, seen_bin.looks_for_s)
     await work.go(view)
     await work.wait(seen_bin.looks_for_s)
-    found = cell.look_into(asked.bin)
+    found = cell.look_into(request.bin)
     SCANS.labels(str(found is not None).lower()).inc()
     if found is not None:
         await cell.remember()
-        return {"found": True, "part": found.part, "pose": found.pose.written(), "bin": asked.bin}
-    reason = f"no part lies free in {asked.bin}"
-    if not cell.parts_in(asked.bin):
-        reason = f"{asked.bin} is empty"
-        cell.found_empty(asked.bin)
+        return {"found": True, "part": found.part, "pose": found.pose.written(), "bin": request.bin}
+    reason = f"no part lies free in {request.bin}"
+    if not cell.parts_in(request.bin):
+        reason = f"{request.bin} is empty"
+        cell.found_empty(request.bin)
         await cell.remember()
-    return {"found": False, "bin": asked.bin, "reason": reason}
+    return {"found": False, "bin": request.bin, "reason": reason}
 
 
-async def pick(work: Work, asked: given.Pick) -> Result:
+async def pick(work: Work, request: given.Pick) -> Result:
     """Grip a part: approach from above, move down, close, move up."""
     cell = work.cell
     if cell.held is not None:
-        return await _already_picked(work, asked, cell.held)
-    spot = _where_to_pick(work, asked)
+        return await _already_picked(work, request, cell.held)
+    spot = _where_to_pick(work, request)
     above, at = _from_above(work, spot, "the part")
     if cell.robot.gripper_closed:
         await work.release(None)
@@ -91,7 +91,7 @@ async def pick(work: Work, asked: given.Pick) -> Result:
     await work.go(at)
     before = cell.contents
     part = await work.grip()
-    if part is not None and asked.part not in {None, part}:
+    if part is not None and request.part not in {None, part}:
         lay = before.find(part)
         await work.release(lay.place if lay else None)
         await work.go(above)
@@ -102,7 +102,7 @@ async def pick(work: Work, asked: given.Pick) -> Result:
                 "scan the bin again and give the part and the pose of the result",
                 part=part,
                 position=_position(spot),
-                asked=asked.part,
+                asked=request.part,
             )
         )
     await work.go(above)
@@ -117,20 +117,20 @@ async def pick(work: Work, asked: given.Pick) -> Result:
     return {"part": part, "gripped": True}
 
 
-async def place(work: Work, asked: given.Place) -> Result:
+async def place(work: Work, request: given.Place) -> Result:
     """Put the held part down: approach from above, move down, open, move up."""
     cell = work.cell
     if cell.held is None:
         return await _already_placed(work)
     part = cell.held
-    spot = _where_to_place(work, asked)
+    spot = _where_to_place(work, request)
     above, at = _from_above(work, spot, "the place")
     work.intend(above, at, cell.scene.gripper.acts_in_s, above)
     await work.go(above)
     await work.go(at)
-    await work.release(asked.location)
+    await work.release(request.location)
     await work.go(above)
-    return _placed(part, asked.location, spot)
+    return _placed(part, request.location, spot)
 
 
 OPERATIONS: Mapping[str, Operation] = {
@@ -162,18 +162,18 @@ async def _move(work: Work, target: Joints) -> Result:
     return {"joints": [round(angle, 6) for angle in work.cell.joints]}
 
 
-async def _already_picked(work: Work, asked: given.Pick, held: str) -> Result:
+async def _already_picked(work: Work, request: given.Pick, held_part: str) -> Result:
     done = work.done_before()
-    if done is None and asked.part != held:
+    if done is None and request.part != held_part:
         raise TaskFailed(
             message(
                 "robot.gripper_full",
                 'the gripper holds "{part}"; place it, or take it out by hand, before another part is picked',
-                part=held,
+                part=held_part,
             )
         )
     await _leave(work)
-    return {"part": held, "gripped": True}
+    return {"part": held_part, "gripped": True}
 
 
 async def _already_placed(work: Work) -> Result:
@@ -197,24 +197,24 @@ async def _leave(work: Work) -> None:
     await work.go(above)
 
 
-def _where_to_pick(work: Work, asked: given.Pick) -> Pose:
+def _where_to_pick(work: Work, request: given.Pick) -> Pose:
     cell = work.cell
-    if asked.pose is not None:
-        return asked.pose.pose
-    if asked.part is None and asked.bin is not None:
-        if asked.bin not in cell.scene.bins:
-            raise TaskFailed(_unknown_bin("pick", asked.bin, cell.scene.bins))
-        lying = cell.parts_in(asked.bin)
+    if request.pose is not None:
+        return request.pose.pose
+    if request.part is None and request.bin is not None:
+        if request.bin not in cell.scene.bins:
+            raise TaskFailed(_unknown_bin("pick", request.bin, cell.scene.bins))
+        lying = cell.parts_in(request.bin)
         if not lying:
             raise TaskFailed(
                 message(
                     "robot.bin_empty",
                     "{bin} is empty; fill it before a part is picked from it",
-                    bin=asked.bin,
+                    bin=request.bin,
                 )
             )
         return lying[0].pose
-    part = asked.part or cell.seen
+    part = request.part or cell.seen
     if part is None:
         raise TaskFailed(
             message(
@@ -234,11 +234,11 @@ def _where_to_pick(work: Work, asked: given.Pick) -> Pose:
     return found.pose
 
 
-def _where_to_place(work: Work, asked: given.Place) -> Pose:
-    if asked.pose is not None:
-        return asked.pose.pose
+def _where_to_place(work: Work, request: given.Place) -> Pose:
+    if request.pose is not None:
+        return request.pose.pose
     fixtures = work.cell.scene.fixtures
-    name = asked.location or ""
+    name = request.location or ""
     if name not in fixtures:
         raise TaskFailed(
             message(

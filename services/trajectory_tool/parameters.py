@@ -26,21 +26,21 @@ SILENT = frozenset({"operation", "description"})
 DOWN = (1.0, 0.0, 0.0, 0.0)
 
 
-def _number(given: Any) -> Any:
-    if isinstance(given, bool | str):
+def _number(value: Any) -> Any:
+    if isinstance(value, bool | str):
         raise ValueError("must be a number")  # noqa: TRY004 - pydantic wants ValueError
-    return given
+    return value
 
 
-def _last_part(given: Any) -> Any:
-    return given.rsplit(":", 1)[-1] if isinstance(given, str) and given.startswith("urn:") else given
+def _last_part(value: Any) -> Any:
+    return value.rsplit(":", 1)[-1] if isinstance(value, str) and value.startswith("urn:") else value
 
 
-def _unit(given: poses.Quaternion) -> poses.Quaternion:
-    length = math.hypot(*given)
+def _unit(quaternion: poses.Quaternion) -> poses.Quaternion:
+    length = math.hypot(*quaternion)
     if abs(length - 1) > 0.01:
         raise ValueError(f"must be a quaternion [x, y, z, w] of length 1; this one has {length:.3f}")
-    x, y, z, w = given
+    x, y, z, w = quaternion
     return (x / length, y / length, z / length, w / length)
 
 
@@ -113,10 +113,10 @@ class Place(Home):
         return self
 
 
-def read(model: type[Home], operation: str, given: Mapping[str, Any]) -> Home:
+def read(model: type[Home], operation: str, values: Mapping[str, Any]) -> Home:
     """Return the parameters of `operation` as `model`. Raises `TaskFailed` with all faults."""
     try:
-        return model.model_validate({name: value for name, value in given.items() if name not in SILENT})
+        return model.model_validate({name: value for name, value in values.items() if name not in SILENT})
     except ValidationError as error:
         faults = "; ".join(_explained(model, operation, dict(fault)) for fault in error.errors())
         raise TaskFailed(faults) from None

@@ -207,7 +207,7 @@ def read_model(
             flange=flange or tip,
             tip=tip,
             home=dict(home or {}),
-            given=(max_acceleration, max_jerk),
+            limits=(max_acceleration, max_jerk),
             labels=labels or {},
             fingers=fingers,
             inverse=inverse,
@@ -232,7 +232,7 @@ def _model(
     flange: str,
     tip: str,
     home: dict[str, float],
-    given: tuple[float | Mapping[str, float], float | Mapping[str, float]],
+    limits: tuple[float | Mapping[str, float], float | Mapping[str, float]],
     labels: Mapping[str, Mapping[str, str]],
     fingers: tuple[Finger, ...],
     inverse: InverseKinematics | None,
@@ -251,7 +251,7 @@ def _model(
         movable = kind != "fixed"
         segments.append(_Segment(_origin(element), _axis(element), kind, len(joints) if movable else None))
         if movable:
-            joints.append(_joint(element, given, labels))
+            joints.append(_joint(element, limits, labels))
         if element.find("child").get("link") == flange:
             flange_at = number
     if not joints:

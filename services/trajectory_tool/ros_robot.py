@@ -353,11 +353,11 @@ def points(course: Course) -> list[dict[str, Any]]:
     """
     whole_s = course.remaining_s(0.0)
     count = min(max(math.ceil(whole_s / STEP_S), 1), MAX_POINTS)
-    made = []
+    points = []
     for number in range(1, count + 1):
         at_s = whole_s * number / count
         setpoint: Setpoint = course.at(at_s)
-        made.append(
+        points.append(
             {
                 "positions": [round(value, 6) for value in setpoint.positions],
                 "velocities": [round(value, 6) for value in setpoint.velocities],
@@ -365,7 +365,7 @@ def points(course: Course) -> list[dict[str, Any]]:
                 "time_from_start": {"sec": int(at_s), "nanosec": int(at_s % 1 * 1e9)},
             }
         )
-    return made
+    return points
 
 
 def in_order(joint_names: Sequence[str], names: Any, values: Any) -> Joints:
@@ -402,4 +402,4 @@ def _value(entity: Mapping[str, Any], attribute: str) -> Any:
 
 
 def _distance_rad(some: Joints, others: Joints) -> float:
-    return max(abs(one - other) for one, other in zip(some, others, strict=True))
+    return max(abs(first - second) for first, second in zip(some, others, strict=True))

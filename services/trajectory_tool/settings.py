@@ -88,12 +88,12 @@ class TrajectorySettings(Settings):
         )
 
     def _per_joint(self, field: str, of_the_robot: Joints) -> Joints:
-        given: Joints | None = getattr(self, field)
-        if given is None:
+        joints: Joints | None = getattr(self, field)
+        if joints is None:
             return of_the_robot
-        if len(given) != len(of_the_robot):
+        if len(joints) != len(of_the_robot):
             raise UsageError(
-                f"HANDOVER_{field.upper()} has {len(given)} values, and the robot {self.robot_model} has "
+                f"HANDOVER_{field.upper()} has {len(joints)} values, and the robot {self.robot_model} has "
                 f"{len(of_the_robot)} joints; give one value for each joint"
             )
-        return given
+        return joints

@@ -59,7 +59,7 @@ class _Line:
 
     @property
     def way(self) -> Joints:
-        return tuple(there - here for here, there in zip(self.start, self.target, strict=True))
+        return tuple(end - here for here, end in zip(self.start, self.target, strict=True))
 
     def along(self, limits: Limits) -> tuple[float, float, float]:
         """Return the limits of the parameter such that no joint exceeds its limits."""
@@ -72,9 +72,9 @@ class _Line:
     def at(self, place: float, velocity: float, acceleration: float) -> Setpoint:
         way = self.way
         return Setpoint(
-            tuple(here + place * there for here, there in zip(self.start, way, strict=True)),
-            tuple(velocity * there for there in way),
-            tuple(acceleration * there for there in way),
+            tuple(here + place * distance for here, distance in zip(self.start, way, strict=True)),
+            tuple(velocity * distance for distance in way),
+            tuple(acceleration * distance for distance in way),
         )
 
 
@@ -101,7 +101,7 @@ class Course:
         self._began_s = began_s
         self._profile: Any = None
         self._duration_s = 0.0
-        if any(abs(there) > NOTHING_RAD for there in self._line.way):
+        if any(abs(distance) > NOTHING_RAD for distance in self._line.way):
             self._follow(_to_the_end(self._line.along(cruise)))
 
     def at(self, now_s: float, *, may_go: bool = True) -> Setpoint:
@@ -126,10 +126,10 @@ class Course:
         """Return whether the joints are at rest: at the target or, after a stop, on the way."""
         return now_s - self._began_s >= self._duration_s
 
-    def _follow(self, given: Any) -> None:
+    def _follow(self, inputs: Any) -> None:
         profile = RuckigProfile(1)
         try:
-            result = Ruckig(1).calculate(given, profile)
+            result = Ruckig(1).calculate(inputs, profile)
         except RuckigError as error:
             raise RobotFault(
                 message(
@@ -157,24 +157,27 @@ def duration_s(start: Joints, target: Joints, cruise: Limits) -> float:
 
 
 def _allowed(limits: Joints, way: Joints) -> list[float]:
-    return [limit / abs(there) for limit, there in zip(limits, way, strict=True) if abs(there) > NOTHING_RAD]
+    moved = ((limit, abs(distance)) for limit, distance in zip(limits, way, strict=True))
+    return [limit / distance for limit, distance in moved if distance > NOTHING_RAD]
 
 
 def _to_the_end(along: tuple[float, float, float]) -> Any:
-    given = _given((0.0, 0.0, 0.0), along)
-    given.target_position = [1.0]
-    return given
+    inputs = _given((0.0, 0.0, 0.0), along)
+    inputs.target_position = [1.0]
+    return inputs
 
 
 def _to_rest(place: float, velocity: float, acceleration: float, along: tuple[float, float, float]) -> Any:
-    given = _given((place, velocity, acceleration), along)
-    given.control_interface = ControlInterface.Velocity
-    given.target_velocity = [0.0]
-    return given
+    inputs = _given((place, velocity, acceleration), along)
+    inputs.control_interface = ControlInterface.Velocity
+    inputs.target_velocity = [0.0]
+    return inputs
 
 
 def _given(start: tuple[float, float, float], along: tuple[float, float, float]) -> Any:
-    given = InputParameter(1)
-    given.current_position, given.current_velocity, given.current_acceleration = ([value] for value in start)
-    given.max_velocity, given.max_acceleration, given.max_jerk = ([value] for value in along)
-    return given
+    inputs = InputParameter(1)
+    position, velocity, acceleration = start
+    inputs.current_position, inputs.current_velocity = [position], [velocity]
+    inputs.current_acceleration = [acceleration]
+    inputs.max_velocity, inputs.max_acceleration, inputs.max_jerk = ([value] for value in along)
+    return inputs

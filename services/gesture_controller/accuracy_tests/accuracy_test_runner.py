@@ -55,13 +55,13 @@ class RunningTest:
         """Return what the screen shows."""
         plan, progress = self.test.plan, self.progress
         is_over = progress.done >= len(plan.asked) or progress.phase.is_over
-        asked = None if is_over else plan.asked[progress.done]
+        gesture = None if is_over else plan.asked[progress.done]
         return {
             "id": self.test.id,
             "phase": progress.phase.value,
             "reason": progress.reason,
-            "asked": {"gesture": asked, "code": plan.codes[asked]}
-            if asked is not None and progress.phase is Phase.ASKED
+            "asked": {"gesture": gesture, "code": plan.codes[gesture]}
+            if gesture is not None and progress.phase is Phase.ASKED
             else None,
             "done": progress.done,
             "trials": len(plan.asked),
@@ -381,7 +381,7 @@ class AccuracyTestRunner:
         return codes
 
     def _require_no_other_test(self, glove: Glove, but: str | None = None) -> None:
-        other = next((one for one in self._running.values() if one.glove is glove), None)
+        other = next((test for test in self._running.values() if test.glove is glove), None)
         if other is not None and other.test.id != but:
             raise Problem(
                 409,

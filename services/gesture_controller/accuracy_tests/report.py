@@ -52,8 +52,8 @@ def report_of(plan: Plan, trials: Sequence[Trial]) -> Results:
         "table": _table(trials),
         "overall": _figures(trials),
         "gestures": [
-            {"gesture": gesture, "code": plan.codes[gesture], **_figures(theirs)}
-            for gesture, theirs in by_gesture.items()
+            {"gesture": gesture, "code": plan.codes[gesture], **_figures(trials_of)}
+            for gesture, trials_of in by_gesture.items()
         ],
         "rounds": [
             {"round": number + 1, **_figures([trial for trial in trials if trial.round == number])}
@@ -70,7 +70,7 @@ def confusion(plan: Plan, trials: Sequence[Trial]) -> ConfusionMatrix:
     counts = {gesture: Counter[str]() for gesture in plan.codes}
     for trial in trials:
         counts[trial.asked][first_recognized(trial)] += 1
-    others = {one for row in counts.values() for one in row} - set(plan.codes) - {NO_GESTURE, NOTHING}
+    others = {name for row in counts.values() for name in row} - set(plan.codes) - {NO_GESTURE, NOTHING}
     columns = [*plan.codes, *sorted(others), NO_GESTURE, NOTHING]
     return {
         "asked": list(plan.codes),

@@ -137,7 +137,10 @@ def _as_dict(trial: Trial, at: str) -> TrialView:
         "first": first_recognized(trial),
         "outcome": trial.outcome,
         "recognizedMs": trial.recognized_ms,
-        "tries": [{"gesture": one.gesture, "states": one.states, "atMs": one.at_ms} for one in trial.tries],
+        "tries": [
+            {"gesture": attempt.gesture, "states": attempt.states, "atMs": attempt.at_ms}
+            for attempt in trial.tries
+        ],
         "repeats": trial.repeats,
         "endedAt": at,
     }

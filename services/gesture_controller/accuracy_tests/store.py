@@ -93,7 +93,7 @@ class AccuracyTestStore:
             "round": trial.round,
             "asked": trial.asked,
             "outcome": trial.outcome.value,
-            "tries": orjson.dumps([asdict(one) for one in trial.tries]).decode(),
+            "tries": orjson.dumps([asdict(attempt) for attempt in trial.tries]).decode(),
             "recognized_ms": trial.recognized_ms,
             "repeats": trial.repeats,
             "ended_at": iso(at),
@@ -156,5 +156,5 @@ def _test(row: Mapping[str, Any]) -> AccuracyTest:
 
 
 def _trial(row: Mapping[str, Any]) -> Trial:
-    tries = tuple(Attempt(**one) for one in orjson.loads(row["tries"]))
+    tries = tuple(Attempt(**attempt) for attempt in orjson.loads(row["tries"]))
     return Trial(row["number"], row["round"], row["asked"], Outcome(row["outcome"]), tries, row["repeats"])

@@ -186,14 +186,14 @@ class Progress:
         return replace(self, phase=Phase.ASKED, since_s=observation.t_s, hold=Hold(), tries=())
 
     def _asked(self, observation: Observation, plan: Plan) -> "tuple[Progress, Trial | None]":
-        asked = plan.asked[self.done]
+        gesture = plan.asked[self.done]
         timing = HoldTiming(plan.hold_ms, plan.hold_ms + plan.limit_ms, plan.gap_ms)
         hold = self.hold.after(observation.gesture or observation.states, observation.t_s, timing)
         at_ms = round((observation.t_s - (self.since_s or 0.0)) * 1000, 3)
         tries = self.tries
-        if hold.last is HoldEvent.ANNOUNCED and _is_attempt(observation, plan.codes[asked]):
+        if hold.last is HoldEvent.ANNOUNCED and _is_attempt(observation, plan.codes[gesture]):
             tries = (*tries, Attempt(observation.gesture, observation.states, at_ms))
-            if observation.gesture == asked:
+            if observation.gesture == gesture:
                 outcome = Outcome.RIGHT if len(tries) == 1 else Outcome.CORRECTED
                 return self._ended(plan, outcome, tries)
         if at_ms >= plan.limit_ms:

@@ -120,7 +120,7 @@ class CalibrationWizard:
         return now._after_capture(tuple(bend), at_s, at_s - self.since_s)
 
     def _after_capture(self, bend: tuple[float, ...], at_s: float, waited_s: float) -> "CalibrationWizard":
-        window = (*(one for one in self.window if at_s - one[0] <= CAPTURE_S), (at_s, bend))
+        window = (*(entry for entry in self.window if at_s - entry[0] <= CAPTURE_S), (at_s, bend))
         now = replace(self, window=window)
         if len(window) < MIN_FRAMES or at_s - window[0][0] < CAPTURE_S - (at_s - window[-2][0]):
             return replace(now, phase=Phase.GIVEN_UP) if waited_s >= MAX_CAPTURE_S else now

@@ -32,8 +32,8 @@ def calibration_from(learnt: Mapping[str, Any], thresholds: Thresholds) -> Calib
             for finger in FINGERS
         )
         samples = tuple(
-            Sample(code, _five(given["shares"]), _five(given["noise"]))
-            for code, given in learnt.get(SAMPLES, {}).items()
+            Sample(code, _five(frames["shares"]), _five(frames["noise"]))
+            for code, frames in learnt.get(SAMPLES, {}).items()
         )
     except (KeyError, TypeError, ValueError, AttributeError):
         return None

@@ -156,13 +156,14 @@ def _fit(row: Row[Any]) -> Fit:
 
 def _old_glove(file: Path) -> tuple[StoredGlove, str | None, Fit]:
     try:
-        given = orjson.loads(file.read_bytes())
-        person = given["person"]
+        document = orjson.loads(file.read_bytes())
+        person = document["person"]
         glove = StoredGlove(
-            file.stem, given["hand"], person if given["declared"] else None, given["declared"]
+            file.stem, document["hand"], person if document["declared"] else None, document["declared"]
         )
         written_at = iso(datetime.fromtimestamp(file.stat().st_mtime, UTC))
-        fit = Fit(_thresholds(given["thresholds"]), _thresholds(given["previous"]), changed_at=written_at)
+        thresholds, previous = _thresholds(document["thresholds"]), _thresholds(document["previous"])
+        fit = Fit(thresholds, previous, changed_at=written_at)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
             f"the stored glove {file} cannot be read ({type(error).__name__}: {error}); "
@@ -175,5 +176,5 @@ def _written(thresholds: Thresholds | None) -> str | None:
     return None if thresholds is None else orjson.dumps(thresholds.as_dict()).decode()
 
 
-def _thresholds(given: Any) -> Thresholds | None:
-    return None if not given else M2O2P_THRESHOLDS.with_changes(given)
+def _thresholds(document: Any) -> Thresholds | None:
+    return None if not document else M2O2P_THRESHOLDS.with_changes(document)

@@ -43,9 +43,9 @@ def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[Fin
         )
     shares, noise = [], []
     for place, (finger, level) in enumerate(zip(FINGERS, levels, strict=True)):
-        stands = [(frame[place] - level.fist) / level.span for frame in frames]
-        usual = median(stands)
-        unrest = _MAD_TO_SIGMA * median(abs(stand - usual) for stand in stands)
+        positions = [(frame[place] - level.fist) / level.span for frame in frames]
+        usual = median(positions)
+        unrest = _MAD_TO_SIGMA * median(abs(stand - usual) for stand in positions)
         if unrest > MAX_SAMPLE_UNREST:
             raise CalibrationFailed(
                 message(
@@ -62,5 +62,5 @@ def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[Fin
 
 def with_sample(calibration: Calibration, sample: Sample) -> Calibration:
     """Return `calibration` with `sample` in place of an older one of the same gesture."""
-    others = tuple(one for one in calibration.samples if one.code != sample.code)
+    others = tuple(each for each in calibration.samples if each.code != sample.code)
     return Calibration(calibration.thresholds, calibration.levels, (*others, sample))

@@ -197,9 +197,9 @@ class Reader(LinedYaml):
     def _command_map(self, section: Entry | None, gestures: Gestures) -> Commands:
         if section is None:
             return default_commands(gestures)
-        given = self.gestures_by_command(self.entries(section.value, "commands"), gestures)
-        self._refuse_two_meanings(given, section.line, "")
-        return Commands(given)
+        by_command = self.gestures_by_command(self.entries(section.value, "commands"), gestures)
+        self._refuse_two_meanings(by_command, section.line, "")
+        return Commands(by_command)
 
     def _answers(self, section: Entry | None, gestures: Gestures) -> dict[Outcome, str]:
         if section is None:
@@ -303,19 +303,19 @@ class Reader(LinedYaml):
             )
         hand, person, thresholds = "right", None, M2O2P_THRESHOLDS
         fields = self.entries(entry.value, f'glove "{entry.key}"') if not is_empty(entry.value) else []
-        for given in fields:
-            if given.key == "hand":
-                hand = self.text(given.value, f'the hand of glove "{entry.key}"')
+        for member in fields:
+            if member.key == "hand":
+                hand = self.text(member.value, f'the hand of glove "{entry.key}"')
                 if hand not in {"left", "right"}:
-                    raise self.wrong(given.line, f'glove "{entry.key}": hand is left or right, not "{hand}"')
-            elif given.key == "person":
-                person = self.text(given.value, f'the person of glove "{entry.key}"')
-            elif given.key == "thresholds":
-                thresholds = self.thresholds(entry.key, given)
+                    raise self.wrong(member.line, f'glove "{entry.key}": hand is left or right, not "{hand}"')
+            elif member.key == "person":
+                person = self.text(member.value, f'the person of glove "{entry.key}"')
+            elif member.key == "thresholds":
+                thresholds = self.thresholds(entry.key, member)
             else:
                 raise self.wrong(
-                    given.line,
-                    f'glove "{entry.key}" has an unknown field "{given.key}"; '
+                    member.line,
+                    f'glove "{entry.key}" has an unknown field "{member.key}"; '
                     "there are hand, person and thresholds",
                 )
         return GloveConfiguration(entry.key, hand, person, thresholds)

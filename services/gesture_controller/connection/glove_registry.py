@@ -158,7 +158,7 @@ class GloveRegistry:
                     ),
                 )
             return known, False
-        worn = next((one for one in self.known.worn_by(person) if one.hand == (hand or "right")), None)
+        worn = next((each for each in self.known.worn_by(person) if each.hand == (hand or "right")), None)
         if worn is not None:
             raise Problem(
                 409,

@@ -42,7 +42,7 @@ def view_of(glove: Glove, now_s: float) -> dict[str, Any]:
         "thresholds": reader.config.thresholds.as_dict(),
         "recognizer": {"name": reader.config.recognizer_name, "missing": reader.config.missing},
         "certainty": _certainty(glove) if is_connected else None,
-        "drift": dict(zip(FINGERS, [round(one, 2) for one in drift.offsets], strict=True)),
+        "drift": dict(zip(FINGERS, [round(offset, 2) for offset in drift.offsets], strict=True)),
         "calibrationNeeded": drift.wants_calibration,
         "calibration": observers.calibration() if observers.calibration is not None else None,
         "frames": connection.traffic.frames,

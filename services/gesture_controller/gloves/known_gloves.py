@@ -48,7 +48,7 @@ class KnownGloves:
 
     def partner_of(self, glove: Glove) -> Glove | None:
         """Return the glove on the other hand of the same person; None if there is none."""
-        return next((one for one in self.worn_by(glove.person) if one.hand != glove.hand), None)
+        return next((other for other in self.worn_by(glove.person) if other.hand != glove.hand), None)
 
     def add(self, glove: Glove) -> None:
         """Add `glove`."""

@@ -48,15 +48,17 @@ class Advice:
 
 def differing(states: str, code: str) -> list[str]:
     """Return the fingers, thumb first, whose state in `states` differs from `code`."""
-    return [finger for finger, seen, wanted in zip(FINGERS, states, code, strict=True) if seen != wanted]
+    return [
+        finger for finger, state, requested in zip(FINGERS, states, code, strict=True) if state != requested
+    ]
 
 
 def advice(fingers: Sequence[str], code: str) -> Advice:
     """Return how `fingers` must move to show `code`."""
-    wanted = dict(zip(FINGERS, code, strict=True))
+    requested = dict(zip(FINGERS, code, strict=True))
     return Advice(
-        tuple(finger for finger in fingers if wanted[finger] == STRAIGHT),
-        tuple(finger for finger in fingers if wanted[finger] != STRAIGHT),
+        tuple(finger for finger in fingers if requested[finger] == STRAIGHT),
+        tuple(finger for finger in fingers if requested[finger] != STRAIGHT),
     )
 
 

@@ -60,7 +60,7 @@ def neighbours(
         _neighbour(name, code, other, (sample, samples.get(name)), thresholds)
         for name, other in others.items()
     ]
-    return sorted(found, key=lambda one: (one.distance, one.sigmas or 0.0, one.name))
+    return sorted(found, key=lambda neighbour: (neighbour.distance, neighbour.sigmas or 0.0, neighbour.name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,43 +82,43 @@ def find_rejection(code: str, near: Collection[Neighbour], unreliable: Collectio
                 shape=RESTING[code],
             )
         )
-    for one in near:
-        if one.distance == 0:
+    for neighbour in near:
+        if neighbour.distance == 0:
             return Rejection(
                 message(
                     "gesture.the_same",
                     'it is "{other}" (code {code}, {distance}); use that one, or take another',
-                    other=one.name,
+                    other=neighbour.name,
                     code=code,
-                    distance=str(one),
+                    distance=str(neighbour),
                 ),
-                one,
+                neighbour,
             )
-        if one.distance == 1 and one.fingers[0] in unreliable:
+        if neighbour.distance == 1 and neighbour.fingers[0] in unreliable:
             return Rejection(
                 message(
                     "gesture.near_by_an_unreliable_finger",
                     'it is too near "{other}" (code {code}, {distance}): the sensor of the {finger} hardly '
                     "separates bent from straight; calibrate it, or use a gesture that differs elsewhere",
-                    other=one.name,
-                    code=one.code,
-                    distance=str(one),
-                    finger=one.fingers[0],
+                    other=neighbour.name,
+                    code=neighbour.code,
+                    distance=str(neighbour),
+                    finger=neighbour.fingers[0],
                 ),
-                one,
+                neighbour,
             )
-        if one.sigmas is not None and one.sigmas < MIN_SIGMAS:
+        if neighbour.sigmas is not None and neighbour.sigmas < MIN_SIGMAS:
             return Rejection(
                 message(
                     "gesture.near_by_noise",
                     'it is too near "{other}" (code {code}, {distance}; {needed} are needed); record it '
                     "again with the fingers fully bent or stretched, or calibrate the glove",
-                    other=one.name,
-                    code=one.code,
-                    distance=str(one),
+                    other=neighbour.name,
+                    code=neighbour.code,
+                    distance=str(neighbour),
                     needed=f"{MIN_SIGMAS:g}",
                 ),
-                one,
+                neighbour,
             )
     return None
 
@@ -135,8 +135,8 @@ def _neighbour(
     if thresholds is None or not places:
         return Neighbour(name, other, fingers)
     ways = [
-        max(_sigmas(sample, place, made[place], thresholds) for place in places)
-        for sample, made in zip(samples, (code, other), strict=True)
+        max(_sigmas(sample, place, shown_code[place], thresholds) for place in places)
+        for sample, shown_code in zip(samples, (code, other), strict=True)
         if sample is not None
     ]
     return Neighbour(name, other, fingers, round(min(ways), 1) if ways else None)

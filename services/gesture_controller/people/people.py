@@ -125,7 +125,7 @@ class People:
                         command=command,
                     ),
                 )
-            left = {one: gesture for one, gesture in person.commands.items() if one != command}
+            left = {key: gesture for key, gesture in person.commands.items() if key != command}
             await self._set_commands(person, left)
 
     async def define(

@@ -125,7 +125,7 @@ class _ProfileReader(Reader):
         if section is not None and len(entries) > MAX_OWN_GESTURES:
             raise self.wrong(section.line, f"a person has {MAX_OWN_GESTURES} gestures of their own at most")
         gestures = {entry.key: self._gesture(entry) for entry in entries}
-        for entry in sorted(entries, key=lambda one: gestures[one.key].shape.code is None):
+        for entry in sorted(entries, key=lambda each: gestures[each.key].shape.code is None):
             try:
                 known = known.with_shapes({entry.key: gestures[entry.key].shape})
             except WrongGesture as error:
@@ -145,11 +145,11 @@ class _ProfileReader(Reader):
         return OwnGesture(self.shape(Entry(entry.key, entry.line, node)), sample)
 
     def _sample(self, entry: Entry) -> Sample:
-        given = {part.key: part for part in self.entries(entry.value, "the sample")}
-        if set(given) != {"glove", "levels", "noise"}:
+        parts = {part.key: part for part in self.entries(entry.value, "the sample")}
+        if set(parts) != {"glove", "levels", "noise"}:
             raise self.wrong(entry.line, "a sample has glove, levels and noise, and nothing else")
-        glove = self.text(given["glove"].value, "the glove of the sample")
-        return Sample(glove, self._five(given["levels"]), self._five(given["noise"]))
+        glove = self.text(parts["glove"].value, "the glove of the sample")
+        return Sample(glove, self._five(parts["levels"]), self._five(parts["noise"]))
 
     def _five(self, entry: Entry) -> tuple[float, ...]:
         if not isinstance(entry.value, yaml.SequenceNode) or len(entry.value.value) != len(FINGERS):
@@ -207,17 +207,17 @@ def _written_gesture(own: OwnGesture) -> Any:
 
 
 def _written_fit(fit: Fit) -> dict[str, Any]:
-    given: dict[str, Any] = {}
+    document: dict[str, Any] = {}
     if fit.recognizer is not None:
-        given["recognizer"] = fit.recognizer
+        document["recognizer"] = fit.recognizer
     if fit.thresholds is not None:
-        given["thresholds"] = {
+        document["thresholds"] = {
             finger: dict(zip(bounds, _plain(bounds.values()), strict=True))
             for finger, bounds in fit.thresholds.as_dict().items()
         }
     if fit.learnt:
-        given["learnt"] = dict(fit.learnt)
-    return given
+        document["learnt"] = dict(fit.learnt)
+    return document
 
 
 def _plain(numbers: Any) -> list[float]:

@@ -310,14 +310,16 @@ def _profile_errors() -> Iterator[None]:
         ) from None
 
 
-async def _own(given: Recording, glove: Glove | None) -> OwnGesture:
-    if given.code is not None:
-        return OwnGesture(Shape(given.code))
-    if given.sequence is not None:
-        return OwnGesture(Shape(sequence=given.sequence))
-    if glove is None or given.left is not None or given.right is not None:
-        return OwnGesture(Shape(left=given.left, right=given.right))
-    frames = given.frames if given.frames is not None else await _recorded(glove, given.record_ms or 0)
+async def _own(recording: Recording, glove: Glove | None) -> OwnGesture:
+    if recording.code is not None:
+        return OwnGesture(Shape(recording.code))
+    if recording.sequence is not None:
+        return OwnGesture(Shape(sequence=recording.sequence))
+    if glove is None or recording.left is not None or recording.right is not None:
+        return OwnGesture(Shape(left=recording.left, right=recording.right))
+    frames = recording.frames
+    if frames is None:
+        frames = await _recorded(glove, recording.record_ms or 0)
     try:
         code, sample = read_sample(glove.name, frames, glove.reader.config.thresholds)
     except UnclearSample as error:
@@ -364,7 +366,7 @@ def _unreliable_fingers(worn: list[Glove]) -> Iterator[str]:
 
 def _view(name: str, site: _Site) -> PersonView:
     person = site.people.named(name)
-    given = site.people.commands_of(name)
+    commands = site.people.commands_of(name)
     return {
         "name": person.name,
         "title": person.title,
@@ -373,7 +375,7 @@ def _view(name: str, site: _Site) -> PersonView:
             for glove in site.gloves.worn_by(name)
         ],
         "fits": {glove: _fit_view(fit) for glove, fit in site.records.fits_of(name).items()},
-        "commands": {str(command): gesture for command, gesture in sorted(given.gestures.items())},
+        "commands": {str(command): gesture for command, gesture in sorted(commands.gestures.items())},
         "ownCommands": {str(command): gesture for command, gesture in person.commands.items()},
         "ownGestures": {gesture: _own_view(own) for gesture, own in person.gestures.items()},
         "faults": site.people.faults_of(name),

@@ -87,8 +87,8 @@ def own_gesture(written: Mapping[str, Any]) -> OwnGesture:
 
 
 def _insert(connection: Connection, table: Table, rows: Iterable[Mapping[str, Any]]) -> None:
-    if given := list(rows):
-        connection.execute(insert(table), given)
+    if values := list(rows):
+        connection.execute(insert(table), values)
 
 
 def _remove(connection: Connection, name: str) -> None:

@@ -44,14 +44,14 @@ class StudyConditionStore:
             if is_sqlite:
                 connection.exec_driver_sql("PRAGMA secure_delete=ON")
             connection.execute(delete(_conditions))
-            for session, one in conditions.items():
+            for session, condition in conditions.items():
                 connection.execute(
                     insert(_conditions).values(
                         session=session,
-                        participant=one.participant,
-                        glove=one.glove,
-                        person=one.person,
-                        own=one.own,
+                        participant=condition.participant,
+                        glove=condition.glove,
+                        person=condition.person,
+                        own=condition.own,
                     )
                 )
             connection.commit()

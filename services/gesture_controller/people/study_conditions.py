@@ -51,9 +51,9 @@ class StudyConditions:
 
     def find(self, glove: str | None, person: str | None) -> StudyCondition | None:
         """Return the condition of a glove or a person that decides whose gestures count, if any."""
-        wanted = StudyCondition("", glove, person)
-        found = (one for one in self._conditions.values() if one.overlaps(wanted) and one.own is not None)
-        return next(found, None)
+        requested = StudyCondition("", glove, person)
+        overlapping = (each for each in self._conditions.values() if each.overlaps(requested))
+        return next((each for each in overlapping if each.own is not None), None)
 
     def require_none(self, *, glove: str | None = None, person: str | None = None) -> None:
         """Raise `Problem` 409 if a study decides whose gestures count for one of them."""

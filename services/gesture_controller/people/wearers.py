@@ -51,13 +51,13 @@ class Wearers:
             if person == glove.person:
                 return
             records = self._fits.records
-            taken_off = [one for one in self._known.worn_by(person) if one.hand == glove.hand]
+            taken_off = [removed for removed in self._known.worn_by(person) if removed.hand == glove.hand]
             await records.save(
-                *(replace(records.of(one), person=NOBODY) for one in taken_off),
+                *(replace(records.of(removed), person=NOBODY) for removed in taken_off),
                 replace(records.of(glove), person=person or NOBODY),
             )
-            for one in taken_off:
-                self._assign(one, None)
+            for removed in taken_off:
+                self._assign(removed, None)
             self._assign(glove, person)
         log.info("glove has another wearer", glove=glove.name, person=person or "nobody")
 

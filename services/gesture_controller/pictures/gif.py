@@ -45,8 +45,8 @@ def gif_of(poses: Sequence[Pose], motion: Motion = "loop") -> bytes:
         ways = [moments(*pose.states) for pose in poses]
         steps = _steps(ways)
         pictures = [
-            _beside([_picture(way[nth].bends, pose.hand) for way, pose in zip(ways, poses, strict=True)])
-            for nth, _ in steps
+            _beside([_picture(way[index].bends, pose.hand) for way, pose in zip(ways, poses, strict=True)])
+            for index, _ in steps
         ]
         durations_ms = [duration_ms for _, duration_ms in steps]
     palette = _palette()
@@ -61,14 +61,14 @@ def gif_of(poses: Sequence[Pose], motion: Motion = "loop") -> bytes:
 def _steps(ways: Sequence[Sequence[Moment]]) -> list[tuple[int, int]]:
     """Return the moments that differ from the previous one, with the duration (ms) of each."""
     first, steps = ways[0], list[tuple[int, int]]()
-    for nth, moment in enumerate(first):
-        end_s = first[nth + 1].at_s if nth + 1 < len(first) else whole_s(first)
+    for index, moment in enumerate(first):
+        end_s = first[index + 1].at_s if index + 1 < len(first) else whole_s(first)
         # A GIF counts in hundredths of a second.
-        duration_ms = round((end_s - (moment.at_s if nth else 0.0)) * 100) * 10
-        if steps and all(way[nth].bends == way[steps[-1][0]].bends for way in ways):
+        duration_ms = round((end_s - (moment.at_s if index else 0.0)) * 100) * 10
+        if steps and all(way[index].bends == way[steps[-1][0]].bends for way in ways):
             steps[-1] = (steps[-1][0], steps[-1][1] + duration_ms)
         else:
-            steps.append((nth, duration_ms))
+            steps.append((index, duration_ms))
     return steps
 
 
@@ -79,8 +79,8 @@ def _beside(hands: "Sequence[Image.Image]") -> "Image.Image":
         return hands[0]
     width, height = hands[0].size
     both = Image.new("RGB", (width * len(hands), height), "white")
-    for nth, hand in enumerate(hands):
-        both.paste(hand, (nth * width, 0))
+    for index, hand in enumerate(hands):
+        both.paste(hand, (index * width, 0))
     return both
 
 
@@ -89,7 +89,7 @@ def _palette() -> "Image.Image":
     from PIL import Image, ImageColor  # noqa: PLC0415 - heavy, and seldom asked for
 
     values: list[int] = []
-    for one, other in (
+    for start, other in (
         ("white", LINE),
         (SKIN, LINE),
         (FOLDED, LINE),
@@ -97,7 +97,7 @@ def _palette() -> "Image.Image":
         (SKIN, CREASE),
         (FOLDED, CREASE),
     ):
-        ends = ImageColor.getrgb(one)[:3], ImageColor.getrgb(other)[:3]
+        ends = ImageColor.getrgb(start)[:3], ImageColor.getrgb(other)[:3]
         for step in range(SHADES):
             values += [round(a + (b - a) * step / SHADES) for a, b in zip(*ends, strict=True)]
     values += ImageColor.getrgb(LINE)[:3]

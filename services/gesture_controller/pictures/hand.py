@@ -102,12 +102,12 @@ def _long_finger(name: str, bend: float) -> FingerShape:
 
 
 def _thumb(bend: float) -> FingerShape:
-    given = proportions()["thumb"]
-    nth = 0 if bend <= 1 else 1
-    before, after = given["way"][nth], given["way"][nth + 1]
-    joints = [_between(a, b, bend - nth) for a, b in zip(before, after, strict=True)]
+    thumb = proportions()["thumb"]
+    segment = 0 if bend <= 1 else 1
+    before, after = thumb["way"][segment], thumb["way"][segment + 1]
+    joints = [_between(a, b, bend - segment) for a, b in zip(before, after, strict=True)]
     folded = bend > THUMB_FOLDED
-    phalanges = _chain([tuple(given["root"]), *joints], given["radii"], [False, folded, folded])
+    phalanges = _chain([tuple(thumb["root"]), *joints], thumb["radii"], [False, folded, folded])
     return FingerShape("thumb", phalanges, _nail(phalanges[2], 130) if folded else None, _creases(phalanges))
 
 
@@ -157,8 +157,8 @@ def _rounded(points: Sequence[Sequence[float]], steps: int = 4) -> Polyline:
     """Return a smooth line through `points` (Catmull-Rom)."""
     last = len(points) - 1
     line: list[Point] = []
-    for nth in range(last):
-        around = [points[min(last, max(0, nth + beside))] for beside in (-1, 0, 1, 2)]
+    for index in range(last):
+        around = [points[min(last, max(0, index + beside))] for beside in (-1, 0, 1, 2)]
         for step in range(steps):
             part = step / steps
             x, y = (_catmull_rom([point[axis] for point in around], part) for axis in (0, 1))

@@ -66,7 +66,7 @@ def _poses_of(name: str, gestures: Gestures, hand: Hand) -> tuple[str, tuple[Pos
     if _STATES.fullmatch(name):
         return gestures.names.get(name, name), (Pose(hand, (name,)),)
     everything = (*gestures.codes, *gestures.composites)
-    known = gestures.find(name) or next((one for one in everything if _plain(one) == _plain(name)), None)
+    known = gestures.find(name) or next((each for each in everything if _plain(each) == _plain(name)), None)
     if known is None:
         raise Problem(
             404,

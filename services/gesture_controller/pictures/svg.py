@@ -80,14 +80,15 @@ def _resting(pose: Pose) -> Drawing:
     """Return a hand without motion; for a sequence, one hand for each gesture with arrows between."""
     way = moments(pose.states[0])
     drawn = [
-        _sided(_drawing([shape_of(bends_of(states))], Pace("none", way), f"{pose.mark}s{nth}"), pose.hand)
-        for nth, states in enumerate(pose.states)
+        _sided(_drawing([shape_of(bends_of(states))], Pace("none", way), f"{pose.mark}s{index}"), pose.hand)
+        for index, states in enumerate(pose.states)
     ]
     size, hands = _beside([(box(), drawing) for drawing in drawn])
     step = box()[0] + BESIDE
+    y = box()[1] * 0.6
     arrows = "".join(
-        f'<path class="a" transform="translate({nth * step - BESIDE / 2:g} {box()[1] * 0.6:g})" d="{ARROW}"/>'
-        for nth in range(1, len(drawn))
+        f'<path class="a" transform="translate({index * step - BESIDE / 2:g} {y:g})" d="{ARROW}"/>'
+        for index in range(1, len(drawn))
     )
     return size, hands + arrows
 
@@ -132,7 +133,7 @@ def _drawing(hands: Sequence[Sequence[FingerShape]], pace: Pace, mark: str) -> s
 
     `hands` are the shapes of the animation; a single one does not move. `mark` is the prefix of the ids.
     """
-    fingers = [_Finger([hand[nth] for hand in hands], pace, f"{mark}{nth}") for nth in range(5)]
+    fingers = [_Finger([hand[index] for hand in hands], pace, f"{mark}{index}") for index in range(5)]
     palm_path = _polygon(palm())
     defined = "".join(part for finger in fingers for part in finger.bones.values())
     edges = f'<path class="e" d="{palm_path}"/>' + "".join(finger.layer("e", "0") for finger in fingers)
@@ -147,11 +148,11 @@ class _Finger:
     def __init__(self, shapes: Sequence[FingerShape], pace: Pace, mark: str) -> None:
         self._shapes, self._pace, self._mark = shapes, pace, mark
         made = {
-            f"{folded:d}{nth}": _moving(
-                f'id="{mark}{folded:d}{nth}"', shapes, _bone(nth, folded=folded), pace
+            f"{folded:d}{index}": _moving(
+                f'id="{mark}{folded:d}{index}"', shapes, _bone(index, folded=folded), pace
             )
             for folded in (False, True)
-            for nth in range(3)
+            for index in range(3)
         }
         self.bones = {which: bone for which, bone in made.items() if bone}
 
@@ -184,9 +185,9 @@ def _moving(attributes: str, finger: Sequence[FingerShape], part: Part, pace: Pa
     return f'<path {attributes} d="{where[-1]}">{pace.animation("d", where)}{shown}</path>'
 
 
-def _bone(nth: int, *, folded: bool) -> Part:
+def _bone(index: int, *, folded: bool) -> Part:
     def part(shape: FingerShape) -> str | None:
-        phalanx = shape.phalanges[nth]
+        phalanx = shape.phalanges[index]
         return _capsule(phalanx) if phalanx.folded is folded else None
 
     return part

@@ -41,7 +41,7 @@ class PromptSpec:
             return None
         if gesture == self.gesture or any(part.gesture == gesture for part in self.parts):
             return Outcome.OK
-        return next((one for one, part in self.answers.items() if part.gesture == gesture), None)
+        return next((outcome for outcome, part in self.answers.items() if part.gesture == gesture), None)
 
     @property
     def hands(self) -> Literal["one", "both"]:

@@ -53,10 +53,10 @@ async def handles_outcomes(task: Task, parameters: Mapping[str, Any], broker: Br
 
     The Task's own value counts before that of its TaskDefinition. Waits while the broker is unavailable.
     """
-    given = parameters.get("handlesOutcomes")
-    if given is None:
-        given = (await _definition_in_broker(task, broker)).handles_outcomes
-    return given is True
+    handled = parameters.get("handlesOutcomes")
+    if handled is None:
+        handled = (await _definition_in_broker(task, broker)).handles_outcomes
+    return handled is True
 
 
 async def _definition_in_broker(task: Task, broker: BrokerClient) -> Definition:
@@ -148,18 +148,18 @@ def _gesture_of_command(command_id: int, commands: Commands) -> str:
     return gesture
 
 
-def _command_id(given: Any) -> int | None:
-    if given is None:
+def _command_id(value: Any) -> int | None:
+    if value is None:
         return None
-    if isinstance(given, str) and given.isdecimal():
-        return int(given)
-    if isinstance(given, bool) or not isinstance(given, int):
+    if isinstance(value, str) and value.isdecimal():
+        return int(value)
+    if isinstance(value, bool) or not isinstance(value, int):
         raise TaskFailed(
             message(
-                "task.command_not_whole", 'commandId is a whole number such as 3, not "{given}"', given=given
+                "task.command_not_whole", 'commandId is a whole number such as 3, not "{given}"', given=value
             )
         )
-    return given
+    return value
 
 
 def _description(task: Task, parameters: Mapping[str, Any], definition: Definition) -> str:
@@ -167,14 +167,14 @@ def _description(task: Task, parameters: Mapping[str, Any], definition: Definiti
     return _text(parameters.get("description")) or definition.description or definition.name or own_name
 
 
-def _text(given: Any) -> str:
-    return given if isinstance(given, str) else ""
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else ""
 
 
-def _first(*given: Any) -> Any:
-    return next((one for one in given if one is not None), None)
+def _first(*values: Any) -> Any:
+    return next((one for one in values if one is not None), None)
 
 
 def _value(entity: Mapping[str, Any], attribute: str) -> Any:
-    given = entity.get(attribute)
-    return given.get("value") if isinstance(given, Mapping) else given
+    value = entity.get(attribute)
+    return value.get("value") if isinstance(value, Mapping) else value

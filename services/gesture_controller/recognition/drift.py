@@ -68,10 +68,12 @@ class Drift:
         """Return `bend` without the drift."""
         return [value - offset for value, offset in zip(bend, self.offsets, strict=True)]
 
-    def after(self, bend: Sequence[float], at_s: float, held: str | None, bounds: "DriftBounds") -> "Drift":
+    def after(
+        self, bend: Sequence[float], at_s: float, held_code: str | None, bounds: "DriftBounds"
+    ) -> "Drift":
         """Return the drift after `bend` was measured at `at_s`.
 
-        `held` is the code of the gesture that is held, None if there is none. Frames more than a second
+        `held_code` is the code of the gesture that is held, None if there is none. Frames more than a second
         apart, and a clock that runs backwards, change nothing.
         """
         passed_s = at_s - self.at_s
@@ -91,8 +93,8 @@ class Drift:
         ):
             wants = f"the {FINGERS[far]} stands far outside what it showed from fist to open hand"
         offsets = self.offsets
-        if held is not None and BETWEEN not in held and wants is None:
-            offsets = bounds.followed(held, bend, offsets, passed_s)
+        if held_code is not None and BETWEEN not in held_code and wants is None:
+            offsets = bounds.followed(held_code, bend, offsets, passed_s)
             if offsets is not self.offsets and (place := bounds.drifted(offsets)) is not None:
                 wants = f"the level of the {FINGERS[place]} has drifted by {MAX_DRIFT:.0%} of its span"
         return Drift(offsets, wants, bend, at_s, far_since_s, jump)

@@ -62,13 +62,13 @@ class Hello:
 def parse_frame(line: bytes, order: tuple[int, ...] | None = None) -> Frame:
     """Return the frame in `line`, with its fingers in `order`; raises `BadFrame`."""
     try:
-        given = orjson.loads(line)
+        document = orjson.loads(line)
     except orjson.JSONDecodeError:
         raise BadFrame("not JSON") from None
-    if type(given) is not dict or given.get("type") != "frame":
+    if type(document) is not dict or document.get("type") != "frame":
         raise BadFrame("not a frame")
-    t_s = given.get("t")
-    bend = given.get("bend")
+    t_s = document.get("t")
+    bend = document.get("bend")
     if not _is_number(t_s):
         raise BadFrame("no time")
     if type(bend) is not list:
@@ -80,28 +80,28 @@ def parse_frame(line: bytes, order: tuple[int, ...] | None = None) -> Frame:
             raise BadFrame("not a number")
     if order is not None:
         bend = [bend[place] for place in order]
-    return Frame(t_s, bend, _battery(given.get("battery")))
+    return Frame(t_s, bend, _battery(document.get("battery")))
 
 
 def parse_hello(line: bytes) -> Hello:
     """Return the hello in `line`; raises `BadHello`."""
     try:
-        given = orjson.loads(line)
+        document = orjson.loads(line)
     except orjson.JSONDecodeError:
         raise BadHello("the first line is not JSON; send a hello first") from None
-    if not isinstance(given, dict) or given.get("type") != "hello":
+    if not isinstance(document, dict) or document.get("type") != "hello":
         raise BadHello('the first line is not a hello; send {"type":"hello",…} first')
-    if given.get("version") != VERSION:
-        version = str(given.get("version"))[:20]
+    if document.get("version") != VERSION:
+        version = str(document.get("version"))[:20]
         raise BadHello(f"version {version} is not supported; this controller supports {VERSION}")
-    name, hand, token = given.get("glove"), given.get("hand", "right"), given.get("token", "")
+    name, hand, token = document.get("glove"), document.get("hand", "right"), document.get("token", "")
     if not is_glove_name(name):
         raise BadHello('"glove" must be a name of 1 to 64 letters, digits, ".", "_" or "-"')
     if hand not in ("left", "right"):
         raise BadHello('"hand" must be "left" or "right"')
     if token is not None and not isinstance(token, str):
         raise BadHello('"token" must be a text')
-    return Hello(name, hand, token or "", _sensors(given.get("sensors", list(FINGERS))))
+    return Hello(name, hand, token or "", _sensors(document.get("sensors", list(FINGERS))))
 
 
 def is_glove_name(name: object) -> TypeGuard[str]:
@@ -109,14 +109,14 @@ def is_glove_name(name: object) -> TypeGuard[str]:
     return isinstance(name, str) and _NAME.fullmatch(name) is not None and name.strip(".") != ""
 
 
-def _sensors(given: Any) -> tuple[str, ...]:
-    if not isinstance(given, list) or not all(isinstance(finger, str) for finger in given):
+def _sensors(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(finger, str) for finger in value):
         raise BadHello('"sensors" must be a list of fingers')
-    missing = [finger for finger in FINGERS if finger not in given]
-    if missing or len(given) != len(FINGERS):
+    missing = [finger for finger in FINGERS if finger not in value]
+    if missing or len(value) != len(FINGERS):
         what = f"{', '.join(missing)} missing" if missing else "one sensor a finger"
         raise BadHello(f'"sensors" must name {", ".join(FINGERS)} once each: {what}')
-    return tuple(given)
+    return tuple(value)
 
 
 def _is_number(value: Any) -> TypeGuard[float]:

@@ -152,8 +152,8 @@ class Gestures:
         """Return the known name that equals `name` without regard to case; None if there is none."""
         if name in self.codes or name in self.composites:
             return name
-        wanted = name.strip().casefold()
-        return next((known for known in self._all() if known.casefold() == wanted), None)
+        searched = name.strip().casefold()
+        return next((known for known in self._all() if known.casefold() == searched), None)
 
     def like(self, name: str) -> str:
         """Return a suggestion for the unknown gesture `name`, as half a sentence."""
@@ -206,8 +206,8 @@ class Gestures:
                 codes[name], names[code] = code, name
         for name, shape in shapes.items():
             if shape.code is None:
-                made = _composed(name, shape, codes, names, composed)
-                twin = next((other for other, its in composed.items() if its == made), None)
+                gesture = _composed(name, shape, codes, names, composed)
+                twin = next((other for other, composite in composed.items() if composite == gesture), None)
                 if twin is not None:
                     raise WrongGesture(
                         message(
@@ -217,7 +217,7 @@ class Gestures:
                             twin=twin,
                         )
                     )
-                composed[name] = made
+                composed[name] = gesture
         return Gestures(codes, composed)
 
     def with_parts(self, parts: Sequence[Part]) -> "Gestures":
@@ -227,7 +227,9 @@ class Gestures:
         left = {name: code for name, code in self.codes.items() if name not in names and code not in codes}
         known = {**left, **{part.gesture: part.code for part in parts}}
         whole = {
-            name: one for name, one in self.composites.items() if all(part in known for part in one.names())
+            name: composite
+            for name, composite in self.composites.items()
+            if all(part in known for part in composite.names())
         }
         return Gestures(known, whole)
 

@@ -101,14 +101,15 @@ def calibrate(fist: Sequence[Sequence[float]], open_hand: Sequence[Sequence[floa
                     what=what,
                 )
             )
-    made = [
+    fingers = [
         _finger(finger, [frame[place] for frame in fist], [frame[place] for frame in open_hand])
         for place, finger in enumerate(FINGERS)
     ]
-    faults = list(_faults(made))
+    faults = list(_faults(fingers))
     if faults:
         raise CalibrationFailed(faults[0] if len(faults) == 1 else "; ".join(faults))
-    return Calibration(Thresholds(tuple(one.threshold for one in made)), tuple(one.levels for one in made))
+    thresholds = Thresholds(tuple(each.threshold for each in fingers))
+    return Calibration(thresholds, tuple(each.levels for each in fingers))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +140,8 @@ def _noise(values: Sequence[float]) -> float:
     return _MAD_TO_SIGMA * median(abs(value - middle) for value in values)
 
 
-def _faults(made: Sequence[_Finger]) -> Iterator[str]:
-    for finger in made:
+def _faults(fingers: Sequence[_Finger]) -> Iterator[str]:
+    for finger in fingers:
         levels = finger.levels
         fist, opened, noise = f"{levels.fist:g}", f"{levels.open:g}", f"{levels.noise:g}"
         if levels.span <= 0:

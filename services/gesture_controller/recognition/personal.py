@@ -152,16 +152,16 @@ class PersonalRecognizer:
 
     def why(self, seen: Recognition) -> str:
         """Return the position and state of each finger, and the resulting gesture."""
-        stands = ", ".join(
+        positions = ", ".join(
             f"{finger} {share:.0%} {_WORDS[state]}"
             for finger, share, state in zip(FINGERS, seen.memory.shares, seen.states, strict=True)
         )
         if seen.gesture is not None:
-            return f"{stands}: {seen.gesture}, {seen.certainty:.0%} probable"
+            return f"{positions}: {seen.gesture}, {seen.certainty:.0%} probable"
         if seen.certainty < MIN_CERTAINTY:
-            return f"{stands}: in doubt, at most {seen.certainty:.0%} probable"
+            return f"{positions}: in doubt, at most {seen.certainty:.0%} probable"
         reason = "a finger is half bent" if BETWEEN in seen.states else "no gesture has these states"
-        return f"{stands}: {reason}"
+        return f"{positions}: {reason}"
 
     def _by_code(self, seen: Recognition) -> Numbers:
         return np.bincount(self._shapes.row_code, seen.memory.odds, len(self._shapes.codes)).astype(float)
@@ -252,7 +252,7 @@ def _population_rows(
     population: Population, unrest: Sequence[float], in_use: frozenset[str], shown: Sequence[_Row]
 ) -> Iterator[_Row]:
     used = in_use | AT_REST | {row.code for row in shown}
-    for code, stands in _stands(population):
+    for code, positions in _stands(population):
         weight = 0.0 if code in used else float(np.log(UNUSED))
         weight += code[0].count(BETWEEN) * float(np.log(HALF_THUMB))
         weight += code[1:].count(BETWEEN) * float(np.log(HALF))
@@ -264,7 +264,7 @@ def _population_rows(
                 _NORMAL if state == BETWEEN else TAILS,
                 state,
             )
-            for place, (stand, state) in enumerate(zip(stands, code, strict=True))
+            for place, (stand, state) in enumerate(zip(positions, code, strict=True))
         )
         if BETWEEN not in code and any(row.code != code and _is_near(row, terms) for row in shown):
             weight -= OVERRULED

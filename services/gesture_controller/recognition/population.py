@@ -68,7 +68,7 @@ def kind_of(code: str, place: int) -> str:
     """Return the kind of the finger at `place` of a hand that shows `code`; "beside" means beside a straight
     finger."""
     name = {0: " thumb", 4: " little"}.get(place, "")
-    beside = [code[there] for there in (place - 1, place + 1) if 0 <= there < len(code)]
+    beside = [code[neighbour] for neighbour in (place - 1, place + 1) if 0 <= neighbour < len(code)]
     if code[place] == STRAIGHT:
         if place == 0 and STRAIGHT not in code[1:]:
             return "straight thumb up"
@@ -103,7 +103,7 @@ def _learnt(seen: Sequence[float], before: Stand) -> Stand:
         return before
     usual, weight = median(seen), _PRIOR_WEIGHT / 2
     share = (len(seen) * usual + weight * before.share) / (len(seen) + weight)
-    away = sum(min(abs(one - usual), MAX_OUTLIER_DISTANCE) ** 2 for one in seen)
+    away = sum(min(abs(value - usual), MAX_OUTLIER_DISTANCE) ** 2 for value in seen)
     spread = ((_PRIOR_WEIGHT * before.spread**2 + away) / (_PRIOR_WEIGHT + len(seen))) ** 0.5
     return Stand(round(share, 3), round(spread, 3))
 

@@ -49,7 +49,7 @@ def factory_of(name: str) -> RecognizerFactory:
             )
         )
     try:
-        made: RecognizerFactory = point.load()
+        factory: RecognizerFactory = point.load()
     except Exception as error:  # the import of another package may fail in any way
         raise UnknownRecognizer(
             message(
@@ -62,7 +62,7 @@ def factory_of(name: str) -> RecognizerFactory:
                 error=text_of(error),
             )
         ) from error
-    if not callable(made):
+    if not callable(factory):
         raise UnknownRecognizer(
             message(
                 "recognition.not_callable",
@@ -71,7 +71,7 @@ def factory_of(name: str) -> RecognizerFactory:
                 entry_point=point.value,
             )
         )
-    return made
+    return factory
 
 
 def _of_packages() -> Mapping[str, EntryPoint]:

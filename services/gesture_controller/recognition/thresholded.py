@@ -138,16 +138,16 @@ class ThresholdRecognizer:
 
     def _steadied(self, states: str, before: _Steadied, frame: Frame) -> tuple[str, tuple[float | None, ...]]:
         code, since_s = list(states), list(_NONE_BETWEEN)
-        for place, (now, was) in enumerate(zip(states, before.code, strict=True)):
+        for place, (now, previous) in enumerate(zip(states, before.code, strict=True)):
             if now != BETWEEN:
                 continue
-            if was != BETWEEN and self._is_near(place, was, frame.bend[place]):
-                code[place] = was
+            if previous != BETWEEN and self._is_near(place, previous, frame.bend[place]):
+                code[place] = previous
                 continue
             began_s = before.since_s[place]
             since_s[place] = from_s = frame.t_s if began_s is None else began_s
-            if was != BETWEEN and 0 <= frame.t_s - from_s < STEADY_S:
-                code[place] = was
+            if previous != BETWEEN and 0 <= frame.t_s - from_s < STEADY_S:
+                code[place] = previous
         return "".join(code), tuple(since_s)
 
     def _is_near(self, place: int, state: str, value: float) -> bool:

@@ -35,11 +35,13 @@ def written(definitions: Mapping[str, Definition]) -> str:
         key: {
             field: value
             for field, value in zip(
-                FIELDS, (one.name, one.description, one.gesture, one.command_id), strict=True
+                FIELDS,
+                (definition.name, definition.description, definition.gesture, definition.command_id),
+                strict=True,
             )
             if value is not None
         }
-        for key, one in definitions.items()
+        for key, definition in definitions.items()
     }
     return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
 
@@ -48,21 +50,21 @@ class _Reader(LinedYaml):
     mistake = WrongSpecification
 
     def definition(self, entry: Entry) -> Definition:
-        given = {
+        values = {
             field.key: field
             for field in ([] if is_empty(entry.value) else self.entries(entry.value, f'"{entry.key}"'))
         }
-        for field in given.values():
+        for field in values.values():
             if field.key not in FIELDS:
                 raise self.wrong(
                     field.line,
                     f'"{entry.key}" has an unknown field "{field.key}"; there are {", ".join(FIELDS)}',
                 )
         name, description, gesture = (
-            self.text(given[field].value, f'the {field} of "{entry.key}"') if field in given else None
+            self.text(values[field].value, f'the {field} of "{entry.key}"') if field in values else None
             for field in FIELDS[:3]
         )
-        definition = Definition(name, description, gesture, self._command(entry, given.get("commandId")))
+        definition = Definition(name, description, gesture, self._command(entry, values.get("commandId")))
         if definition == Definition():
             raise self.wrong(
                 entry.line, f'"{entry.key}" says nothing; give it a description, and a gesture or a commandId'

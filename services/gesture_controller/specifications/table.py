@@ -40,19 +40,19 @@ def statement(engine: Engine) -> str:
     return str(CreateTable(definitions).compile(engine)).strip() + ";"
 
 
-def save(engine: Engine, given: Mapping[str, Definition]) -> None:
+def save(engine: Engine, changed: Mapping[str, Definition]) -> None:
     """Write the definitions `given` by id in one transaction; each replaces the stored one."""
     with engine.begin() as connection:
-        connection.execute(delete(definitions).where(definitions.c.id.in_(list(given))))
+        connection.execute(delete(definitions).where(definitions.c.id.in_(list(changed))))
         rows = [
             {
                 "id": key,
-                "name": one.name,
-                "description": one.description,
-                "gesture": one.gesture,
-                "command_id": one.command_id,
+                "name": definition.name,
+                "description": definition.description,
+                "gesture": definition.gesture,
+                "command_id": definition.command_id,
             }
-            for key, one in given.items()
+            for key, definition in changed.items()
         ]
         if rows:
             connection.execute(insert(definitions), rows)
@@ -60,14 +60,15 @@ def save(engine: Engine, given: Mapping[str, Definition]) -> None:
 
 def find(engine: Engine, ids: Iterable[str]) -> Definition | None:
     """Return the definition of the first of `ids` that is in the table."""
-    wanted = list(ids)
-    columns = (cast(definitions.c.id, Text).label("id"), *(one for one in definitions.c if one.name != "id"))
+    names = list(ids)
+    others = (column for column in definitions.c if column.name != "id")
+    columns = (cast(definitions.c.id, Text).label("id"), *others)
     query = select(*columns).where(
-        cast(definitions.c.id, Text).in_(wanted)
+        cast(definitions.c.id, Text).in_(names)
     )  # in tables of other systems the id may be a number
     with engine.connect() as connection:
         rows = {row.id: row for row in connection.execute(query)}
-    row = next((rows[key] for key in wanted if key in rows), None)
+    row = next((rows[key] for key in names if key in rows), None)
     return None if row is None else Definition(row.name, row.description, row.gesture, row.command_id)
 
 

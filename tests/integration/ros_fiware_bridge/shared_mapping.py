@@ -59,6 +59,12 @@ services:
     message: message
     outputs: {words: message}
     timeout_s: 4
+  lock:
+    service: /arm/lock
+    type: std_srvs/SetBool
+    task: lock
+    resource: Device:arm
+    request: {data: {attribute: resource.isLocked, required: true}}
   light:
     service: /lamp/on
     type: std_srvs/SetBool

@@ -79,10 +79,27 @@ async def test_a_task_for_an_unavailable_service_fails_with_the_reason(shop: Any
     assert status == "failed"
     assert "/arm/reset" in outputs["reason"]
     status, outputs = await end_of(shop, await ask(shop, "dance"))
-    assert (
-        outputs["reason"]
-        == f'the ROS bridge has no rule for "dance" of {ARM}; it has rules for reset, count, hasty, once'
+    assert outputs["reason"] == (
+        f'the ROS bridge has no rule for "dance" of {ARM}; it has rules for reset, lock, count, hasty, once'
     )
+
+
+async def test_a_request_contains_attributes_of_the_resource(shop: Any) -> None:
+    received: list[Message] = []
+
+    async def lock(request: Message) -> Message:
+        received.append(request)
+        return {"success": True}
+
+    served = await shop.robot.serve("/arm/lock", "std_srvs/srv/SetBool", lock)
+    try:
+        status, outputs = await end_of(shop, await ask(shop, "lock"))
+        assert (status, "resource.isLocked" in outputs["reason"]) == ("failed", True)
+        await shop.broker.upsert([{"id": ARM, "type": "Device", "isLocked": prop(True)}])
+        assert (await end_of(shop, await ask(shop, "lock")))[0] == "completed"
+        assert received == [{"data": True}]
+    finally:
+        await served.close()
 
 
 async def test_a_task_sends_a_goal_and_reports_its_feedback(shop: Any) -> None:

@@ -82,12 +82,21 @@ def test_m2o2p_publishes_commands_and_tasks() -> None:
 
 def test_a_task_becomes_a_follow_joint_trajectory_goal() -> None:
     (asked,) = planned("joint-trajectory").requests
-    goal = asked.request.message(Scope({"joints": [0.0] * 6, "operation": "moveTo"}))
+    assert asked.reads_resource
+    robot = {"jointNames": ["base", "shoulder", "elbow"]}
+    goal = asked.request.message(Scope({"joints": [0.0] * 3, "operation": "moveTo", "resource": robot}))
     TYPES.check("control_msgs/action/FollowJointTrajectory_Goal", goal)
     assert goal["trajectory"]["points"][0]["time_from_start"] == {"sec": 5}
-    assert goal["trajectory"]["joint_names"][2] == "elbow_joint"
-    device = {"id": "urn:ngsi-ld:Device:demo:arm-1", "targetJoints": {"value": [0.1] * 6}}
+    assert goal["trajectory"]["joint_names"] == robot["jointNames"]
+    with pytest.raises(HandoverError, match="jointNames"):
+        asked.request.message(Scope({"joints": [0.0] * 3, "resource": {}}))
+    device = {
+        "id": "urn:ngsi-ld:Device:demo:arm-1",
+        "jointNames": {"value": robot["jointNames"]},
+        "targetJoints": {"value": [0.1] * 6},
+    }
     trajectory = message("joint-trajectory", "joint-trajectory", scope_of(device, 0.0))
+    assert trajectory["joint_names"] == robot["jointNames"]
     assert trajectory["points"][0]["positions"] == [0.1] * 6
 
 

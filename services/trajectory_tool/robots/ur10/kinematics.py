@@ -111,7 +111,7 @@ def _wrist_angles(flange: Frame, shoulder: float, near: Joints) -> Iterator[tupl
     yield (-bend, math.atan2(across[1], -across[0]))
 
 
-def _free_tool_angles(flange: Frame, shoulder: float, wrist: float, wanted: float) -> list[float]:
+def _free_tool_angles(flange: Frame, shoulder: float, wrist: float, sum_of_angles: float) -> list[float]:
     """Return joint 6 for a straight wrist: `wanted` if the arm reaches, else the nearest possible value.
 
     The axes of joints 4 and 6 are parallel then, D5 apart: joint 6 moves the end of the forearm along a
@@ -124,8 +124,8 @@ def _free_tool_angles(flange: Frame, shoulder: float, wrist: float, wanted: floa
     outward = math.atan2(x * (north[0] - x) + y * (north[1] - y), x * (east[0] - x) + y * (east[1] - y))
     middle, swing = x * x + y * y + D5 * D5, 2 * math.hypot(x, y) * D5
     least, most = (abs(A2) - abs(A3)) ** 2, (abs(A2) + abs(A3)) ** 2
-    if least <= middle + swing * math.cos(wanted - outward) <= most or swing < _ROUNDING:
-        return [wanted]
+    if least <= middle + swing * math.cos(sum_of_angles - outward) <= most or swing < _ROUNDING:
+        return [sum_of_angles]
     edges = ((limit - middle) / swing for limit in (least, most))
     reached = [max(-1.0, min(edge, 1.0)) for edge in edges if abs(edge) <= 1 + _ROUNDING]
     return [outward + side * math.acos(edge) for edge in reached for side in (1, -1)]
