@@ -74,7 +74,7 @@ def test_a_screen_can_say_it_in_its_own_language() -> None:
 @pytest.mark.parametrize("language", ["en", "de", "fi"])
 def test_the_work_page_has_words_for_every_message(language: str) -> None:
     words = json.loads((WORDS / language / "work.json").read_text(encoding="utf-8"))
-    known = set(words["said"]) | {"unfiltered"}
+    known = set(words["message"]) | {"unfiltered"}
     assert words["unfiltered"]
     sent = {message.key for message in every_message()}
     assert {"answeredNotGood", "holdOnProblem", "wearBothLeft", "show"} <= sent
