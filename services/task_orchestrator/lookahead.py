@@ -160,7 +160,7 @@ def _enclose(host: Node, scope: Scope, leaving: dict[str, list[Flow]]) -> None:
     for node in scope.nodes.values():
         if not leaving[node.id] and not isinstance(node.event, ErrorEvent):
             leaving[node.id] = [Flow(flow.id, node.id, flow.target, flow.condition) for flow in behind]
-    starts = Graph(scope).starts
+    starts = Graph(scope, {}).starts
     if starts:
         leaving[host.id] = [Flow("", host.id, start.id) for start in starts]
 

@@ -385,6 +385,28 @@ class Flow:
     line: int = 0
 
 
+class SpanKind(StrEnum):
+    """The kinds of spans."""
+
+    SCOPE = "scope"
+    """A process or subprocess: all its nodes."""
+    GROUP = "group"
+    LANE = "lane"
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Nodes of one scope during which resources are reserved (`handover:reserve`)."""
+
+    id: str
+    name: str
+    kind: SpanKind
+    needs: tuple[Value, ...]
+    """Each value is a text that names what is reserved, or a list of such texts."""
+    members: frozenset[str]
+    line: int = 0
+
+
 @dataclass(frozen=True, slots=True)
 class Scope:
     """The content of a process or of a subprocess; `id` is that of the process or subprocess."""
@@ -396,6 +418,7 @@ class Scope:
     """Compensation boundary event -> the activity that compensates (by association)."""
     data_objects: Mapping[str, str] = field(default_factory=dict)
     """Data object -> its name."""
+    spans: tuple[Span, ...] = ()
 
     def walk(self) -> Iterator["Scope"]:
         """Yield this scope and all scopes within it."""

@@ -13,13 +13,16 @@ from zoneinfo import ZoneInfo
 from datamodels.states import DeviceState
 
 TYPES = ("Device", "Person", "ResourceSpecification", "Location")
-WATCHED = ("deviceState", "connection", "state", "isSpecifiedBy", "skills", "roles", "capacity", "shifts")
+WATCHED = ("deviceState", "connection", "state", "isSpecifiedBy", "skills", "roles", "capacity", "shifts", "resourceType")
 UNAVAILABLE = frozenset(
     {
         *(DeviceState.PAUSED, DeviceState.OUT_OF_BATTERY, DeviceState.FOR_MAINTENANCE, DeviceState.ERROR),
         *("offline", "disconnected", "absent"),
     }
 )
+STATIONS = frozenset({"station", "workstation", "workplace"})
+"""Resource types whose capacity is unlimited unless it is given."""
+UNLIMITED = 1_000_000
 EARTH_RADIUS_M = 6_371_000.0
 
 Entity = Mapping[str, Any]
@@ -85,6 +88,9 @@ class Agent:
     skills: Mapping[str, Skill] = field(default_factory=dict)
     roles: frozenset[str] = frozenset()
     capacity: int = 1
+    """How many Tasks it gets at a time when it is chosen."""
+    limit: int = 1
+    """How many Tasks it gets at a time when it is named; a person without a capacity claims them."""
     position: Position | None = None
     shifts: tuple[Shift, ...] = ()
     """When it works; empty: always."""
@@ -135,13 +141,18 @@ def _agent(entity: Entity, specifications: Mapping[str, Entity]) -> Agent:
         return next((found for each in known if (found := _value(each, name)) is not None), None)
 
     states = (_value(entity, name) for name in ("deviceState", "connection", "state"))
-    capacity = value("capacity")
+    given = value("capacity")
+    is_given = isinstance(given, int) and given >= 0
+    is_person = entity.get("type") == "Person"
+    is_station = str(value("resourceType")).lower() in STATIONS
+    capacity = given if is_given else UNLIMITED if is_station else 1
     return Agent(
         id=str(entity.get("id")),
-        is_person=entity.get("type") == "Person",
+        is_person=is_person,
         skills=dict(_skill(each) for each in _listed(value("skills")) if _skill_name(each)),
         roles=frozenset(str(role) for role in _listed(value("roles"))),
-        capacity=capacity if isinstance(capacity, int) and capacity >= 0 else 1,
+        capacity=capacity,
+        limit=UNLIMITED if is_person and not is_given else capacity,
         position=_position(entity),
         shifts=tuple(shift for each in _listed(value("shifts")) if (shift := _shift(each)) is not None),
         unavailable=next((s for s in states if isinstance(s, str) and s in UNAVAILABLE), None),

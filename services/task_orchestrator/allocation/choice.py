@@ -10,7 +10,7 @@ with the earlier due date, then the one that waits longer.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from handover.messages import Message, message
 from services.task_orchestrator.allocation.agents import Agent, Position
@@ -19,7 +19,15 @@ DEFAULT_PRIORITY = 50
 MAX_OTHERS = 3
 """Other agents that a reason names."""
 
+Order: TypeAlias = tuple[int, datetime, datetime, tuple[str, str]]
+"""The order in which those that wait are served; the last part is a process, and a token or span of it."""
+
 _NEVER = datetime.max.replace(tzinfo=UTC)
+
+
+def order_of(priority: int, due: datetime | None, since: datetime, key: tuple[str, str]) -> Order:
+    """Return the order of something that waits `since`."""
+    return -priority, due or _NEVER, since, key
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +42,13 @@ class Request:
     declined: frozenset[str] = frozenset()
     """The agents that have declined it."""
     people_only: bool = False
+    resource: str | None = None
+    """The URN of the only one that can do it."""
 
     def suits(self, agent: Agent) -> bool:
         """Return whether the agent can and may do it, now or later."""
+        if self.resource is not None:
+            return agent.id == self.resource
         if self.people_only and not agent.is_person:
             return False
         if agent.id in self.declined or (self.role is not None and self.role not in agent.roles):
@@ -45,7 +57,9 @@ class Request:
 
     @property
     def described(self) -> str:
-        """Return role and skills as text."""
+        """Return role and skills, or the resource, as text."""
+        if self.resource is not None:
+            return self.resource
         role = [] if self.role is None else [f"role:{self.role}"]
         return " ".join([*role, *(f"skill:{skill}" for skill in self.skills)])
 
@@ -58,11 +72,13 @@ class WaitingRequest:
     since: datetime
     key: tuple[str, str]
     """The process and the token."""
+    within: tuple[tuple[str, str], ...] = ()
+    """The reservations within which it is."""
 
     @property
-    def order(self) -> tuple[int, datetime, datetime, tuple[str, str]]:
+    def order(self) -> Order:
         """Return the order in which waiting requests are served."""
-        return -self.request.priority, self.request.due or _NEVER, self.since, self.key
+        return order_of(self.request.priority, self.request.due, self.since, self.key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +91,9 @@ class Choice:
     """Whether all suitable agents have declined, so that waiting is useless."""
 
 
+NOTHING_BLOCKED: Mapping[str, Message] = {}
+
+
 class Chooser(Protocol):
     """Chooses the agent for an activity."""
 
@@ -85,8 +104,12 @@ class Chooser(Protocol):
         loads: Mapping[str, Sequence[str]],
         before: Sequence[WaitingRequest],
         now: datetime,
+        blocked: Mapping[str, Message] = NOTHING_BLOCKED,
     ) -> Choice:
-        """Return the choice; `loads` are the open Tasks by agent, `before` the requests to serve earlier."""
+        """Return the choice; `loads` are the open Tasks by agent, `before` the requests to serve earlier.
+
+        `blocked` are the agents that others have reserved, with the reason.
+        """
         ...
 
 
@@ -100,6 +123,7 @@ class ChooseByRules:
         loads: Mapping[str, Sequence[str]],
         before: Sequence[WaitingRequest],
         now: datetime,
+        blocked: Mapping[str, Message] = NOTHING_BLOCKED,
     ) -> Choice:
         """Return the choice by the rules."""
         suitable = [agent for agent in agents if request.suits(agent)]
@@ -107,21 +131,21 @@ class ChooseByRules:
             return _nobody(request, are_known=bool(agents))
         available, others = [], []
         for agent in suitable:
-            why_not = _obstacle(agent, loads.get(agent.id, ()), before, now)
+            why_not = _obstacle(agent, loads.get(agent.id, ()), before, now) or blocked.get(agent.id)
             if why_not is None:
                 available.append(agent)
             else:
                 others.append(why_not)
         if not available:
-            return Choice(None, _joined(sorted(others)))
-        best = min(available, key=lambda agent: _rank(request, agent, len(loads.get(agent.id, ()))))
+            return Choice(None, joined(sorted(others)))
+        best = min(available, key=lambda agent: rank(request, agent, len(loads.get(agent.id, ()))))
         chosen = _qualities(request, best, len(loads.get(best.id, ())))
         others += [
             message("allocation.also_free", "{agent} free as well", agent=agent.name)
             for agent in available
             if agent is not best
         ]
-        return Choice(best.id, _joined([chosen, *sorted(others)]))
+        return Choice(best.id, joined([chosen, *sorted(others)]))
 
 
 def _obstacle(
@@ -144,7 +168,8 @@ def _obstacle(
     return None
 
 
-def _rank(request: Request, agent: Agent, load: int) -> tuple[float | str, ...]:
+def rank(request: Request, agent: Agent, load: int) -> tuple[float | str, ...]:
+    """Return the order of agents that suit a request; the first is the best."""
     skills = [agent.skills[name] for name in request.skills]
     distance = _distance_m(request, agent)
     return (
@@ -187,7 +212,7 @@ def _qualities(request: Request, agent: Agent, load: int) -> Message:
 
 def _nobody(request: Request, *, are_known: bool) -> Choice:
     if request.declined:
-        names = ", ".join(sorted(each.rpartition(":")[2] for each in request.declined))
+        names = ", ".join(sorted(name_of(each) for each in request.declined))
         return Choice(
             None,
             message(
@@ -201,7 +226,12 @@ def _nobody(request: Request, *, are_known: bool) -> Choice:
     return Choice(None, message("allocation.nobody", "nobody has {needed}", needed=request.described))
 
 
-def _joined(parts: Sequence[Message]) -> Message:
+def name_of(urn: str) -> str:
+    """Return the last part of a URN."""
+    return urn.rpartition(":")[2]
+
+
+def joined(parts: Sequence[Message]) -> Message:
     """Return the first parts as one text."""
     joined = parts[0]
     for part in parts[1 : MAX_OTHERS + 1]:

@@ -5,13 +5,16 @@ from collections.abc import Mapping
 from functools import cached_property
 
 from services.task_orchestrator.model import CompensateEvent, Definition, Flow, Kind, LinkEvent, Node, Scope
+from services.task_orchestrator.spans import SpanUnion, find_unions, predecessors
 
 
 class Graph:
     """A scope with the lookups that its execution needs; immutable."""
 
-    def __init__(self, scope: Scope) -> None:
+    def __init__(self, scope: Scope, unions: Mapping[str, tuple[SpanUnion, ...]]) -> None:
         self.scope = scope
+        self.unions = unions.get(scope.id, ())
+        """The spans of this scope during which resources are reserved."""
         self.nodes: Mapping[str, Node] = scope.nodes
         self.outgoing: dict[str, list[Flow]] = {name: [] for name in scope.nodes}
         self.incoming: dict[str, list[Flow]] = {name: [] for name in scope.nodes}
@@ -31,11 +34,11 @@ class Graph:
         self.links: dict[str, Node] = {}
         self.inner: dict[str, Graph] = {}
         for node in scope.nodes.values():
-            self._add(node)
+            self._add(node, unions)
 
-    def _add(self, node: Node) -> None:
+    def _add(self, node: Node, unions: Mapping[str, tuple[SpanUnion, ...]]) -> None:
         if node.scope is not None:
-            self.inner[node.id] = Graph(node.scope)
+            self.inner[node.id] = Graph(node.scope, unions)
         if node.kind is Kind.BOUNDARY_EVENT and node.attached_to is not None:
             if isinstance(node.event, CompensateEvent):
                 handler = self.scope.handlers.get(node.id)
@@ -82,17 +85,7 @@ class Graph:
 
         The paths do not pass the join itself (BPMN 2.0.2, 13.4.3).
         """
-        sources: dict[str, list[str]] = defaultdict(list)
-        for flow in self.scope.flows.values():
-            sources[flow.target].append(flow.source)
-        for host, boundaries in self.boundaries.items():
-            for boundary in boundaries:
-                sources[boundary.id].append(host)
-        for node in self.nodes.values():
-            if node.kind is Kind.THROW_EVENT and isinstance(node.event, LinkEvent):
-                target = self.links.get(node.event.name)
-                if target is not None:
-                    sources[target.id].append(node.id)
+        sources = predecessors(self.scope)
         return {
             join: {flow.id: _reaching(flow.source, join, sources) for flow in self.incoming[join]}
             for join in self.inclusive_joins
@@ -117,4 +110,4 @@ class Plan:
     def __init__(self, definition: Definition, version: int = 1) -> None:
         self.definition = definition
         self.version = version
-        self.graph = Graph(definition.scope)
+        self.graph = Graph(definition.scope, find_unions(definition.scope))

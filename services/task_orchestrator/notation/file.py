@@ -20,6 +20,7 @@ from services.task_orchestrator.notation.elements import (
 from services.task_orchestrator.notation.faults import BadBpmn, Findings
 from services.task_orchestrator.notation.rules import check_process, fault_of_size
 from services.task_orchestrator.notation.scopes import collect_data, read_scope
+from services.task_orchestrator.notation.spans import check_spans
 from services.task_orchestrator.notation.task_data import collect_properties
 
 
@@ -71,6 +72,7 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
     else:
         checked = check_process(scope, process.sourceline or 0, found.broken)
         found.add(checked.faults, checked.warnings)
+        check_spans(process, scope, found)
     if context.dialects.main.spreads_outputs and _mentions(scope, "outcome"):
         scope = _handling_outcomes(scope)
     title = process.get("name") or context.collaboration.titles.get(name) or name

@@ -58,6 +58,7 @@ from services.task_orchestrator.notation.elements import (
 )
 from services.task_orchestrator.notation.events import definitions_of, read_event, read_message
 from services.task_orchestrator.notation.listeners import with_listeners
+from services.task_orchestrator.notation.spans import read_spans
 
 MAX_SCOPE_DEPTH = 20
 
@@ -100,6 +101,7 @@ def read_scope(
         flows,
         handlers=_handlers(contents, nodes),
         data_objects={data: context.data_names[data] for data in sorted(context.data_scopes.get(name, ()))},
+        spans=read_spans(container, nodes, context),
     )
 
 

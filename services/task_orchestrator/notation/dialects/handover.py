@@ -21,11 +21,16 @@ Instead of handover:involves, role="operator" and skills="grip place" let an age
 
 in a message, signal or conditional event: the creation or change of such an entity is the event. The
 condition of a conditional event is then evaluated for each entity.
+
+<bpmn:subProcess handover:reserve="Device:ur10-1, role:picker skill:grip">
+
+or, as extension elements, `<handover:reserve resource="Device:ur10-1"/>`, with `role` and `skills`, or with an
+`expression`: the resources are reserved as long as a token is in the process, subprocess, lane or group.
 """
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping, Set
 
 import orjson
 from lxml import etree
@@ -84,12 +89,37 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "output": frozenset({"name", "from"}),
     "process": frozenset({"version"}),
     "on": frozenset({"type", "idPattern", "q", "variable", "correlation"}),
+    "reserve": frozenset({"resource", "expression", "role", "skills"}),
 }
+_RESERVING = frozenset({"process", "subProcess"})
+"""Elements that may have `handover:reserve`, beside lanes and groups."""
 
 
 def has_task(element: etree._Element) -> bool:
     """Return whether an activity has a `handover:task`."""
     return any(extension.tag == f"{{{NAMESPACE}}}task" for extension in extensions(element))
+
+
+def reserve_elements(element: etree._Element) -> Iterator[etree._Element]:
+    """Yield the extension elements `handover:reserve` of an element."""
+    for extension in extensions(element):
+        if extension.tag == f"{{{NAMESPACE}}}reserve":
+            yield extension
+
+
+def check_reserve(extension: etree._Element, found: Findings) -> None:
+    """Report a `handover:reserve` that does not say in one way what it reserves."""
+    _check_attributes(extension, found)
+    forms = [extension.get("resource"), extension.get("expression")]
+    forms.append(extension.get("role") or extension.get("skills"))
+    if sum(form is not None for form in forms) != 1:
+        found.fault(
+            extension,
+            message(
+                "bpmn.reserve_one_form",
+                "handover:reserve has one of resource, expression, and role with skills",
+            ),
+        )
 
 
 class Handover:
@@ -242,6 +272,8 @@ class Handover:
     def check(self, element: etree._Element, found: Findings) -> None:
         """Report our extension elements that stand where they have no meaning."""
         for attribute in element.attrib:
+            if attribute == f"{{{NAMESPACE}}}reserve" and local(element) in _RESERVING:
+                continue
             if attribute.startswith(f"{{{NAMESPACE}}}"):
                 what = f"handover:{etree.QName(attribute).localname}"
                 found.warn(
@@ -252,6 +284,8 @@ class Handover:
         allowed = {"process"} if name == "process" else {"on"} if _can_be_event(element) else set()
         if name.endswith(("ask", "Event")):
             allowed = allowed | {"task"}
+        if name in _RESERVING:
+            allowed = allowed | {"reserve"}
         for extension in extensions(element):
             if namespace(extension) == NAMESPACE and local(extension) not in allowed:
                 known = " or ".join(f"handover:{each}" for each in sorted(allowed)) or "nothing of handover"
