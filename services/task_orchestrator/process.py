@@ -7,6 +7,7 @@ of the process continues.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
@@ -28,7 +29,7 @@ from services.task_orchestrator.entities import (
 )
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.migration import Finding
-from services.task_orchestrator.execution.run import OpenActivity, OpenIncident, Run
+from services.task_orchestrator.execution.run import OpenActivity, OpenIncident, Run, SpanPlace
 from services.task_orchestrator.execution.state import Library, RunFailed
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.records import (
@@ -38,6 +39,8 @@ from services.task_orchestrator.records import (
     MessageKind,
     Move,
     ProcessRecord,
+    ReservationRecord,
+    ReservationState,
     Step,
     TaskRecord,
     Timer,
@@ -45,6 +48,7 @@ from services.task_orchestrator.records import (
     Unallocated,
 )
 from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.span_reservations import SpanReservations
 
 CANCELLED = "cancelled"
 EXACT_TASKS = 200
@@ -124,8 +128,12 @@ class Process:
     allocator: Allocator
     tasks: dict[str, TaskRecord] = field(default_factory=dict)
     composed: list[str] = field(default_factory=list)
+    reservations: SpanReservations = field(init=False)
     reported: tuple[TaskStatus, int] | None = None
     """The status and the number of Tasks that were last written to the broker."""
+
+    def __post_init__(self) -> None:
+        self.reservations = SpanReservations(self.record.id, self.allocator, self.record.reservations)
 
     @classmethod
     def start(
@@ -191,7 +199,10 @@ class Process:
             process._track(task)
         process.composed += all_tasks or ()
         process.reported = (record.status, len(process.composed))
-        if run is not None and record.unallocated and record.status is not TaskStatus.PAUSED:
+        process.reservations.resume(run)
+        if record.status is TaskStatus.PAUSED:
+            process.reservations.pause()
+        elif run is not None:
             process.resume_waiting(run)
         return process
 
@@ -208,12 +219,16 @@ class Process:
     def resume_waiting(self, run: Run) -> None:
         """Let the activities that wait for a performer wait again."""
         for known in self.record.unallocated:
-            if run.visit(known.token) != known.visit:
+            places = run.places(known.token)
+            if run.visit(known.token) != known.visit or self.reservations.obstacle(places) is not None:
                 continue
             open_ = run.open_activity(known.token)
-            found = self.allocator.request(open_.activity, open_.variables, self._declined_by(open_))
-            if found.request is not None:
-                self.allocator.add_waiting(self.record.id, known.token, found.request, known.since)
+            with suppress(ExpressionError):  # it becomes an incident when it is tried again
+                assignment = self.allocator.request(open_.activity, open_.variables, self._declined_by(open_))
+                request = assignment.waiting_request
+                if request is not None:
+                    within = self.reservations.within(places).holders
+                    self.allocator.add_waiting(self.record.id, known.token, request, known.since, within)
         self.allocator.has_changed = True
 
     def release(self) -> None:
@@ -222,22 +237,32 @@ class Process:
             self.allocator.remove_task(task_id)
         for each in self.record.unallocated:
             self.allocator.remove_waiting(self.record.id, each.token)
+        self.reservations.leave()
 
     def allocate(self, step: Step, now: datetime) -> None:
         """Try again to find performers for the activities that wait for one."""
         run = self.run
         if run is None or self.record.status is TaskStatus.PAUSED:
             return
-        waiting = {each.token: each for each in self.record.unallocated}
-        for token, known in waiting.items():
-            if run.visit(token) != known.visit:
-                continue
-            open_ = run.open_activity(token)
-            found = self._choose(open_, known.since, now)
-            if not isinstance(found, NoPerformer) or found.is_final or found.reason != known.reason:
-                step.touched.add(self.record.id)
-                self._update(step, now)
-                return
+        if self.reservations.can_begin(run, now) or any(
+            self._can_continue(run, known, now) for known in self.record.unallocated
+        ):
+            step.touched.add(self.record.id)
+            self._update(step, now)
+
+    def _can_continue(self, run: Run, known: Unallocated, now: datetime) -> bool:
+        """Return whether there is news of an activity that waits for a performer."""
+        places = run.places(known.token)
+        if run.visit(known.token) != known.visit or self.reservations.obstacle(places) is not None:
+            return False
+        try:
+            found = self._choose(run.open_activity(known.token), places, known.since, now)
+        except ExpressionError:
+            return True
+        if not isinstance(found, NoPerformer) or found.is_final:
+            return True
+        # The holder of a named resource changes often; `reservations` show it.
+        return found.request.resource is None and found.reason != known.reason
 
     def timers(self) -> tuple[Timer, ...]:
         """Return the timers, the earliest first."""
@@ -395,6 +420,18 @@ class Process:
         step.touched.add(self.record.id)
         self._record_act(Act(now, ActKind.CANCEL, by))
         self._end(TaskStatus.FAILED, f"{CANCELLED} by {by}" if by else CANCELLED, step, now)
+        self._update(step, now)
+
+    def release_reservation(self, act: Act, key: str, step: Step, now: datetime) -> None:
+        """Release a reservation that is held, though a token is within.
+
+        The next activity within it reserves again. Raises `Problem` 404 if there is none, 409 if it is not
+        held.
+        """
+        self._require_running()
+        released = self.reservations.release(key, now, act.by or "")
+        step.touched.add(self.record.id)
+        self._record_act(replace(act, element=released.element))
         self._update(step, now)
 
     def incident_of(self, task_id: str) -> str:
@@ -588,8 +625,10 @@ class Process:
             elif run.completed:
                 self._end(TaskStatus.COMPLETED, None, step, now)
         run = self.run
-        if run is None and self.record.unallocated:
-            self._record_waiting([])
+        if run is None:
+            self.reservations.update(None, (), now, reserves=False)
+            if self.record.unallocated:
+                self._record_waiting([])
         self._cancel_left(run.open_visits() if run is not None else {}, step, now)
         self._update_incidents(step)
         known = self.record.id in step.processes or self.record.id in step.new
@@ -597,6 +636,7 @@ class Process:
             revision=self.record.revision + (0 if known else 1),
             variables=run.variables() if run is not None else self.record.variables,
             waiting=run.waiting() if run is not None else (),
+            reservations=self.reservations.records,
             state=state if run is not None else None,
         )
         step.processes[self.record.id] = self.record
@@ -634,11 +674,15 @@ class Process:
         )
 
     def _post_open(self, run: Run, step: Step, now: datetime) -> None:
-        if self.record.status is TaskStatus.PAUSED:
+        posted = {(task.token, task.visit) for task in self.tasks.values()}
+        is_paused = self.record.status is TaskStatus.PAUSED
+        unposted = [token for token, visit in run.open_visits().items() if (token, visit) not in posted]
+        self.reservations.update(run, unposted, now, reserves=not is_paused)
+        if is_paused:
+            self.reservations.pause()
             for waits in self.record.unallocated:
                 self.allocator.remove_waiting(self.record.id, waits.token)
             return
-        posted = {(task.token, task.visit) for task in self.tasks.values()}
         since = {(each.token, each.visit): each.since for each in self.record.unallocated}
         waiting: list[Unallocated] = []
         for token, visit in run.open_visits().items():
@@ -647,9 +691,14 @@ class Process:
             try:
                 each = run.open_activity(token)
                 began = since.get((token, visit), now)
-                found = self._choose(each, began, now)
+                places = run.places(token)
+                obstacle = self.reservations.obstacle(places)
+                if obstacle is not None:
+                    waiting.append(self._wait_for(each, obstacle, began))
+                    continue
+                found = self._choose(each, places, began, now)
                 if isinstance(found, NoPerformer):
-                    waiting.append(self._wait(each, found, began))
+                    waiting.append(self._wait(each, places, found, began))
                 else:
                     self._post(each, found, step, now)
             except (ExpressionError, ValueError) as error:
@@ -657,16 +706,30 @@ class Process:
         if waiting or since:
             self._record_waiting(waiting)
 
-    def _choose(self, open_: OpenActivity, since: datetime, now: datetime) -> Assignment | NoPerformer:
+    def _choose(
+        self, open_: OpenActivity, places: Sequence[SpanPlace], since: datetime, now: datetime
+    ) -> Assignment | NoPerformer:
         assignment = self.allocator.request(open_.activity, open_.variables, self._declined_by(open_))
-        return self.allocator.choose(assignment, (self.record.id, open_.token), since, now)
+        key = self.record.id, open_.token
+        return self.allocator.choose(assignment, key, since, now, self.reservations.within(places))
 
-    def _wait(self, open_: OpenActivity, found: NoPerformer, since: datetime) -> Unallocated:
-        """Let an activity wait; raise `ValueError` if all have declined it."""
+    def _wait(
+        self, open_: OpenActivity, places: Sequence[SpanPlace], found: NoPerformer, since: datetime
+    ) -> Unallocated:
+        """Let an activity wait; raise `ValueError` if that would be useless."""
         if found.is_final:
             raise ValueError(found.reason)
-        self.allocator.add_waiting(self.record.id, open_.token, found.request, since)
+        within = self.reservations.within(places).holders
+        self.allocator.add_waiting(self.record.id, open_.token, found.request, since, within)
         return Unallocated(open_.token, open_.visit, open_.element, open_.activity.name, found.reason, since)
+
+    def _wait_for(self, open_: OpenActivity, reservation: ReservationRecord, since: datetime) -> Unallocated:
+        """Let an activity wait for a reservation; raise `ValueError` if that is impossible."""
+        if reservation.state is ReservationState.IMPOSSIBLE:
+            raise ValueError(reservation.reason)
+        self.allocator.remove_waiting(self.record.id, open_.token)
+        reason = reservation.reason
+        return Unallocated(open_.token, open_.visit, open_.element, open_.activity.name, reason, since)
 
     def _record_waiting(self, waiting: Sequence[Unallocated]) -> None:
         """Record the activities that wait for a performer."""

@@ -43,6 +43,7 @@ class ActKind(StrEnum):
     PAUSE = "pause"
     RESUME = "resume"
     MIGRATE = "migrate"
+    RELEASE = "release"
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +92,45 @@ class Unallocated:
     since: datetime
 
 
+class ReservationState(StrEnum):
+    """What a reservation does."""
+
+    WAITING = "waiting"
+    HELD = "held"
+    IMPOSSIBLE = "impossible"
+    """What it needs is unknown, or cannot be had while another one is held; its activities are incidents."""
+    RELEASED = "released"
+    """A person has released it; the next activity within it reserves again."""
+    ENDED = "ended"
+
+
+@dataclass(frozen=True, slots=True)
+class ReservationRecord:
+    """The resources of spans (`handover:reserve`), reserved together while a token is within."""
+
+    key: str
+    element: str
+    name: str
+    state: ReservationState
+    since: datetime
+    """When its state began."""
+    asked_at: datetime
+    reason: str
+    """Why it waits or is impossible, or what was reserved."""
+    spans: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """The reserved agents of each span."""
+    used: tuple[str, ...] = ()
+    """The agents beside them that nobody else reserves meanwhile."""
+    held_at: datetime | None = None
+    outer: str | None = None
+    """The key of the reservation of a calling process that has reserved everything already."""
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Return the reserved agents."""
+        return tuple(dict.fromkeys(agent for agents in self.spans.values() for agent in agents))
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessRecord:
     """The stored state of a process.
@@ -120,6 +160,8 @@ class ProcessRecord:
     unallocated: tuple[Unallocated, ...] = ()
     declined: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """The agents that have declined an open activity, by token and element."""
+    reservations: tuple[ReservationRecord, ...] = ()
+    """Those that are waited for or held, and the last ones that have ended."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,10 +90,7 @@ def evaluated_needs(span: Span, variables: Variables) -> tuple[Need, ...]:
     Raises `ExpressionError` if a variable is missing, `ValueError` if a value names nothing to reserve.
     """
     found = tuple(
-        need
-        for value in span.needs
-        for text in _texts(value.value(variables))
-        for need in read_needs(text)
+        need for value in span.needs for text in _texts(value.value(variables)) for need in read_needs(text)
     )
     if len(found) > MAX_NEEDS:
         raise ValueError(

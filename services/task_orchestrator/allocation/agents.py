@@ -13,7 +13,10 @@ from zoneinfo import ZoneInfo
 from datamodels.states import DeviceState
 
 TYPES = ("Device", "Person", "ResourceSpecification", "Location")
-WATCHED = ("deviceState", "connection", "state", "isSpecifiedBy", "skills", "roles", "capacity", "shifts", "resourceType")
+WATCHED = (
+    *("deviceState", "connection", "state", "isSpecifiedBy"),
+    *("skills", "roles", "capacity", "shifts", "resourceType"),
+)
 UNAVAILABLE = frozenset(
     {
         *(DeviceState.PAUSED, DeviceState.OUT_OF_BATTERY, DeviceState.FOR_MAINTENANCE, DeviceState.ERROR),

@@ -3,27 +3,44 @@
 The file decides if it names a resource, role or skills. Otherwise an entry of the mapping decides. Without
 one the activity goes to people: its Task involves nobody, and its `candidates` say who may claim it.
 
-For a role or skills an agent is chosen; if none can take the activity, it waits, and is tried again when
-agents or their Tasks change. The allocator knows the open Tasks of each agent and the waiting activities of
-all processes. The processes keep both up to date; nothing of this is stored, since it follows from them.
+For a role or skills an agent is chosen. If none can take the activity, or the named one is busy or reserved,
+it waits, and is tried again when agents, their Tasks or reservations change. The allocator knows the open
+Tasks of each agent, and the waiting activities and the reservations of all processes. The processes keep
+these up to date; nothing of this is stored here, since it follows from them.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypeAlias
 
 from handover.messages import Message, message, with_code
-from services.task_orchestrator.allocation.agents import Agents, Position
+from handover.task_life import performers_of
+from services.task_orchestrator.allocation.agents import UNLIMITED, Agent, Agents, Position
 from services.task_orchestrator.allocation.choice import (
     DEFAULT_PRIORITY,
     ChooseByRules,
     Chooser,
+    Order,
     Request,
     WaitingRequest,
+    name_of,
+    order_of,
+    rank,
 )
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable, NameKind
+from services.task_orchestrator.allocation.reservations import (
+    Hold,
+    Holder,
+    Refused,
+    Reservations,
+    Situation,
+    WaitingReservation,
+    Wanted,
+    held_by,
+    wanted_by,
+)
 from services.task_orchestrator.languages.base import ExpressionError, Variables
 from services.task_orchestrator.languages.feel import read_feel
 from services.task_orchestrator.languages.juel import read_template
@@ -31,6 +48,7 @@ from services.task_orchestrator.languages.times import read_datetime
 from services.task_orchestrator.model import Activity, Definition, Value
 from services.task_orchestrator.references import is_reference, resource_id
 from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.spans import Need
 
 _HINT_KINDS: Mapping[NameKind, tuple[str, ...]] = {
     NameKind.CLASS: ("class", "delegateExpression", "expression", "connector"),
@@ -56,6 +74,36 @@ class Assignment:
     warning: Message | None = None
     request: Request | None = None
     """What a performer needs, if one has to be chosen."""
+    performers: tuple[str, ...] = ()
+    """The URNs of the named ones, once the activity runs."""
+    priority: int = DEFAULT_PRIORITY
+    due: datetime | None = None
+
+    @property
+    def waiting_request(self) -> Request | None:
+        """Return what the activity waits for if it has to wait."""
+        return self.request or (_named_request(self, self.performers[0]) if self.performers else None)
+
+    @property
+    def has_no_performer(self) -> bool:
+        """Return whether the file says nothing of the performer but the lane."""
+        return self.candidates is not None and not set(self.candidates) - {"lane"}
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """The reservations within which an activity is, the innermost first."""
+
+    holders: tuple[Holder, ...] = ()
+    spans: tuple[str, ...] = ()
+    """The spans in which it is."""
+    lanes: tuple[str, ...] = ()
+    """Those of them that are lanes."""
+
+
+OUTSIDE = Within()
+Needs: TypeAlias = Mapping[str, Sequence[Need]]
+"""What each span needs, the outermost first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +112,7 @@ class NoPerformer:
 
     reason: Message
     request: Request
-    is_final: bool
+    is_final: bool = False
 
 
 class Allocator:
@@ -80,6 +128,7 @@ class Allocator:
         self._tasks: dict[str, str] = {}
         self._loads: dict[str, dict[str, None]] = {}
         self._waiting: dict[tuple[str, str], WaitingRequest] = {}
+        self.reservations = Reservations()
 
     # Open Tasks and waiting activities
 
@@ -103,10 +152,17 @@ class Allocator:
         """Return the open Tasks of an agent."""
         return list(self._loads.get(agent, ()))
 
-    def add_waiting(self, process: str, token: str, request: Request, since: datetime) -> None:
+    def add_waiting(
+        self,
+        process: str,
+        token: str,
+        request: Request,
+        since: datetime,
+        within: tuple[Holder, ...] = (),
+    ) -> None:
         """Let the activity of a token wait for an agent."""
         key = process, token
-        self._waiting[key] = WaitingRequest(request, since, key)
+        self._waiting[key] = WaitingRequest(request, since, key, within)
 
     def remove_waiting(self, process: str, token: str) -> None:
         """Handle that an activity no longer waits."""
@@ -114,47 +170,361 @@ class Allocator:
             self.has_changed = True
 
     def waiting(self) -> list[str]:
-        """Return the processes with waiting activities, in the order in which they are served."""
-        ordered = sorted(self._waiting.values(), key=lambda each: each.order)
-        return list(dict.fromkeys(each.key[0] for each in ordered))
+        """Return the processes that may get an agent for which they wait, in the order of service."""
+        ordered: list[tuple[Order, str]] = [
+            (each.order, each.key[0])
+            for each in self._waiting.values()
+            if not self._is_hopeless(each.request)
+        ]
+        ordered += [
+            (each.order, each.holder[0])
+            for each in self.reservations.waiting.values()
+            if not any(self._loads.get(a) or self.reservations.holding(a) for a in each.wanted.named)
+        ]
+        return list(dict.fromkeys(process for _, process in sorted(ordered)))
+
+    def _is_hopeless(self, request: Request) -> bool:
+        """Return whether the named agent of a request has as many Tasks as it may have."""
+        if request.resource is None:
+            return False
+        return len(self._loads.get(request.resource, ())) >= self._limit(request.resource)
+
+    # Reservations
+
+    def hold(self, hold: Hold) -> None:
+        """Add a reservation that is held."""
+        self.reservations.hold(hold)
+
+    def release(self, holder: Holder) -> None:
+        """Remove a reservation, whether it is held or waits."""
+        if self.reservations.release(holder):
+            self.has_changed = True
+
+    def reserve(
+        self,
+        holder: Holder,
+        needs: Needs,
+        activities: Iterable[Activity],
+        variables: Variables,
+        *,
+        since: datetime,
+        now: datetime,
+    ) -> Hold | Message:
+        """Reserve what spans need, the outermost first; else wait, and return the reason.
+
+        `activities` are those within; whom they name beside what is reserved is used.
+        """
+        wanted = self._wanted(needs, activities, variables)
+        found = self._decide(holder, wanted, since, now)
+        if isinstance(found, Hold):
+            self.reservations.hold(found)
+            return found
+        return found.reason
+
+    def why_not_reserved(
+        self,
+        holder: Holder,
+        needs: Needs,
+        activities: Iterable[Activity],
+        variables: Variables,
+        *,
+        since: datetime,
+        now: datetime,
+    ) -> Message | None:
+        """Return why a reservation has to wait; None if `reserve` would succeed."""
+        found = self._decide(holder, self._wanted(needs, activities, variables), since, now)
+        return None if isinstance(found, Hold) else found.reason
+
+    def await_reservation(
+        self,
+        holder: Holder,
+        needs: Needs,
+        activities: Iterable[Activity],
+        variables: Variables,
+        *,
+        since: datetime,
+        reason: str,
+    ) -> None:
+        """Let a reservation wait that has waited before a restart."""
+        wanted = self._wanted(needs, activities, variables)
+        order = order_of(DEFAULT_PRIORITY, None, since, holder)
+        self.reservations.waiting[holder] = WaitingReservation(holder, wanted, order, reason, wanted.named)
+
+    def cover(self, holder: Holder, needs: Needs) -> dict[str, tuple[str, ...]] | None:
+        """Return what is reserved for spans that share a reservation; None if they need more than it has."""
+        hold = self.reservations.held[holder]
+        spans: dict[str, tuple[str, ...]] = {}
+        for span, each in needs.items():
+            agents: list[str] = []
+            for need in each:
+                wanted = self._claim(need)
+                agent = next(
+                    (a for a in sorted(hold.reserved) if a not in agents and self._meets(wanted, a)), None
+                )
+                if agent is None:
+                    return None
+                agents.append(agent)
+            spans[span] = tuple(agents)
+        self.share(holder, spans)
+        return spans
+
+    def share(self, holder: Holder, spans: Mapping[str, tuple[str, ...]]) -> None:
+        """Let a reservation that is held serve the spans of a called process, too."""
+        hold = self.reservations.held.get(holder)
+        if hold is not None:
+            self.reservations.held[holder] = replace(hold, spans={**hold.spans, **spans})
+
+    def _decide(self, holder: Holder, wanted: Wanted, since: datetime, now: datetime) -> Hold | Refused:
+        order = order_of(DEFAULT_PRIORITY, None, since, holder)
+        situation = Situation(self.agents.by_id, now, self.tasks_of, self._waits_before, self._rank)
+        found = self.reservations.decide(holder, wanted, order, situation)
+        if isinstance(found, Refused):
+            self.reservations.waiting[holder] = WaitingReservation(
+                holder, wanted, order, found.reason, found.claimed
+            )
+        return found
+
+    def _rank(self, request: Request, agent: Agent) -> tuple[float | str, ...]:
+        return rank(request, agent, self._load(agent.id))
+
+    def _claim(self, need: Need) -> str | Request:
+        if need.resource is None:
+            return Request(need.role, need.skills)
+        return resource_id(self._settings, need.resource)
+
+    def _meets(self, claim: str | Request, agent: str) -> bool:
+        return claim == agent if isinstance(claim, str) else self._suits(claim, agent)
+
+    def waits_for(self, holder: Holder) -> str | None:
+        """Return the present reason why a reservation waits."""
+        waiting = self.reservations.waiting.get(holder)
+        if waiting is None:
+            return None
+        for agent in sorted(waiting.wanted.named):
+            hold = self.reservations.holding(agent)
+            if hold is not None:
+                return held_by(agent, hold)
+        return waiting.reason
+
+    def _wanted(self, needs: Needs, activities: Iterable[Activity], variables: Variables) -> Wanted:
+        claims = {span: [self._claim(need) for need in each] for span, each in needs.items()}
+        named = {each: span for span, them in claims.items() for each in them if isinstance(each, str)}
+        spans = {
+            span: [self._shared_name(each, span, named) or each for each in them]
+            for span, them in claims.items()
+        }
+        used: set[str] = set()
+        used_slots: list[Request] = []
+        for activity in activities:
+            with suppress(ExpressionError):  # it is not known yet who performs it
+                assignment = self.assign(activity, variables)
+                used |= set(self._named(assignment.activity, variables))
+                request = assignment.request
+                if request is not None and not any(self._suits(request, agent) for agent in named):
+                    used_slots.append(request)
+        return wanted_by(spans, used, used_slots)
+
+    def _shared_name(self, claim: str | Request, span: str, named: Mapping[str, str]) -> str | None:
+        """Return the agent that another span names and that has what `span` needs."""
+        if isinstance(claim, str):
+            return None
+        return next((a for a, other in named.items() if other != span and self._suits(claim, a)), None)
+
+    def _suits(self, request: Request, urn: str) -> bool:
+        agent = self.agents.by_id.get(urn)
+        return agent is not None and request.suits(agent)
+
+    def _load(self, agent: str) -> int:
+        return len(self._loads.get(agent, ()))
+
+    def _limit(self, agent: str) -> int:
+        """Return how many Tasks that name an agent it gets at a time; one that is unknown gets all."""
+        known = self.agents.by_id.get(agent)
+        return UNLIMITED if known is None else known.limit
+
+    def _waits_before(self, agent: str, order: Order) -> bool:
+        """Return whether an activity waits for an agent before `order`, or within a reservation."""
+        known = self.agents.by_id.get(agent)
+        for each in self._waiting.values():
+            is_before = bool(each.within) or each.order < order
+            if is_before and (each.request.resource == agent or (known and each.request.suits(known))):
+                return True
+        return False
 
     # Decisions
 
     def request(
         self, activity: Activity, variables: Variables, declined: frozenset[str] = frozenset()
     ) -> Assignment:
-        """Return who gets an activity, with everything that the choice of an agent depends on."""
+        """Return who gets an activity, with everything that the choice of an agent depends on.
+
+        Raises `ExpressionError` if a variable is missing that says who performs it.
+        """
         assignment = self.assign(activity, variables)
-        if assignment.request is None:
-            return assignment
-        request = replace(
-            assignment.request,
-            declined=declined,
-            place=self._place(activity, variables),
-            priority=_priority(activity, variables),
-            due=_due(activity, variables),
-        )
-        return replace(assignment, request=request)
+        priority, due = _priority(activity, variables), _due(activity, variables)
+        performers = tuple(self._named(assignment.activity, variables))
+        request = assignment.request
+        if request is not None:
+            place = self._place(activity, variables)
+            request = replace(request, declined=declined, place=place, priority=priority, due=due)
+        return replace(assignment, request=request, performers=performers, priority=priority, due=due)
 
     def choose(
-        self, assignment: Assignment, key: tuple[str, str], since: datetime, now: datetime
+        self,
+        assignment: Assignment,
+        key: tuple[str, str],
+        since: datetime,
+        now: datetime,
+        within: Within = OUTSIDE,
     ) -> Assignment | NoPerformer:
-        """Return the assignment to an agent, if one has to be chosen; `key` are process and token."""
+        """Return the assignment to an agent, or why the activity waits; `key` are process and token."""
+        agent = self._reserved_for(assignment, within)
+        if agent is not None:
+            declined = assignment.request.declined if assignment.request is not None else frozenset()
+            if agent in declined:
+                return NoPerformer(
+                    _reserved_declined(agent), _named_request(assignment, agent), is_final=True
+                )
+            reason = message("reservation.performs", "{agent}, reserved for it", agent=name_of(agent))
+            activity = replace(assignment.activity, involves=(Value(agent),))
+            assignment = replace(assignment, activity=activity, reason=reason, candidates=None)
+            return self._choose_named(assignment, (agent,), key, since, within)
+        if assignment.performers:
+            return self._choose_named(assignment, assignment.performers, key, since, within)
+        if assignment.request is None:
+            return assignment
+        mine = WaitingRequest(assignment.request, since, key, within.holders)
+        return self._choose_agent(assignment, mine, now)
+
+    def _reserved_for(self, assignment: Assignment, within: Within) -> str | None:
+        """Return the reserved agent that performs an activity, by preference that of the innermost span."""
+        held = self.reservations.held
+        holds = [held[holder] for holder in within.holders if holder in held]
+        spans = within.lanes if assignment.has_no_performer else within.spans
+        agents = [agent for span in spans for hold in holds for agent in hold.spans.get(span, ())]
+        if assignment.has_no_performer:
+            return agents[0] if agents else None
         request = assignment.request
         if request is None:
-            return assignment
+            return None
+        agents += [agent for hold in holds for them in hold.spans.values() for agent in them]
+        suiting = replace(request, declined=frozenset())
+        return next((each for each in agents if self._suits(suiting, each)), None)
+
+    def _choose_named(
+        self,
+        assignment: Assignment,
+        performers: Sequence[str],
+        key: tuple[str, str],
+        since: datetime,
+        within: Within,
+    ) -> Assignment | NoPerformer:
+        """Let named agents perform an activity if nobody else holds them and the first has capacity."""
+        mine = WaitingRequest(_named_request(assignment, performers[0]), since, key, within.holders)
+        for agent in performers:
+            why = self._reserved_by_others(agent, mine)
+            if why is not None:
+                return self._refused(agent, mine, why)
+        first = performers[0]
+        free = self._limit(first) - self._load(first)
+        if free <= 0:
+            busy = message("allocation.busy", "{agent} is busy", agent=name_of(first))
+            return NoPerformer(busy, mine.request)
+        known = self.agents.by_id.get(first)
+        if known is not None and free < UNLIMITED and len(self._before(mine, known)) >= free:
+            why = message("allocation.others_first", "others wait for {agent} before", agent=name_of(first))
+            return NoPerformer(why, mine.request)
+        return assignment
+
+    def _refused(self, agent: str, mine: WaitingRequest, why: Message) -> NoPerformer:
+        """Return that an activity waits for a reserved agent; it is final if that would never end."""
+        hold = self.reservations.holding(agent)
+        if hold is None or not mine.within:
+            return NoPerformer(why, mine.request)
+        if self.reservations.leads_to(hold.holder, mine.within, self._waits_within()):
+            circle = message(
+                "reservation.circle",
+                "{why}, which waits for this process; let {agent} be reserved with the others",
+                why=why,
+                agent=name_of(agent),
+            )
+            return NoPerformer(circle, mine.request, is_final=True)
+        return NoPerformer(why, mine.request)
+
+    def _waits_within(self) -> dict[Holder, set[str]]:
+        """Return the agents for which activities within each reservation wait."""
+        found: dict[Holder, set[str]] = {}
+        for each in self._waiting.values():
+            for holder in each.within:
+                agents = {agent for agent in self.agents.by_id if self._suits(each.request, agent)}
+                if each.request.resource is not None:
+                    agents.add(each.request.resource)
+                found.setdefault(holder, set()).update(agents)
+        return found
+
+    def _reserved_by_others(self, agent: str, mine: WaitingRequest) -> Message | None:
+        """Return why an agent is reserved, or about to be, so that an activity cannot have it."""
+        hold = self.reservations.holding(agent)
+        if hold is not None:
+            return None if hold.holder in mine.within else held_by(agent, hold)
+        if not mine.within and self.reservations.claims(agent, mine.order):
+            return message("allocation.others_first", "others wait for {agent} before", agent=name_of(agent))
+        return None
+
+    def _before(self, mine: WaitingRequest, agent: Agent) -> list[WaitingRequest]:
+        """Return the activities that get an agent before another one; those within a reservation come first."""
+        hold = self.reservations.holding(agent.id)
+        return [
+            each
+            for each in self._waiting.values()
+            if each.key != mine.key
+            and each.precedence < mine.precedence
+            and (hold is None or hold.holder in each.within)
+            and each.request.suits(agent)
+        ]
+
+    def _choose_agent(
+        self,
+        assignment: Assignment,
+        mine: WaitingRequest,
+        now: datetime,
+    ) -> Assignment | NoPerformer:
+        request = mine.request
         agents = list(self.agents.by_id.values())
         loads = {agent: list(tasks) for agent, tasks in self._loads.items()}
-        chosen = self._chooser.choose(request, agents, loads, (), now)
+        blocked: dict[str, Message] = {}
+        for agent in agents if self.reservations.held or self.reservations.waiting else ():
+            why = self._reserved_by_others(agent.id, mine) if request.suits(agent) else None
+            if why is not None:
+                blocked[agent.id] = why
+        chosen = self._chooser.choose(request, agents, loads, blocked, now)
         if chosen.agent is not None and self._waiting:
-            mine = WaitingRequest(request, since, key)
-            before = [each for each in self._waiting.values() if each.key != key and each.order < mine.order]
-            if before:
-                chosen = self._chooser.choose(request, agents, loads, before, now)
+            best = self.agents.by_id[chosen.agent]
+            if self._before(mine, best):
+                for agent in agents:
+                    free = agent.capacity - self._load(agent.id)
+                    if (
+                        agent.id not in blocked
+                        and request.suits(agent)
+                        and len(self._before(mine, agent)) >= free
+                    ):
+                        name = agent.name
+                        blocked[agent.id] = message(
+                            "allocation.others_first", "others wait for {agent} before", agent=name
+                        )
+                chosen = self._chooser.choose(request, agents, loads, blocked, now)
         if chosen.agent is None:
+            held = next((agent for agent in blocked if self.reservations.holding(agent)), None)
+            if held is not None and not chosen.is_final:
+                return replace(self._refused(held, mine, chosen.reason), request=request)
             return NoPerformer(chosen.reason, request, chosen.is_final)
         activity = replace(assignment.activity, involves=(Value(chosen.agent),))
         return replace(assignment, activity=activity, reason=chosen.reason)
+
+    def _named(self, activity: Activity, variables: Variables) -> list[str]:
+        """Return the URNs of those that an activity names as performers."""
+        given = [each.value(variables) for each in activity.involves]
+        return performers_of(resource_id(self._settings, str(each)) for each in given if is_reference(each))
 
     def assign(self, activity: Activity, variables: Variables | None) -> Assignment:
         """Return who gets an activity with the present `variables`; None: before it runs."""
@@ -251,6 +621,18 @@ class Allocator:
                 if found is not None:
                     return found
         return None
+
+
+def _named_request(assignment: Assignment, agent: str) -> Request:
+    return Request(priority=assignment.priority, due=assignment.due, resource=agent)
+
+
+def _reserved_declined(agent: str) -> Message:
+    return message(
+        "reservation.declined",
+        "{agent}, which is reserved for it, declined; release the reservation to ask others",
+        agent=name_of(agent),
+    )
 
 
 def performer_of(entry: MappingEntry) -> str:

@@ -7,7 +7,7 @@ id. Of several activities that wait for the same agent the one with the higher p
 with the earlier due date, then the one that waits longer.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Protocol, TypeAlias
@@ -80,6 +80,11 @@ class WaitingRequest:
         """Return the order in which waiting requests are served."""
         return order_of(self.request.priority, self.request.due, self.since, self.key)
 
+    @property
+    def precedence(self) -> tuple[bool, Order]:
+        """Return its order; those within a reservation come before all others."""
+        return not self.within, self.order
+
 
 @dataclass(frozen=True, slots=True)
 class Choice:
@@ -91,9 +96,6 @@ class Choice:
     """Whether all suitable agents have declined, so that waiting is useless."""
 
 
-NOTHING_BLOCKED: Mapping[str, Message] = {}
-
-
 class Chooser(Protocol):
     """Chooses the agent for an activity."""
 
@@ -102,13 +104,12 @@ class Chooser(Protocol):
         request: Request,
         agents: Sequence[Agent],
         loads: Mapping[str, Sequence[str]],
-        before: Sequence[WaitingRequest],
+        blocked: Mapping[str, Message],
         now: datetime,
-        blocked: Mapping[str, Message] = NOTHING_BLOCKED,
     ) -> Choice:
-        """Return the choice; `loads` are the open Tasks by agent, `before` the requests to serve earlier.
+        """Return the choice; `loads` are the open Tasks by agent.
 
-        `blocked` are the agents that others have reserved, with the reason.
+        `blocked` are the agents that are reserved or for others, with the reason.
         """
         ...
 
@@ -121,9 +122,8 @@ class ChooseByRules:
         request: Request,
         agents: Sequence[Agent],
         loads: Mapping[str, Sequence[str]],
-        before: Sequence[WaitingRequest],
+        blocked: Mapping[str, Message],
         now: datetime,
-        blocked: Mapping[str, Message] = NOTHING_BLOCKED,
     ) -> Choice:
         """Return the choice by the rules."""
         suitable = [agent for agent in agents if request.suits(agent)]
@@ -131,7 +131,7 @@ class ChooseByRules:
             return _nobody(request, are_known=bool(agents))
         available, others = [], []
         for agent in suitable:
-            why_not = _obstacle(agent, loads.get(agent.id, ()), before, now) or blocked.get(agent.id)
+            why_not = _obstacle(agent, loads.get(agent.id, ()), now) or blocked.get(agent.id)
             if why_not is None:
                 available.append(agent)
             else:
@@ -148,9 +148,7 @@ class ChooseByRules:
         return Choice(best.id, joined([chosen, *sorted(others)]))
 
 
-def _obstacle(
-    agent: Agent, tasks: Sequence[str], before: Iterable[WaitingRequest], now: datetime
-) -> Message | None:
+def _obstacle(agent: Agent, tasks: Sequence[str], now: datetime) -> Message | None:
     """Return why an agent cannot take an activity now; None if it can."""
     if agent.unavailable is not None:
         return message(
@@ -162,9 +160,6 @@ def _obstacle(
         if not tasks:
             return message("allocation.no_capacity", "{agent} has no capacity", agent=agent.name)
         return message("allocation.busy", "{agent} is busy", agent=agent.name)
-    free = agent.capacity - len(tasks)
-    if sum(waiting.request.suits(agent) for waiting in before) >= free:
-        return message("allocation.others_first", "others wait for {agent} before", agent=agent.name)
     return None
 
 

@@ -14,6 +14,7 @@ hold up others. Activities within a reservation come before all of them.
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 
 from datamodels.times import iso
 from handover.messages import Message, message
@@ -54,7 +55,7 @@ def wanted_by(
         for need in needs:
             mine.append(need if isinstance(need, str) else _slot(need, slots, mine))
         found[span] = mine
-    reserved = {each for each in found.values() for each in each if isinstance(each, str)}
+    reserved = {need for needs in found.values() for need in needs if isinstance(need, str)}
     return Wanted(
         {span: tuple(dict.fromkeys(needs)) for span, needs in found.items()},
         tuple(slots),
@@ -105,7 +106,7 @@ class WaitingReservation:
     holder: Holder
     wanted: Wanted
     order: Order
-    reason: Message
+    reason: str
     claimed: frozenset[str]
 
 
@@ -172,15 +173,6 @@ class Reservations:
         """Return whether a waiting reservation that comes before `order` keeps its place at an agent."""
         return any(agent in each.claimed and each.order < order for each in self.waiting.values())
 
-    def blocks(self, request: Request, agents: Iterable[Agent]) -> bool:
-        """Return whether a waiting reservation keeps its place at an agent that suits a request."""
-        if not self.waiting:
-            return False
-        claimed = {agent for each in self.waiting.values() for agent in each.claimed}
-        if request.resource is not None:
-            return request.resource in claimed
-        return any(each.id in claimed and request.suits(each) for each in agents)
-
     def leads_to(self, start: Holder, targets: Iterable[Holder], waits: Mapping[Holder, set[str]]) -> bool:
         """Return whether `start` waits for one of `targets`, directly or by others.
 
@@ -201,7 +193,7 @@ class Reservations:
 
     def decide(self, holder: Holder, wanted: Wanted, order: Order, situation: Situation) -> Hold | Refused:
         """Return the reservation if everything that it needs is free; nothing is changed."""
-        attainable = self._match(wanted, situation, lambda agent: None)
+        attainable = self._match(wanted, situation, _no_obstacle)
         obstacles: dict[str, Message] = {}
 
         def obstacle(agent: str) -> Message | None:
@@ -291,6 +283,11 @@ class Reservations:
             return message("allocation.others_first", "others wait for {agent} before", agent=name_of(agent))
         return None
 
+    def _preference(
+        self, slot: Request, situation: Situation, agent: Agent
+    ) -> tuple[bool, tuple[float | str, ...]]:
+        return self.holding(agent.id) is not None, situation.rank(slot, agent)
+
     def _match(
         self, wanted: Wanted, situation: Situation, obstacle: Callable[[str], Message | None]
     ) -> tuple[str, ...] | None:
@@ -306,7 +303,7 @@ class Reservations:
                 and agent.works_at(situation.now)
                 and obstacle(agent.id) is None
             ]
-            suitable.sort(key=lambda agent, slot=slot: (bool(self.holding(agent.id)), situation.rank(slot, agent)))  # type: ignore[misc]
+            suitable.sort(key=partial(self._preference, slot, situation))
             candidates.append([agent.id for agent in suitable])
         slot_of: dict[str, int] = {}
 
@@ -335,6 +332,10 @@ def held_by(agent: str, hold: Hold) -> Message:
         process=hold.holder[0],
         since=iso(hold.since),
     )
+
+
+def _no_obstacle(_agent: str) -> Message | None:
+    return None
 
 
 def _suitable(request: Request, situation: Situation) -> list[Agent]:

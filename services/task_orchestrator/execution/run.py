@@ -45,7 +45,8 @@ from services.task_orchestrator.execution.state import (
 )
 from services.task_orchestrator.execution.waits import conditions_that_became_true, event_of, holds_for
 from services.task_orchestrator.languages.base import ExpressionError
-from services.task_orchestrator.model import Activity, EntityFilter, Kind, entity_filter
+from services.task_orchestrator.model import Activity, EntityFilter, Kind, SpanKind, entity_filter
+from services.task_orchestrator.spans import SpanUnion, spans_at
 
 log = get_logger(__name__)
 
@@ -115,6 +116,30 @@ class EntityWait:
     element: str
     holding: tuple[str, ...]
     """The entities for which the condition was true when it was last evaluated."""
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveSpan:
+    """Spans in which tokens are, and for which resources are reserved together."""
+
+    key: str
+    element: str
+    """The id of the outermost span; within a called process after those of the call activities."""
+    union: SpanUnion
+    is_entered: bool
+    """Whether a token is at a member; else one can still come to it."""
+    outer: tuple[str, ...]
+    """The keys of those that enclose it: of the calling processes, the innermost first."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpanPlace:
+    """Where a token is within an `ActiveSpan`: the ids of its spans, the innermost first."""
+
+    key: str
+    is_member: bool
+    spans: tuple[str, ...]
+    lanes: tuple[str, ...]
 
 
 class Run:
@@ -296,6 +321,60 @@ class Run:
                     )
                 )
         return tuple(found)
+
+    @property
+    def has_spans(self) -> bool:
+        """Return whether resources may be reserved for what runs."""
+        return any(frame.graph.unions for frame in self._state.frames.values())
+
+    def active_spans(self) -> tuple[ActiveSpan, ...]:
+        """Return the spans in which tokens are, those of calling processes first."""
+        found = []
+        for frame in self._state.frames.values():
+            if not frame.graph.unions:
+                continue
+            nodes = {token.node for token in frame.tokens.values()}
+            for union in frame.graph.unions:
+                if not union.held.isdisjoint(nodes):
+                    host = None if frame.host is None else self._state.tokens[frame.host]
+                    found.append(
+                        ActiveSpan(
+                            _span_key(frame, union),
+                            frame.prefix + union.id,
+                            union,
+                            not union.entry.isdisjoint(nodes),
+                            tuple(place.key for place in self._places(host) if place.is_member),
+                        )
+                    )
+        return tuple(found)
+
+    def span_variables(self, key: str) -> Mapping[str, Any]:
+        """Return the variables that the scope of an `ActiveSpan` sees; the mapping must not be changed."""
+        frame = self._state.frames[int(key.partition(".")[0])]
+        return self._machine(self._now).frame_variables(frame)
+
+    def places(self, token: str) -> tuple[SpanPlace, ...]:
+        """Return the spans within which a token is, the innermost first."""
+        return tuple(self._places(self._find(token)))
+
+    def _places(self, token: Token | None) -> Iterator[SpanPlace]:
+        names: dict[str, None] = {}
+        while token is not None:
+            frame = self._state.frames[token.frame]
+            names[token.node] = None
+            for union in frame.graph.unions:
+                if token.node in union.extent:
+                    spans = spans_at(union, names)
+                    yield SpanPlace(
+                        _span_key(frame, union),
+                        token.node in union.entry,
+                        tuple(span.id for span in spans),
+                        tuple(span.id for span in spans if span.kind is SpanKind.LANE),
+                    )
+            if frame.process is not None:
+                names = {}
+            outer = token.compensates if token.compensates is not None else frame.host
+            token = None if outer is None else self._state.tokens[outer]
 
     def next_due(self) -> datetime | None:
         """Return when the next timer is due; None without one."""
@@ -647,6 +726,10 @@ class Run:
             if token.state is TokenState.LEAVING:
                 stage = TokenState.LEAVING
             machine.raise_incident(token, text_of(failure), stage=stage)
+
+
+def _span_key(frame: Frame, union: SpanUnion) -> str:
+    return f"{frame.id}.{union.id}"
 
 
 def _open_activity(machine: Machine, token: Token) -> OpenActivity:

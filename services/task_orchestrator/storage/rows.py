@@ -17,6 +17,8 @@ from services.task_orchestrator.records import (
     Message,
     MessageKind,
     ProcessRecord,
+    ReservationRecord,
+    ReservationState,
     TaskRecord,
     Unallocated,
 )
@@ -72,7 +74,13 @@ def process_row(process: ProcessRecord, *, but: Collection[str] = ()) -> dict[st
     """Return the row of a process; the code and parameters of its reason have a separate column."""
     incidents = orjson.dumps([_incident_values(incident) for incident in process.incidents]).decode()
     unallocated = orjson.dumps([_unallocated_values(each) for each in process.unallocated]).decode()
-    row = {**plain_row(process, but=but), "incidents": incidents, "unallocated": unallocated}
+    reservations = orjson.dumps([_reservation_values(each) for each in process.reservations]).decode()
+    row = {
+        **plain_row(process, but={*but, "incidents", "unallocated", "reservations"}),
+        "incidents": incidents,
+        "unallocated": unallocated,
+        "reservations": reservations,
+    }
     reason = process.reason
     if not isinstance(reason, MessageText):
         return {**row, "reason_message": None}
@@ -100,6 +108,11 @@ def message_row(message: Message) -> dict[str, Any]:
 def _unallocated_values(each: Unallocated) -> dict[str, Any]:
     values = {name: getattr(each, name) for name in ("token", "visit", "element", "name", "since")}
     return {**values, **with_code("reason", each.reason)}
+
+
+def _reservation_values(each: ReservationRecord) -> dict[str, Any]:
+    names = ("key", "element", "name", "state", "since", "asked_at", "spans", "used", "held_at", "outer")
+    return {**{name: getattr(each, name) for name in names}, **with_code("reason", each.reason)}
 
 
 def _incident_values(incident: IncidentRecord) -> dict[str, Any]:
@@ -132,6 +145,7 @@ def to_process(row: Mapping[str, Any]) -> ProcessRecord:
             "incidents": tuple(_incident(incident) for incident in values["incidents"]),
             "unallocated": tuple(_unallocated(each) for each in orjson.loads(values["unallocated"])),
             "declined": {key: tuple(agents) for key, agents in values["declined"].items()},
+            "reservations": tuple(_reservation(each) for each in orjson.loads(values["reservations"])),
         }
     )
 
@@ -152,6 +166,20 @@ def _act(values: Mapping[str, Any]) -> Act:
 def _unallocated(values: Mapping[str, Any]) -> Unallocated:
     others = {name: values[name] for name in ("token", "visit", "element", "name")}
     return Unallocated(reason=message_in(values, "reason") or "", since=to_time(values["since"]), **others)
+
+
+def _reservation(values: Mapping[str, Any]) -> ReservationRecord:
+    others = {name: values[name] for name in ("key", "element", "name", "outer")}
+    return ReservationRecord(
+        state=ReservationState(values["state"]),
+        since=to_time(values["since"]),
+        asked_at=to_time(values["asked_at"]),
+        held_at=to_moment(values["held_at"]),
+        reason=message_in(values, "reason") or "",
+        spans={span: tuple(agents) for span, agents in values["spans"].items()},
+        used=tuple(values["used"]),
+        **others,
+    )
 
 
 def _incident(values: Mapping[str, Any]) -> IncidentRecord:

@@ -54,6 +54,7 @@ processes = Table(
     Column("reason_message", Text),
     Column("unallocated", Text, nullable=False, server_default="[]"),
     Column("declined", Text, nullable=False, server_default="{}"),
+    Column("reservations", Text, nullable=False, server_default="[]"),
     Index("orchestrator_processes_started", "started_at", "id"),
     Index("orchestrator_processes_definition", "definition", "version"),
     # These keep lists of one status or definition fast, independent of the number of stored processes.

@@ -24,8 +24,8 @@ condition of a conditional event is then evaluated for each entity.
 
 <bpmn:subProcess handover:reserve="Device:ur10-1, role:picker skill:grip">
 
-or, as extension elements, `<handover:reserve resource="Device:ur10-1"/>`, with `role` and `skills`, or with an
-`expression`: the resources are reserved as long as a token is in the process, subprocess, lane or group.
+or, as extension elements, `<handover:reserve resource="Device:ur10-1"/>`, with `role` and `skills`, or with
+an `expression`: the resources are reserved as long as a token is in the process, subprocess, lane or group.
 """
 
 import re

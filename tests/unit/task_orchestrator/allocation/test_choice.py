@@ -79,7 +79,7 @@ def test_the_reason_names_the_chosen_agent_and_the_others() -> None:
     near, far = Position((0.0, 0.0)), Position((4.0, 0.0))
     agents = [agent("ur10-1", 1, position=near), agent("ur10-2", 3, position=far)]
     request = Request(skills=("grip",), place=near)
-    choice = ChooseByRules().choose(request, agents, busy("ur10-1"), [], MONDAY)
+    choice = ChooseByRules().choose(request, agents, busy("ur10-1"), {}, MONDAY)
     assert choice.reason == "ur10-2: idle, skill 3, 4 m away; ur10-1 is busy"
 
 
@@ -96,28 +96,28 @@ def test_the_reason_names_the_chosen_agent_and_the_others() -> None:
 def test_load_comes_before_skill(
     agents: list[Agent], loads: dict[str, list[str]], chosen: str | None
 ) -> None:
-    choice = ChooseByRules().choose(GRIP, agents, loads, [], MONDAY)
+    choice = ChooseByRules().choose(GRIP, agents, loads, {}, MONDAY)
     assert choice.agent == (chosen and f"urn:ngsi-ld:Device:demo:{chosen}")
 
 
 def test_the_nearer_of_equal_agents_is_chosen() -> None:
     agents = [agent("a", position=Position((9.0, 0.0))), agent("b", position=Position((1.0, 0.0)))]
     request = Request(skills=("grip",), place=Position((0.0, 0.0)))
-    assert ChooseByRules().choose(request, agents, {}, [], MONDAY).agent == agents[1].id
+    assert ChooseByRules().choose(request, agents, {}, {}, MONDAY).agent == agents[1].id
 
 
 def test_an_unconfirmed_mapping_chooses_no_robot() -> None:
     request = Request(skills=("grip",), people_only=True)
-    assert ChooseByRules().choose(request, [agent("a")], {}, [], MONDAY).agent is None
+    assert ChooseByRules().choose(request, [agent("a")], {}, {}, MONDAY).agent is None
 
 
 def test_a_request_is_refused_only_when_all_suitable_agents_have_declined() -> None:
     agents = [agent("a"), agent("b")]
     once = Request(skills=("grip",), declined=frozenset({agents[0].id}))
-    waits = ChooseByRules().choose(once, agents, busy("b"), [], MONDAY)
+    waits = ChooseByRules().choose(once, agents, busy("b"), {}, MONDAY)
     assert (waits.agent, waits.is_final) == (None, False)
     twice = Request(skills=("grip",), declined=frozenset(each.id for each in agents))
-    choice = ChooseByRules().choose(twice, agents, {}, [], MONDAY)
+    choice = ChooseByRules().choose(twice, agents, {}, {}, MONDAY)
     assert (choice.agent, choice.is_final) == (None, True)
 
 
@@ -156,7 +156,7 @@ def test_everybody_who_can_be_served_is_served_and_nobody_has_too_much(
         loads: dict[str, list[str]] = {}
         before: list[WaitingRequest] = []
         for each in sorted(waiting, key=lambda one: one.order):
-            choice = ChooseByRules().choose(each.request, agents, loads, before, MONDAY)
+            choice = ChooseByRules().choose(each.request, agents, loads, {}, MONDAY)
             if choice.agent is None:
                 before.append(each)
             else:
