@@ -80,7 +80,7 @@ def _cell(value: Any) -> Any:
 def xes_of(process: Mapping[str, Any]) -> bytes:
     """Return the process as a log of one trace for process mining (XES, IEEE 1849-2016).
 
-    Each change of a Task is an event with its transition in the standard lifecycle.
+    Each change of a Task or a reservation is an event with its transition in the standard lifecycle.
     """
     log = etree.Element(f"{{{XES}}}log", {"xes.version": "1849-2016"}, nsmap={None: XES})
     for prefix, name in XES_EXTENSIONS.items():
@@ -90,7 +90,9 @@ def xes_of(process: Mapping[str, Any]) -> bytes:
     _add_xes(log, "string", "concept:name", f"{process['definition']} version {process['version']}")
     trace = etree.SubElement(log, f"{{{XES}}}trace")
     _add_xes(trace, "string", "concept:name", process["id"])
-    for at, transition, task in sorted(_transitions(process), key=lambda each: each[0]):
+    for at, transition, task in sorted(
+        (*_transitions(process), *_reserved(process)), key=lambda each: each[0]
+    ):
         event = etree.SubElement(trace, f"{{{XES}}}event")
         _add_xes(event, "string", "concept:name", task["name"])
         _add_xes(event, "string", "concept:instance", task["id"])
@@ -115,6 +117,18 @@ def _transitions(process: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping
                 transition = "pi_abort"
             was_paused = change["status"] == "paused"
             yield change["at"], transition, task
+
+
+def _reserved(process: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    """Yield time, lifecycle transition and content of each change of a reservation."""
+    for each in process.get("reservations", ()):
+        event = {"name": f"reserve {each['name']}", "id": each["key"], "involves": each["agents"]}
+        yield each["askedAt"], "schedule", event
+        if each["heldAt"] is not None:
+            yield each["heldAt"], "start", event
+        if each["state"] in {"ended", "released"}:
+            transition = "complete" if each["heldAt"] is not None else "withdraw"
+            yield each["since"], transition, event
 
 
 def _add_xes(parent: etree._Element, kind: str, key: str, value: str) -> None:

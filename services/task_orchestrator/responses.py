@@ -13,7 +13,7 @@ from typing_extensions import TypedDict
 
 from datamodels.entities import TaskStatus
 from services.task_orchestrator.allocation.mapping import NameKind
-from services.task_orchestrator.records import ActKind, MessageOutcome
+from services.task_orchestrator.records import ActKind, MessageOutcome, ReservationState
 
 
 def json_response(content: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Response:
@@ -263,6 +263,26 @@ class ActView(TypedDict):
     mapping: Mapping[str, str] | None
 
 
+class ReservationView(KnownReason):
+    """Agents that are reserved, or waited for, while a token is within `element` (`handover:reserve`).
+
+    `reason` is why it waits or is impossible, or what was reserved; `since` is when its state began, `heldAt`
+    when it was acquired. `agents` are reserved; nobody else reserves those of `uses` meanwhile. One that
+    shares the agents of a calling process cannot be released by itself.
+    """
+
+    key: str
+    element: str
+    name: str
+    state: ReservationState
+    since: str
+    askedAt: str
+    heldAt: str | None
+    agents: list[str]
+    uses: list[str]
+    isShared: bool
+
+
 class ProcessView(ProcessSummary):
     """A process with all details; `done` of its `activities` were completed at least once."""
 
@@ -273,6 +293,7 @@ class ProcessView(ProcessSummary):
     activities: int
     elements: dict[str, ElementCounts]
     acts: list[ActView]
+    reservations: list[ReservationView]
     tasks: list[TaskView]
 
 
@@ -308,14 +329,18 @@ class SkillView(TypedDict):
 
 
 class AgentView(TypedDict):
-    """A Device or Person that performs Tasks; `tasks` are its open ones."""
+    """A Device or Person that performs Tasks; `tasks` are its open ones.
+
+    A `capacity` of null is unlimited. `reservedBy` is the process that has reserved it.
+    """
 
     id: str
     skills: dict[str, SkillView]
     roles: list[str]
-    capacity: int
+    capacity: int | None
     unavailable: str | None
     tasks: list[str]
+    reservedBy: str | None
 
 
 class SentMessage(TypedDict):

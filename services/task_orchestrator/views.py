@@ -8,6 +8,7 @@ from datamodels.entities import TaskStatus
 from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
+from services.task_orchestrator.allocation.agents import UNLIMITED
 from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.definition_registry import DefinitionRegistry
@@ -21,6 +22,8 @@ from services.task_orchestrator.records import (
     IncidentRecord,
     Move,
     ProcessRecord,
+    ReservationRecord,
+    ReservationState,
     TaskRecord,
 )
 from services.task_orchestrator.references import is_reference, resource_id
@@ -43,6 +46,7 @@ from services.task_orchestrator.responses import (
     ProcessSummary,
     ProcessView,
     Reason,
+    ReservationView,
     TaskView,
     VersionStatistics,
 )
@@ -76,9 +80,12 @@ def agent_views(allocator: Allocator) -> list[AgentView]:
                 for name, skill in agent.skills.items()
             },
             "roles": sorted(agent.roles),
-            "capacity": agent.capacity,
+            "capacity": None if agent.capacity >= UNLIMITED else agent.capacity,
             "unavailable": agent.unavailable,
             "tasks": allocator.tasks_of(agent.id),
+            "reservedBy": None
+            if (hold := allocator.reservations.holding(agent.id)) is None
+            else hold.holder[0],
         }
         for agent in allocator.agents.by_id.values()
     ]
@@ -181,6 +188,8 @@ def process_view(
     record: ProcessRecord,
     tasks: Sequence[TaskRecord],
     moves: Sequence[Move],
+    *,
+    allocator: Allocator,
 ) -> ProcessView:
     """Return a process with all details."""
     definition = _definition(registry, record)
@@ -198,7 +207,29 @@ def process_view(
         "activities": len(activities),
         "elements": {element: _count_view(count) for element, count in counts.items()},
         "acts": [_act_view(act) for act in record.acts],
+        "reservations": [_reservation_view(each, record, allocator) for each in record.reservations],
         "tasks": [_task_view(task, activities.get(task.element), history.get(task.id, [])) for task in tasks],
+    }
+
+
+def _reservation_view(
+    each: ReservationRecord, record: ProcessRecord, allocator: Allocator
+) -> ReservationView:
+    reason = each.reason
+    if each.state is ReservationState.WAITING:  # who holds it changes often, so it is not stored each time
+        reason = allocator.waits_for((record.id, each.key)) or reason
+    return {
+        "key": each.key,
+        "element": each.element,
+        "name": each.name,
+        "state": each.state,
+        **_known_reason(reason),
+        "since": iso(each.since),
+        "askedAt": iso(each.asked_at),
+        "heldAt": _iso(each.held_at),
+        "agents": list(each.agents),
+        "uses": list(each.used),
+        "isShared": each.outer is not None,
     }
 
 

@@ -472,7 +472,7 @@ class Allocator:
         return None
 
     def _before(self, mine: WaitingRequest, agent: Agent) -> list[WaitingRequest]:
-        """Return the activities that get an agent before another one; those within a reservation come first."""
+        """Return the activities that get an agent before another one."""
         hold = self.reservations.holding(agent.id)
         return [
             each

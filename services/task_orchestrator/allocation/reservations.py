@@ -13,10 +13,9 @@ hold up others. Activities within a reservation come before all of them.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 
-from datamodels.times import iso
 from handover.messages import Message, message
 from services.task_orchestrator.allocation.agents import Agent
 from services.task_orchestrator.allocation.choice import Order, Request, joined, name_of
@@ -330,7 +329,7 @@ def held_by(agent: str, hold: Hold) -> Message:
         "{agent} is held by {process} since {since}",
         agent=name_of(agent),
         process=hold.holder[0],
-        since=iso(hold.since),
+        since=hold.since.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
     )
 
 

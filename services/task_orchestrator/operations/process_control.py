@@ -94,6 +94,15 @@ class ProcessControl:
 
         await self._writer.apply_to(process_id, act)
 
+    async def release(self, process_id: str, key: str, *, by: str | None, why: str | None) -> None:
+        """Release a reservation; raise `Problem` 404 if there is none, 409 if it is not held."""
+
+        def act(process: Process, step: Step) -> None:
+            now = self._state.clock()
+            process.release_reservation(Act(now, ActKind.RELEASE, by, why=why), key, step, now)
+
+        await self._writer.apply_to(process_id, act)
+
     async def pause(self, process_id: str, kind: ActKind, *, by: str | None, why: str | None) -> None:
         """Pause or resume a process; raise `Problem` 404 if there is none, 409 if it has ended."""
         await self._writer.apply_to(

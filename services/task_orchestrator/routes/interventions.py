@@ -135,6 +135,12 @@ def add_interventions(app: FastAPI, at: Components) -> None:
             mapping=body.mapping or None,
         )
 
+    @app.post("/processes/{process_id}/reservations/{key}/release", tags=["incidents"], responses=PROCESS)
+    async def release(process_id: str, key: str, body: PauseRequest) -> Response:
+        """Release what is reserved for a part of a process; the next activity of it reserves again."""
+        await orchestrator.processes.release(at.plain_id(process_id), key, by=body.by.strip(), why=body.why)
+        return await process_response(at, process_id)
+
     @app.post("/processes/{process_id}/variables", tags=["incidents"], responses=PROCESS)
     @max_body(MAX_PARAMETERS_BYTES)
     async def set_variables(process_id: str, body: MendRequest) -> Response:

@@ -35,4 +35,4 @@ async def process_content(at: Components, process_id: str) -> ProcessView:
             message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
         )
     await registry.prepare(registry.record(seen[0].definition, seen[0].version))
-    return process_view(at.settings, registry, *seen)
+    return process_view(at.settings, registry, *seen, allocator=at.orchestrator.state.allocator)

@@ -5,7 +5,7 @@
  */
 
 /** An action of a person on a process. */
-export type ActKind = "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume" | "migrate";
+export type ActKind = "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume" | "migrate" | "release";
 
 /**
  * An action of a person on a process; nobody has verified the name `by` while `verified` is false.
@@ -363,7 +363,34 @@ export interface ProcessView {
   activities: number;
   elements: Record<string, ElementCounts>;
   acts: ActView[];
+  reservations: ReservationView[];
   tasks: TaskView[];
+}
+
+/** What a reservation does. */
+export type ReservationState = "waiting" | "held" | "impossible" | "released" | "ended";
+
+/**
+ * Agents that are reserved, or waited for, while a token is within `element` (`handover:reserve`).
+ *
+ * `reason` is why it waits or is impossible, or what was reserved; `since` is when its state began, `heldAt`
+ * when it was acquired. `agents` are reserved; nobody else reserves those of `uses` meanwhile. One that
+ * shares the agents of a calling process cannot be released by itself.
+ */
+export interface ReservationView {
+  reason: string;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
+  key: string;
+  element: string;
+  name: string;
+  state: ReservationState;
+  since: string;
+  askedAt: string;
+  heldAt: string | null;
+  agents: string[];
+  uses: string[];
+  isShared: boolean;
 }
 
 /** A request to retry a failed Task. */
