@@ -3,10 +3,10 @@
     python -m requirements.third_party            # write the file
     python -m requirements.third_party --check    # fail if the file is not up to date
 
-The names come from the locks (`container.lock`, `ros.lock`, `package-lock.json`), the licences from the
-metadata of the installed packages. Versions are left out, because the locks have them. Both commands fail on
-a package with a licence that Apache-2.0 software cannot be distributed with, such as GPL, and on a
-package without a licence.
+The names come from the locks (`container.lock`, `motion.lock`, `ros.lock`, `package-lock.json`), the
+licences from the metadata of the installed packages. Versions are left out, because the locks have them.
+Both commands fail on a package with a licence that Apache-2.0 software cannot be distributed with (GPL),
+and on a package without a licence.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 FILE = ROOT / "THIRD_PARTY.md"
-LOCKS = (ROOT / "requirements" / "container.lock", ROOT / "requirements" / "ros.lock")
+LOCKS = tuple(ROOT / "requirements" / f"{name}.lock" for name in ("container", "motion", "ros"))
 APP = ROOT / "webui" / "app"
 
 SPDX = {
@@ -41,6 +41,7 @@ SPDX = {
 KNOWN = {
     "colorama": "BSD-3-Clause",  # Windows only
     "tzdata": "Apache-2.0",  # Windows only
+    "cmeel-qhull": "Qhull",
     "scipy": "BSD-3-Clause",  # its metadata has the text of the licence
     "bpmn-js": "bpmn.io licence (MIT, and its mark in a diagram stays visible)",
     "diagram-js": "MIT",
@@ -54,9 +55,9 @@ Written by `make third-party`; do not edit. Versions are in `requirements/` and 
 
 ## Python packages
 
-They are installed from their own packages, with or without the extra `ros`. The extra `ros-rclpy` also
-installs wheels of ROS 2, which have their licences (Apache-2.0, BSD-3-Clause) in their own metadata. Packages
-under the LGPL are used unmodified and can be replaced.
+They are installed from their own packages, with or without the extras `motion` and `ros`. The extra
+`ros-rclpy` also installs wheels of ROS 2, which have their licences (Apache-2.0, BSD-3-Clause) in their own
+metadata. Packages under the LGPL are used unmodified and can be replaced.
 
 """
 PAGE_INTRODUCTION = """

@@ -19,12 +19,16 @@ from handover.errors import UsageError
 from handover.messages import message, text_of
 from services.trajectory_tool.poses import Frame, Pose, Vector
 from services.trajectory_tool.robot import Joints, Unreachable
+from services.trajectory_tool.srdf import InvalidSrdf, LinkPair, Srdf, read_srdf
 from services.trajectory_tool.trajectory import Limits
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
 
 InverseKinematics = Callable[[Frame, Joints], Joints]
 """Returns the joints nearest to given ones with the flange at a frame. Raises `Unreachable`."""
+
+AllSolutions = Callable[[Frame, Joints], list[Joints]]
+"""Returns every solution (full turns aside) with the flange at a frame, none when it is out of reach."""
 
 MAX_URDF_BYTES = 4 * 1024 * 1024
 IDENTITY = Frame(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
@@ -88,7 +92,12 @@ class RobotModel:
     tip: str
     fingers: tuple[Finger, ...]
     inverse: InverseKinematics | None
+    solutions: AllSolutions | None
     scene: Path | None
+    disabled_pairs: frozenset[LinkPair]
+    """Pairs of links that are not checked for collision."""
+    poses: Mapping[str, Joints]
+    """Named positions of the joints."""
     _to_flange: tuple[_Segment, ...] = field(repr=False)
     _tool: Frame = field(repr=False)
 
@@ -123,6 +132,10 @@ class RobotModel:
         """Return the pose of the tool's tip."""
         return Pose.of(self.flange(joints) @ self._tool)
 
+    def flange_for(self, pose: Pose) -> Frame:
+        """Return the frame of the flange with the tip of the tool at `pose`."""
+        return pose.frame() @ self._tool.inverse()
+
     def reach(self, pose: Pose, near: Joints) -> Joints:
         """Return the joints nearest to `near` with the tip of the tool at `pose`. Raises `Unreachable`."""
         if self.inverse is None:
@@ -134,7 +147,7 @@ class RobotModel:
                 )
             )
         try:
-            return self.allow(self.inverse(pose.frame() @ self._tool.inverse(), near))
+            return self.allow(self.inverse(self.flange_for(pose), near))
         except Unreachable as why:
             where = ", ".join(f"{value:.3f}" for value in pose.position)
             raise Unreachable(
@@ -189,14 +202,18 @@ def read_model(
     labels: Mapping[str, Mapping[str, str]] | None = None,
     fingers: tuple[Finger, ...] = (),
     inverse: InverseKinematics | None = None,
+    solutions: AllSolutions | None = None,
     scene: Path | None = None,
+    srdf: Path | None = None,
 ) -> RobotModel:
     """Return the model of the robot in a URDF file.
 
-    `tip` and `flange` are links; `inverse` solves for the flange, by default the tip. A URDF has no limits of
-    acceleration and jerk: give one for all joints, or one for each by name. Joints that `home` does not name
-    are at 0. Raises `UsageError` that names the file and the fault.
+    `tip` and `flange` are links; `inverse` and `solutions` solve for the flange, by default the tip. A URDF
+    has no limits of acceleration and jerk: give one for all joints, or one for each by name. Joints that
+    `home` does not name are at 0. An SRDF names pairs of links that never collide, and positions; its "home"
+    is used without `home`. Raises `UsageError` that names the file and the fault.
     """
+    semantics = _semantics(srdf) if srdf is not None else Srdf()
     try:
         if urdf.stat().st_size > MAX_URDF_BYTES:
             raise UsageError(f"the robot description {urdf} has more than {MAX_URDF_BYTES >> 20} MB")
@@ -206,12 +223,14 @@ def read_model(
             name=name,
             flange=flange or tip,
             tip=tip,
-            home=dict(home or {}),
+            home=dict(semantics.poses.get("home", {}) if home is None else home),
             limits=(max_acceleration, max_jerk),
             labels=labels or {},
             fingers=fingers,
             inverse=inverse,
+            solutions=solutions,
             scene=scene,
+            semantics=semantics,
         )
     except OSError as error:
         raise UsageError(f"the robot description {urdf} cannot be read: {error.strerror}") from None
@@ -219,6 +238,15 @@ def read_model(
         raise UsageError(f"the robot description {urdf} is not XML: {error}") from None
     except _InvalidUrdf as fault:
         raise UsageError(f"the robot description {urdf}: {fault}") from None
+
+
+def _semantics(srdf: Path) -> Srdf:
+    try:
+        return read_srdf(srdf.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"the SRDF {srdf} cannot be read: {error.strerror}") from None
+    except (etree.XMLSyntaxError, UnicodeDecodeError, InvalidSrdf) as error:
+        raise UsageError(f"the SRDF {srdf}: {error}") from None
 
 
 class _InvalidUrdf(ValueError):
@@ -236,7 +264,9 @@ def _model(
     labels: Mapping[str, Mapping[str, str]],
     fingers: tuple[Finger, ...],
     inverse: InverseKinematics | None,
+    solutions: AllSolutions | None,
     scene: Path | None,
+    semantics: Srdf,
 ) -> RobotModel:
     parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True)
     root = etree.fromstring(text.encode(), parser)
@@ -259,9 +289,9 @@ def _model(
     if flange_at == 0 or any(segment.number is not None for segment in segments[flange_at:]):
         raise _InvalidUrdf(f'the flange "{flange}" must be a link that "{tip}" is fixed to')
     names = [joint.name for joint in joints]
-    unknown = [one for one in home if one not in names]
-    if unknown:
-        raise _InvalidUrdf(f"home names {', '.join(unknown)}; the joints are {', '.join(names)}")
+    poses = {
+        pose: _positions(pose, given, names) for pose, given in {**semantics.poses, "home": home}.items()
+    }
     _require_joints(root, fingers)
     tool = IDENTITY
     for segment in segments[flange_at:]:
@@ -270,19 +300,30 @@ def _model(
         name=name,
         urdf=text,
         joints=tuple(joints),
-        home=tuple(home.get(one, 0.0) for one in names),
+        home=poses["home"],
         tip=tip,
         fingers=fingers,
         inverse=inverse,
+        solutions=solutions,
         scene=scene,
+        disabled_pairs=semantics.disabled_pairs,
+        poses=poses,
         _to_flange=tuple(segments[:flange_at]),
         _tool=tool,
     )
-    try:
-        model.allow(model.home)
-    except Unreachable as why:
-        raise _InvalidUrdf(f"home: {why}") from None
+    for pose, joints_of_pose in poses.items():
+        try:
+            model.allow(joints_of_pose)
+        except Unreachable as why:
+            raise _InvalidUrdf(f"{pose}: {why}") from None
     return model
+
+
+def _positions(pose: str, given: Mapping[str, float], names: list[str]) -> Joints:
+    unknown = [one for one in given if one not in names]
+    if unknown:
+        raise _InvalidUrdf(f"{pose} names {', '.join(unknown)}; the joints are {', '.join(names)}")
+    return tuple(given.get(one, 0.0) for one in names)
 
 
 def _chain(root: Any, tip: str) -> list[Any]:

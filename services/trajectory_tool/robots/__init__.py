@@ -8,5 +8,13 @@ A robot is a folder with its URDF and a `RobotModel`. Another package registers 
 
 from handover.extensions import ExtensionPoint
 
-ROBOTS = ExtensionPoint("robot", "handover.robots", {"ur10": "services.trajectory_tool.robots.ur10:ROBOT"})
+ROBOTS = ExtensionPoint(
+    "robot",
+    "handover.robots",
+    {
+        "ur10": "services.trajectory_tool.robots.ur10:ROBOT",
+        "ur5e": "services.trajectory_tool.robots.ur5e:ROBOT",
+        "panda": "services.trajectory_tool.robots.panda:ROBOT",
+    },
+)
 """Each entry point is a `RobotModel`."""

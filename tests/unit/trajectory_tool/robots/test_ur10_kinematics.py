@@ -6,13 +6,10 @@ from hypothesis import strategies as st
 
 from services.trajectory_tool.poses import Frame, Pose, pointing_down
 from services.trajectory_tool.robot import Joints, Unreachable
-from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.robots.ur10.kinematics import (
-    JOINT_LIMIT_RAD,
-    forward,
-    inverse,
-    nearest,
-)
+from services.trajectory_tool.robots.universal_robots import JOINT_LIMIT_RAD
+from services.trajectory_tool.robots.ur10 import KINEMATICS, ROBOT
+
+forward, inverse, nearest = KINEMATICS.forward, KINEMATICS.inverse, KINEMATICS.nearest
 
 unhurried = settings(deadline=None)
 CLOSE = 1e-5  # a hundredth of a millimetre: a tenth of what the robot repeats

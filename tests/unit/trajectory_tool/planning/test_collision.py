@@ -1,0 +1,132 @@
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover.errors import UsageError
+from services.trajectory_tool.planning.arm import Arm
+from services.trajectory_tool.planning.collision import Collisions, geometry_of
+from services.trajectory_tool.planning.motions import Motions
+from services.trajectory_tool.planning.obstacles import Attached, Box, Mesh, Obstacle, Sphere, World
+from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.robots import ROBOTS
+
+MARGIN_M = 0.01
+STRAIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module", params=["ur10", "ur5e", "panda"])
+def arm(request: pytest.FixtureRequest) -> Arm:
+    return Arm(ROBOTS.load(request.param))
+
+
+def samples(arm: Arm, count: int, seed: int = 3) -> Any:
+    low, high = np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi)
+    return np.random.default_rng(seed).uniform(low, high, (count, arm.n))
+
+
+def test_every_named_pose_is_free(arm: Arm, cell: World) -> None:
+    collisions = Collisions(arm, cell)
+    for name, joints in arm.model.poses.items():
+        assert collisions.is_free(np.array(joints), 0.02), name
+
+
+def test_a_check_with_a_margin_agrees_with_the_distances(arm: Arm, cell: World) -> None:
+    collisions = Collisions(arm, cell)
+    free = 0
+    for joints in samples(arm, 300):
+        closest_m = collisions.closest(joints).distance_m
+        for margin_m in (0.0, 0.01, 0.04):
+            if abs(closest_m - margin_m) > 1e-4:
+                assert collisions.is_free(joints, margin_m) == (closest_m > margin_m)
+        free += closest_m > 0
+    assert 30 < free < 290
+
+
+def test_an_arm_folded_into_itself_is_in_contact_with_itself() -> None:
+    arm = Arm(ROBOTS.load("ur10"))
+    collisions = Collisions(arm, World())
+    folded = np.array([0.0, -1.5, 3.0, 0.0, 0.0, 0.0])
+    pairs = {frozenset((one.first, one.second)) for one in collisions.contacts(folded)}
+    assert frozenset(("upper_arm", "wrist_1")) in pairs
+
+
+def test_the_colliding_pair_is_named(arm: Arm) -> None:
+    tip = arm.tool_pose(arm.model.home)
+    ball = World((Obstacle("ball", Sphere(0.05), Pose(tip.position, STRAIGHT)),))
+    found = Collisions(arm, ball).contacts(np.array(arm.model.home))
+    assert found[0].second == "ball"
+    assert found[0].distance_m < 0
+
+
+def test_an_allowed_pair_may_touch(arm: Arm) -> None:
+    home = np.array(arm.model.home)
+    tip = arm.tool_pose(home)
+    ball = Obstacle("ball", Sphere(0.05), Pose(tip.position, STRAIGHT))
+    touching = {one.first for one in Collisions(arm, World((ball,))).contacts(home)}
+    allowed = World((ball,), allowed=frozenset((link, "ball") for link in touching))
+    assert touching
+    assert Collisions(arm, allowed).is_free(home)
+
+
+def test_a_held_part_collides_where_the_gripper_alone_does_not(arm: Arm) -> None:
+    home = np.array(arm.model.home)
+    below = arm.tool(home).act(np.array([0.0, 0.0, 0.15]))
+    plate = Obstacle("plate", Box((0.1, 0.1, 0.01)), Pose(tuple(below.tolist()), STRAIGHT))
+    rod = Attached("rod", Box((0.02, 0.02, 0.3)), Pose((0.0, 0.0, 0.1), STRAIGHT))
+    assert Collisions(arm, World((plate,))).is_free(home)
+    held = Collisions(arm, World((plate,), (rod,)))
+    assert {(one.first, one.second) for one in held.contacts(home)} == {("rod", "plate")}
+
+
+def test_nothing_touches_on_a_certified_line(arm: Arm, cell: World) -> None:
+    collisions = Collisions(arm, cell)
+    motions = Motions(collisions, MARGIN_M)
+    states = [joints for joints in samples(arm, 400, seed=4) if motions.is_state_free(joints)]
+    certified = refused = 0
+    for start, target in pairwise(states):
+        end = start + 0.4 * (target - start)
+        dense = start + np.linspace(0, 1, 250)[:, None] * (end - start)
+        touches = not all(collisions.is_free(joints) for joints in dense)
+        if motions.is_free(start, end):
+            assert not touches
+            certified += 1
+            assert motions.are_samples_free(dense)
+        elif touches:
+            refused += 1
+            assert not motions.are_samples_free(dense)
+            contact = motions.first_contact([start, end])
+            assert contact is not None
+            assert not motions.is_state_free(contact)
+    assert certified > 20
+    assert refused > 5
+
+
+def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
+    file = tmp_path / "tetrahedron.obj"
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    hull = geometry_of(Mesh(file, (0.1, 0.1, 0.1)))
+    assert hull.num_points == 4
+    arm = Arm(ROBOTS.load("ur10"))
+    tip = arm.tool_pose(arm.model.home)
+    world = World((Obstacle("piece", Mesh(file, (0.2, 0.2, 0.2)), Pose(tip.position, STRAIGHT)),))
+    assert not Collisions(arm, world).is_free(np.array(arm.model.home))
+
+
+@pytest.mark.parametrize("content", [None, b"solid nothing", b"\x00" * 100])
+def test_a_mesh_that_cannot_be_used_is_named(tmp_path: Path, content: bytes | None) -> None:
+    file = tmp_path / "broken.stl"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(UsageError, match=r"broken\.stl"):
+        geometry_of(Mesh(file))
+
+
+def test_a_huge_mesh_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "huge.stl"
+    with file.open("wb") as opened:
+        opened.truncate(400 * 1024 * 1024)
+    with pytest.raises(UsageError, match=r"has 400 MB; reduce it to 20 MB"):
+        geometry_of(Mesh(file))
