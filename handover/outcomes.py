@@ -1,7 +1,28 @@
 """Outcomes: the reason of a Task that fails because of its outcome."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from datamodels.states import Outcome
 from handover.messages import Message, message
+
+OUTCOME_UNKNOWN = "outcome unknown"
+"""How the reason of a failed Task begins if nobody knows whether the act was done."""
+
+
+def outcome_unknown(why: str) -> Message:
+    """Return the reason of a failed Task whose performer does not know whether the act was done.
+
+    Such a Task is never posted again without a decision of a person.
+    """
+    return message("task.outcome_unknown", "outcome unknown: {why}", why=why)
+
+
+def is_outcome_unknown(outputs: Mapping[str, Any]) -> bool:
+    """Return whether the performer of a failed Task does not know whether the act was done."""
+    reason = outputs.get("reason")
+    is_named = isinstance(reason, str) and reason.strip().lower().startswith(OUTCOME_UNKNOWN)
+    return is_named or outputs.get("reasonCode") == "task.outcome_unknown"
 
 
 def reason_of(outcome: str, note: str | None) -> Message:

@@ -238,6 +238,22 @@ class FormReference:
 
 
 @dataclass(frozen=True, slots=True)
+class RetryPolicy:
+    """How often a failed Task is posted again.
+
+    The delay before the next attempt is that of its number, and from the last one on multiplied by `factor`.
+    """
+
+    attempts: Value
+    """How often the activity is tried in all."""
+    delays: tuple[Duration, ...] = ()
+    factor: float = 1.0
+    max_delay: Duration | None = None
+    codes: frozenset[str] | None = None
+    """The error codes and outcomes that are retried; None: all failures but those that an event catches."""
+
+
+@dataclass(frozen=True, slots=True)
 class Activity:
     """The Task that an activity creates each time it is reached."""
 
@@ -272,6 +288,7 @@ class Activity:
     """The JSON Schema of the parameters of its Task."""
     spreads_outputs: bool = False
     """Whether each outputParameter becomes a variable of its own name, as Camunda has it."""
+    retry: RetryPolicy | None = None
 
     def unhandled(self, outputs: Mapping[str, Any]) -> Message | None:
         """Return why a completed Task counts as failed (an unhandled outcome); None if it does not."""

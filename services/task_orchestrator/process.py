@@ -41,12 +41,14 @@ from services.task_orchestrator.records import (
     ProcessRecord,
     ReservationRecord,
     ReservationState,
+    Retry,
     Step,
     TaskRecord,
     Timer,
     TimerKind,
     Unallocated,
 )
+from services.task_orchestrator.retries import attempts_of, is_retried, retry_at
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.span_reservations import SpanReservations
 
@@ -67,6 +69,15 @@ class _StatusChange:
     @property
     def final(self) -> bool:
         return self.status in FINISHED
+
+
+@dataclass(frozen=True, slots=True)
+class _Failure:
+    """Why a Task has failed: the error code or outcome, if any, and what its performer reported."""
+
+    code: str | None
+    reason: str
+    outputs: Mapping[str, Any]
 
 
 def entity_of(
@@ -280,6 +291,9 @@ class Process:
                 yield Timer(TimerKind.GRACE, task.id, task.cancelled_at + grace)
             elif not task.alerted:
                 yield Timer(TimerKind.DEADLINE, task.id, task.deadline)
+        for retry in self.record.retries:
+            if retry.due is not None and not is_paused:
+                yield Timer(TimerKind.RETRY, retry.token, retry.due)
 
     def next_due(self) -> datetime | None:
         """Return when the first of the timers is due."""
@@ -343,6 +357,8 @@ class Process:
                 process_alerts.raise_overdue(step, task)
             elif timer.kind is TimerKind.GRACE and task is not None:
                 self._close_cancelled(task, step, now)
+            elif timer.kind is TimerKind.RETRY and self.run is not None:
+                self._repeat(self.run, timer.subject, now)
         if any(timer.kind is TimerKind.EVENT for timer in due) and self.run is not None:
             self.run.advance(now)
         if due:
@@ -478,7 +494,11 @@ class Process:
         if act.act is ActKind.RETRY and token is not None:
             self._forget_declined(token, act.element or "")  # all are asked again
         try:
-            _mend(run, act, token, now)
+            if act.act is ActKind.RETRY and token is not None and self._is_waiting_for_retry(token):
+                run.set_variables(act.values or {}, now, token=token)
+                self._repeat(run, token, now)
+            else:
+                _mend(run, act, token, now)
         except RunFailed as failure:
             assert self.record.state is not None  # noqa: S101 - a running process has one
             identity = _identity(self.settings, self.record, self.plan)
@@ -546,8 +566,15 @@ class Process:
                 if each.token in found
                 else each
                 for each in self.record.incidents
-            )
+            ),
+            retries=tuple(
+                replace(each, element=run.element(each.token) or "", name=run.activity(each.token).name)
+                for each in self.record.retries
+            ),
         )
+
+    def _is_waiting_for_retry(self, token: str) -> bool:
+        return any(each.token == token and each.due is not None for each in self.record.retries)
 
     # Consequences
 
@@ -580,7 +607,7 @@ class Process:
     def _continue_run(self, run: Run, task: TaskRecord, change: _StatusChange, now: datetime) -> None:
         activity = run.activity(task.token)
         if change.status is TaskStatus.FAILED and task.chosen and change.outputs.get("declined") is True:
-            self._ask_next(run, task, change, now)
+            self._ask_next(run, task, now)
             return
         self._forget_declined(task.token, task.element)
         # Even if the performer reports "completed", an outcome that is not handled must not start a robot.
@@ -591,16 +618,53 @@ class Process:
         reason = message_in(change.outputs, "reason") or unhandled or NO_REASON
         if "\0" in reason or not isinstance(reason, MessageText):
             reason = str(reason).replace("\0", "") or NO_REASON  # PostgreSQL does not accept it
-        code = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
-        run.fail(task.token, None if code is None else str(code), reason, now, task=task.id)
+        given = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
+        code = None if given is None else str(given)
+        if not self._retry_later(run, task, _Failure(code, reason, change.outputs), now):
+            run.fail(task.token, code, reason, now, task=task.id)
 
-    def _ask_next(self, run: Run, task: TaskRecord, change: _StatusChange, now: datetime) -> None:
+    def _retry_later(self, run: Run, task: TaskRecord, failure: _Failure, now: datetime) -> bool:
+        """Let a failed activity wait for its next attempt; return False if it has none."""
+        open_ = run.open_activity(task.token)
+        policy = open_.activity.retry
+        is_caught = run.catches(task.token, failure.code)
+        if policy is None or not is_retried(policy, failure.code, failure.outputs, is_caught=is_caught):
+            return False
+        before = next((each for each in self.record.retries if each.token == task.token), None)
+        failed = 1 if before is None else before.failed + 1
+        attempts = attempts_of(policy, open_.variables)
+        if failed >= attempts:
+            return False
+        retry = Retry(
+            token=task.token,
+            visit=task.visit,
+            element=open_.element,
+            name=open_.activity.name,
+            task=task.id,
+            failed=failed,
+            attempts=attempts,
+            reason=failure.reason,
+            due=retry_at(policy, failed, now),
+        )
+        self._revise(retries=(*(each for each in self.record.retries if each is not before), retry))
+        return True
+
+    def _repeat(self, run: Run, token: str, now: datetime) -> bool:
+        """Begin the next attempt of an activity that waits for it; return False if it does not wait."""
+        waiting = next((e for e in self.record.retries if e.token == token and e.due is not None), None)
+        if waiting is None or run.visit(token) != waiting.visit:
+            return False
+        run.repeat(token, now)
+        present = replace(waiting, visit=run.visit(token) or 0, due=None)
+        self._revise(retries=tuple(present if e is waiting else e for e in self.record.retries))
+        return True
+
+    def _ask_next(self, run: Run, task: TaskRecord, now: datetime) -> None:
         """Open the activity again: its performer has declined it, so that another gets it."""
         key = _declined_key(task.token, task.element)
         declined = (*self.record.declined.get(key, ()), _performer(task))
         self._revise(declined={**self.record.declined, key: declined})
-        run.refuse(task.token, message_in(change.outputs, "reason") or NO_REASON, now)
-        run.retry(task.token, now)
+        run.repeat(task.token, now)
 
     def _forget_declined(self, token: str, element: str) -> None:
         key = _declined_key(token, element)
@@ -629,7 +693,17 @@ class Process:
             self.reservations.update(None, (), now, reserves=False)
             if self.record.unallocated:
                 self._record_waiting([])
-        self._cancel_left(run.open_visits() if run is not None else {}, step, now)
+        open_visits = run.open_visits() if run is not None else {}
+        self._cancel_left(open_visits, step, now)
+        if self.record.retries:
+            self._revise(
+                retries=tuple(
+                    replace(each, visit=open_visits[each.token])  # another agent may have been asked
+                    for each in self.record.retries
+                    if each.token in open_visits
+                    and (each.due is None or open_visits[each.token] == each.visit)
+                )
+            )
         self._update_incidents(step)
         known = self.record.id in step.processes or self.record.id in step.new
         self._revise(
@@ -675,6 +749,7 @@ class Process:
 
     def _post_open(self, run: Run, step: Step, now: datetime) -> None:
         posted = {(task.token, task.visit) for task in self.tasks.values()}
+        posted |= {(retry.token, retry.visit) for retry in self.record.retries if retry.due is not None}
         is_paused = self.record.status is TaskStatus.PAUSED
         unposted = [token for token, visit in run.open_visits().items() if (token, visit) not in posted]
         self.reservations.update(run, unposted, now, reserves=not is_paused)

@@ -132,6 +132,24 @@ class ReservationRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Retry:
+    """The attempts of an open activity: `failed` ones, of which `task` was the last.
+
+    At `due` its Task is posted again; None while the next attempt is under way.
+    """
+
+    token: str
+    visit: int
+    element: str
+    name: str
+    task: str
+    failed: int
+    attempts: int
+    reason: str
+    due: datetime | None
+
+
+@dataclass(frozen=True, slots=True)
 class ProcessRecord:
     """The stored state of a process.
 
@@ -158,6 +176,7 @@ class ProcessRecord:
     archived_at: datetime | None = None
     """When the deletion of its entities from the broker was decided; None before."""
     unallocated: tuple[Unallocated, ...] = ()
+    retries: tuple[Retry, ...] = ()
     declined: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """The agents that have declined an open activity, by token and element."""
     reservations: tuple[ReservationRecord, ...] = ()
@@ -269,6 +288,7 @@ class TimerKind(StrEnum):
     """What a timer is for."""
 
     EVENT = "event"
+    RETRY = "retry"
     DEADLINE = "deadline"
     GRACE = "grace"
 
@@ -287,7 +307,7 @@ class StartTimer:
 
 @dataclass(frozen=True, slots=True)
 class Timer:
-    """A moment at which a process has to act; `subject` is the id of a Task, or empty."""
+    """A moment at which a process has to act; `subject` is the id of a Task, a token, or empty."""
 
     kind: TimerKind
     subject: str

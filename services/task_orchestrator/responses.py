@@ -181,6 +181,21 @@ class UnallocatedView(KnownReason):
     since: str
 
 
+class RetryView(KnownReason):
+    """An activity whose Task `task` has failed and is posted again at `due`.
+
+    `failed` of at most `attempts` attempts have failed.
+    """
+
+    token: str
+    element: str
+    name: str
+    task: str
+    failed: int
+    attempts: int
+    due: str
+
+
 class ProcessSummary(Reason):
     """A process as an element of a list; `retry` is the first failed Task among the incidents."""
 
@@ -197,6 +212,7 @@ class ProcessSummary(Reason):
     waiting: list[str]
     incidents: list[IncidentView]
     unallocated: list[UnallocatedView]
+    retries: list[RetryView]
     retry: str | None
 
 

@@ -24,6 +24,7 @@ from services.task_orchestrator.records import (
     ProcessRecord,
     ReservationRecord,
     ReservationState,
+    Retry,
     TaskRecord,
 )
 from services.task_orchestrator.references import is_reference, resource_id
@@ -47,6 +48,7 @@ from services.task_orchestrator.responses import (
     ProcessView,
     Reason,
     ReservationView,
+    RetryView,
     TaskView,
     VersionStatistics,
 )
@@ -178,6 +180,7 @@ def process_summary(
             }
             for each in record.unallocated
         ],
+        "retries": [_retry_view(each, each.due) for each in record.retries if each.due is not None],
         "retry": next((each.task for each in record.incidents if each.task is not None), None),
     }
 
@@ -381,6 +384,19 @@ def _incident_view(incident: IncidentRecord) -> IncidentView:
         "since": iso(incident.since),
         "task": incident.task,
         "code": incident.code,
+    }
+
+
+def _retry_view(each: Retry, due: datetime) -> RetryView:
+    return {
+        "token": each.token,
+        "element": each.element,
+        "name": each.name,
+        "task": each.task,
+        "failed": each.failed,
+        "attempts": each.attempts,
+        **_known_reason(each.reason),
+        "due": iso(due),
     }
 
 

@@ -340,6 +340,24 @@ class Incident(TypedDict):
     code: str | None
 
 
+class Retry(TypedDict):
+    """An activity whose Task `task` has failed and is posted again at `due`.
+
+    `failed` of at most `attempts` attempts have failed.
+    """
+
+    token: str
+    element: str
+    name: str
+    task: str
+    failed: int
+    attempts: int
+    reason: str
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+    due: str
+
+
 class ProcessView(TypedDict):
     """Topic `process/<id>`: a running process, or one of the last ten that ended.
 
@@ -366,6 +384,7 @@ class ProcessView(TypedDict):
     elements: dict[str, ElementCount]
     tasks: list[TaskView]
     incidents: list[Incident]
+    retries: list[Retry]
     retry: str | None
     acts: list[Act]
 

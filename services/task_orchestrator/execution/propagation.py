@@ -45,6 +45,11 @@ def throw_error(machine: Machine, token: Token, code: str | None, details: dict[
     return True
 
 
+def is_caught(machine: Machine, token: Token, code: str | None) -> bool:
+    """Return whether an event catches the error `code`."""
+    return _find_catcher(machine, token, ErrorEvent, code) is not None
+
+
 def throw_escalation(machine: Machine, token: Token, code: str | None, details: dict[str, Any]) -> bool:
     """Start the event that catches the escalation `code`; return whether `token` was cancelled by it."""
     catcher = _find_catcher(machine, token, EscalationEvent, code)

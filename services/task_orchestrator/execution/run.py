@@ -26,6 +26,7 @@ from services.task_orchestrator.execution.machine import ACTIVE, MAX_STEPS, Effe
 from services.task_orchestrator.execution.migration import Finding, Migration
 from services.task_orchestrator.execution.navigation import arrive, check_joins, find_stalled
 from services.task_orchestrator.execution.propagation import (
+    is_caught,
     register_event_subprocesses,
     throw_error,
     throw_escalation,
@@ -434,6 +435,14 @@ class Run:
 
         self._change(act, now, blame)
         return caught
+
+    def repeat(self, token: str, now: datetime) -> None:
+        """Open an open activity again, as another visit; what waits for its events continues to wait."""
+        self._change(lambda machine: open_work(machine, self._working(token)), now)
+
+    def catches(self, token: str, code: str | None) -> bool:
+        """Return whether an event catches the error `code` of an open activity."""
+        return is_caught(self._machine(_NEVER), self._working(token), code)
 
     def refuse(self, token: str, reason: str, now: datetime) -> None:
         """Raise an incident at an open activity whose Task cannot be created."""

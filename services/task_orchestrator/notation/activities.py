@@ -29,6 +29,7 @@ from services.task_orchestrator.notation.document import (
 )
 from services.task_orchestrator.notation.elements import referenced, refuse, warn_without_effect
 from services.task_orchestrator.notation.performers import RESOURCE_ROLES, performer_hints
+from services.task_orchestrator.notation.retries import read_retry
 from services.task_orchestrator.notation.task_data import (
     associated_variable,
     has_variable,
@@ -97,6 +98,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         form=work.form,
         inputs_schema=work.inputs_schema,
         spreads_outputs=spreads and not outputs,
+        retry=read_retry(element, hints, context),
     )
 
 

@@ -19,6 +19,7 @@ from services.task_orchestrator.records import (
     ProcessRecord,
     ReservationRecord,
     ReservationState,
+    Retry,
     TaskRecord,
     Unallocated,
 )
@@ -75,11 +76,13 @@ def process_row(process: ProcessRecord, *, but: Collection[str] = ()) -> dict[st
     incidents = orjson.dumps([_incident_values(incident) for incident in process.incidents]).decode()
     unallocated = orjson.dumps([_unallocated_values(each) for each in process.unallocated]).decode()
     reservations = orjson.dumps([_reservation_values(each) for each in process.reservations]).decode()
+    retries = orjson.dumps([_retry_values(each) for each in process.retries]).decode()
     row = {
-        **plain_row(process, but={*but, "incidents", "unallocated", "reservations"}),
+        **plain_row(process, but={*but, "incidents", "unallocated", "reservations", "retries"}),
         "incidents": incidents,
         "unallocated": unallocated,
         "reservations": reservations,
+        "retries": retries,
     }
     reason = process.reason
     if not isinstance(reason, MessageText):
@@ -115,6 +118,11 @@ def _reservation_values(each: ReservationRecord) -> dict[str, Any]:
     return {**{name: getattr(each, name) for name in names}, **with_code("reason", each.reason)}
 
 
+def _retry_values(each: Retry) -> dict[str, Any]:
+    names = ("token", "visit", "element", "name", "task", "failed", "attempts", "due")
+    return {**{name: getattr(each, name) for name in names}, **with_code("reason", each.reason)}
+
+
 def _incident_values(incident: IncidentRecord) -> dict[str, Any]:
     values = {name: getattr(incident, name) for name in ("token", "element", "name", "since", "task", "code")}
     return {**values, **with_code("reason", incident.reason)}
@@ -144,6 +152,7 @@ def to_process(row: Mapping[str, Any]) -> ProcessRecord:
             "acts": tuple(_act(act) for act in values["acts"]),
             "incidents": tuple(_incident(incident) for incident in values["incidents"]),
             "unallocated": tuple(_unallocated(each) for each in orjson.loads(values["unallocated"])),
+            "retries": tuple(_retry(each) for each in orjson.loads(values["retries"])),
             "declined": {key: tuple(agents) for key, agents in values["declined"].items()},
             "reservations": tuple(_reservation(each) for each in orjson.loads(values["reservations"])),
         }
@@ -180,6 +189,12 @@ def _reservation(values: Mapping[str, Any]) -> ReservationRecord:
         used=tuple(values["used"]),
         **others,
     )
+
+
+def _retry(values: Mapping[str, Any]) -> Retry:
+    names = ("token", "visit", "element", "name", "task", "failed", "attempts")
+    others = {name: values[name] for name in names}
+    return Retry(reason=message_in(values, "reason") or "", due=to_moment(values["due"]), **others)
 
 
 def _incident(values: Mapping[str, Any]) -> IncidentRecord:

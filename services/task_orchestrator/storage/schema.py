@@ -53,6 +53,7 @@ processes = Table(
     Column("archived_at", String(40)),
     Column("reason_message", Text),
     Column("unallocated", Text, nullable=False, server_default="[]"),
+    Column("retries", Text, nullable=False, server_default="[]"),
     Column("declined", Text, nullable=False, server_default="{}"),
     Column("reservations", Text, nullable=False, server_default="[]"),
     Index("orchestrator_processes_started", "started_at", "id"),

@@ -226,6 +226,27 @@ async def test_a_failed_task_is_retried_and_it_is_kept_who_wanted_it(
     assert (await api.get(f"/processes/{process['id']}")).json()["status"] == "completed"
 
 
+async def test_an_activity_that_waits_for_its_next_attempt_is_shown_and_can_be_retried_at_once(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    policy = '<handover:retry attempts="2" delay="PT1H"/>'
+    await deployed(joined, ONE_STEP.replace("<handover:task", f"{policy}<handover:task", 1))
+    process = await failed(joined, broker)
+    (waiting,) = process["retries"]
+    assert (waiting["element"], waiting["failed"], waiting["attempts"]) == ("work", 1, 2)
+    assert (waiting["task"], waiting["reason"]) == (process["tasks"][0]["id"], "the part slipped")
+    assert process["incidents"] == []
+    answer = await joined.post(
+        f"/processes/{process['id']}/tokens/{waiting['token']}/retry", json={"by": "Anna"}
+    )
+    seen = answer.json()
+    assert (answer.status_code, seen["retries"]) == (200, [])
+    assert [(each["visit"], each["status"]) for each in seen["tasks"]] == [(1, "failed"), (2, "pending")]
+    await moved(joined, broker, seen["tasks"][1]["id"], "failed", reason="again")
+    (incident,) = (await joined.get(f"/processes/{process['id']}")).json()["incidents"]
+    assert incident["task"] == seen["tasks"][1]["id"]
+
+
 async def test_an_incident_from_before_a_restart_can_be_retried_after_it(
     at_broker: OrchestratorSettings, broker: BrokerClient
 ) -> None:

@@ -90,6 +90,30 @@ def test_killed_between_a_retry_and_its_effect_nothing_is_lost_and_nothing_done_
     assert len(running.tasks(seen["id"])) == 4
 
 
+def test_a_retry_of_the_policy_survives_a_kill_and_is_done_once(
+    running: Cell, database_url: str | None
+) -> None:
+    play(running, work_1={"fails": "the part slipped"})
+    policy = '<handover:retry attempts="2" delay="PT3S"/>'
+    deploy(running, ONE_STEP.replace("<handover:task", f"{policy}<handover:task", 1))
+    process = running.start("p")
+    seen = eventually(lambda: _retrying(running, process), "the wait for the next attempt")
+    (waiting,) = seen["retries"]
+    assert (waiting["failed"], waiting["attempts"], seen["incidents"]) == (1, 2, [])
+    running.orchestrator.kill()
+    running.orchestrator.start()
+    assert running.look(process)["retries"] in ([waiting], [])
+    seen = running.ended(process)
+    assert seen["status"] == "completed"
+    assert steps(running, process) == ["work-1", "work-2"]
+    assert seen["tasks"][1]["createdAt"] >= waiting["due"]
+
+
+def _retrying(running: Cell, process: str) -> dict[str, Any] | None:
+    seen = running.look(process)
+    return seen if seen["retries"] else None
+
+
 def test_an_incident_does_not_stop_the_other_branch(running: Cell) -> None:
     play(running, a_1={"fails": "no"}, b_1={"after_s": 1})
     deploy(running, BRANCHES)

@@ -88,6 +88,7 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "parameter": frozenset({"name", "value", "expression"}),
     "output": frozenset({"name", "from"}),
     "process": frozenset({"version"}),
+    "retry": frozenset({"attempts", "delay", "factor", "maxDelay", "codes"}),
     "on": frozenset({"type", "idPattern", "q", "variable", "correlation"}),
     "reserve": frozenset({"resource", "expression", "role", "skills"}),
 }
@@ -149,7 +150,7 @@ class Handover:
 
     def work(self, element: etree._Element, found: Findings) -> Work:
         """Return what `handover:task` says."""
-        extension = _extension(element, "task", found)
+        extension = extension_of(element, "task", found)
         if extension is None:
             return Work()
         definition = extension.get("definition") or ""
@@ -220,9 +221,9 @@ class Handover:
         self, element: etree._Element, definition: etree._Element | None, found: Findings
     ) -> Occurrence:
         """Return the entities of `handover:on`."""
-        extension = _extension(element, "on", found)
+        extension = extension_of(element, "on", found)
         if extension is None and definition is not None:
-            extension = _extension(definition, "on", found)
+            extension = extension_of(definition, "on", found)
         if extension is None:
             return Occurrence()
         type_ = extension.get("type") or ""
@@ -246,7 +247,7 @@ class Handover:
 
     def process(self, element: etree._Element, found: Findings) -> ProcessExtension:
         """Return the version label and the parameters of `handover:process`."""
-        extension = _extension(element, "process", found)
+        extension = extension_of(element, "process", found)
         if extension is None:
             return ProcessExtension()
         parameters: dict[str, ProcessParameter] = {}
@@ -283,7 +284,7 @@ class Handover:
         name = local(element)
         allowed = {"process"} if name == "process" else {"on"} if _can_be_event(element) else set()
         if name.endswith(("ask", "Event")):
-            allowed = allowed | {"task"}
+            allowed = allowed | {"task", "retry"}
         if name in _RESERVING:
             allowed = allowed | {"reserve"}
         for extension in extensions(element):
@@ -313,7 +314,8 @@ def _pattern(text: str) -> None:
         raise ValueError(f'idPattern="{text[:100]}" is no regular expression') from None
 
 
-def _extension(element: etree._Element, name: str, found: Findings) -> etree._Element | None:
+def extension_of(element: etree._Element, name: str, found: Findings) -> etree._Element | None:
+    """Return our extension element `name` of an element, if it has one, and report unknown attributes."""
     named = [each for each in extensions(element) if each.tag == f"{{{NAMESPACE}}}{name}"]
     if len(named) > 1:
         found.fault(named[1], f"one handover:{name} is enough")

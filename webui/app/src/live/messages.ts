@@ -276,6 +276,24 @@ export interface Incident {
   code: string | null;
 }
 
+/**
+ * An activity whose Task `task` has failed and is posted again at `due`.
+ *
+ * `failed` of at most `attempts` attempts have failed.
+ */
+export interface Retry {
+  token: string;
+  element: string;
+  name: string;
+  task: string;
+  failed: number;
+  attempts: number;
+  reason: string;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
+  due: string;
+}
+
 /** A status of a Task, and when it was reached. */
 export interface StatusChange {
   status: Status;
@@ -329,6 +347,7 @@ export interface ProcessView {
   elements: Record<string, ElementCount>;
   tasks: TaskView[];
   incidents: Incident[];
+  retries: Retry[];
   retry: string | null;
   acts: Act[];
 }

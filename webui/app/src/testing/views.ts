@@ -53,6 +53,7 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
     elements: {},
     tasks: [],
     incidents: [],
+    retries: [],
     retry: null,
     acts: [],
     ...over,

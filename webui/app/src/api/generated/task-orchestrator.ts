@@ -334,6 +334,7 @@ export interface ProcessSummary {
   waiting: string[];
   incidents: IncidentView[];
   unallocated: UnallocatedView[];
+  retries: RetryView[];
   retry: string | null;
 }
 
@@ -355,6 +356,7 @@ export interface ProcessView {
   waiting: string[];
   incidents: IncidentView[];
   unallocated: UnallocatedView[];
+  retries: RetryView[];
   retry: string | null;
   parameters: Record<string, unknown>;
   variables: Record<string, unknown>;
@@ -396,6 +398,24 @@ export interface ReservationView {
 /** A request to retry a failed Task. */
 export interface RetryRequest {
   by: string;
+}
+
+/**
+ * An activity whose Task `task` has failed and is posted again at `due`.
+ *
+ * `failed` of at most `attempts` attempts have failed.
+ */
+export interface RetryView {
+  reason: string;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
+  token: string;
+  element: string;
+  name: string;
+  task: string;
+  failed: number;
+  attempts: number;
+  due: string;
 }
 
 /** A status of a Task, and when it was reached. */

@@ -11,6 +11,7 @@ import { elementsOf, NO_ELEMENTS, pathOf, targetsFor, type BpmnElements } from "
 import { marksOfProcess, withPicked, withTargets } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
 import { Acts } from "../incidents/Acts";
+import { Retries } from "../incidents/Retries";
 import { Incidents, type Moving } from "../incidents/Incidents";
 import { taskMark } from "../names";
 import { SERVICE, useBpmn, useProcess } from "../records";
@@ -60,6 +61,7 @@ function Shown({ process }: { process: ProcessView }) {
         onTarget={setTarget}
         onPick={({ element }) => pick(element)}
       />
+      <Retries process={process} elements={elements} />
       <ProcessDiagram
         process={process}
         bpmn={bpmn}
