@@ -10,6 +10,7 @@ from services.task_orchestrator.routes.definitions import add_definitions
 from services.task_orchestrator.routes.events import add_events
 from services.task_orchestrator.routes.interventions import add_interventions
 from services.task_orchestrator.routes.mapping import add_mapping
+from services.task_orchestrator.routes.offers import add_offers
 from services.task_orchestrator.routes.processes import add_processes
 from services.task_orchestrator.settings import OrchestratorSettings
 
@@ -49,4 +50,5 @@ def _app(at: Components) -> FastAPI:
     add_interventions(app, at)
     add_mapping(app, at.orchestrator)
     add_events(app, at)
+    add_offers(app, at)
     return app

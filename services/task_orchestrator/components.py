@@ -12,6 +12,7 @@ from handover.errors import UsageError
 from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.mapping import read_mapping_file
 from services.task_orchestrator.archive import Archiver
+from services.task_orchestrator.definition_offers import DefinitionOffers
 from services.task_orchestrator.entity_events import EntityEvents
 from services.task_orchestrator.notation.faults import BadBpmn
 from services.task_orchestrator.orchestrator import Orchestrator
@@ -33,6 +34,7 @@ class Components:
         self.reconciler = Reconciler(self.orchestrator, self.broker)
         self.archiver = Archiver(self.orchestrator, self.broker)
         self.entity_events = EntityEvents(self.orchestrator, self.broker)
+        self.offers = DefinitionOffers(self.orchestrator, self.broker, self.reconciler)
 
     def plain_id(self, process_id: str) -> str:
         """Return the id of a process, which may be given as its URN."""
@@ -47,7 +49,7 @@ class Components:
             await self._deploy_folder(SHIPPED)
             if self.settings.process_dir is not None:
                 await self._deploy_folder(self.settings.process_dir)
-            async with self.reconciler, self.archiver, self.entity_events:
+            async with self.reconciler, self.archiver, self.entity_events, self.offers:
                 yield
 
     async def _load_mapping(self, file: Path) -> None:

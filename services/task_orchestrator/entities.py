@@ -39,6 +39,8 @@ def definition_entities(settings: Settings, definition: Definition, version: int
         process["description"] = _property(definition.description)
     tasks: dict[str, Entity] = {}
     for activity in definition.activities().values():
+        if activity.definition.startswith("urn:"):
+            continue  # it names the TaskDefinition of another system
         entity = _task_definition(settings, activity, process_definition)
         known = tasks.setdefault(entity["id"], entity)
         if (

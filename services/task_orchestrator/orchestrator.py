@@ -12,6 +12,7 @@ from services.task_orchestrator.operations.archiving import Archiving
 from services.task_orchestrator.operations.broker_changes import BrokerChanges
 from services.task_orchestrator.operations.deployments import Deployments
 from services.task_orchestrator.operations.due_timers import DueTimers
+from services.task_orchestrator.operations.offering import Offering
 from services.task_orchestrator.operations.process_control import ProcessControl
 from services.task_orchestrator.outbox import Outbox
 from services.task_orchestrator.records import Message
@@ -43,6 +44,7 @@ class Orchestrator:
         self.broker_changes = BrokerChanges(self.state, self.writer)
         self.timers = DueTimers(self.state, self.writer)
         self.archiving = Archiving(self.state, self.writer)
+        self.offering = Offering(self.state, self.writer)
 
     async def __aenter__(self) -> Self:
         await self.state.load()

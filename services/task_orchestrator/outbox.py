@@ -30,6 +30,7 @@ from handover.messages import message_in
 from handover.retry import MAX_DELAY_S, Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
+from services.task_orchestrator.own_definitions import write_definitions
 from services.task_orchestrator.records import Message, MessageKind
 
 log = get_logger(__name__)
@@ -254,8 +255,8 @@ class Outbox:
                     log.debug("entity exists", subject=message.subject)
             case MessageKind.UPSERT:
                 await self._broker.upsert(message.body)
-            case MessageKind.REPLACE:
-                await self._broker.replace(message.body)
+            case MessageKind.DEFINE:
+                await write_definitions(self._broker, message.body)
             case MessageKind.APPEND:
                 try:
                     await self._broker.append(message.subject, message.body)
@@ -302,4 +303,4 @@ class Outbox:
 
 def _definitions_in(message: Message) -> list[str]:
     """Return the ids of the definitions that a message writes."""
-    return [entity["id"] for entity in message.body] if message.kind is MessageKind.REPLACE else []
+    return [entity["id"] for entity in message.body] if message.kind is MessageKind.DEFINE else []

@@ -832,6 +832,8 @@ class Process:
             deadline=deadline,
             candidates=assignment.candidates,
         )
+        if assignment.kind is not None:
+            assignment.kind.check(entity["workParameters"]["value"])
         task = TaskRecord(
             id=task_id,
             process=self.record.id,

@@ -11,7 +11,6 @@ from fastapi import Request
 
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.content_digest import digest_of, is_ours
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
@@ -20,6 +19,7 @@ from handover.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.agents import TYPES, WATCHED, read_agents
 from services.task_orchestrator.orchestrator import Orchestrator
+from services.task_orchestrator.own_definitions import write_definitions
 
 log = get_logger(__name__)
 
@@ -110,24 +110,10 @@ class Reconciler:
         self._registered = True
 
     async def _write_definitions(self) -> None:
-        """Write the definitions that are missing or outdated; those that others have changed stay."""
         registry = self._orchestrator.state.registry
-        present = {
-            entity["id"]: entity
-            for type_ in ("ProcessDefinition", "TaskDefinition")
-            for entity in await self._broker.query(type=type_)
-        }
         for record in registry.latest():
             try:
-                wanted = {entity["id"]: entity for entity in registry.entities(record)}
-                outdated = [
-                    entity
-                    for entity_id, entity in wanted.items()
-                    if (known := present.get(entity_id)) is None
-                    or (is_ours(known) and digest_of(known) != digest_of(entity))
-                ]
-                if outdated:
-                    await self._broker.replace(outdated)
+                await write_definitions(self._broker, registry.entities(record))
             except BrokerUnavailable:
                 raise
             except HandoverError as error:
@@ -148,10 +134,17 @@ class Reconciler:
             self._was_unavailable = False
         return True
 
+    def request_agents(self) -> None:
+        """Read the agents without delay: what they depend on has changed."""
+        self._agents_resync.request()
+
     async def read_agents(self) -> None:
         """Read the Devices and Persons of the broker, who perform Tasks."""
         entities = [entity for type_ in TYPES for entity in await self._broker.query(type=type_)]
-        await self._orchestrator.broker_changes.set_agents(read_agents(entities))
+        state = self._orchestrator.state
+        needs_acceptance = self._settings.resources_need_acceptance
+        effective = state.offers.effective(entities, needs_acceptance=needs_acceptance)
+        await self._orchestrator.broker_changes.set_agents(read_agents(effective))
 
     async def _try_read_agents(self) -> bool:
         try:

@@ -14,6 +14,7 @@ from datamodels.entities import TaskStatus
 from handover.task_life import FINISHED
 from services.task_orchestrator.allocation.mapping import MappingTable
 from services.task_orchestrator.execution.machine import Effect
+from services.task_orchestrator.model import Fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,58 @@ class DefinitionRecord:
     deployed_at: datetime
     source: str | None = None
     """The ProcessDefinition of another system that it was deployed from."""
+
+
+class OfferStatus(StrEnum):
+    """What has become of an offer."""
+
+    OPEN = "open"
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
+    SUPERSEDED = "superseded"
+    WITHDRAWN = "withdrawn"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """An engineer has accepted or rejected an offer; `by` is the name that was given, nobody verified it."""
+
+    at: datetime
+    status: OfferStatus
+    by: str
+    why: str | None = None
+    deployed: tuple[tuple[str, int], ...] = ()
+    """Name and version of the definitions that were deployed."""
+
+
+@dataclass(frozen=True, slots=True)
+class OfferRecord:
+    """A definition of another system in the broker, offered to an engineer.
+
+    An offer is one content of one entity; the same content that returns is the same offer.
+    """
+
+    id: str
+    entity: str
+    type: str
+    name: str
+    status: OfferStatus
+    found_at: datetime
+    content: Mapping[str, Any] = field(repr=False)
+    """The entity in simplified form; the BPMN file is stored separately."""
+    faults: tuple[Fault, ...] = ()
+    warnings: tuple[Fault, ...] = ()
+    has_file: bool = False
+    times: int = 1
+    """How often the entity has had this content."""
+    decisions: tuple[Decision, ...] = ()
+    in_force: bool = False
+    """Whether it is the content of its entity that was accepted last."""
+
+    @property
+    def is_decided(self) -> bool:
+        """Return whether an engineer has decided about it."""
+        return bool(self.decisions)
 
 
 class ActKind(StrEnum):
@@ -243,7 +296,7 @@ class MessageKind(StrEnum):
 
     CREATE = "create"
     UPSERT = "upsert"
-    REPLACE = "replace"
+    DEFINE = "define"
     APPEND = "append"
     RAISE = "raise"
     CLEAR = "clear"
@@ -344,6 +397,11 @@ class Step:
     """Stored messages that were delivered or have expired."""
     entities_seen: dict[tuple[str, str], str | None] = field(default_factory=dict)
     """Digests of entities by filter and id; None: forgotten."""
+    offers: dict[str, OfferRecord] = field(default_factory=dict)
+    """Offers that are new or have changed."""
+    offer_files: dict[str, bytes] = field(default_factory=dict)
+    """BPMN files of offers."""
+    offers_deleted: set[str] = field(default_factory=set)
     archived: list[ProcessRecord] = field(default_factory=list)
     """Ended processes, as read from the database, that get `archived_at` now."""
 
@@ -365,4 +423,6 @@ class Step:
             or self.messages_taken
             or self.start_timers
             or self.entities_seen
+            or self.offers
+            or self.offers_deleted
         )

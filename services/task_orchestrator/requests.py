@@ -68,6 +68,15 @@ class MigrationOfAllRequest(MigrationRequest):
     source: int = Field(ge=1, le=MAX_VERSION, description="the version that the processes have")
 
 
+class OfferRequest(BaseModel):
+    """A decision about an offer."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name = Field(description="the engineer who decides; nobody verifies the name yet")
+    why: str | None = Field(None, max_length=1000, description="the reason, for the history")
+
+
 class PauseRequest(BaseModel):
     """A request to pause or resume processes."""
 

@@ -5,7 +5,7 @@ integration tests validate every response.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NotRequired
+from typing import Any, Literal, NotRequired
 
 from pydantic_core import to_json
 from starlette.responses import Response
@@ -13,7 +13,7 @@ from typing_extensions import TypedDict
 
 from datamodels.entities import TaskStatus
 from services.task_orchestrator.allocation.mapping import NameKind
-from services.task_orchestrator.records import ActKind, MessageOutcome, ReservationState
+from services.task_orchestrator.records import ActKind, MessageOutcome, OfferStatus, ReservationState
 
 
 def json_response(content: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Response:
@@ -416,3 +416,53 @@ class PausedProcesses(TypedDict):
     """The processes that were paused or resumed."""
 
     processes: list[str]
+
+
+class DeployedVersion(TypedDict):
+    """A version of a definition that was deployed from an offer."""
+
+    name: str
+    version: int
+
+
+class OfferDecision(TypedDict):
+    """A decision about an offer; `by` is the name that was given."""
+
+    at: str
+    status: OfferStatus
+    by: str
+    verified: bool
+    why: str | None
+    deployed: list[DeployedVersion]
+
+
+class OfferedChange(TypedDict):
+    """An element of a process, or an attribute of an entity, that the acceptance would change."""
+
+    process: str | None
+    element: str
+    name: str | None
+    change: Literal["added", "removed", "changed"]
+    before: Any
+    after: Any
+
+
+class OfferView(TypedDict):
+    """A definition of another system; `definitions`, `changes` and `allocation` are of open offers only."""
+
+    id: str
+    entity: str
+    type: str
+    name: str
+    status: OfferStatus
+    foundAt: str
+    times: int
+    inForce: bool
+    hasFile: bool
+    attributes: dict[str, Any]
+    faults: list[BpmnWarning]
+    warnings: list[BpmnWarning]
+    decisions: list[OfferDecision]
+    definitions: list[CheckedDefinition]
+    changes: list[OfferedChange]
+    allocation: list[ActivityAllocation]

@@ -33,6 +33,11 @@ class OrchestratorSettings(Settings):
         description="a message that no process waits for is kept for this time, unless its sender says "
         "otherwise",
     )
+    resources_need_acceptance: bool = Field(
+        False,
+        description="a ResourceSpecification or Location of another system has no effect until an engineer "
+        "accepts it; otherwise it has one until an engineer rejects it",
+    )
     keep_days: float = Field(
         365.0,
         ge=0,

@@ -5,6 +5,7 @@ from datetime import datetime
 from typing import Any, cast
 
 from datamodels.entities import TaskStatus
+from datamodels.forms import to_key_values
 from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
@@ -15,12 +16,15 @@ from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.lookahead import upcoming_activities
 from services.task_orchestrator.model import Activity, Definition
+from services.task_orchestrator.notation.comparison import ElementChange
+from services.task_orchestrator.notation.faults import as_json
 from services.task_orchestrator.process import MigrationReport
 from services.task_orchestrator.records import (
     Act,
     DefinitionRecord,
     IncidentRecord,
     Move,
+    OfferRecord,
     ProcessRecord,
     ReservationRecord,
     ReservationState,
@@ -32,6 +36,7 @@ from services.task_orchestrator.responses import (
     ActView,
     AgentView,
     Allocated,
+    BpmnWarning,
     DefinitionActivity,
     DefinitionParameter,
     DefinitionView,
@@ -43,6 +48,8 @@ from services.task_orchestrator.responses import (
     MigrationOfAllView,
     MigrationView,
     NextActivity,
+    OfferedChange,
+    OfferView,
     PeriodStatistics,
     ProcessSummary,
     ProcessView,
@@ -402,3 +409,69 @@ def _retry_view(each: Retry, due: datetime) -> RetryView:
 
 def _iso(moment: datetime | None) -> str | None:
     return None if moment is None else iso(moment)
+
+
+def offer_view(record: OfferRecord) -> OfferView:
+    """Return an offer, without what its acceptance would change."""
+    return {
+        "id": record.id,
+        "entity": record.entity,
+        "type": record.type,
+        "name": record.name,
+        "status": record.status,
+        "foundAt": iso(record.found_at),
+        "times": record.times,
+        "inForce": record.in_force,
+        "hasFile": record.has_file,
+        "attributes": _attributes(record),
+        "faults": cast("list[BpmnWarning]", as_json(record.faults)),
+        "warnings": cast("list[BpmnWarning]", as_json(record.warnings)),
+        "decisions": [
+            {
+                "at": iso(each.at),
+                "status": each.status,
+                "by": each.by,
+                "verified": False,  # there are no accounts yet: `by` is what was given
+                "why": each.why,
+                "deployed": [{"name": name, "version": version} for name, version in each.deployed],
+            }
+            for each in record.decisions
+        ],
+        "definitions": [],
+        "changes": [],
+        "allocation": [],
+    }
+
+
+def changed_attributes(before: OfferRecord | None, after: OfferRecord) -> list[OfferedChange]:
+    """Return the attributes in which an offer differs from the content in force."""
+    old, new = {} if before is None else _attributes(before), _attributes(after)
+    return [
+        {
+            "process": None,
+            "element": name,
+            "name": None,
+            "change": "added" if name not in old else "removed" if name not in new else "changed",
+            "before": old.get(name),
+            "after": new.get(name),
+        }
+        for name in {**new, **old}
+        if old.get(name) != new.get(name)
+    ]
+
+
+def element_change_view(change: ElementChange) -> OfferedChange:
+    """Return an element of a process that would change."""
+    return {
+        "process": change.process,
+        "element": change.element,
+        "name": change.name,
+        "change": change.change,
+        "before": None,
+        "after": None,
+    }
+
+
+def _attributes(record: OfferRecord) -> dict[str, Any]:
+    values = to_key_values(record.content)
+    return {name: value for name, value in values.items() if name not in {"id", "type"}}

@@ -23,6 +23,7 @@ from services.task_orchestrator.entity_delivery import EntityDelivery
 from services.task_orchestrator.entity_matching import SeenEntities
 from services.task_orchestrator.event_delivery import EventDelivery
 from services.task_orchestrator.model import Definition
+from services.task_orchestrator.offer_rules import Offers
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.records import DefinitionRecord, ProcessRecord, StartTimer, Step
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -59,6 +60,7 @@ class WorkingState:
         self.clock = clock
         self.registry = DefinitionRegistry(settings)
         self.allocator = Allocator(settings)
+        self.offers = Offers()
         self.active_processes = ActiveProcesses(settings, self.registry, store, on_disk, self.allocator)
         self.events = EventDelivery(
             self.active_processes.processes, self.start_by_event, settings.message_ttl_s
@@ -79,6 +81,8 @@ class WorkingState:
         table: MappingTable | None = await self.on_disk(self.store.mapping)
         if table is not None:
             self.allocator.mapping = table
+        self.offers = Offers(await self.on_disk(self.store.offers))
+        self.allocator.task_kinds = self.offers.task_kinds()
         for record in self.registry.latest():
             await self.registry.prepare(record)
             with suppress(HandoverError):  # such a version cannot be started
@@ -189,6 +193,9 @@ class WorkingState:
         self._add_definitions(step.definitions)
         for table in step.mappings:
             self.allocator.mapping = table
+        if step.offers or step.offers_deleted:
+            self.offers.apply(step)
+            self.allocator.task_kinds = self.offers.task_kinds()
         self.active_processes.apply(step)
         self.events.apply(step)
         self.entities.seen.apply(step.entities_seen)

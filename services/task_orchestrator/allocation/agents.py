@@ -4,7 +4,7 @@ An attribute of the Device or Person itself comes before that of its ResourceSpe
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, time
 from typing import Any
@@ -127,18 +127,14 @@ def read_agents(entities: Iterable[Entity]) -> Agents:
         if entity.get("type") in {"Device", "Person"}:
             agent = _agent(entity, specifications)
             agents[agent.id] = agent
-        elif entity.get("type") == "Location" and (position := _position(entity)) is not None:
+        elif entity.get("type") == "Location" and (position := position_of(entity)) is not None:
             places[str(entity.get("id"))] = position
     return Agents(agents, places)
 
 
 def _agent(entity: Entity, specifications: Mapping[str, Entity]) -> Agent:
-    known = [entity]
-    links = entity.get("isSpecifiedBy")
-    for link in links if isinstance(links, list) else [links]:
-        target = link.get("object") if isinstance(link, Mapping) else None
-        if isinstance(target, str) and target in specifications:
-            known.append(specifications[target])
+    targets = _linked(entity.get("isSpecifiedBy"))
+    known = [entity, *(specifications[target] for target in targets if target in specifications)]
 
     def value(name: str) -> Any:
         return next((found for each in known if (found := _value(each, name)) is not None), None)
@@ -152,14 +148,25 @@ def _agent(entity: Entity, specifications: Mapping[str, Entity]) -> Agent:
     return Agent(
         id=str(entity.get("id")),
         is_person=is_person,
-        skills=dict(_skill(each) for each in _listed(value("skills")) if _skill_name(each)),
+        skills=dict(_skill(each) for each in _listed(value("skills")) if skill_name(each)),
         roles=frozenset(str(role) for role in _listed(value("roles"))),
         capacity=capacity,
         limit=UNLIMITED if is_person and not is_given else capacity,
-        position=_position(entity),
-        shifts=tuple(shift for each in _listed(value("shifts")) if (shift := _shift(each)) is not None),
+        position=position_of(entity),
+        shifts=tuple(shift for each in _listed(value("shifts")) if (shift := read_shift(each)) is not None),
         unavailable=next((s for s in states if isinstance(s, str) and s in UNAVAILABLE), None),
     )
+
+
+def _linked(given: Any) -> Iterator[str]:
+    """Yield the targets of a Relationship, a list of them, or a Property whose value is such a list."""
+    if isinstance(given, list):
+        for each in given:
+            yield from _linked(each)
+    elif isinstance(given, str):
+        yield given
+    elif isinstance(given, Mapping):
+        yield from _linked(given.get("object", given.get("value")))
 
 
 def _value(entity: Entity, name: str) -> Any:
@@ -173,13 +180,14 @@ def _listed(value: Any) -> list[Any]:
     return list(value) if isinstance(value, list) else [value]
 
 
-def _skill_name(given: Any) -> str | None:
+def skill_name(given: Any) -> str | None:
+    """Return the name of a skill, which is a name or an object with one; None if it has none."""
     name = given.get("name") if isinstance(given, Mapping) else given
     return name if isinstance(name, str) and name else None
 
 
 def _skill(given: Any) -> tuple[str, Skill]:
-    name = str(_skill_name(given))
+    name = str(skill_name(given))
     if not isinstance(given, Mapping):
         return name, Skill()
     numbers = {each: given.get(each) for each in ("level", "cost", "speed")}
@@ -188,7 +196,8 @@ def _skill(given: Any) -> tuple[str, Skill]:
     )
 
 
-def _shift(given: Any) -> Shift | None:
+def read_shift(given: Any) -> Shift | None:
+    """Return a shift; None if it cannot be read."""
     if not isinstance(given, Mapping):
         return None
     try:
@@ -202,7 +211,8 @@ def _shift(given: Any) -> Shift | None:
     return Shift(weekday, begins, ends, zone) if 1 <= weekday <= 7 else None
 
 
-def _position(entity: Entity) -> Position | None:
+def position_of(entity: Entity) -> Position | None:
+    """Return the position of a Device, Person or Location; None if it has none."""
     relative = _value(entity, "relativePosition")
     if _are_numbers(relative):
         return Position(tuple(relative))

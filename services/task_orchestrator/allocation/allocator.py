@@ -41,6 +41,7 @@ from services.task_orchestrator.allocation.reservations import (
     held_by,
     wanted_by,
 )
+from services.task_orchestrator.allocation.task_kinds import TaskKind
 from services.task_orchestrator.languages.base import ExpressionError, Variables
 from services.task_orchestrator.languages.feel import read_feel
 from services.task_orchestrator.languages.juel import read_template
@@ -74,6 +75,8 @@ class Assignment:
     warning: Message | None = None
     request: Request | None = None
     """What a performer needs, if one has to be chosen."""
+    kind: TaskKind | None = None
+    """The accepted TaskDefinition of another system that the activity names."""
     performers: tuple[str, ...] = ()
     """The URNs of the named ones, once the activity runs."""
     priority: int = DEFAULT_PRIORITY
@@ -122,6 +125,8 @@ class Allocator:
         self._settings = settings
         self._chooser: Chooser = chooser or ChooseByRules()
         self.mapping = MappingTable()
+        self.task_kinds: Mapping[str, TaskKind] = {}
+        """The accepted TaskDefinitions of other systems, by id."""
         self.agents = Agents()
         self.has_changed = False
         """Whether waiting activities should be tried again: an agent or its Tasks have changed."""
@@ -528,6 +533,16 @@ class Allocator:
 
     def assign(self, activity: Activity, variables: Variables | None) -> Assignment:
         """Return who gets an activity with the present `variables`; None: before it runs."""
+        found = self._assign(activity, variables)
+        kind = self._kind(found.activity)
+        return found if kind is None else replace(found, activity=kind.completed(found.activity), kind=kind)
+
+    def _kind(self, activity: Activity) -> TaskKind | None:
+        if not self.task_kinds:
+            return None
+        return self.task_kinds.get(self._settings.entity_id("TaskDefinition", activity.definition))
+
+    def _assign(self, activity: Activity, variables: Variables | None) -> Assignment:
         if activity.involves:
             named = ", ".join(_described(value) for value in activity.involves)
             reason = message("allocation.by_file", "the file names {resource}", resource=named)
@@ -539,6 +554,17 @@ class Allocator:
                 activity, reason, request.described, request=request, warning=self._nobody_has(request)
             )
         entry = self.mapping.find(_names(activity, variables))
+        if entry is None and (kind := self._kind(activity)) is not None and kind.skills:
+            request = Request(skills=kind.skills)
+            reason = message(
+                "allocation.by_definition",
+                "{definition} requires {needed}",
+                definition=kind.id,
+                needed=request.described,
+            )
+            return Assignment(
+                activity, reason, request.described, request=request, warning=self._nobody_has(request)
+            )
         if entry is None:
             reason = message("allocation.no_entry", "people, because the mapping has no entry for it")
             return Assignment(activity, reason, candidates=_candidates(activity, variables))

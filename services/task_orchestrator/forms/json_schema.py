@@ -168,16 +168,24 @@ def check(
     for field in _flat(fields_of(schema, data)):
         if field.is_read_only and field.initial is not None:
             put_at(values, field.path, field.initial)
-    found: dict[str, FieldFault] = {}
     try:
-        for error in _validator(orjson.dumps(schema)).iter_errors(values):
-            path, reason = _explained(error)
-            found.setdefault(path, FieldFault(path, reason))
-            if len(found) == MAX_FAULTS:
-                break
+        return values, violations(schema, values)
     except (SchemaError, Unresolvable, RecursionError):
         return values, []  # a schema that cannot be used must not prevent the completion
-    return values, list(found.values())
+
+
+def violations(schema: Mapping[str, Any], values: Mapping[str, Any]) -> list[FieldFault]:
+    """Return the faults of `values`, one a field.
+
+    Raises `SchemaError`, `Unresolvable` or `RecursionError` if the schema cannot be used.
+    """
+    found: dict[str, FieldFault] = {}
+    for error in _validator(orjson.dumps(schema)).iter_errors(values):
+        path, reason = _explained(error)
+        found.setdefault(path, FieldFault(path, reason))
+        if len(found) == MAX_FAULTS:
+            break
+    return list(found.values())
 
 
 def _flat(fields: tuple[Field, ...]) -> Iterator[Field]:

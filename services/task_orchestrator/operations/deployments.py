@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from handover.errors import Problem
@@ -10,7 +11,7 @@ from services.task_orchestrator.allocation.mapping import MappingEntry, MappingT
 from services.task_orchestrator.definition_registry import Deployed, Deployment
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.notation.faults import as_json
-from services.task_orchestrator.notation.file import read_bpmn
+from services.task_orchestrator.notation.file import BpmnFile, read_bpmn
 from services.task_orchestrator.records import MessageKind, Step
 from services.task_orchestrator.start_timers import start_timers
 from services.task_orchestrator.step_writer import StepWriter
@@ -30,24 +31,10 @@ class Deployments:
         A process whose file equals its latest version, or with `only_if_never_seen` any version, stays as it
         is.
         """
-        registry, clock = self._state.registry, self._state.clock
         file = await asyncio.to_thread(read_bpmn, xml)
 
         def act(step: Step) -> Deployed:
-            found = []
-            for definition in file.definitions:
-                record, created = registry.next_version(
-                    definition, step.definitions, clock(), only_if_never_seen=only_if_never_seen
-                )
-                if created:
-                    registry.keep(Plan(definition, record.version))
-                    step.definitions.append(record)
-                    step.start_timers[record.name] = start_timers(definition, clock())
-                    entities = registry.entities(record)
-                    subject = registry.entity_id_of(record)
-                    step.enqueue(f"definition {record.name}", MessageKind.REPLACE, subject, entities)
-                found.append(Deployment(record.name, record.version, created))
-            return Deployed(tuple(found), file.warnings)
+            return deploy_into(step, self._state, file, only_if_never_seen=only_if_never_seen)
 
         return await self._writer.apply(act)
 
@@ -97,3 +84,31 @@ class Deployments:
             return table
 
         return await self._writer.apply(act)
+
+
+def deploy_into(
+    step: Step,
+    state: WorkingState,
+    file: BpmnFile,
+    *,
+    only_if_never_seen: bool = False,
+    source: str | None = None,
+) -> Deployed:
+    """Deploy the processes of a file in a step; `source` is the entity of another system that it is of."""
+    registry, now = state.registry, state.clock()
+    found = []
+    for each in file.definitions:
+        definition = replace(each, source=source)
+        record, created = registry.next_version(
+            definition, step.definitions, now, only_if_never_seen=only_if_never_seen
+        )
+        if created:
+            registry.keep(Plan(definition, record.version))
+            step.definitions.append(record)
+            step.start_timers[record.name] = start_timers(definition, now)
+            entities = registry.entities(record)
+            if entities:
+                subject = registry.entity_id_of(record)
+                step.enqueue(f"definition {record.name}", MessageKind.DEFINE, subject, entities)
+        found.append(Deployment(record.name, record.version, created))
+    return Deployed(tuple(found), file.warnings)

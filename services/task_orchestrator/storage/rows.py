@@ -10,12 +10,16 @@ from datamodels.entities import TaskStatus
 from handover.messages import Message as MessageText
 from handover.messages import message_in, with_code
 from services.task_orchestrator.allocation.mapping import MappingTable
+from services.task_orchestrator.model import Fault
 from services.task_orchestrator.records import (
     Act,
     ActKind,
+    Decision,
     IncidentRecord,
     Message,
     MessageKind,
+    OfferRecord,
+    OfferStatus,
     ProcessRecord,
     ReservationRecord,
     ReservationState,
@@ -51,7 +55,7 @@ def as_column(value: Any) -> Any:
         return value.isoformat(timespec="microseconds")
     if isinstance(value, Mapping | tuple):
         return orjson.dumps(value).decode()
-    return str(value) if isinstance(value, TaskStatus | MessageKind) else value
+    return str(value) if isinstance(value, TaskStatus | MessageKind | OfferStatus) else value
 
 
 def plain_row(record: Any, *, but: Collection[str] = ()) -> dict[str, Any]:
@@ -106,6 +110,52 @@ def task_row(task: TaskRecord) -> dict[str, Any]:
 def message_row(message: Message) -> dict[str, Any]:
     """Return the row of a message of the outbox."""
     return {**plain_row(message), "body": orjson.dumps(message.body).decode()}
+
+
+def offer_row(offer: OfferRecord) -> dict[str, Any]:
+    """Return the row of an offer."""
+    row = plain_row(offer, but=("faults", "warnings", "decisions"))
+    decisions = [
+        {name: getattr(each, name) for name in ("at", "status", "by", "why", "deployed")}
+        for each in offer.decisions
+    ]
+    return {
+        **row,
+        "faults": orjson.dumps([_fault_values(each) for each in offer.faults]).decode(),
+        "warnings": orjson.dumps([_fault_values(each) for each in offer.warnings]).decode(),
+        "decisions": orjson.dumps(decisions).decode(),
+    }
+
+
+def to_offer(row: Mapping[str, Any]) -> OfferRecord:
+    """Return the record of the row of an offer."""
+    return OfferRecord(
+        **{
+            **row,
+            "status": OfferStatus(row["status"]),
+            "found_at": to_time(row["found_at"]),
+            "content": orjson.loads(row["content"]),
+            "faults": tuple(_fault(each) for each in orjson.loads(row["faults"])),
+            "warnings": tuple(_fault(each) for each in orjson.loads(row["warnings"])),
+            "decisions": tuple(_decision(each) for each in orjson.loads(row["decisions"])),
+        }
+    )
+
+
+def _fault_values(fault: Fault) -> dict[str, Any]:
+    values = {name: getattr(fault, name) for name in ("element", "line", "name")}
+    return {**values, **with_code("message", fault.message)}
+
+
+def _fault(values: Mapping[str, Any]) -> Fault:
+    others = {name: values[name] for name in ("element", "line", "name")}
+    return Fault(message=message_in(values, "message") or "", **others)
+
+
+def _decision(values: Mapping[str, Any]) -> Decision:
+    deployed = tuple((str(name), int(version)) for name, version in values["deployed"])
+    status, at = OfferStatus(values["status"]), to_time(values["at"])
+    return Decision(at, status, values["by"], values["why"], deployed)
 
 
 def _unallocated_values(each: Unallocated) -> dict[str, Any]:

@@ -143,6 +143,29 @@ mappings = Table(
     Column("at", String(40), nullable=False),
     Column("entries", Text, nullable=False),
 )
+offers = Table(
+    "orchestrator_offers",
+    _meta,
+    Column("id", String(32), primary_key=True),
+    Column("entity", String(2000), nullable=False),
+    Column("type", String(40), nullable=False),
+    Column("name", Text, nullable=False),
+    Column("status", String(20), nullable=False),
+    Column("found_at", String(40), nullable=False),
+    Column("content", Text, nullable=False),
+    Column("faults", Text, nullable=False),
+    Column("warnings", Text, nullable=False),
+    Column("has_file", Boolean, nullable=False),
+    Column("times", Integer, nullable=False),
+    Column("decisions", Text, nullable=False),
+    Column("in_force", Boolean, nullable=False),
+)
+offer_files = Table(
+    "orchestrator_offer_files",
+    _meta,
+    Column("offer", String(32), primary_key=True),
+    Column("xml", LargeBinary, nullable=False),
+)
 
 
 def migrate(engine: Engine) -> None:

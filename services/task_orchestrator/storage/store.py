@@ -30,6 +30,7 @@ from services.task_orchestrator.records import (
     MessageKind,
     MessageRecord,
     Move,
+    OfferRecord,
     ProcessRecord,
     StartTimer,
     Step,
@@ -40,6 +41,7 @@ from services.task_orchestrator.storage.counts import PeriodCount, VersionCount,
 from services.task_orchestrator.storage.rows import (
     as_column,
     to_moment,
+    to_offer,
     to_process,
     to_task,
     to_time,
@@ -132,6 +134,16 @@ class Store:
             entries = tuple(MappingEntry.model_validate(each) for each in orjson.loads(row["entries"]))
             return MappingTable(row["version"], entries, row["confirmed_by"], row["why"], to_time(row["at"]))
         return None
+
+    def offers(self) -> list[OfferRecord]:
+        """Return all offers, in the order in which they were found."""
+        statement = select(schema.offers).order_by(schema.offers.c.found_at, schema.offers.c.id)
+        return [to_offer(row) for row in self._rows(statement)]
+
+    def offer_file(self, offer: str) -> bytes | None:
+        """Return the BPMN file of an offer, if it has one."""
+        statement = select(schema.offer_files.c.xml).where(schema.offer_files.c.offer == offer)
+        return next((bytes(row["xml"]) for row in self._rows(statement)), None)
 
     def processes(self, ids: Sequence[str]) -> list[ProcessRecord]:
         """Return those of the processes `ids` that exist."""

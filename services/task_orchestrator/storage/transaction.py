@@ -29,6 +29,7 @@ from services.task_orchestrator.storage.rows import (
     changed_process_row,
     mapping_row,
     message_row,
+    offer_row,
     plain_row,
     process_row,
     task_row,
@@ -79,6 +80,7 @@ def write_step(connection: Connection, step: Step) -> None:
     _write_archived(connection, step.archived)
     _write_stored_messages(connection, step)
     _write_entities_seen(connection, step)
+    _write_offers(connection, step)
     for delivered in in_parts(step.delivered):
         connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(delivered)))
 
@@ -127,6 +129,18 @@ def _write_stored_messages(connection: Connection, step: Step) -> None:
     )
     for taken in in_parts(list(step.messages_taken)):
         connection.execute(delete(schema.messages).where(schema.messages.c.id.in_(taken)))
+
+
+def _write_offers(connection: Connection, step: Step) -> None:
+    changed = list({*step.offers, *step.offers_deleted})
+    for some in in_parts(changed):
+        connection.execute(delete(schema.offers).where(schema.offers.c.id.in_(some)))
+    for some in in_parts(list({*step.offer_files, *step.offers_deleted})):
+        connection.execute(delete(schema.offer_files).where(schema.offer_files.c.offer.in_(some)))
+    kept = [each for each in step.offers.values() if each.id not in step.offers_deleted]
+    _insert(connection, schema.offers, [offer_row(each) for each in kept])
+    files = [{"offer": offer, "xml": xml} for offer, xml in step.offer_files.items()]
+    _insert(connection, schema.offer_files, files)
 
 
 def _write_entities_seen(connection: Connection, step: Step) -> None:

@@ -123,7 +123,7 @@ async def test_a_task_waits_until_its_definition_is_acknowledged(shared_cell: Ce
     }
     link = {"type": "Relationship", "object": definition["id"]}
     messages = [
-        Message(1, "definition p", MessageKind.REPLACE, str(definition["id"]), [definition]),
+        Message(1, "definition p", MessageKind.DEFINE, str(definition["id"]), [definition]),
         create(2, "p-1", {**task("slow-1"), "isDefinedBy": link}),
         create(3, "p-1", {**task("slow-2"), "isDefinedBy": link}),
         create(4, "p-2", {**task("slow-3"), "isDefinedBy": link}),
@@ -141,7 +141,7 @@ async def test_a_definition_that_is_refused_for_good_delays_no_task(broker: Brok
     bad = {"id": "urn:ngsi-ld:TaskDefinition:demo:bad", "type": "TaskDefinition", "name": {"type": "Wrong"}}
     link = {"type": "Relationship", "object": bad["id"]}
     messages = [
-        Message(1, "definition p", MessageKind.REPLACE, str(bad["id"]), [bad]),
+        Message(1, "definition p", MessageKind.DEFINE, str(bad["id"]), [bad]),
         create(2, "p-1", {**task("after-bad"), "isDefinedBy": link}),
     ]
     ((seq, _),) = await deliver(broker, messages)

@@ -71,6 +71,7 @@ from services.task_orchestrator.references import is_reference
 NAMESPACE = "urn:handover:bpmn"
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
+_DEFINITION_ID = re.compile(r"urn:ngsi-ld:TaskDefinition:[A-Za-z0-9_.:-]{1,200}", re.ASCII)
 _TYPE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[a-z][a-z0-9+.-]*:[^\s<>\"]+", re.ASCII)
 
 _HINTS = ("assignee", "candidateUsers", "candidateGroups", "dueDate", "followUpDate", "priority")
@@ -154,8 +155,12 @@ class Handover:
         if extension is None:
             return Work()
         definition = extension.get("definition") or ""
-        if not _NAME.fullmatch(definition):
-            found.fault(extension, f'definition="{definition}" is not a name; use A-Z, a-z, 0-9, - _ .')
+        if not _NAME.fullmatch(definition) and not _DEFINITION_ID.fullmatch(definition):
+            found.fault(
+                extension,
+                f'definition="{definition}" is not a name; use A-Z, a-z, 0-9, - _ . '
+                "or the id of a TaskDefinition",
+            )
         parts = _parts(extension, _PARTS, found)
         involved = [_reference(part, "resource", found) for part in parts["involves"]]
         performers = tuple(each for each in involved if _passive_type(each) is None)
