@@ -11,9 +11,9 @@ export UV_NO_PROGRESS := 1
 # Otherwise each of the hundreds of services that the tests start would compile its modules again.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Two workers for each core, at most 8, because tests wait for half of their time: for robots, people and time limits.
+# More workers than cores, at most 8, because tests wait for half of their time: for robots, people and time limits.
 # Tests use free ports, so that they do not collide. tests/kit/scheduling.py keeps tests together that share services.
-WORKERS ?= $(shell cores=$$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2); echo $$((cores < 4 ? 2 * cores : 8)))
+WORKERS ?= $(shell cores=$$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2); echo $$((cores < 4 ? 5 * cores / 2 : 8)))
 PYTEST := $(BIN)/pytest -n $(WORKERS)
 
 # Lint and tests of the TypeScript, with the Node that built the page.

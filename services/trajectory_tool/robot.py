@@ -7,11 +7,12 @@ another motion to the same target.
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
-
-from fastapi import FastAPI
+from typing import TYPE_CHECKING, Self
 
 from handover.errors import HandoverError
+
+if TYPE_CHECKING:  # the settings import this module, and with them each command
+    from fastapi import FastAPI
 
 Joints = tuple[float, ...]
 """The joint positions of a robot from its base to its flange: rad, for prismatic joints m."""
@@ -41,7 +42,7 @@ class JointState:
 class Robot(ABC):
     """An arm with a gripper; an asynchronous context manager while it is switched on."""
 
-    def mount(self, app: FastAPI) -> None:  # noqa: B027 - most robots have none
+    def mount(self, app: "FastAPI") -> None:  # noqa: B027 - most robots have none
         """Add routes of the robot, such as one for notifications."""
 
     @abstractmethod
