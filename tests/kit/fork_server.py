@@ -26,7 +26,7 @@ from typing import Any, Final
 PRELOADED: Final = (
     "croniter",
     "fastapi",
-    "httpx_aiohttp",
+    "httpx",
     "jsonschema",
     "lxml.etree",
     "orjson",
@@ -108,7 +108,8 @@ def _prepare(request: dict[str, Any], standard_input: int, output: int, _status:
 def main() -> None:
     """Import the libraries, serve, and in a forked process run its module."""
     for module in PRELOADED:
-        importlib.import_module(module)
+        with suppress(ModuleNotFoundError):  # a service that needs it says so itself
+            importlib.import_module(module)
     if len(list(Path("/proc/self/task").iterdir())) > 1:
         raise SystemExit("a library has started a thread, which a forked process would lack")
     gc.collect()
