@@ -39,6 +39,11 @@ class DueQueue(Generic[K]):
             heappop(self._heap)
         return self._heap[0][0] if self._heap else None
 
+    def first_due(self, now: datetime) -> K | None:
+        """Return the key whose moment is the earliest, if that is `now` or earlier."""
+        earliest = self.next_due()
+        return None if earliest is None or earliest > now else self._heap[0][1]
+
     def due(self, now: datetime) -> list[K]:
         """Return the keys whose moment is `now` or earlier, the earliest first; they stay in the queue."""
         found: list[tuple[datetime, K]] = []

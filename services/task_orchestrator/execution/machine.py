@@ -189,7 +189,7 @@ class Machine:
             graph=graph,
             prefix=prefix,
         )
-        self.state.frames[frame.id] = frame
+        self.state.add_frame(frame)
         if host is not None:
             host.child = frame.id
             self.change_state(host, TokenState.SCOPE)

@@ -4,7 +4,7 @@ Every change happens at a moment that the caller gives. A step that fails unexpe
 incident at the token that caused it: the state before the step is restored from its snapshot.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -44,6 +44,7 @@ from services.task_orchestrator.execution.state import (
     WaitType,
     read_snapshot,
 )
+from services.task_orchestrator.execution.state_index import StateIndex, WorkChanges
 from services.task_orchestrator.execution.waits import conditions_that_became_true, event_of, holds_for
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import Activity, EntityFilter, Kind, SpanKind, entity_filter
@@ -157,6 +158,7 @@ class Run:
         """Messages, signals and escalations that the process has thrown; the caller takes them away."""
         self._state = state
         self._library = library
+        self._index = StateIndex(state)
         self._saved: bytes = b""
         """The snapshot of the state after the last change."""
 
@@ -185,7 +187,7 @@ class Run:
             variables=dict(variables),
             graph=plan.graph,
         )
-        run._state.frames[root.id] = root
+        run._state.add_frame(root)
         if at is not None and at not in plan.graph.nodes:
             raise RunFailed(f'there is no event "{at}" in "{plan.definition.name}"')
         starts = plan.graph.starts if at is None else [plan.graph.nodes[at]]
@@ -201,7 +203,7 @@ class Run:
             machine.add_token(root, start.id, state=stage, results=dict(results or {}) or None).id
             for start in starts
         ]
-        run._saved = run._state.snapshot()
+        run._saved = run._take_snapshot()
         run._change(
             lambda machine: machine.queue.extend(tokens),
             now,
@@ -215,6 +217,7 @@ class Run:
     ) -> "Run":
         """Return the run of a `snapshot`; raise `RunFailed` if this release cannot read it."""
         run = cls(plan, read_snapshot(snapshot, library), library, identity)
+        run._index.update()
         run._saved = snapshot
         return run
 
@@ -237,13 +240,15 @@ class Run:
     def open(self) -> tuple[OpenActivity, ...]:
         """Return the activities that performers work on, in the order in which they were reached."""
         machine = self._machine(self._now)
-        working = (token for token in self._state.tokens.values() if token.state is TokenState.WORK)
-        return tuple(_open_activity(machine, token) for token in working)
+        return tuple(_open_activity(machine, self._state.tokens[token]) for token in self._index.working)
 
     def open_visits(self) -> dict[str, int]:
         """Return the visit of each open activity by token, in the order in which they were reached."""
-        tokens = self._state.tokens.values()
-        return {str(token.id): token.visit for token in tokens if token.state is TokenState.WORK}
+        return {str(token): visit for token, visit in self._index.working.items()}
+
+    def take_work_changes(self) -> WorkChanges:
+        """Return the activities that were opened and left since the last call."""
+        return self._index.take_work_changes()
 
     def open_activity(self, token: str) -> OpenActivity:
         """Return the open activity of `token`; raise `RunFailed` if it is not open."""
@@ -280,18 +285,13 @@ class Run:
                 token.incident.details,
                 token.visit,
             )
-            for token in self._state.tokens.values()
+            for token in map(self._state.tokens.__getitem__, self._index.incidents)
             if token.incident is not None
         )
 
     def waiting(self) -> tuple[str, ...]:
         """Return the ids of the elements at which tokens are, and of the events that are waited for."""
-        names: dict[str, None] = {}
-        for token in self._state.tokens.values():
-            names[self._state.frames[token.frame].prefix + token.node] = None
-        for wait in self._state.waits.values():
-            names[self._state.frames[wait.frame].prefix + wait.node] = None
-        return tuple(names)
+        return self._index.waiting()
 
     def subscriptions(self) -> tuple[Subscription, ...]:
         """Return the messages and signals that the process waits for."""
@@ -303,16 +303,14 @@ class Run:
                 wait.key,
                 self._state.frames[wait.frame].prefix + wait.node,
             )
-            for wait in self._state.waits.values()
-            if wait.type in {WaitType.MESSAGE, WaitType.SIGNAL} and wait.stopped is None
+            for wait in map(self._state.waits.__getitem__, self._index.subscribed)
+            if wait.type in {WaitType.MESSAGE, WaitType.SIGNAL}
         )
 
     def entity_waits(self) -> tuple[EntityWait, ...]:
         """Return the events with a filter of entities that the process waits for."""
         machine, found = self._machine(_NEVER), []
-        for wait in self._state.waits.values():
-            if wait.type is WaitType.TIMER or wait.stopped is not None:
-                continue
+        for wait in map(self._state.waits.__getitem__, self._index.subscribed):
             on = entity_filter(event_of(machine, wait))
             if on is not None:
                 element = self._state.frames[wait.frame].prefix + wait.node
@@ -379,12 +377,7 @@ class Run:
 
     def next_due(self) -> datetime | None:
         """Return when the next timer is due; None without one."""
-        return min((due for due, _ in self._timers()), default=None)
-
-    def _timers(self) -> Iterator[tuple[datetime, int]]:
-        for wait in self._state.waits.values():
-            if wait.due is not None and wait.stopped is None:
-                yield wait.due, wait.id
+        return self._index.next_due()
 
     def snapshot(self) -> bytes:
         """Return the serialized run."""
@@ -494,10 +487,10 @@ class Run:
     def advance(self, now: datetime) -> None:
         """Process the timers that are due at `now`, in the order of their moments."""
         for _ in range(MAX_STEPS):
-            due = min((timer for timer in self._timers() if timer[0] <= now), default=None)
+            due = self._index.first_due(now)
             if due is None:
                 return
-            self._trigger(due[1], {}, now)
+            self._trigger(due, {}, now)
 
     def _trigger(self, wait: int, variables: dict[str, Any], now: datetime) -> None:
         """Let the event of a wait occur; if that fails, the wait stops, with an incident."""
@@ -625,6 +618,7 @@ class Run:
         def act(machine: Machine) -> None:
             machine.set_variables(self._state.root, values)
             found.extend(Migration(machine, self.plan, plan, mapping).apply())
+            self._state.touch_all()
             if any(each.is_obstacle for each in found):
                 raise _HasObstacles
 
@@ -675,7 +669,7 @@ class Run:
         try:
             act(machine)
             self._settle(machine)
-            self._saved = self._state.snapshot()
+            self._saved = self._take_snapshot()
         except Exception as error:
             self._restore()
             if isinstance(error, RunFailed) and (blame is None or not isinstance(error, NotStorable)):
@@ -685,12 +679,19 @@ class Run:
             if not isinstance(error, RunFailed):
                 log.exception("step of a process failed", definition=self.plan.definition.name)
             blame(self._state, error)
-            self._saved = self._state.snapshot()
+            self._saved = self._take_snapshot()
         else:
             self.effects += machine.effects
 
+    def _take_snapshot(self) -> bytes:
+        self._index.update()
+        return self._state.snapshot()
+
     def _restore(self) -> None:
+        before = self._index
         self._state = read_snapshot(self._saved, self._library)
+        self._index = StateIndex(self._state)
+        self._index.replace(before)
 
     def _settle(self, machine: Machine) -> None:
         """Advance every token as far as possible."""

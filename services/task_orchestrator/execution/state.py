@@ -4,17 +4,20 @@ A frame is a running scope: the process itself, a subprocess, an event subproces
 what is alive is part of the state, so that a step costs the same however long a process has run.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from enum import StrEnum
-from typing import Any, Protocol, TypedDict
+from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
 
 import orjson
 
 from handover.errors import HandoverError
 from handover.messages import message, message_in, text_of, with_code
 from services.task_orchestrator.execution.graph import Graph, Plan
+from services.task_orchestrator.execution.tracked import Tracked
+
+R = TypeVar("R")
 
 SNAPSHOT_VERSION = 1
 MAX_SNAPSHOT_BYTES = 4 * 1024 * 1024
@@ -152,7 +155,7 @@ class Frame:
     completions: list[Completion] = field(default_factory=list)
     """Completed activities that can be compensated, in the order of their completion."""
     waits: list[int] = field(default_factory=list)
-    tokens: dict[int, Token] = field(default_factory=dict)
+    tokens: Tracked[Token] = field(default_factory=Tracked)
     graph: Graph = field(default=None, repr=False)  # type: ignore[assignment]  # set before the first use
     prefix: str = ""
     """Prefix of the ids of elements in a called process: the ids of the call activities."""
@@ -200,15 +203,16 @@ class State:
     """The state of one process. The root is the first frame; a frame comes after that of its host."""
 
     next_id: int = 1
-    frames: dict[int, Frame] = field(default_factory=dict)
-    tokens: dict[int, Token] = field(default_factory=dict)
-    waits: dict[int, Wait] = field(default_factory=dict)
+    frames: Tracked[Frame] = field(default_factory=Tracked)
+    tokens: Tracked[Token] = field(default_factory=Tracked)
+    waits: Tracked[Wait] = field(default_factory=Tracked)
     visits: dict[str, int] = field(default_factory=dict)
     completed: bool = False
     failure: str | None = None
     """Why the process has ended by an error that nothing caught."""
     conditions: dict[int, None] = field(default_factory=dict)
     """The waits for conditions."""
+    _written: "_Written" = field(default_factory=lambda: _Written({}, {}, {}), repr=False, compare=False)
 
     def new_id(self) -> int:
         """Return an id that no token, frame or wait of this process ever had."""
@@ -218,7 +222,17 @@ class State:
     @property
     def root(self) -> Frame:
         """Return the frame of the process itself."""
-        return next(iter(self.frames.values()))
+        return self.frames[next(iter(self.frames))]
+
+    def add_frame(self, frame: Frame) -> None:
+        """Add a frame, which has no tokens yet."""
+        frame.tokens = Tracked(self.tokens.touched)
+        self.frames[frame.id] = frame
+
+    def touch_all(self) -> None:
+        """Note that every record may have changed."""
+        for records in (self.frames, self.tokens, self.waits):
+            records.touched.update(records)
 
     def add_wait(self, wait: Wait) -> None:
         """Add a wait to its token or frame."""
@@ -245,18 +259,22 @@ class State:
 
     def snapshot(self) -> bytes:
         """Return the serialized state; raise `NotStorable` if its variables are too large or no JSON."""
-        content = {
+        rest = {
             "version": SNAPSHOT_VERSION,
             "next": self.next_id,
-            "frames": [_values(frame, _FRAME_FIELDS) for frame in self.frames.values()],
-            "tokens": [_token_values(token) for token in self.tokens.values()],
-            "waits": [_values(wait, _WAIT_FIELDS) for wait in self.waits.values()],
             "visits": self.visits,
             "completed": self.completed,
             **({} if self.failure is None else with_code("failure", self.failure)),
         }
         try:
-            written = orjson.dumps(content)
+            records = b",".join(
+                (
+                    _written(b"frames", self._written.frames, self.frames, _frame_values),
+                    _written(b"tokens", self._written.tokens, self.tokens, _token_values),
+                    _written(b"waits", self._written.waits, self.waits, _wait_values),
+                )
+            )
+            written = b"%s,%s}" % (orjson.dumps(rest)[:-1], records)
         except TypeError as error:
             raise NotStorable(
                 message(
@@ -276,6 +294,28 @@ class State:
         return written
 
 
+class _Written(NamedTuple):
+    """The serialized records by id, as they were in the last snapshot."""
+
+    frames: dict[int, bytes]
+    tokens: dict[int, bytes]
+    waits: dict[int, bytes]
+
+
+def _written(
+    name: bytes, written: dict[int, bytes], records: Tracked[R], values: Callable[[R], dict[str, Any]]
+) -> bytes:
+    """Serialize the records that were touched, and return a member of the snapshot with all of them."""
+    for key in sorted(records.touched):
+        record = records.peek(key)
+        if record is None:
+            written.pop(key, None)
+        else:
+            written[key] = orjson.dumps(values(record))
+    records.touched.clear()
+    return b'"%s":[%s]' % (name, b",".join(written.values()))
+
+
 _DERIVED = frozenset({"tokens", "graph", "prefix", "waits", "inner", "child"})
 _FRAME_FIELDS = tuple(each.name for each in fields(Frame) if each.name not in _DERIVED)
 _WAIT_FIELDS = tuple(each.name for each in fields(Wait))
@@ -291,6 +331,14 @@ def _values(record: Any, names: Iterable[str]) -> dict[str, Any]:
         for name in names
         if (value := getattr(record, name)) or (value is not None and name in _NULLABLE)
     }
+
+
+def _frame_values(frame: Frame) -> dict[str, Any]:
+    return _values(frame, _FRAME_FIELDS)
+
+
+def _wait_values(wait: Wait) -> dict[str, Any]:
+    return _values(wait, _WAIT_FIELDS)
 
 
 def _token_values(token: Token) -> dict[str, Any]:
@@ -336,7 +384,7 @@ def read_snapshot(snapshot: bytes, library: Library) -> State:
     for values in content["frames"]:
         process = values.pop("process", None)
         frame = Frame(**values, process=None if process is None else (process[0], process[1]))
-        state.frames[frame.id] = frame
+        state.add_frame(frame)
     for values in content["tokens"]:
         token = _read_token(values)
         state.tokens[token.id] = token

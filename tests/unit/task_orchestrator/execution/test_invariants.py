@@ -104,6 +104,7 @@ def _with_loops(content: Scope, draw: Any) -> Scope:
 def check(run: Run, used: dict[int, str]) -> None:
     state = run._state
     assert Run.resume(run.plan, run.snapshot(), run._library).snapshot() == run.snapshot()
+    _check_index(run)
     _check_ids(state, used)
     for frame in state.frames.values():
         assert frame is state.root or (
@@ -125,6 +126,23 @@ def check(run: Run, used: dict[int, str]) -> None:
         assert list(state.frames) == [state.root.id]
     else:
         assert run.open() or run.incidents() or any(each.token is not None for each in state.waits.values())
+
+
+def _check_index(run: Run) -> None:
+    """Check that nothing has changed without being noted: the snapshot and the index have every record."""
+    state = run._state
+    working = {str(each.id): each.visit for each in state.tokens.peek_all() if each.state is TokenState.WORK}
+    assert run.open_visits() == working
+    assert sorted(each.token for each in run.incidents()) == sorted(
+        str(each.id) for each in state.tokens.peek_all() if each.incident is not None
+    )
+    places = {state.frames[each.frame].prefix + each.node for each in state.tokens.peek_all()}
+    places |= {state.frames[each.frame].prefix + each.node for each in state.waits.peek_all()}
+    assert set(run.waiting()) == places
+    dues = [each.due for each in state.waits.peek_all() if each.due is not None and each.stopped is None]
+    assert run.next_due() == min(dues, default=None)
+    state.touch_all()
+    assert state.snapshot() == run.snapshot()
 
 
 def _host(state: State, frame: Frame) -> Token:
