@@ -4,7 +4,7 @@ Every change happens at a moment that the caller gives. A step that fails unexpe
 incident at the token that caused it: the state before the step is restored from its snapshot.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any

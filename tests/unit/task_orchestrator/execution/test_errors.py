@@ -60,7 +60,7 @@ def test_an_error_is_caught_at_the_nearest_level(catchers: tuple[str, ...], open
         assert run.run.incidents() == ()
     else:
         (incident,) = run.run.incidents()
-        assert (incident.reason, incident.details) == ("jammed", {"code": "E"})
+        assert (incident.reason, incident.details) == ("jammed", {"code": "E", "task": None})
 
 
 def test_an_error_with_another_code_is_not_caught() -> None:
