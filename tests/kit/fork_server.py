@@ -26,10 +26,7 @@ from typing import Any, Final
 PRELOADED: Final = (
     "croniter",
     "fastapi",
-<<<<<<< HEAD
     "httpx",
-=======
->>>>>>> bcd8333e (tests: preload no library that the project has dropped)
     "jsonschema",
     "lxml.etree",
     "orjson",
