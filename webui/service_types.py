@@ -20,7 +20,9 @@ ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
     "gesture-controller": ("/gestures", "/people", "/tests"),
     "ros-bridge": ("/rules",),
     "study": ("/",),
-    "task-orchestrator": ("/definitions", "/mapping", "/pause", "/processes", "/resume", "/statistics"),
+    "task-orchestrator": (
+        *("/agents", "/definitions", "/mapping", "/pause", "/processes", "/resume", "/statistics"),
+    ),
 }
 """The services, and the beginnings of the paths that the page uses."""
 HEAD: Final = """\

@@ -7,11 +7,13 @@ from handover.storage import storage_check
 from handover.telemetry import get_logger
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.routes.definitions import add_definitions
+from services.task_orchestrator.routes.event_log import add_event_log
 from services.task_orchestrator.routes.events import add_events
 from services.task_orchestrator.routes.interventions import add_interventions
 from services.task_orchestrator.routes.mapping import add_mapping
 from services.task_orchestrator.routes.offers import add_offers
 from services.task_orchestrator.routes.processes import add_processes
+from services.task_orchestrator.routes.statistics import add_statistics
 from services.task_orchestrator.settings import OrchestratorSettings
 
 log = get_logger(__name__)
@@ -51,4 +53,6 @@ def _app(at: Components) -> FastAPI:
     add_mapping(app, at.orchestrator)
     add_events(app, at)
     add_offers(app, at)
+    add_statistics(app, at)
+    add_event_log(app, at)
     return app

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, Self, TypeVar
 
 from handover.broker import BrokerClient
@@ -23,6 +24,9 @@ from services.task_orchestrator.working_state import Clock, WorkingState, utc_no
 
 log = get_logger(__name__)
 
+READERS = 2
+"""Threads that read for people while another one writes steps."""
+
 T = TypeVar("T")
 
 
@@ -36,6 +40,7 @@ class Orchestrator:
         self.clock = clock
         self.store = Store(connect(settings.database("orchestrator")))
         self._disk = ThreadPoolExecutor(1, "orchestrator-disk")
+        self._readers = ThreadPoolExecutor(READERS, "orchestrator-reader")
         self.state = WorkingState(settings, self.store, self.on_disk, clock)
         self.outbox = Outbox(settings, broker, self._on_rejected)
         self.writer = StepWriter(self.state, self.outbox)
@@ -54,12 +59,19 @@ class Orchestrator:
 
     async def __aexit__(self, *_: object) -> None:
         await self.writer.__aexit__()
+        self._readers.shutdown()
         await self.on_disk(self.store.close)
         self._disk.shutdown()
 
     async def on_disk(self, action: Callable[..., T], *arguments: Any) -> T:
         """Run a blocking `action` of the store in its thread."""
         return await asyncio.get_running_loop().run_in_executor(self._disk, action, *arguments)
+
+    async def read(self, action: Callable[..., T], *arguments: Any, **named: Any) -> T:
+        """Run a blocking `action` that only reads, beside the steps that are written."""
+        return await asyncio.get_running_loop().run_in_executor(
+            self._readers, partial(action, *arguments, **named)
+        )
 
     async def _on_rejected(self, message: Message, reason: str) -> None:
         await self.broker_changes.reject(message, reason)

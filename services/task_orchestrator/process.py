@@ -16,7 +16,7 @@ from datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover.errors import Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
-from handover.task_life import FINISHED, is_reachable, performers_of
+from handover.task_life import FINISHED, is_reachable
 from services.task_orchestrator import process_alerts
 from services.task_orchestrator.allocation.allocator import Allocator, Assignment, NoPerformer
 from services.task_orchestrator.entities import (
@@ -32,6 +32,7 @@ from services.task_orchestrator.execution.migration import Finding
 from services.task_orchestrator.execution.run import OpenActivity, OpenIncident, Run, SpanPlace
 from services.task_orchestrator.execution.state import Library, RunFailed
 from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.process_tally import count_change, count_end, count_start, count_task
 from services.task_orchestrator.records import (
     Act,
     ActKind,
@@ -180,6 +181,7 @@ class Process:
         process = cls(settings, record, plan, run, library, allocator or Allocator(settings))
         step.new.add(record.id)
         step.touched.add(record.id)
+        count_start(step, record)
         process._report_process(step, now)
         process._update(step, now)
         return process
@@ -579,23 +581,23 @@ class Process:
     # Consequences
 
     def _apply(self, task: TaskRecord, change: _StatusChange, step: Step, now: datetime) -> None:
+        task = count_change(step, self.record, task, change.outputs, now)
         moves = task.moves + 1
         observed = [moment for moment in (task.observed_at, change.observed_at) if moment is not None]
         step.moves.append(Move(task.id, moves, change.status, change.observed_at, now))
         if task.alerted:
             process_alerts.clear_overdue(step, task)
-        self._record_task(
-            task.changed(
-                status=change.status,
-                observed_at=max(observed, default=None),  # the clocks of performers differ
-                moves=moves,
-                alerted=False,
-                lost=0,
-                ended_at=now if change.final else None,
-                outputs=change.outputs if change.final else None,
-            ),
-            step,
+        changed = task.changed(
+            status=change.status,
+            observed_at=max(observed, default=None),  # the clocks of performers differ
+            moves=moves,
+            alerted=False,
+            lost=0,
+            ended_at=now if change.final else None,
+            outputs=change.outputs if change.final else None,
         )
+        count_task(step, self.record, changed)
+        self._record_task(changed, step)
         if change.final and self.run is not None and self._is_current(self.run, task):
             self._continue_run(self.run, task, change, now)
         self._update(step, now)
@@ -662,7 +664,7 @@ class Process:
     def _ask_next(self, run: Run, task: TaskRecord, now: datetime) -> None:
         """Open the activity again: its performer has declined it, so that another gets it."""
         key = _declined_key(task.token, task.element)
-        declined = (*self.record.declined.get(key, ()), _performer(task))
+        declined = (*self.record.declined.get(key, ()), task.performer)
         self._revise(declined={**self.record.declined, key: declined})
         run.repeat(task.token, now)
 
@@ -885,6 +887,7 @@ class Process:
         variables = self.run.variables() if self.run is not None else self.record.variables
         self.run = None
         self._revise(status=status, reason=reason, ended_at=now, variables=variables)
+        count_end(step, self.record)
 
     def _is_report_due(self) -> bool:
         """Return whether the Process entity has to be written: at each state, and when it has more Tasks.
@@ -914,21 +917,14 @@ class Process:
             self.allocator.remove_task(task.id)
             return
         self.tasks[task.id] = task
-        performer = _performer(task)
-        if performer:
-            self.allocator.add_task(task.id, performer)
+        if task.performer:
+            self.allocator.add_task(task.id, task.performer)
 
     def _record_act(self, act: Act) -> None:
         self._revise(acts=(*self.record.acts, act))
 
     def _revise(self, **changes: Any) -> None:
         self.record = replace(self.record, **changes)
-
-
-def _performer(task: TaskRecord) -> str:
-    """Return the resource that performs a Task; empty for a Task for people."""
-    involved = performers_of(link["object"] for link in task.entity["involves"]["value"])
-    return involved[0] if involved else ""
 
 
 def _declined_key(token: str, element: str) -> str:

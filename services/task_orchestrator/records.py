@@ -11,10 +11,11 @@ from enum import StrEnum
 from typing import Any
 
 from datamodels.entities import TaskStatus
-from handover.task_life import FINISHED
+from handover.task_life import FINISHED, performers_of
 from services.task_orchestrator.allocation.mapping import MappingTable
 from services.task_orchestrator.execution.machine import Effect
 from services.task_orchestrator.model import Fault
+from services.task_orchestrator.tally import Tally
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +263,12 @@ class TaskRecord:
     """Why its performer got it."""
     chosen: bool = False
     """Whether its performer was chosen among several, so that another may get it."""
+    status_since: datetime | None = None
+    """When the orchestrator learned of its status; None: at its creation."""
+    working_ms: int = 0
+    """The time in progress, without the present status."""
+    paused_ms: int = 0
+    """The time paused, without the present status."""
 
     @property
     def finished(self) -> bool:
@@ -274,6 +281,17 @@ class TaskRecord:
         if self.ended_at is None:
             return None
         return round((self.ended_at - self.created_at).total_seconds() * 1000)
+
+    @property
+    def involved(self) -> tuple[str, ...]:
+        """Return the URNs of the resources that it involves."""
+        links = self.entity.get("involves", {}).get("value", ())
+        return tuple(str(link["object"]) for link in links)
+
+    @property
+    def performer(self) -> str:
+        """Return who performs it; empty for a Task that people claim."""
+        return next(iter(performers_of(self.involved)), "")
 
     def changed(self, **changes: Any) -> "TaskRecord":
         """Return the record with `changes`."""
@@ -404,6 +422,8 @@ class Step:
     offers_deleted: set[str] = field(default_factory=set)
     archived: list[ProcessRecord] = field(default_factory=list)
     """Ended processes, as read from the database, that get `archived_at` now."""
+    tally: Tally = field(default_factory=Tally)
+    """What the step adds to the statistics."""
 
     def enqueue(self, stream: str, kind: MessageKind, subject: str, body: Any) -> None:
         """Put a message into the outbox."""

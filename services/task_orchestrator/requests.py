@@ -1,12 +1,19 @@
 """The request bodies of the REST interface."""
 
-from typing import Annotated, Any
+from datetime import UTC, datetime
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+
+from datamodels.entities import TaskStatus
+from services.task_orchestrator.storage.process_filter import ProcessFilter, read_condition
 
 MAX_PARAMETERS_BYTES = 1024 * 1024
 """Bytes of a body with parameters or variables."""
 MAX_VERSION = 2**31 - 1
+
+
+Plain = Annotated[str, Field(pattern=r"^[^\x00]*$", max_length=300)]
 
 
 class ProcessStart(BaseModel):
@@ -20,6 +27,110 @@ class ProcessStart(BaseModel):
     key: str | None = Field(
         None, pattern=r"^[^\x00]{1,200}$", description="a second request with the same key starts no process"
     )
+
+
+class ProcessQuery(BaseModel):
+    """The filter of a list of processes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    status: TaskStatus | None = None
+    definition: Plain | None = None
+    version: int | None = Field(None, ge=1, le=MAX_VERSION)
+    key: Plain | None = Field(None, description="the business key")
+    search: Plain | None = Field(None, description="a part of the business key or of the id")
+    involves: Plain | None = Field(None, description="the URN of a person or resource that a Task involves")
+    variable: list[str] = Field(
+        default_factory=list,
+        max_length=8,
+        description="a condition on a variable: total>=100, order.customer=Acme, name~part, or a name",
+    )
+    started_since: AwareDatetime | None = Field(None, alias="startedSince")
+    started_until: AwareDatetime | None = Field(None, alias="startedUntil")
+    ended_since: AwareDatetime | None = Field(None, alias="endedSince")
+    ended_until: AwareDatetime | None = Field(None, alias="endedUntil")
+    incident: bool | None = Field(None, description="whether it has an open incident")
+    unallocated: bool | None = Field(None, description="whether an activity waits for a performer")
+    element: Plain | None = Field(
+        None, description="an element at which it waits or, with incident=true, has an incident"
+    )
+
+    def read(self) -> ProcessFilter:
+        """Return the filter; raise `Problem` 422 for a bad condition on a variable."""
+        return ProcessFilter(
+            status=None if self.status is None else self.status.value,
+            definition=self.definition,
+            version=self.version,
+            key=self.key,
+            search=self.search,
+            resource=self.involves,
+            variables=[read_condition(each) for each in self.variable],
+            started_since=_utc(self.started_since),
+            started_until=_utc(self.started_until),
+            ended_since=_utc(self.ended_since),
+            ended_until=_utc(self.ended_until),
+            has_incident=self.incident,
+            is_unallocated=self.unallocated,
+            element=self.element,
+        )
+
+
+class ProcessListQuery(ProcessQuery):
+    """A page of a list of processes."""
+
+    before: Plain | None = Field(None, description="the id of a process: return those started before it")
+    limit: int = Field(100, ge=1, le=1000)
+
+
+class EventLogQuery(ProcessQuery):
+    """The processes of an event log."""
+
+    format: Literal["xes", "csv"] = "xes"
+    limit: int = Field(1000, ge=1, le=1000, description="processes, the latest first")
+
+
+class TableQuery(BaseModel):
+    """The form of a table."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: Literal["json", "csv"] = "json"
+
+
+class PeriodQuery(TableQuery):
+    """The period of a report: whole hours, the last seven days by default, 366 days at most."""
+
+    since: AwareDatetime | None = None
+    until: AwareDatetime | None = None
+
+
+class ScopedQuery(PeriodQuery):
+    """The period of a report, and the definition that it is about."""
+
+    definition: Plain | None = None
+    version: int | None = Field(None, ge=1, le=MAX_VERSION, description="all versions if absent")
+
+
+class ElementsQuery(PeriodQuery):
+    """The definition of a report about its elements, and the period."""
+
+    definition: Plain
+    version: int | None = Field(None, ge=1, le=MAX_VERSION, description="all versions if absent")
+
+
+class ThroughputQuery(ScopedQuery):
+    """The definition, the period and the step of a report about throughput."""
+
+    step: Literal["hour", "day"] | None = Field(
+        None, description="hour for up to 92 days, or day (UTC); by default hour for up to 7 days"
+    )
+
+
+class IncidentsQuery(TableQuery):
+    """The definition of a report about open incidents."""
+
+    definition: Plain | None = None
+    version: int | None = Field(None, ge=1, le=MAX_VERSION, description="all versions if absent")
 
 
 Name = Annotated[str, Field(pattern=r"^[^\x00]*[^\x00\s][^\x00]*$", max_length=200)]
@@ -115,3 +226,7 @@ class MoveRequest(MendRequest):
     """A request to move a token."""
 
     to: str = Field(max_length=1000, description="the id of the element of the same scope to move it to")
+
+
+def _utc(moment: datetime | None) -> datetime | None:
+    return None if moment is None else moment.astimezone(UTC)

@@ -52,9 +52,10 @@ class DefinitionActivity(TypedDict):
 
 
 class DefinitionWithActivities(DefinitionView):
-    """A version of a definition with its activities, in the order of the file."""
+    """A version of a definition with its activities, in the order of the file, and who gets them now."""
 
     activities: list[DefinitionActivity]
+    allocation: list["ActivityAllocation"]
 
 
 class BpmnWarning(TypedDict):
@@ -140,6 +141,108 @@ class PeriodStatistics(ProcessCounts):
     """The statistics of a period."""
 
     medianMs: int | None
+
+
+class Durations(TypedDict):
+    """The durations of what was completed: the mean is exact, the percentiles are within 9 %."""
+
+    medianMs: int | None
+    p90Ms: int | None
+    meanMs: int | None
+
+
+class DefinitionTimes(Durations):
+    """The processes of a definition: `running` and `withIncidents` now, all others in the period."""
+
+    definition: str
+    title: str
+    running: int
+    withIncidents: int
+    started: int
+    completed: int
+    failed: int
+
+
+class ElementTimes(Durations):
+    """The Tasks of an element: `waiting`, `working` and `paused` are open now, others ended in the period.
+
+    The means of the time until a performer began, of the work and of pauses add up to the mean duration.
+    """
+
+    element: str
+    name: str
+    waiting: int
+    working: int
+    paused: int
+    completed: int
+    failed: int
+    cancelled: int
+    waitingMs: int | None
+    workingMs: int | None
+    pausedMs: int | None
+
+
+class ElementsView(TypedDict):
+    """The statistics of a definition and its elements; `version` null: of all versions."""
+
+    since: str
+    until: str
+    version: int | None
+    processes: DefinitionTimes
+    elements: list[ElementTimes]
+
+
+class ThroughputPoint(TypedDict):
+    """The processes that started and ended in an hour or on a day (UTC)."""
+
+    at: str
+    started: int
+    completed: int
+    failed: int
+
+
+class ThroughputView(TypedDict):
+    """The throughput of a period."""
+
+    since: str
+    until: str
+    points: list[ThroughputPoint]
+
+
+class CauseView(TypedDict):
+    """Open incidents with the same cause at the same element; `processes` names the latest of them."""
+
+    definition: str
+    version: int
+    title: str
+    element: str
+    name: str
+    reason: str
+    reasonCode: str | None
+    reasonParameters: dict[str, Any] | None
+    count: int
+    since: str
+    processes: list[str]
+
+
+class ResourceTimes(TypedDict):
+    """The working time of a resource, and its share of the time in which it was available.
+
+    Available is the time of its shifts, or all time, times its capacity.
+    """
+
+    resource: str
+    workingMs: int
+    availableMs: int
+    utilisation: float | None
+
+
+class ResourcesView(TypedDict):
+    """The utilisation of resources in a period, until now at most."""
+
+    since: str
+    until: str
+    resources: list[ResourceTimes]
 
 
 class Reason(TypedDict):
@@ -336,6 +439,66 @@ class MappingView(TypedDict):
     entries: list[MappedName]
 
 
+class NamedActivity(TypedDict):
+    """An activity of the latest version of a definition."""
+
+    definition: str
+    element: str
+    name: str
+
+
+class UsedNameView(TypedDict):
+    """A name in deployed definitions that the mapping can relate to a performer.
+
+    `performer` is null without an entry: then people of the tasklist get the work.
+    """
+
+    kind: NameKind
+    name: str
+    performer: str | None
+    activities: list[NamedActivity]
+
+
+class MissingSkills(TypedDict):
+    """An entry of the mapping whose role or skills no agent has."""
+
+    kind: NameKind
+    name: str
+    warning: str
+    warningCode: NotRequired[str]
+    warningParameters: NotRequired[dict[str, Any]]
+
+
+class MappingUse(TypedDict):
+    """How the mapping and the deployed definitions fit together."""
+
+    names: list[UsedNameView]
+    missing: list[MissingSkills]
+
+
+class ShiftView(TypedDict):
+    """A time of a weekday (Monday is 1) in which an agent works."""
+
+    weekday: int
+    begins: str
+    ends: str
+    zone: str
+
+
+class AgentTask(TypedDict):
+    """An open Task of an agent, and why the agent got it."""
+
+    id: str
+    process: str
+    element: str
+    name: str
+    status: TaskStatus
+    since: str
+    allocated: str | None
+    allocatedCode: NotRequired[str]
+    allocatedParameters: NotRequired[dict[str, Any]]
+
+
 class SkillView(TypedDict):
     """How well an agent has a skill."""
 
@@ -345,17 +508,23 @@ class SkillView(TypedDict):
 
 
 class AgentView(TypedDict):
-    """A Device or Person that performs Tasks; `tasks` are its open ones.
+    """A Device or Person that performs Tasks; `tasks` are its open ones, without cancelled ones.
 
-    A `capacity` of null is unlimited. `reservedBy` is the process that has reserved it.
+    A `capacity` of null is unlimited. `position` is in metres, or longitude and latitude in degrees if
+    `isGeographic`. `reservedBy` is the process that has reserved it.
     """
 
     id: str
+    isPerson: bool
     skills: dict[str, SkillView]
     roles: list[str]
     capacity: int | None
     unavailable: str | None
-    tasks: list[str]
+    isOnShift: bool
+    shifts: list[ShiftView]
+    position: list[float] | None
+    isGeographic: bool
+    tasks: list[AgentTask]
     reservedBy: str | None
 
 

@@ -202,6 +202,7 @@ class StepWriter:
             try:
                 while await self._state.on_disk(self._delete_ended, ended_before) == MAX_DELETED_PROCESSES:
                     log.info("old processes deleted", at_least=MAX_DELETED_PROCESSES)
+                await self._state.on_disk(self._state.store.delete_statistics, ended_before)
             except SQLAlchemyError as error:
                 log.warning("old processes not deleted yet", error=str(error))
             await asyncio.sleep(DELETE_EXPIRED_EVERY_S)

@@ -1,6 +1,6 @@
 """Views: definitions and processes as the REST interface returns them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, cast
 
@@ -10,7 +10,7 @@ from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
 from services.task_orchestrator.allocation.agents import UNLIMITED
-from services.task_orchestrator.allocation.allocator import Allocator
+from services.task_orchestrator.allocation.allocator import Allocator, performer_of
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.languages.native import ExpressionError
@@ -34,6 +34,7 @@ from services.task_orchestrator.records import (
 from services.task_orchestrator.references import is_reference, resource_id
 from services.task_orchestrator.responses import (
     ActView,
+    AgentTask,
     AgentView,
     Allocated,
     BpmnWarning,
@@ -44,9 +45,11 @@ from services.task_orchestrator.responses import (
     IncidentView,
     KnownReason,
     MappedName,
+    MappingUse,
     MappingView,
     MigrationOfAllView,
     MigrationView,
+    MissingSkills,
     NextActivity,
     OfferedChange,
     OfferView,
@@ -79,11 +82,16 @@ def _mapped_name(entry: MappingEntry) -> MappedName:
     return cast("MappedName", entry.model_dump(mode="json", exclude_defaults=True))
 
 
-def agent_views(allocator: Allocator) -> list[AgentView]:
+def agent_views(allocator: Allocator, tasks: Iterable[TaskRecord], now: datetime) -> list[AgentView]:
     """Return the agents with their open Tasks."""
+    by_agent: dict[str, list[AgentTask]] = {}
+    for task in tasks:
+        if task.cancelled_at is None and task.performer:
+            by_agent.setdefault(task.performer, []).append(_agent_task(task))
     return [
         {
             "id": agent.id,
+            "isPerson": agent.is_person,
             "skills": {
                 name: {"level": skill.level, "cost": skill.cost, "speed": skill.speed}
                 for name, skill in agent.skills.items()
@@ -91,13 +99,62 @@ def agent_views(allocator: Allocator) -> list[AgentView]:
             "roles": sorted(agent.roles),
             "capacity": None if agent.capacity >= UNLIMITED else agent.capacity,
             "unavailable": agent.unavailable,
-            "tasks": allocator.tasks_of(agent.id),
+            "isOnShift": agent.works_at(now),
+            "shifts": [
+                {
+                    "weekday": shift.weekday,
+                    "begins": f"{shift.begins:%H:%M}",
+                    "ends": f"{shift.ends:%H:%M}",
+                    "zone": shift.zone.key,
+                }
+                for shift in agent.shifts
+            ],
+            "position": None if agent.position is None else list(agent.position.coordinates),
+            "isGeographic": agent.position is not None and agent.position.is_geographic,
+            "tasks": by_agent.get(agent.id, []),
             "reservedBy": None
             if (hold := allocator.reservations.holding(agent.id)) is None
             else hold.holder[0],
         }
         for agent in allocator.agents.by_id.values()
     ]
+
+
+def _agent_task(task: TaskRecord) -> AgentTask:
+    return {
+        "id": task.id,
+        "process": task.process,
+        "element": task.element,
+        "name": task.name or task.element,
+        "status": task.status,
+        "since": iso(task.status_since or task.created_at),
+        **_allocated(task.allocated),
+    }
+
+
+def mapping_use(allocator: Allocator, definitions: Iterable[Definition]) -> MappingUse:
+    """Return the names in definitions with their performers, and the entries that nobody can serve."""
+    missing: list[MissingSkills] = []
+    for entry in allocator.mapping.entries:
+        warning = allocator.nobody_has(entry)
+        if warning is not None:
+            view = {"kind": entry.kind, "name": entry.name, **with_code("warning", warning)}
+            missing.append(cast("MissingSkills", view))
+    return {
+        "names": [
+            {
+                "kind": used.kind,
+                "name": used.name,
+                "performer": None if used.entry is None else performer_of(used.entry),
+                "activities": [
+                    {"definition": definition, "element": element, "name": name}
+                    for definition, element, name in used.activities
+                ],
+            }
+            for used in allocator.mapped_names(definitions)
+        ],
+        "missing": missing,
+    }
 
 
 def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> DefinitionView:

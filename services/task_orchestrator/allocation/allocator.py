@@ -118,6 +118,17 @@ class NoPerformer:
     is_final: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class UsedName:
+    """A name in definitions that an entry can map."""
+
+    kind: NameKind
+    name: str
+    entry: MappingEntry | None
+    activities: tuple[tuple[str, str, str], ...]
+    """Definition, element and drawn name of the activities that have it."""
+
+
 class Allocator:
     """The decisions of one orchestrator; `mapping` is the present version of the table."""
 
@@ -626,6 +637,31 @@ class Allocator:
                 view |= with_code("warning", assignment.warning)
             found.append(view)
         return found
+
+    def mapped_names(self, definitions: Iterable[Definition]) -> list[UsedName]:
+        """Return the names in definitions that an entry can map, with the activities that have them.
+
+        Activities whose performer the file names have none. The name of the TaskDefinition is listed only if
+        it has an entry, or if the activity has no other name.
+        """
+        found: dict[tuple[NameKind, str], list[tuple[str, str, str]]] = {}
+        for definition in definitions:
+            for element, activity in definition.activities().items():
+                if activity.involves or activity.role is not None or activity.skills:
+                    continue
+                names = list(dict.fromkeys(_names(activity, None)))
+                others = [name for name in names if name[0] is not NameKind.DEFINITION]
+                for name in names:
+                    if name in others or not others or self.mapping.find([name]) is not None:
+                        place = definition.name, element, activity.name
+                        found.setdefault(name, []).append(place)
+        return [UsedName(*name, self.mapping.find([name]), tuple(places)) for name, places in found.items()]
+
+    def nobody_has(self, entry: MappingEntry) -> Message | None:
+        """Return that no agent has the role or skills of an entry; None if one has them."""
+        if entry.resource is not None:
+            return None
+        return self._nobody_has(Request(entry.role, entry.skills or ()))
 
     def _nobody_has(self, request: Request) -> Message | None:
         if any(request.suits(agent) for agent in self.agents.by_id.values()):

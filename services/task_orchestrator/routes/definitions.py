@@ -73,11 +73,13 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         "/definitions/{name}", tags=["definitions"], responses={200: {"model": DefinitionWithActivities}}
     )
     async def definition(name: str, version: int | None = None) -> Response:
-        """Return a definition with its activities."""
+        """Return a definition with its activities, and who gets them now."""
         record = registry.record(name, version)
         await registry.prepare(record)
-        activities = activity_views(registry.plan_of(record).definition)
-        return json_response({**definition_view(registry, record), "activities": activities})
+        read = registry.plan_of(record).definition
+        allocation = orchestrator.state.allocator.report(read)
+        view = {"activities": activity_views(read), "allocation": allocation}
+        return json_response({**definition_view(registry, record), **view})
 
     @app.get(
         "/definitions/{name}/statistics",
@@ -87,7 +89,7 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     async def statistics(name: str, version: int | None = None) -> Response:
         """Return the statistics of all processes of a version (default: the latest), by activity."""
         record = registry.record(name, version)
-        counts = await orchestrator.on_disk(orchestrator.store.counts, record.name, record.version)
+        counts = await orchestrator.read(orchestrator.store.counts, record.name, record.version)
         return json_response(statistics_view(record, counts))
 
     @app.get("/definitions/{name}/bpmn", tags=["definitions"])

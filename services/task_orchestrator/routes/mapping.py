@@ -1,11 +1,12 @@
 """Routes: the mapping from names to performers, and the agents."""
 
+from contextlib import suppress
 from typing import Annotated
 
 from fastapi import FastAPI, Query, Response
 
 from handover.body_limit import max_body
-from handover.errors import Problem
+from handover.errors import HandoverError, Problem
 from handover.messages import message
 from services.task_orchestrator.allocation.mapping import MappingRequest
 from services.task_orchestrator.orchestrator import Orchestrator
@@ -14,11 +15,13 @@ from services.task_orchestrator.requests import (
 )
 from services.task_orchestrator.responses import (
     AgentView,
+    MappingUse,
     MappingView,
     json_response,
 )
 from services.task_orchestrator.views import (
     agent_views,
+    mapping_use,
     mapping_view,
 )
 
@@ -51,8 +54,24 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
 
     @app.get("/agents", tags=["allocation"], responses={200: {"model": list[AgentView]}})
     async def agents() -> Response:
-        """Return the Devices and Persons that can perform Tasks, with their skills and open Tasks."""
-        return json_response(agent_views(orchestrator.state.allocator))
+        """Return the Devices and Persons that can perform Tasks, with their skills, shifts and open Tasks."""
+        state = orchestrator.state
+        tasks = list(state.active_processes.open_tasks())
+        return json_response(agent_views(state.allocator, tasks, orchestrator.clock()))
+
+    @app.get("/mapping/names", tags=["allocation"], responses={200: {"model": MappingUse}})
+    async def names() -> Response:
+        """Return the names in the deployed definitions that the mapping can relate to performers.
+
+        `missing` are the entries whose role or skills no agent has.
+        """
+        state = orchestrator.state
+        definitions = []
+        for record in state.registry.latest():
+            await state.registry.prepare(record)
+            with suppress(HandoverError):  # a version that this release cannot read
+                definitions.append(state.registry.plan_of(record).definition)
+        return json_response(mapping_use(state.allocator, definitions))
 
     @app.put("/mapping", tags=["allocation"], responses={200: {"model": MappingView}})
     @max_body(MAX_MAPPING_BYTES)

@@ -27,7 +27,7 @@ async def process_response(at: Components, process_id: str) -> Response:
 async def process_content(at: Components, process_id: str) -> ProcessView:
     """Return a process with all details; raise `Problem` 404 if there is none."""
     store, registry = at.orchestrator.store, at.orchestrator.state.registry
-    seen = await at.orchestrator.on_disk(store.everything, at.plain_id(process_id))
+    seen = await at.orchestrator.read(store.everything, at.plain_id(process_id))
     if seen is None:
         raise Problem(
             404,

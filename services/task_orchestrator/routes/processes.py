@@ -3,17 +3,16 @@
 from datetime import UTC
 from typing import Annotated
 
-from fastapi import FastAPI, Query, Response
+from fastapi import FastAPI, Query, Request, Response
 from pydantic import AwareDatetime
 from starlette.responses import JSONResponse
 
-from datamodels.entities import TaskStatus
 from handover.body_limit import max_body
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.requests import (
     MAX_PARAMETERS_BYTES,
-    MAX_VERSION,
     CancelRequest,
+    ProcessListQuery,
     ProcessStart,
     RetryRequest,
 )
@@ -45,38 +44,19 @@ def add_processes(app: FastAPI, at: Components) -> None:
         return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})
 
     @app.get("/processes", tags=["processes"], responses={200: {"model": list[ProcessSummary]}})
-    async def processes(
-        *,
-        status: TaskStatus | None = None,
-        definition: str | None = None,
-        version: Annotated[int | None, Query(ge=1, le=MAX_VERSION)] = None,
-        search: Annotated[
-            str | None, Query(max_length=200, description="a part of the business key or of the id")
-        ] = None,
-        involves: Annotated[
-            str | None,
-            Query(max_length=300, description="the URN of a person or resource that a Task involves"),
-        ] = None,
-        before: Annotated[
-            str | None, Query(description="the id of a process: return those started before it")
-        ] = None,
-        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-    ) -> Response:
-        """Return processes, the latest first; `before` with the id of the last one returns the next page."""
-        wanted = status.value if status is not None else None
-        mark = at.plain_id(before) if before is not None else None
-        records = await orchestrator.on_disk(
-            lambda: store.page(
-                status=wanted,
-                definition=definition,
-                version=version,
-                search=search or None,
-                involves=involves,
-                before=mark,
-                limit=limit,
-            )
-        )
-        return json_response([process_summary(settings, registry, record) for record in records])
+    async def processes(query: Annotated[ProcessListQuery, Query()], request: Request) -> Response:
+        """Return processes, the latest first; `before` with the id of the last one returns the next page.
+
+        The header `Link` has the address of the next page. Conditions on variables compare numbers with
+        numbers and texts with texts.
+        """
+        mark = at.plain_id(query.before) if query.before is not None else None
+        records = await orchestrator.read(store.page, query.read(), before=mark, limit=query.limit)
+        response = json_response([process_summary(settings, registry, record) for record in records])
+        if len(records) == query.limit:
+            following = request.url.include_query_params(before=records[-1].id)
+            response.headers["Link"] = f'<{following.path}?{following.query}>; rel="next"'
+        return response
 
     @app.get("/statistics", tags=["processes"], responses={200: {"model": PeriodStatistics}})
     async def statistics(
@@ -85,7 +65,7 @@ def add_processes(app: FastAPI, at: Components) -> None:
         ],
     ) -> Response:
         """Return the number of running and ended processes since a time, and their median duration."""
-        counts = await orchestrator.on_disk(store.counts_since, since.astimezone(UTC))
+        counts = await orchestrator.read(store.counts_since, since.astimezone(UTC))
         return json_response(period_view(counts))
 
     @app.get("/processes/{process_id}", tags=["processes"], responses=PROCESS)

@@ -27,6 +27,7 @@ from services.task_orchestrator.records import (
     TaskRecord,
     Unallocated,
 )
+from services.task_orchestrator.tally import MAX_RESOURCE_LENGTH
 
 _MOMENTS = frozenset(
     {
@@ -38,6 +39,7 @@ _MOMENTS = frozenset(
         "deadline",
         "cancelled_at",
         "archived_at",
+        "status_since",
     }
 )
 _DOCUMENTS = frozenset(
@@ -104,7 +106,8 @@ def changed_process_row(process: ProcessRecord) -> dict[str, Any]:
 def task_row(task: TaskRecord) -> dict[str, Any]:
     """Return the row of a Task."""
     allocated = None if task.allocated is None else orjson.dumps(with_code("text", task.allocated)).decode()
-    return {**plain_row(task), "took_ms": task.took_ms, "allocated": allocated}
+    performer = task.performer[:MAX_RESOURCE_LENGTH] or None
+    return {**plain_row(task), "took_ms": task.took_ms, "allocated": allocated, "performer": performer}
 
 
 def message_row(message: Message) -> dict[str, Any]:
@@ -212,7 +215,7 @@ def to_process(row: Mapping[str, Any]) -> ProcessRecord:
 def to_task(row: Mapping[str, Any]) -> TaskRecord:
     """Return the record of the row of a Task."""
     values = to_values(row)
-    values.pop("took_ms")
+    del values["took_ms"], values["performer"]
     if values["allocated"] is not None:
         values["allocated"] = message_in(orjson.loads(values["allocated"]), "text")
     return TaskRecord(**{**values, "status": TaskStatus(values["status"])})

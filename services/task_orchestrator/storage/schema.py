@@ -12,6 +12,7 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    text,
 )
 
 from handover import migrations
@@ -39,23 +40,24 @@ processes = Table(
     Column("version", Integer, nullable=False),
     Column("key", String(200), unique=True),
     Column("status", String(20), nullable=False, index=True),
-    Column("parameters", Text, nullable=False),
-    Column("variables", Text, nullable=False),
     Column("waiting", Text, nullable=False),
     Column("reason", Text),
     Column("started_at", String(40), nullable=False),
     Column("ended_at", String(40)),
     Column("revision", Integer, nullable=False),
-    Column("state", LargeBinary),
     Column("incidents", Text, nullable=False, server_default="[]"),
     Column("partner", String(100)),
-    Column("acts", Text, nullable=False, server_default="[]"),
     Column("archived_at", String(40)),
     Column("reason_message", Text),
     Column("unallocated", Text, nullable=False, server_default="[]"),
     Column("retries", Text, nullable=False, server_default="[]"),
     Column("declined", Text, nullable=False, server_default="{}"),
     Column("reservations", Text, nullable=False, server_default="[]"),
+    # Large columns are last: SQLite reads a row from its beginning to the last column that it needs.
+    Column("parameters", Text, nullable=False),
+    Column("variables", Text, nullable=False),
+    Column("acts", Text, nullable=False, server_default="[]"),
+    Column("state", LargeBinary),
     Index("orchestrator_processes_started", "started_at", "id"),
     Index("orchestrator_processes_definition", "definition", "version"),
     # These keep lists of one status or definition fast, independent of the number of stored processes.
@@ -63,6 +65,16 @@ processes = Table(
     Index("orchestrator_processes_definition_started", "definition", "started_at", "id"),
     Index("orchestrator_processes_ended", "ended_at"),
     Index("orchestrator_processes_to_archive", "archived_at", "ended_at"),
+    *(
+        Index(
+            f"orchestrator_processes_{name}",
+            "started_at",
+            "id",
+            sqlite_where=text(f"{name} <> '[]'"),
+            postgresql_where=text(f"{name} <> '[]'"),
+        )
+        for name in ("incidents", "unallocated")
+    ),
 )
 tasks = Table(
     "orchestrator_tasks",
@@ -85,9 +97,51 @@ tasks = Table(
     Column("outputs", Text),
     Column("entity", Text, nullable=False),
     Column("took_ms", BigInteger),
+    Column("performer", String(300)),
+    Column("status_since", String(40)),
+    Column("working_ms", BigInteger, nullable=False, server_default="0"),
+    Column("paused_ms", BigInteger, nullable=False, server_default="0"),
     Column("allocated", Text),
     Column("chosen", Boolean, nullable=False, server_default="0"),
     Index("orchestrator_tasks_unfinished", "ended_at", "process"),
+)
+process_resources = Table(
+    "orchestrator_process_resources",
+    _meta,
+    Column("resource", String(300), primary_key=True),
+    Column("started_at", String(40), primary_key=True),
+    Column("process", String(100), primary_key=True, index=True),
+    sqlite_with_rowid=False,
+)
+"""The resources that the Tasks of a process involve, in the order in which processes are listed."""
+statistics = Table(
+    "orchestrator_statistics",
+    _meta,
+    Column("definition", String(64), primary_key=True),
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("hours", Integer, primary_key=True, autoincrement=False),
+    Column("starts", Integer, primary_key=True, autoincrement=False),
+    Column("element", String(1000), primary_key=True),
+    Column("result", String(10), primary_key=True),
+    Column("bin", Integer, primary_key=True, autoincrement=False),
+    Column("counted", BigInteger, nullable=False),
+    Column("duration_ms", BigInteger, nullable=False),
+    Column("working_ms", BigInteger, nullable=False),
+    Column("paused_ms", BigInteger, nullable=False),
+    Index("orchestrator_statistics_period", "element", "hours", "starts"),
+    sqlite_with_rowid=False,  # the rows of a period lie beside each other
+)
+"""What started and ended by hour (`hours` 1), by day (24) and by 30 days; `starts` counts from 1970."""
+resource_work = Table(
+    "orchestrator_resource_work",
+    _meta,
+    Column("hours", Integer, primary_key=True, autoincrement=False),
+    Column("starts", Integer, primary_key=True, autoincrement=False),
+    Column("resource", String(300), primary_key=True),
+    Column("definition", String(64), primary_key=True),
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("working_ms", BigInteger, nullable=False),
+    sqlite_with_rowid=False,
 )
 inbox = Table(
     "orchestrator_inbox",

@@ -16,13 +16,10 @@ from sqlalchemy import (
     delete,
     exists,
     select,
-    tuple_,
 )
 
 from datamodels.entities import TaskStatus
 from handover.database import DatabaseLock
-from handover.errors import Problem
-from handover.messages import message
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.records import (
     DefinitionRecord,
@@ -38,6 +35,9 @@ from services.task_orchestrator.records import (
 )
 from services.task_orchestrator.storage import schema
 from services.task_orchestrator.storage.counts import PeriodCount, VersionCount, count_period, count_version
+from services.task_orchestrator.storage.process_filter import EVERY_PROCESS, ProcessFilter, processes_page
+from services.task_orchestrator.storage.reports import Reports
+from services.task_orchestrator.storage.rollups import delete_rollups
 from services.task_orchestrator.storage.rows import (
     as_column,
     to_moment,
@@ -48,6 +48,7 @@ from services.task_orchestrator.storage.rows import (
     to_values,
 )
 from services.task_orchestrator.storage.transaction import in_parts, write_step
+from services.task_orchestrator.tally import hour_of
 
 _NOT_LISTED = {"state": None, "parameters": "{}", "variables": "{}", "acts": "[]"}
 """Columns that lists of processes do not show, with what stands for them."""
@@ -70,11 +71,12 @@ class EndedTask:
 
 
 class Store:
-    """Durable state. Every method blocks; only one thread may use it at a time."""
+    """Durable state. Every method blocks; one thread writes, and others may read meanwhile."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self.lock = DatabaseLock(engine, "handover task orchestrator")
+        self.reports = Reports(engine)
 
     def migrate(self) -> None:
         """Bring the tables to the version of this release; raise `UsageError` if that is not possible."""
@@ -114,8 +116,15 @@ class Store:
             theirs = select(tasks.c.id).where(tasks.c.process.in_(ids))
             connection.execute(delete(schema.inbox).where(schema.inbox.c.task.in_(theirs)))
             connection.execute(delete(tasks).where(tasks.c.process.in_(ids)))
+            resources = schema.process_resources
+            connection.execute(delete(resources).where(resources.c.process.in_(ids)))
             connection.execute(delete(processes).where(processes.c.id.in_(ids)))
         return len(ids)
+
+    def delete_statistics(self, before: datetime) -> None:
+        """Delete the counts of the hours that ended before a time."""
+        with self._engine.begin() as connection:
+            delete_rollups(connection, hour_of(before))
 
     def definitions(self) -> list[DefinitionRecord]:
         """Return all versions of all definitions, oldest first."""
@@ -151,54 +160,34 @@ class Store:
         return [to_process(row) for row in self._rows(statement)]
 
     def page(
-        self,
-        *,
-        status: str | None = None,
-        definition: str | None = None,
-        version: int | None = None,
-        search: str | None = None,
-        involves: str | None = None,
-        before: str | None = None,
-        limit: int | None = None,
+        self, wanted: ProcessFilter = EVERY_PROCESS, *, before: str | None = None, limit: int | None = None
     ) -> list[ProcessRecord]:
         """Return processes without the engine's state, variables and acts, the latest first.
 
-        `search` is a part of the business key or of the id, case-insensitive; `involves` the URN of a
-        person or a resource that a Task of the process involves. `before` is the id of a process: only those
-        started before it are returned. Raises `Problem` 404 for an unknown one.
+        `before` is the id of a process: only those started before it are returned. Raises `Problem` 404 for
+        an unknown one.
         """
-        table = schema.processes.c
         shown = [column for column in schema.processes.c if column.name not in _NOT_LISTED]
-        statement = select(*shown).order_by(table.started_at.desc(), table.id.desc()).limit(limit)
-        if status is not None:
-            statement = statement.where(table.status == status)
-        if definition is not None:
-            statement = statement.where(table.definition == definition)
-        if version is not None:
-            statement = statement.where(table.version == version)
-        if search is not None:
-            statement = statement.where(
-                table.key.icontains(search, autoescape=True) | table.id.icontains(search, autoescape=True)
-            )
-        if involves is not None:
-            quoted = orjson.dumps(involves).decode()
-            theirs = schema.tasks.c.entity.contains(f'"object":{quoted}', autoescape=True)
-            statement = statement.where(table.id.in_(select(schema.tasks.c.process).where(theirs)))
-        if before is not None:
-            mark = list(self._rows(select(table.started_at).where(table.id == before)))
-            if not mark:
-                raise Problem(
-                    404,
-                    "No such process",
-                    message(
-                        "process.unknown_mark",
-                        'there is no process "{before}" to come before',
-                        before=before,
-                    ),
-                )
-            began = mark[0]["started_at"]
-            statement = statement.where(tuple_(table.started_at, table.id) < tuple_(began, before))
-        return [to_process({**row, **_NOT_LISTED}) for row in self._rows(statement)]
+        with self._engine.connect() as connection:
+            statement = processes_page(connection, shown, wanted, before=before, limit=limit)
+            rows = [dict(row) for row in connection.execute(statement).mappings().all()]
+        return [to_process({**row, **_NOT_LISTED}) for row in rows]
+
+    def histories(
+        self, wanted: ProcessFilter, limit: int
+    ) -> list[tuple[ProcessRecord, list[TaskRecord], list[Move]]]:
+        """Return processes with their Tasks and the changes of these, the latest first."""
+        records = self.page(wanted, limit=limit)
+        ids = [record.id for record in records]
+        tasks: dict[str, list[TaskRecord]] = {}
+        for some in in_parts(ids):
+            for task in self._tasks_of(schema.tasks.c.process.in_(some)):
+                tasks.setdefault(task.process, []).append(task)
+        moves: dict[str, list[Move]] = {}
+        for some in in_parts(ids):
+            for process, move in self._moves_of(schema.tasks.c.process.in_(some)):
+                moves.setdefault(process, []).append(move)
+        return [(record, tasks.get(record.id, []), moves.get(record.id, [])) for record in records]
 
     def unfinished(self) -> list[ProcessRecord]:
         """Return the processes that have not ended or still have Tasks that have not."""
@@ -292,28 +281,35 @@ class Store:
 
     def tasks(self, process: str) -> list[TaskRecord]:
         """Return the Tasks of a process in the order of their creation."""
-        statement = (
-            select(schema.tasks)
-            .where(schema.tasks.c.process == process)
-            .order_by(schema.tasks.c.created_at, schema.tasks.c.id)
-        )
-        return [to_task(row) for row in self._rows(statement)]
+        return self._tasks_of(schema.tasks.c.process == process)
 
     def moves(self, process: str) -> list[Move]:
         """Return the changes of the Tasks of a process, in order."""
+        return [move for _, move in self._moves_of(schema.tasks.c.process == process)]
+
+    def _tasks_of(self, condition: ColumnElement[bool]) -> list[TaskRecord]:
+        statement = select(schema.tasks).where(condition)
+        rows = self._rows(statement.order_by(schema.tasks.c.created_at, schema.tasks.c.id))
+        return [to_task(row) for row in rows]
+
+    def _moves_of(self, condition: ColumnElement[bool]) -> list[tuple[str, Move]]:
+        """Return changes of Tasks, each with the process."""
         statement = (
-            select(schema.inbox)
+            select(schema.inbox, schema.tasks.c.process)
             .join(schema.tasks, schema.tasks.c.id == schema.inbox.c.task)
-            .where(schema.tasks.c.process == process)
+            .where(condition)
             .order_by(schema.inbox.c.task, schema.inbox.c.nth)
         )
         return [
-            Move(
-                r["task"],
-                r["nth"],
-                TaskStatus(r["status"]),
-                to_moment(r["observed_at"]),
-                to_time(r["received_at"]),
+            (
+                r["process"],
+                Move(
+                    r["task"],
+                    r["nth"],
+                    TaskStatus(r["status"]),
+                    to_moment(r["observed_at"]),
+                    to_time(r["received_at"]),
+                ),
             )
             for r in self._rows(statement)
         ]

@@ -14,6 +14,7 @@ from sqlalchemy import (
     tuple_,
     update,
 )
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.exc import IntegrityError
 
 from handover.errors import HandoverError
@@ -23,6 +24,7 @@ from services.task_orchestrator.records import (
     Step,
 )
 from services.task_orchestrator.storage import schema
+from services.task_orchestrator.storage.rollups import write_tally
 from services.task_orchestrator.storage.rows import (
     CONSTANT_COLUMNS,
     as_column,
@@ -34,10 +36,12 @@ from services.task_orchestrator.storage.rows import (
     process_row,
     task_row,
 )
+from services.task_orchestrator.tally import MAX_RESOURCE_LENGTH
 
 _CHANGING = (
     *("element", "name", "status", "observed_at", "moves", "ended_at", "cancelled_at"),
     *("alerted", "lost", "outputs"),
+    *("status_since", "working_ms", "paused_ms"),
 )
 """Columns of a Task that change."""
 _UPDATE_PROCESS = (
@@ -54,6 +58,10 @@ _UPDATE_TASK = (
 )
 
 
+_INSERT_RESOURCES = {
+    "sqlite": sqlite.insert(schema.process_resources).on_conflict_do_nothing(),
+    "postgresql": postgresql.insert(schema.process_resources).on_conflict_do_nothing(),
+}
 MAX_IDS = 500
 """Parameters of one statement: databases limit them."""
 
@@ -71,6 +79,8 @@ def write_step(connection: Connection, step: Step) -> None:
     _insert(connection, schema.mappings, [mapping_row(table) for table in step.mappings])
     _write_processes(connection, step)
     _write_tasks(connection, step)
+    _write_resources(connection, step)
+    write_tally(connection, step.tally)
     _insert(connection, schema.inbox, [plain_row(move) for move in step.moves])
     for definition, starts in step.start_timers.items():
         table = schema.start_timers
@@ -180,6 +190,23 @@ def _write_tasks(connection: Connection, step: Step) -> None:
     ]
     if changed:
         connection.execute(_UPDATE_TASK, changed)
+
+
+def _write_resources(connection: Connection, step: Step) -> None:
+    """Write which resources the new Tasks of processes involve."""
+    found: dict[tuple[str, str], None] = {}
+    for task in step.tasks.values():
+        if task.id in step.new:
+            for resource in task.involved:
+                found[task.process, resource[:MAX_RESOURCE_LENGTH]] = None
+    started = {process: as_column(record.started_at) for process, record in step.processes.items()}
+    rows = [
+        {"process": process, "resource": resource, "started_at": started[process]}
+        for process, resource in found
+        if process in started
+    ]
+    if rows:
+        connection.execute(_INSERT_RESOURCES[connection.dialect.name], rows)
 
 
 def _insert(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -16,6 +16,7 @@ from handover.errors import Problem
 from services.task_orchestrator.orchestrator import Orchestrator, utc_now
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.storage.process_filter import ProcessFilter
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
     activity,
@@ -225,7 +226,7 @@ async def test_a_hundred_changes_at_once_are_all_applied_and_written(orchestrato
     )
     assert received == [1] * 100
     assert orchestrator.state.active_processes.processes == {}
-    records = await orchestrator.on_disk(lambda: orchestrator.store.page(status="completed"))
+    records = await orchestrator.read(orchestrator.store.page, ProcessFilter(status="completed"))
     assert {record.id for record in records} == set(processes)
 
 

@@ -7,7 +7,8 @@ from typing import Any
 
 from lxml import etree
 
-from handover.cli.exporters import COLUMNS, XES, csv_of, json_of, xes_of
+from handover.cli.exporters import csv_of, json_of, xes_of
+from handover.event_log import TASK_COLUMNS, XES
 
 TASK: dict[str, Any] = {
     "id": "urn:ngsi-ld:Task:demo:1",
@@ -26,7 +27,7 @@ PROCESS = {"id": "p-1", "tasks": [TASK]}
 
 def test_csv_has_a_line_for_each_task() -> None:
     header, line = csv.reader(io.StringIO(csv_of(PROCESS).decode("utf-8-sig")))
-    assert header == list(COLUMNS)
+    assert header == list(TASK_COLUMNS)
     values = dict(zip(header, line, strict=True))
     assert values["process"] == "p-1"
     assert values["performer"] == "urn:ngsi-ld:Device:demo:glove-1"

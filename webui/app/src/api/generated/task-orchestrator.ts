@@ -41,6 +41,40 @@ export interface ActivityAllocation {
   warningParameters?: Record<string, unknown>;
 }
 
+/** An open Task of an agent, and why the agent got it. */
+export interface AgentTask {
+  id: string;
+  process: string;
+  element: string;
+  name: string;
+  status: TaskStatus;
+  since: string;
+  allocated: string | null;
+  allocatedCode?: string;
+  allocatedParameters?: Record<string, unknown>;
+}
+
+/**
+ * A Device or Person that performs Tasks; `tasks` are its open ones, without cancelled ones.
+ *
+ * A `capacity` of null is unlimited. `position` is in metres, or longitude and latitude in degrees if
+ * `isGeographic`. `reservedBy` is the process that has reserved it.
+ */
+export interface AgentView {
+  id: string;
+  isPerson: boolean;
+  skills: Record<string, SkillView>;
+  roles: string[];
+  capacity: number | null;
+  unavailable: string | null;
+  isOnShift: boolean;
+  shifts: ShiftView[];
+  position: number[] | null;
+  isGeographic: boolean;
+  tasks: AgentTask[];
+  reservedBy: string | null;
+}
+
 /** A part of a BPMN file that has no effect; the page translates `message` by its code and parameters. */
 export interface BpmnWarning {
   element: string | null;
@@ -54,6 +88,21 @@ export interface BpmnWarning {
 /** A request to cancel a process. */
 export interface CancelRequest {
   by?: string | null;
+}
+
+/** Open incidents with the same cause at the same element; `processes` names the latest of them. */
+export interface CauseView {
+  definition: string;
+  version: number;
+  title: string;
+  element: string;
+  name: string;
+  reason: string;
+  reasonCode: string | null;
+  reasonParameters: Record<string, unknown> | null;
+  count: number;
+  since: string;
+  processes: string[];
 }
 
 /** A definition of a checked file; `created` is false if this version is deployed already. */
@@ -80,6 +129,20 @@ export interface DefinitionParameter {
   default: unknown;
 }
 
+/** The processes of a definition: `running` and `withIncidents` now, all others in the period. */
+export interface DefinitionTimes {
+  medianMs: number | null;
+  p90Ms: number | null;
+  meanMs: number | null;
+  definition: string;
+  title: string;
+  running: number;
+  withIncidents: number;
+  started: number;
+  completed: number;
+  failed: number;
+}
+
 /** A version of a definition; `unusable` is the reason why this release cannot run it. */
 export interface DefinitionView {
   name: string;
@@ -91,7 +154,7 @@ export interface DefinitionView {
   unusable?: string;
 }
 
-/** A version of a definition with its activities, in the order of the file. */
+/** A version of a definition with its activities, in the order of the file, and who gets them now. */
 export interface DefinitionWithActivities {
   name: string;
   version: number;
@@ -101,6 +164,7 @@ export interface DefinitionWithActivities {
   parameters: DefinitionParameter[];
   unusable?: string;
   activities: DefinitionActivity[];
+  allocation: ActivityAllocation[];
 }
 
 /** The definitions of a deployed file; the first of them is also the response itself. */
@@ -135,6 +199,37 @@ export interface ElementCounts {
   failed: number;
   lastMs: number | null;
   medianMs: number | null;
+}
+
+/**
+ * The Tasks of an element: `waiting`, `working` and `paused` are open now, others ended in the period.
+ *
+ * The means of the time until a performer began, of the work and of pauses add up to the mean duration.
+ */
+export interface ElementTimes {
+  medianMs: number | null;
+  p90Ms: number | null;
+  meanMs: number | null;
+  element: string;
+  name: string;
+  waiting: number;
+  working: number;
+  paused: number;
+  completed: number;
+  failed: number;
+  cancelled: number;
+  waitingMs: number | null;
+  workingMs: number | null;
+  pausedMs: number | null;
+}
+
+/** The statistics of a definition and its elements; `version` null: of all versions. */
+export interface ElementsView {
+  since: string;
+  until: string;
+  version: number | null;
+  processes: DefinitionTimes;
+  elements: ElementTimes[];
 }
 
 /**
@@ -182,6 +277,12 @@ export interface MappingRequest {
   why?: string | null;
   version?: number | null;
   entries: MappingEntry[];
+}
+
+/** How the mapping and the deployed definitions fit together. */
+export interface MappingUse {
+  names: UsedNameView[];
+  missing: MissingSkills[];
 }
 
 /** A version of the mapping; nobody has verified the name `by` while `verified` is false. */
@@ -262,6 +363,15 @@ export interface MigrationView {
   findings: MigrationFinding[];
 }
 
+/** An entry of the mapping whose role or skills no agent has. */
+export interface MissingSkills {
+  kind: NameKind;
+  name: string;
+  warning: string;
+  warningCode?: string;
+  warningParameters?: Record<string, unknown>;
+}
+
 /** A request to move a token. */
 export interface MoveRequest {
   by: string;
@@ -272,6 +382,13 @@ export interface MoveRequest {
 
 /** The kinds of names that an entry can map; the first that matches an activity decides. */
 export type NameKind = "definition" | "class" | "topic" | "jobType" | "assignee" | "candidateGroup" | "lane";
+
+/** An activity of the latest version of a definition. */
+export interface NamedActivity {
+  definition: string;
+  element: string;
+  name: string;
+}
 
 /** An activity that may follow; `involves` has the URNs of the resources that are known. */
 export interface NextActivity {
@@ -395,6 +512,25 @@ export interface ReservationView {
   isShared: boolean;
 }
 
+/**
+ * The working time of a resource, and its share of the time in which it was available.
+ *
+ * Available is the time of its shifts, or all time, times its capacity.
+ */
+export interface ResourceTimes {
+  resource: string;
+  workingMs: number;
+  availableMs: number;
+  utilisation: number | null;
+}
+
+/** The utilisation of resources in a period, until now at most. */
+export interface ResourcesView {
+  since: string;
+  until: string;
+  resources: ResourceTimes[];
+}
+
 /** A request to retry a failed Task. */
 export interface RetryRequest {
   by: string;
@@ -416,6 +552,21 @@ export interface RetryView {
   failed: number;
   attempts: number;
   due: string;
+}
+
+/** A time of a weekday (Monday is 1) in which an agent works. */
+export interface ShiftView {
+  weekday: number;
+  begins: string;
+  ends: string;
+  zone: string;
+}
+
+/** How well an agent has a skill. */
+export interface SkillView {
+  level: number;
+  cost: number;
+  speed: number;
 }
 
 /** A status of a Task, and when it was reached. */
@@ -451,6 +602,21 @@ export interface TaskView {
   history: StatusChange[];
 }
 
+/** The processes that started and ended in an hour or on a day (UTC). */
+export interface ThroughputPoint {
+  at: string;
+  started: number;
+  completed: number;
+  failed: number;
+}
+
+/** The throughput of a period. */
+export interface ThroughputView {
+  since: string;
+  until: string;
+  points: ThroughputPoint[];
+}
+
 /** An open activity without a Task, because no performer can take it now. */
 export interface UnallocatedView {
   reason: string;
@@ -460,6 +626,18 @@ export interface UnallocatedView {
   element: string;
   name: string;
   since: string;
+}
+
+/**
+ * A name in deployed definitions that the mapping can relate to a performer.
+ *
+ * `performer` is null without an entry: then people of the tasklist get the work.
+ */
+export interface UsedNameView {
+  kind: NameKind;
+  name: string;
+  performer: string | null;
+  activities: NamedActivity[];
 }
 
 /** The statistics of a version. */
