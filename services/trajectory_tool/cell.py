@@ -9,6 +9,7 @@ from services.trajectory_tool.camera import Camera
 from services.trajectory_tool.contents import Contents, Lying, initial
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
 from services.trajectory_tool.memory import Act, Memory, MemoryFile
+from services.trajectory_tool.motion import MotionPlanning
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, Robot
 from services.trajectory_tool.robot_model import RobotModel
@@ -37,6 +38,7 @@ class Cell:
         self.limits = settings.limits_of(self.model.limits)
         self.scene = scene = load(settings.scene_file, self.model)
         self.home = scene.home_of(self.model)
+        self.planning = MotionPlanning(self.model, self.limits, scene)
         self._digest = scene.digest(self.model.joint_names)
         self.file = MemoryFile(settings.data_dir / "trajectory_tool" / f"{settings.robot_id}.json")
         self.camera = Camera(settings.detection_rate, settings.scan_seed)

@@ -13,7 +13,7 @@ from handover.performer import TaskFailed
 from services.trajectory_tool import parameters as given
 from services.trajectory_tool.metrics import SCANS
 from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.robot import Joints, Unreachable
+from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 from services.trajectory_tool.work import Work
 
 Result = dict[str, Any]
@@ -51,7 +51,16 @@ async def move_to(work: Work, asked: given.MoveTo) -> Result:
             ) from None
     target = asked.pose
     assert target is not None  # noqa: S101 - MoveTo has one or the other
-    return await _move(work, _reach(work, target.pose, work.cell.joints, 'parameter "pose" of moveTo'))
+    return await _move(work, await _reach(work, target.pose, work.cell.joints, 'parameter "pose" of moveTo'))
+
+
+async def move_linear(work: Work, request: given.MoveLinear) -> Result:
+    """Move the tool on a straight line to a pose."""
+    await work.go_straight(request.pose.pose, request.tool_speed)
+    return {
+        "joints": [round(angle, 6) for angle in work.cell.joints],
+        "pose": work.cell.tool_pose.written(),
+    }
 
 
 async def scan(work: Work, request: given.Scan) -> Result:
@@ -60,7 +69,7 @@ async def scan(work: Work, request: given.Scan) -> Result:
     if request.bin not in cell.scene.bins:
         raise TaskFailed(_unknown_bin("scan", request.bin, cell.scene.bins))
     seen_bin = cell.scene.bins[request.bin]
-    view = _reach(work, seen_bin.view.pose, cell.joints, f"the view of {request.bin}")
+    view = await _reach(work, seen_bin.view.pose, cell.joints, f"the view of {request.bin}")
     work.intend(view, seen_bin.looks_for_s)
     await work.go(view)
     await work.wait(seen_bin.looks_for_s)
@@ -83,18 +92,18 @@ async def pick(work: Work, request: given.Pick) -> Result:
     if cell.held is not None:
         return await _already_picked(work, request, cell.held)
     spot = _where_to_pick(work, request)
-    above, at = _from_above(work, spot, "the part")
+    above, at = await _from_above(work, spot, "the part")
     if cell.robot.gripper_closed:
         await work.release(None)
     work.intend(above, at, cell.scene.gripper.acts_in_s, above)
     await work.go(above)
-    await work.go(at)
+    await _go_near(work, spot, at)
     before = cell.contents
     part = await work.grip()
     if part is not None and request.part not in {None, part}:
         lay = before.find(part)
         await work.release(lay.place if lay else None)
-        await work.go(above)
+        await _go_near(work, _above(work, spot), above)
         raise TaskFailed(
             message(
                 "robot.other_part_there",
@@ -105,7 +114,7 @@ async def pick(work: Work, request: given.Pick) -> Result:
                 asked=request.part,
             )
         )
-    await work.go(above)
+    await _go_near(work, _above(work, spot), above)
     if part is None:
         raise TaskFailed(
             message(
@@ -124,17 +133,18 @@ async def place(work: Work, request: given.Place) -> Result:
         return await _already_placed(work)
     part = cell.held
     spot = _where_to_place(work, request)
-    above, at = _from_above(work, spot, "the place")
+    above, at = await _from_above(work, spot, "the place")
     work.intend(above, at, cell.scene.gripper.acts_in_s, above)
     await work.go(above)
-    await work.go(at)
+    await _go_near(work, spot, at)
     await work.release(request.location)
-    await work.go(above)
+    await _go_near(work, _above(work, spot), above)
     return _placed(part, request.location, spot)
 
 
 OPERATIONS: Mapping[str, Operation] = {
     "moveTo": Operation(given.MoveTo, move_to),
+    "moveLinear": Operation(given.MoveLinear, move_linear),
     "scan": Operation(given.Scan, scan),
     "pick": Operation(given.Pick, pick),
     "place": Operation(given.Place, place),
@@ -192,9 +202,10 @@ async def _leave(work: Work) -> None:
     act = cell.last_act
     if act is None or cell.tool_pose.distance_m(act.pose) > AT_THE_SPOT_M:
         return
-    above = _reach(work, act.pose.raised(cell.scene.gripper.approach_m), cell.joints, "the way up")
+    raised = _above(work, act.pose)
+    above = await _reach(work, raised, cell.joints, "the way up")
     work.intend(above)
-    await work.go(above)
+    await _go_near(work, raised, above)
 
 
 def _where_to_pick(work: Work, request: given.Pick) -> Pose:
@@ -260,15 +271,42 @@ def _where_to_place(work: Work, request: given.Place) -> Pose:
     return nest
 
 
-def _from_above(work: Work, spot: Pose, what: str) -> tuple[Joints, Joints]:
-    above = _reach(work, spot.raised(work.cell.scene.gripper.approach_m), work.cell.joints, f"above {what}")
-    return above, _reach(work, spot, above, what)
-
-
-def _reach(work: Work, pose: Pose, near: Joints, what: str) -> Joints:
+async def _from_above(work: Work, spot: Pose, what: str) -> tuple[Joints, Joints]:
+    """Return joints above a spot and at it; in a cell with obstacles, a straight motion connects them."""
+    cell = work.cell
+    if not cell.planning.avoids_obstacles:
+        above = await _reach(work, _above(work, spot), cell.joints, f"above {what}")
+        return above, await _reach(work, spot, above, what)
     try:
-        return work.cell.model.reach(pose, near)
-    except Unreachable as why:
+        there, down = await cell.planning.plan(
+            cell.held, lambda planner: planner.approach(cell.joints, _above(work, spot), spot)
+        )
+    except (Unreachable, NoPath) as why:
+        raise TaskFailed(
+            message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))
+        ) from None
+    return there.target, down.target
+
+
+def _above(work: Work, spot: Pose) -> Pose:
+    return spot.raised(work.cell.scene.gripper.approach_m)
+
+
+async def _go_near(work: Work, pose: Pose, joints: Joints) -> None:
+    """Move to or from a part: straight where obstacles are known, else to `joints`."""
+    if work.cell.planning.avoids_obstacles:
+        await work.go_straight(pose)
+    else:
+        await work.go(joints)
+
+
+async def _reach(work: Work, pose: Pose, near: Joints, what: str) -> Joints:
+    cell = work.cell
+    try:
+        if cell.planning.avoids_obstacles:
+            return await cell.planning.plan(cell.held, lambda planner: planner.nearest_free(pose, near))
+        return cell.model.reach(pose, near)
+    except (Unreachable, NoPath) as why:
         raise TaskFailed(
             message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))
         ) from None

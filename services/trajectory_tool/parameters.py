@@ -86,6 +86,15 @@ class MoveTo(Home):
         return self
 
 
+class MoveLinear(Home):
+    """Move the tool on a straight line to a pose; `toolSpeed` limits its speed in m/s."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    pose: GivenPose
+    tool_speed: Annotated[Number | None, Field(gt=0, le=5, alias="toolSpeed")] = None
+
+
 class Scan(Home):
     """Look for a part in a bin."""
 

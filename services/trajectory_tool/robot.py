@@ -10,9 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 from handover.errors import HandoverError
+from handover.messages import message
 
 if TYPE_CHECKING:  # the settings import this module, and with them each command
     from fastapi import FastAPI
+
+    from services.trajectory_tool.joint_trajectory import JointTrajectory
 
 Joints = tuple[float, ...]
 """The joint positions of a robot from its base to its flange: rad, for prismatic joints m."""
@@ -24,6 +27,10 @@ class RobotFault(HandoverError):
 
 class Unreachable(HandoverError):
     """The robot cannot reach a pose or a joint position; the message has the distance or the limit."""
+
+
+class NoPath(HandoverError):
+    """Something is in the way; the message names what would touch, or that no way was found in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +72,21 @@ class Robot(ABC):
         Once it returns False, the joints stop within their limits and False is returned; call again to
         continue. Raises `RobotFault`.
         """
+
+    async def follow(self, trajectory: "JointTrajectory", may_go: Callable[[], bool]) -> bool:  # noqa: ARG002
+        """Follow a planned trajectory from the present joints, with pauses as for `move`.
+
+        A stop stays on the path of the trajectory. Raises `RobotFault`, also if the driver only moves on
+        straight lines in joint space.
+        """
+        raise RobotFault(
+            message(
+                "robot.driver_cannot_follow",
+                "the driver {driver} cannot follow planned motions; use another driver, or a scene "
+                "without obstacles",
+                driver=type(self).__name__,
+            )
+        )
 
     @abstractmethod
     async def close_gripper(self) -> bool:

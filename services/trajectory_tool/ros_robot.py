@@ -23,6 +23,7 @@ from handover.notifications import NotificationReceiver
 from handover.resync import Resync
 from handover.telemetry import get_logger
 from services.trajectory_tool.drivers import RobotContext
+from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.metrics import MOTION_SECONDS
 from services.trajectory_tool.orders import Ended, Orders
 from services.trajectory_tool.robot import Joints, JointState, Robot, RobotFault
@@ -35,6 +36,8 @@ MAX_AGE_S = 15.0
 JOINTS_TIMEOUT_S = 10.0
 STEP_S, MAX_POINTS = 0.1, 200
 """A trajectory has a point every 100 ms, and no more than 200."""
+START_TOLERANCE_RAD = 0.02
+"""A planned motion starts only from joints this near to its start."""
 CHECK_EVERY_S = 0.02
 STILL_S, STILL_RAD, STILL_RAD_S = 0.3, 0.003, 0.02
 """An arm is at rest when its joints turn slower, or have turned no further for 0.3 s."""
@@ -132,13 +135,40 @@ class RosRobot(Robot):
         start = await self._current_joints()
         cruise = self._limits.slowed(speed)
         course = Course(start, target, cruise, self._limits, began_s=0.0)
-        planned_s = course.remaining_s(0.0)
-        if planned_s == 0.0:
+        return await self._execute(start, target, course.at, course.remaining_s(0.0), may_go)
+
+    async def follow(self, trajectory: JointTrajectory, may_go: Callable[[], bool]) -> bool:
+        """Have the arm follow a planned trajectory; see `Robot.follow`."""
+        start = await self._current_joints()
+        away_rad = max(abs(a - b) for a, b in zip(start, trajectory.start, strict=True))
+        if away_rad > START_TOLERANCE_RAD:
+            raise RobotFault(
+                message(
+                    "robot.moved_since_planned",
+                    "{arm} has moved by {angle} rad since the motion was planned; send the Task again",
+                    arm=self.arm,
+                    angle=f"{away_rad:.3f}",
+                )
+            )
+        return await self._execute(start, trajectory.target, trajectory.at, trajectory.duration_s, may_go)
+
+    async def _execute(
+        self,
+        start: Joints,
+        target: Joints,
+        at: Callable[[float], Setpoint],
+        planned_s: float,
+        may_go: Callable[[], bool],
+    ) -> bool:
+        if planned_s == 0.0 or start == target:
             return True
         if not may_go():
             return False
         order = await self._orders.give(
-            "followTrajectory", jointNames=list(self._joint_names), points=points(course), durationS=planned_s
+            "followTrajectory",
+            jointNames=list(self._joint_names),
+            points=points(at, planned_s),
+            durationS=planned_s,
         )
         began_s = time.monotonic()
         self._motion = _Motion(start, target, planned_s)
@@ -346,17 +376,16 @@ class RosRobot(Robot):
         return self._receiver.endpoint(self._notify_url)
 
 
-def points(course: Course) -> list[dict[str, Any]]:
-    """Return the points of a trajectory for a controller; the last one is at rest at the target.
+def points(at: Callable[[float], Setpoint], whole_s: float) -> list[dict[str, Any]]:
+    """Return the points of a trajectory for a controller; the last one, after `whole_s`, is at rest.
 
     Each has `positions` in rad, `velocities` in rad/s, `accelerations` in rad/s^2 and `time_from_start`.
     """
-    whole_s = course.remaining_s(0.0)
     count = min(max(math.ceil(whole_s / STEP_S), 1), MAX_POINTS)
     points = []
     for number in range(1, count + 1):
         at_s = whole_s * number / count
-        setpoint: Setpoint = course.at(at_s)
+        setpoint = at(at_s)
         points.append(
             {
                 "positions": [round(value, 6) for value in setpoint.positions],

@@ -8,18 +8,20 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from handover.errors import UsageError
+from services.trajectory_tool.obstacles import Box, Cylinder, Mesh, Obstacle, Shape, Sphere
 from services.trajectory_tool.poses import Pose, pointing_down
 from services.trajectory_tool.robot import Joints, Unreachable
 from services.trajectory_tool.robot_model import RobotModel
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
 Length = Annotated[FiniteFloat, Field(gt=0, le=1)]
+Size = Annotated[FiniteFloat, Field(gt=0, le=20)]
 
 
 class _Written(BaseModel):
@@ -44,6 +46,78 @@ class Gripper(_Written):
     opening_m: Length = 0.02
     acts_in_s: Annotated[FiniteFloat, Field(ge=0, le=10)] = 0.3
     approach_m: Length = 0.15
+    part_size_m: tuple[Length, Length, Length] | None = None
+    """The size of a held part along the axes of the tool, for the check of collisions."""
+
+
+class Placed(_Written):
+    """Where a shape is, by its middle."""
+
+    position: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+    yaw_deg: FiniteFloat = 0.0
+
+    @property
+    def pose(self) -> Pose:
+        """Return the pose of the shape, upright."""
+        half = math.radians(self.yaw_deg) / 2
+        return Pose(self.position, (0.0, 0.0, math.sin(half), math.cos(half)))
+
+
+class RoundShape(_Written):
+    """A cylinder along z, in m."""
+
+    radius: Size
+    length: Size
+
+
+class Thing(Placed):
+    """An obstacle: a box by its lengths, a cylinder, a sphere by its radius, or the hull of a mesh file."""
+
+    box: tuple[Size, Size, Size] | None = None
+    cylinder: RoundShape | None = None
+    sphere: Size | None = None
+    mesh: Path | None = None
+    scale: Size = 1.0
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Self:
+        if sum(shape is not None for shape in (self.box, self.cylinder, self.sphere, self.mesh)) != 1:
+            raise ValueError('needs one of "box", "cylinder", "sphere" and "mesh"')
+        return self
+
+    def obstacle(self, name: str, folder: Path) -> Obstacle:
+        """Return the obstacle; a mesh file is looked for in `folder`."""
+        shape: Shape
+        if self.box is not None:
+            shape = Box(self.box)
+        elif self.cylinder is not None:
+            shape = Cylinder(self.cylinder.radius, self.cylinder.length)
+        elif self.sphere is not None:
+            shape = Sphere(self.sphere)
+        else:
+            shape = Mesh(folder / (self.mesh or ""), (self.scale,) * 3)
+        return Obstacle(name, shape, self.pose)
+
+
+class OpenBox(Placed):
+    """A box without a lid, for a bin: `position` is the middle of its bottom, `size` is outside."""
+
+    size: tuple[Size, Size, Size]
+    wall_m: Length = 0.012
+
+    def obstacles(self, name: str) -> Iterator[Obstacle]:
+        """Yield the bottom and the four walls."""
+        (width, depth, height), wall = self.size, self.wall_m
+        frame = self.pose.frame()
+        for size, at in (
+            ((width, depth, wall), (0.0, 0.0, wall / 2)),
+            ((width, wall, height), (0.0, (wall - depth) / 2, height / 2)),
+            ((width, wall, height), (0.0, (depth - wall) / 2, height / 2)),
+            ((wall, depth, height), ((wall - width) / 2, 0.0, height / 2)),
+            ((wall, depth, height), ((width - wall) / 2, 0.0, height / 2)),
+        ):
+            placed = frame @ Pose(at, (0.0, 0.0, 0.0, 1.0)).frame()
+            yield Obstacle(name, Box(size), Pose.of(placed))
 
 
 class Bin(_Written):
@@ -52,6 +126,7 @@ class Bin(_Written):
     view: Spot
     looks_for_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = 0.5
     refilled: bool = False
+    walls: OpenBox | None = None
     parts: tuple[Spot, ...] = ()
 
 
@@ -60,6 +135,7 @@ class Fixture(_Written):
 
     nests: Annotated[tuple[Spot, ...], Field(min_length=1)]
     emptied: bool = False
+    body: Thing | None = None
 
 
 class Scene(_Written):
@@ -70,6 +146,20 @@ class Scene(_Written):
     gripper: Gripper = Gripper()
     bins: dict[Name, Bin] = Field(default_factory=dict)
     fixtures: dict[Name, Fixture] = Field(default_factory=dict)
+    obstacles: dict[Name, Thing] = Field(default_factory=dict)
+    folder: Annotated[Path, Field(exclude=True)] = Path()
+    """Where mesh files are looked for: the folder of the scene file."""
+
+    def solids(self) -> tuple[Obstacle, ...]:
+        """Return everything that the robot may not touch."""
+        found = [thing.obstacle(name, self.folder) for name, thing in self.obstacles.items()]
+        for name, bin_ in self.bins.items():
+            if bin_.walls is not None:
+                found += bin_.walls.obstacles(name)
+        for name, fixture in self.fixtures.items():
+            if fixture.body is not None:
+                found.append(fixture.body.obstacle(name, self.folder))
+        return tuple(found)
 
     def home_of(self, model: RobotModel) -> Joints:
         """Return the home position of a robot in this cell."""
@@ -97,7 +187,7 @@ def load(file: Path | None, model: RobotModel) -> Scene:
     if not isinstance(written, Mapping):
         raise UsageError(f"the scene file {path} must name the cell, its bins and fixtures")
     try:
-        scene = Scene.model_validate(written)
+        scene = Scene.model_validate({**written, "folder": path.parent})
     except ValidationError as error:
         shown = (f"scene file {path}: {_place(fault['loc'])}: {fault['msg']}" for fault in error.errors())
         raise UsageError("\n".join(shown)) from None

@@ -12,7 +12,9 @@ from typing import Self, TypeVar
 
 from handover.messages import message
 from services.trajectory_tool.drivers import Clock, RobotContext
+from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.metrics import MOTION_SECONDS, OVERRUNS
+from services.trajectory_tool.planned_course import PlannedCourse
 from services.trajectory_tool.robot import Joints, JointState, Robot, RobotFault
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
@@ -43,7 +45,7 @@ class SimulatedRobot(Robot):
         self._cycle_s = 1.0 / control_hz
         self._clock = clock or Clock()
         self._setpoint = Setpoint.at_rest(joints)
-        self._course: Course | None = None
+        self._course: Course | PlannedCourse | None = None
         self._switched_off = Event()
         self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="robot-control")
 
@@ -88,12 +90,26 @@ class SimulatedRobot(Robot):
 
     async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
         """Move to `target`; return False if it stopped on the way because of `may_go`."""
+        cruise = self._limits.slowed(speed)
+
+        def course(began_s: float) -> Course:
+            return Course(self._setpoint.positions, target, cruise, self._limits, began_s)
+
+        return await self._run(course, may_go)
+
+    async def follow(self, trajectory: JointTrajectory, may_go: Callable[[], bool]) -> bool:
+        """Follow a trajectory; return False if it stopped on the way because of `may_go`."""
+        return await self._run(lambda began_s: PlannedCourse(trajectory, self._limits, began_s), may_go)
+
+    async def _run(
+        self, course: Callable[[float], Course | PlannedCourse], may_go: Callable[[], bool]
+    ) -> bool:
         given_up = Event()
 
         def unhindered() -> bool:
             return may_go() and not given_up.is_set() and not self._switched_off.is_set()
 
-        return await self._in_control(lambda: self._drive(target, speed, unhindered), given_up.set)
+        return await self._in_control(lambda: self._drive(course, unhindered), given_up.set)
 
     async def close_gripper(self) -> bool:
         """Close the gripper; return True when it grips an object."""
@@ -124,10 +140,9 @@ class SimulatedRobot(Robot):
             await asyncio.wait([doing])
             raise
 
-    def _drive(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
+    def _drive(self, make: Callable[[float], Course | PlannedCourse], may_go: Callable[[], bool]) -> bool:
         began_s = now_s = self._clock.now_s()
-        cruise = self._limits.slowed(speed)
-        self._course = course = Course(self._setpoint.positions, target, cruise, self._limits, began_s)
+        self._course = course = make(began_s)
         due_s = began_s
         try:
             while True:

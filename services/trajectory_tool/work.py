@@ -1,12 +1,19 @@
 """Work: the execution of one Task by the robot, with its progress and its pauses."""
 
 import asyncio
-from collections.abc import Iterator
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Protocol
 
+from handover.errors import UsageError
+from handover.messages import message, text_of
+from handover.performer import TaskFailed
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.memory import Act
-from services.trajectory_tool.robot import Joints
+from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.robot import Joints, NoPath, Unreachable
+
+if TYPE_CHECKING:
+    from services.trajectory_tool.planning.planner import Plan, Planner
 
 
 class Steering(Protocol):
@@ -33,6 +40,7 @@ class Work:
         self._moving = False
         self._total_s = 0.0
         self._progress = 0.0
+        self._planned_in = 0
 
     def intend(self, *steps: Joints | float) -> None:
         """Set the planned steps: joints to move to in rad, and actions with their duration in s.
@@ -57,7 +65,13 @@ class Work:
         return self._progress
 
     async def go(self, target: Joints) -> None:
-        """Move to joints in rad, with pauses on the way if requested; at rest there when it returns."""
+        """Move to joints in rad, with pauses on the way if requested; at rest there when it returns.
+
+        In a cell with obstacles the way is planned around them. Raises `TaskFailed` where there is none.
+        """
+        if self.cell.planning.avoids_obstacles:
+            await self._follow(lambda planner, here: planner.to_joints(here, target))
+            return
         self._begin_next()
         self._current_s = 0.0
         while not await self._move(target):
@@ -65,6 +79,48 @@ class Work:
             await self._steering.rest()
             self._current_s = 0.0
         await self.cell.remember()
+
+    async def go_straight(self, pose: Pose, max_tool_speed_mps: float | None = None) -> None:
+        """Move the tool on a straight line to a pose, likewise."""
+        await self._follow(lambda planner, here: planner.straight(here, pose, max_tool_speed_mps))
+
+    async def _follow(self, make: "Callable[[Planner, Joints], Plan]") -> None:
+        """Plan from the present joints and follow, again after a pause or when the obstacles changed."""
+        self._begin_next()
+        self._current_s = 0.0
+        while True:
+            while not self._steering.may_go():
+                await self._steering.rest()
+            self._planned_in = self.cell.planning.revision
+            plan = await self._plan_from_here(make)
+            trajectory = plan.trajectory.slowed(self._speed)
+            self._moving = True
+            try:
+                if await self.cell.robot.follow(trajectory, self._may_follow):
+                    break
+            finally:
+                self._moving = False
+            await self.cell.remember()
+            self._current_s = 0.0
+        await self.cell.remember()
+
+    async def _plan_from_here(self, make: "Callable[[Planner, Joints], Plan]") -> "Plan":
+        cell = self.cell
+        try:
+            return await cell.planning.plan(cell.held, lambda planner: make(planner, cell.joints))
+        except (Unreachable, NoPath, UsageError) as why:
+            raise TaskFailed(
+                message(
+                    "robot.motion_not_planned",
+                    "{operation}: {why}",
+                    operation=self.operation,
+                    why=text_of(why),
+                )
+            ) from None
+
+    def _may_follow(self) -> bool:
+        """Return whether the motion may continue: it was planned among the present obstacles."""
+        return self.cell.planning.revision == self._planned_in and self._may_go()
 
     async def _move(self, target: Joints) -> bool:
         self._moving = True

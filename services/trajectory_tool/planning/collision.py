@@ -15,8 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from handover.errors import UsageError
-from services.trajectory_tool.planning.arm import Arm, Array, se3_of
-from services.trajectory_tool.planning.obstacles import (
+from services.trajectory_tool.obstacles import (
     Attached,
     Box,
     Capsule,
@@ -27,6 +26,7 @@ from services.trajectory_tool.planning.obstacles import (
     Sphere,
     World,
 )
+from services.trajectory_tool.planning.arm import Arm, Array, se3_of
 
 MAX_MESH_BYTES = 20 * 1024 * 1024
 NAIVE_MAX_GEOMETRIES = 150

@@ -19,19 +19,18 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from handover.errors import HandoverError
 from handover.messages import Message, message
 from services.trajectory_tool.joint_trajectory import JointTrajectory
+from services.trajectory_tool.obstacles import World
 from services.trajectory_tool.planning import timing
 from services.trajectory_tool.planning.arm import Arm, Array, se3_of
 from services.trajectory_tool.planning.collision import Clearance, Collisions
 from services.trajectory_tool.planning.inverse import Inverse
 from services.trajectory_tool.planning.motions import Motions
-from services.trajectory_tool.planning.obstacles import World
 from services.trajectory_tool.planning.search import search, shorten
 from services.trajectory_tool.planning.straight import Obstructed, ToolLine, tool_line
 from services.trajectory_tool.poses import Pose, Vector
-from services.trajectory_tool.robot import Joints, Unreachable
+from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.trajectory import Limits
 
@@ -39,10 +38,6 @@ CHECK_STEP_S = 0.004
 BLEND_SHARES = (0.45, 0.2, 0.08)
 STRAIGHT_TOLERANCE_M = 0.001
 CLEARANCE_SEARCH_M = 0.3
-
-
-class NoPath(HandoverError):
-    """Something is in the way; the message names what would touch, or what could not be found in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +148,10 @@ class Planner:
                 why = why or refusal
         assert why is not None  # noqa: S101 - there is at least one goal
         raise why
+
+    def nearest_free(self, pose: Pose, near: Joints) -> Joints:
+        """Return the free joint positions nearest to `near` with the tool at a pose."""
+        return tuple(self.goals(pose, np.array(near))[0].tolist())
 
     def goals(self, pose: Pose, near: Array) -> list[Array]:
         """Return free joint positions with the tool at a pose, the nearest first; at least one."""

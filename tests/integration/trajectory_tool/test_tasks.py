@@ -212,7 +212,7 @@ async def test_a_paused_task_can_be_cancelled(shop: Shop) -> None:
 
 
 async def test_a_task_that_cannot_be_done_fails_with_the_reason(shop: Shop) -> None:
-    assert "moveTo, scan, pick, place, home" in await shop.refused("dance")
+    assert "moveTo, moveLinear, scan, pick, place, home" in await shop.refused("dance")
     assert 'no operation "work"' in await shop.refused("")
     assert "UR10 has 6 joints" in await shop.refused("moveTo", joints=[0, 0])
     assert "reaches 1.30 m" in await shop.refused("moveTo", pose={"position": [3, 0, 0]})

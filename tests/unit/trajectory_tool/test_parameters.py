@@ -44,7 +44,9 @@ def test_all_faults_are_reported_at_once() -> None:
 
 
 def test_an_unknown_operation_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(TaskFailed, match=r'no operation "dance".*moveTo, scan, pick, place, home'):
+    with pytest.raises(
+        TaskFailed, match=r'no operation "dance".*moveTo, moveLinear, scan, pick, place, home'
+    ):
         operations.known("dance")
 
 

@@ -20,7 +20,7 @@ def course(speed: float) -> Course:
 @pytest.mark.parametrize("speed", [1.0, 0.5, 0.01])
 def test_a_trajectory_ends_at_rest_at_its_target_after_the_time_planned(speed: float) -> None:
     planned = course(speed)
-    made = points(planned)
+    made = points(planned.at, planned.remaining_s(0.0))
     assert len(made) <= MAX_POINTS
     assert made[-1]["positions"] == list(AWAY)
     assert made[-1]["velocities"] == [0.0] * 6
@@ -31,7 +31,7 @@ def test_a_trajectory_ends_at_rest_at_its_target_after_the_time_planned(speed: f
 
 def test_no_point_of_a_trajectory_is_faster_than_the_joints_may_turn() -> None:
     limits = ROBOT.limits
-    for one in points(course(0.5)):
+    for one in points(course(0.5).at, course(0.5).remaining_s(0.0)):
         for turns, may in zip(one["velocities"], limits.velocity, strict=True):
             assert abs(turns) <= 0.5 * may + 1e-6
 

@@ -9,7 +9,7 @@ from services.trajectory_tool.planning import is_available
 if not is_available():  # Windows, for which the libraries have no wheels
     collect_ignore_glob = ["test_*.py"]
 
-from services.trajectory_tool.planning.obstacles import Box, Cylinder, Obstacle, World
+from services.trajectory_tool.obstacles import Box, Cylinder, Obstacle, World
 from services.trajectory_tool.poses import Pose
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
+from services.trajectory_tool.obstacles import Attached, Box, Mesh, Obstacle, Sphere, World
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions, geometry_of
 from services.trajectory_tool.planning.motions import Motions
-from services.trajectory_tool.planning.obstacles import Attached, Box, Mesh, Obstacle, Sphere, World
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robots import ROBOTS
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handover.errors import HandoverError
-from services.trajectory_tool.planning.obstacles import Attached, Box, World
+from services.trajectory_tool.obstacles import Attached, Box, World
 from services.trajectory_tool.planning.planner import NoPath, Options, Plan, Planner, Tilt
 from services.trajectory_tool.poses import Pose, pointing_down
 from services.trajectory_tool.robot import Unreachable
