@@ -37,7 +37,8 @@ def test_five_hundred_processes_are_distinguished_filtered_and_scrolled(
     url = f"{cell.url('task_orchestrator')}/processes"
     with httpx.Client(timeout=120) as client:
         for number in range(MANY):
-            order = {"definition": "bin-picking", "key": f"order {number}"}
+            robot = {"robot": f"Device:ur10-{number}"}
+            order = {"definition": "bin-picking", "key": f"order {number}", "parameters": robot}
             client.post(url, json=order).raise_for_status()
     page = open_page("/processes", forgives=AWAY)
     table = page.get_by_role("grid", name="Definitions and processes")

@@ -206,7 +206,8 @@ def test_a_step_is_skipped_with_results_and_a_branch_is_ended(cell: Cell, open_p
     assert (process["acts"][-1]["act"], process["acts"][-1]["by"]) == ("skip", "Anna")
 
     ask(cell, "POST", f"processes/{process['id']}/cancel")
-    process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
+    other = {"definition": "bin-picking", "parameters": {"robot": "Device:ur10-2"}}
+    process = ask(cell, "POST", "processes", json=other)
     answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
     page.goto(f"/processes/{process['id']}")
     page.get_by_role("button", name="End branch …").click()

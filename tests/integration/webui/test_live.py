@@ -145,7 +145,8 @@ def test_all_topics_match_their_types(
 ) -> None:
     viewer = look()
     viewer.subscribe(JOINTS)
-    browser.post("/api/task-orchestrator/processes", json={"definition": "bin-picking"}).raise_for_status()
+    begun = {"definition": "bin-picking", "parameters": {"robot": "Device:ur10-2"}}
+    browser.post("/api/task-orchestrator/processes", json=begun).raise_for_status()
     task = {
         "id": "urn:ngsi-ld:Task:demo:weigh",
         "type": "Task",
