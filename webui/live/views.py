@@ -313,7 +313,16 @@ class Act(TypedDict):
     by: str | None
     verified: bool
     act: Literal[
-        "cancel", "retry", "skip", "move", "cancelBranch", "setVariables", "pause", "resume", "migrate"
+        "cancel",
+        "retry",
+        "skip",
+        "move",
+        "cancelBranch",
+        "setVariables",
+        "pause",
+        "resume",
+        "migrate",
+        "release",
     ]
     task: str | None
     element: str | None
@@ -358,6 +367,36 @@ class Retry(TypedDict):
     due: str
 
 
+class Unallocated(TypedDict):
+    """An open activity without a Task, because its performer is busy, reserved or unavailable."""
+
+    token: str
+    element: str
+    name: str
+    reason: str
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+    since: str
+
+
+class Reservation(TypedDict):
+    """Agents that are reserved, or waited for, while a token is within `element`.
+
+    `since` is when its state began.
+    """
+
+    key: str
+    element: str
+    name: str
+    state: Literal["waiting", "held", "impossible", "released", "ended"]
+    since: str
+    agents: list[str]
+    isShared: bool
+    reason: str
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[dict[str, Any]]
+
+
 class ProcessView(TypedDict):
     """Topic `process/<id>`: a running process, or one of the last ten that ended.
 
@@ -385,6 +424,8 @@ class ProcessView(TypedDict):
     tasks: list[TaskView]
     incidents: list[Incident]
     retries: list[Retry]
+    unallocated: list[Unallocated]
+    reservations: list[Reservation]
     retry: str | None
     acts: list[Act]
 

@@ -28,6 +28,11 @@ export function cancelToken(process: string, token: string, decision: MendReques
   return decide(process, `tokens/${encodeURIComponent(token)}/cancel`, decision);
 }
 
+/** Release what is reserved for a part of a process, though a token is within. */
+export function releaseReservation(process: string, key: string, { by, why = null }: MendRequest): Promise<ProcessView> {
+  return decide(process, `reservations/${encodeURIComponent(key)}/release`, { by, why });
+}
+
 export function setVariables(process: string, decision: MendRequest): Promise<ProcessView> {
   return decide(process, "variables", decision);
 }

@@ -4,6 +4,10 @@
  */
 import i18next from "i18next";
 import { number } from "~/design/numbers";
+import { clockTime } from "~/design/times";
+
+/** A moment among the parameters of a message, such as 2026-05-04T08:00:00Z. */
+const MOMENT = /^\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}Z$/;
 
 export interface Said {
   text: string;
@@ -41,5 +45,6 @@ export function localizedText(members: object, name: string): string | null {
 function asWord(value: unknown): string {
   if (typeof value === "number") return number(value, i18next.language, { maximumFractionDigits: 3 });
   if (typeof value === "object" && value !== null) return localizedText(value, "text") ?? "";
+  if (typeof value === "string" && MOMENT.test(value)) return clockTime(value, i18next.language);
   return typeof value === "string" || typeof value === "boolean" ? String(value) : "";
 }

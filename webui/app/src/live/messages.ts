@@ -232,7 +232,7 @@ export interface Act {
   at: string;
   by: string | null;
   verified: boolean;
-  act: "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume" | "migrate";
+  act: "cancel" | "retry" | "skip" | "move" | "cancelBranch" | "setVariables" | "pause" | "resume" | "migrate" | "release";
   task: string | null;
   element: string | null;
   to: string | null;
@@ -274,6 +274,24 @@ export interface Incident {
   since: string;
   task: string | null;
   code: string | null;
+}
+
+/**
+ * Agents that are reserved, or waited for, while a token is within `element`.
+ *
+ * `since` is when its state began.
+ */
+export interface Reservation {
+  key: string;
+  element: string;
+  name: string;
+  state: "waiting" | "held" | "impossible" | "released" | "ended";
+  since: string;
+  agents: string[];
+  isShared: boolean;
+  reason: string;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
 }
 
 /**
@@ -321,6 +339,17 @@ export interface TaskView {
   history: StatusChange[];
 }
 
+/** An open activity without a Task, because its performer is busy, reserved or unavailable. */
+export interface Unallocated {
+  token: string;
+  element: string;
+  name: string;
+  reason: string;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
+  since: string;
+}
+
 /**
  * Topic `process/<id>`: a running process, or one of the last ten that ended.
  *
@@ -348,6 +377,8 @@ export interface ProcessView {
   tasks: TaskView[];
   incidents: Incident[];
   retries: Retry[];
+  unallocated: Unallocated[];
+  reservations: Reservation[];
   retry: string | null;
   acts: Act[];
 }

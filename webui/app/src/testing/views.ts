@@ -54,6 +54,8 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
     tasks: [],
     incidents: [],
     retries: [],
+    unallocated: [],
+    reservations: [],
     retry: null,
     acts: [],
     ...over,

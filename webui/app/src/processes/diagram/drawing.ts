@@ -29,7 +29,7 @@ const MAX_ZOOM = 4;
 /** A small process is not blown up to fill the place. */
 const FIT_ZOOM = 1.25;
 
-const SIGNS: Record<Badge["kind"], string> = { token: "●", incident: "!", failed: "✕", count: "✓", duration: "", fault: "!", warning: "⚠" };
+const SIGNS: Record<Badge["kind"], string> = { token: "●", incident: "!", failed: "✕", count: "✓", duration: "", fault: "!", warning: "⚠", waiting: "…" };
 
 export class Drawing {
   readonly #viewer: NavigatedViewer<Services>;

@@ -9,7 +9,7 @@ export type Look = "token" | "incident" | "failed" | "done" | "fault" | "picked"
 
 /** A small badge at the element. */
 export interface Badge {
-  kind: "token" | "incident" | "failed" | "count" | "duration" | "fault" | "warning";
+  kind: "token" | "incident" | "failed" | "count" | "duration" | "fault" | "warning" | "waiting";
   text: string;
   /** The full text, for tooltips and screen readers. */
   title: string;
@@ -92,6 +92,16 @@ export function marksOfFaults(faults: Located, warnings: Located = []): Marks {
     marks.set(element, { looks: isFault ? ["fault"] : at.looks, badges: [...at.badges, badge] });
   });
   return marks;
+}
+
+/** The same marks with the reasons for which elements wait, by element. */
+export function withWaiting(marks: Marks, reasons: ReadonlyMap<string, string>): Marks {
+  const all = new Map(marks);
+  for (const [element, title] of reasons) {
+    const at = all.get(element);
+    all.set(element, { looks: at?.looks ?? [], badges: [{ kind: "waiting", text: "", title }, ...(at?.badges ?? [])] });
+  }
+  return all;
 }
 
 /** The same marks with one element picked. */

@@ -8,11 +8,13 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import type { Incident, ProcessView } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
 import { elementsOf, NO_ELEMENTS, pathOf, targetsFor, type BpmnElements } from "../diagram/elements";
-import { marksOfProcess, withPicked, withTargets } from "../diagram/marks";
+import { marksOfProcess, withPicked, withTargets, withWaiting } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
 import { Acts } from "../incidents/Acts";
 import { Retries } from "../incidents/Retries";
 import { Incidents, type Moving } from "../incidents/Incidents";
+import { Reservations } from "../incidents/Reservations";
+import { waitingReasons } from "../incidents/waiting";
 import { taskMark } from "../names";
 import { SERVICE, useBpmn, useProcess } from "../records";
 import { TasksBar } from "../timeline/TasksBar";
@@ -62,6 +64,7 @@ function Shown({ process }: { process: ProcessView }) {
         onPick={({ element }) => pick(element)}
       />
       <Retries process={process} elements={elements} />
+      <Reservations process={process} elements={elements} onPick={pick} />
       <ProcessDiagram
         process={process}
         bpmn={bpmn}
@@ -131,13 +134,16 @@ function ProcessDiagram({ process, bpmn, elements, moving, picked, onPick }: Pro
   const { t } = useTranslation("processes");
   const words = useMarkWords("process");
   const { waiting, elements: counts, incidents } = process;
+  const reasons = waitingReasons(process, (element) => pathOf(elements, element).drawn);
+  const reasonsKey = JSON.stringify([...reasons]);
   const drawn = moving?.isDrawn === true ? moving : null;
   const to = drawn === null || drawn.to === "" ? picked : drawn.to;
   const targets = drawn?.targets.map(({ id }) => id).join(" ") ?? "";
   const marks = useMemo(() => {
     const own = marksOfProcess({ waiting, elements: counts, incidents }, words, (element) => pathOf(elements, element).drawn);
-    return withPicked(withTargets(own, targets === "" ? [] : targets.split(" ")), to);
-  }, [waiting, counts, incidents, words, elements, targets, to]);
+    const waits = new Map(JSON.parse(reasonsKey) as [string, string][]);
+    return withPicked(withTargets(withWaiting(own, waits), targets === "" ? [] : targets.split(" ")), to);
+  }, [waiting, counts, incidents, words, elements, targets, to, reasonsKey]);
   if (bpmn.failure !== null) return <ErrorMessage>{t("diagram.unread", { why: bpmn.failure })}</ErrorMessage>;
   return (
     <div className="process__diagram">
