@@ -97,8 +97,8 @@ crashes: setup  ## kill the broker a hundred times while it writes, and check it
 kill-test: setup  ## kill broker, orchestrator and performer at random moments for ten minutes (ARGS="--seconds 60 --processes 100")
 	@$(BIN)/python -m tests.load.kill_test $(ARGS)
 
-thorough: crashes  ## the crashes, every test of the broker on PostgreSQL, and many more examples
-	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit tests/integration/context_broker $(ARGS)
+thorough: crashes  ## the crashes, the tests of all databases on PostgreSQL, and many more examples
+	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit $(addprefix tests/integration/,context_broker task_orchestrator gesture_controller study) $(ARGS)
 
 check: setup  ## lint, types, structure and quick tests, for an everyday change
 	$(call checks_and_tests,-m "not slow")

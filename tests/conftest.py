@@ -90,12 +90,11 @@ def free_port() -> Callable[[], int]:
 
 
 @pytest.fixture(scope="session")
-def new_database() -> Iterator[Callable[[], str]]:
+def new_database() -> Callable[[], str]:
     """Return a function that makes a database on one PostgreSQL server and returns its URL."""
-    from tests.kit.postgres import postgres_server
+    from tests.kit.postgres import shared_server
 
-    with postgres_server() as server:
-        yield server.new_database
+    return shared_server().new_database
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from handover.settings import Settings
-from tests.kit import processes
+from tests.kit import databases, processes
 from tests.kit.ports import next_free_port
 from tests.kit.processes import Process
 from tests.kit.waiting import scaled
@@ -62,6 +62,8 @@ class Cell:
             "HANDOVER_WEBUI_PORT": str(self.ports["webui"]),
             "HANDOVER_BRIDGE_PORT": str(self.ports["ros_fiware_bridge"]),
             "HANDOVER_RECONCILE_S": "1",
+            **databases.service_settings(self.data_dir),
+            **databases.broker_settings(self.data_dir),
             **({"HANDOVER_BROKER_TENANT": self.tenant} if self.tenant else {}),
             "COLUMNS": "200",
             "NO_COLOR": "1",

@@ -4,6 +4,8 @@ A run that is killed cannot stop its server. A small process watches the pipe to
 pipe breaks, it stops the server at once, since nobody needs its data.
 """
 
+import atexit
+import functools
 import itertools
 import subprocess
 import sys
@@ -53,6 +55,14 @@ class PostgresServer:
         with psycopg.connect(self._url, autocommit=True) as connection:
             connection.execute(f"CREATE DATABASE {name}")
         return self._url.replace("/postgres?", f"/{name}?")
+
+
+@functools.cache
+def shared_server() -> PostgresServer:
+    """Return the server of this run; it is stopped at its end."""
+    context = postgres_server()
+    atexit.register(context.__exit__, None, None, None)
+    return context.__enter__()
 
 
 @contextmanager

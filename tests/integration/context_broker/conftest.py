@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -18,6 +17,7 @@ import pytest
 
 from tests.kit import processes
 from tests.kit.context_sources import ScriptedSource
+from tests.kit.databases import DATABASE
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import wait_for
 
@@ -94,8 +94,6 @@ class BrokerProcess:
 
 
 DATABASES = ("sqlite", "postgresql")
-DATABASE = os.environ.get("HANDOVER_TEST_DATABASE", "sqlite")
-"""The default database of tests; `make thorough` sets postgresql."""
 ON_BOTH = {
     "test_batches",
     "test_entities",

@@ -10,6 +10,7 @@ import httpx
 
 from handover.settings import Settings
 from tests.kit import processes
+from tests.kit.databases import broker_settings, default_url, service_settings
 from tests.kit.waiting import wait_for
 
 CONTEXT = (
@@ -91,6 +92,8 @@ class Cell:
         extra: Mapping[str, str] | None = None,
     ) -> None:
         broker, orchestrator, performer = free_port(), free_port(), free_port()
+        self.database = database_url or default_url(folder) or f"sqlite:///{folder / 'orchestrator.db'}"
+        """The URL of the orchestrator's database."""
         self.done_file = folder / "done.txt"
         self.script_file = folder / "script.json"
         self.script_file.write_text("{}")
@@ -102,11 +105,12 @@ class Cell:
             "HANDOVER_BROKER_URL": f"http://127.0.0.1:{broker}",
             "HANDOVER_ORCHESTRATOR_PORT": str(orchestrator),
             "HANDOVER_RECONCILE_S": "0.5",
+            **broker_settings(folder),
             **(extra or {}),
         }
-        of_orchestrator = dict(environment)
-        if database_url:
-            of_orchestrator["HANDOVER_DATABASE_URL"] = database_url
+        environment = {name: value for name, value in environment.items() if value}  # "" removes a setting
+        database = {"HANDOVER_DATABASE_URL": database_url} if database_url else service_settings(folder)
+        of_orchestrator = {**environment, **database}
         of_performer = {
             **environment,
             "PERFORMER_PORT": str(performer),

@@ -19,6 +19,7 @@ from handover.notifications import KEY_HEADER
 from services.task_orchestrator.app import make_app
 from services.task_orchestrator.orchestrator import utc_now
 from services.task_orchestrator.settings import OrchestratorSettings
+from tests.kit.databases import default_url
 from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing
 
 NOBODY = "http://127.0.0.1:9"
@@ -29,7 +30,7 @@ KEYED = {KEY_HEADER: "what-the-broker-sends"}
 
 def settings_in(folder: Path, **more: Any) -> OrchestratorSettings:
     given = {"broker_url": NOBODY, "notification_key": KEYED[KEY_HEADER], **more}
-    return OrchestratorSettings(_env_file=None, data_dir=folder, **given)
+    return OrchestratorSettings(_env_file=None, data_dir=folder, database_url=default_url(folder), **given)
 
 
 @asynccontextmanager

@@ -2,14 +2,15 @@
 
 import random
 import shutil
-import sqlite3
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import text
 
+from handover.database import connect
 from tests.integration.task_orchestrator.cell import Cell, cell, eventually
 from tests.integration.task_orchestrator.test_retry import deploy, play, retry, steps
 from tests.kit.ports import next_free_port
@@ -17,6 +18,8 @@ from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, end, path, 
 
 pytestmark = pytest.mark.slow
 
+BROKER_IN_FILES = {"HANDOVER_BROKER_DATABASE_URL": ""}
+"""The backup of the broker is a copy of its files, whatever the default database of the tests."""
 SHORT = {"HANDOVER_RETENTION_H": "0.0001"}
 TWO_STEPS = start() + activity("first") + activity("second") + end() + path("start", "first", "second", "end")
 
@@ -58,9 +61,10 @@ def settled(running: Cell, *processes: str) -> None:
     """Wait until nothing about these processes is on its way to the broker."""
 
     def nothing_waits() -> bool:
-        database = sqlite3.connect(running.done_file.parent / "orchestrator.db")
-        waiting = {row[0] for row in database.execute("SELECT stream FROM orchestrator_outbox")}
-        database.close()
+        engine = connect(running.database, is_own=False)
+        with engine.begin() as database:
+            waiting = set(database.scalars(text("SELECT stream FROM orchestrator_outbox")))
+        engine.dispose()
         return waiting.isdisjoint(processes)
 
     eventually(nothing_waits, f"the outbox of {processes} being empty")
@@ -174,7 +178,8 @@ def test_a_broker_restored_from_an_old_backup_gets_what_the_orchestrator_has_rec
     cell_dir = tmp_path / "cell"
     backup.mkdir()
     cell_dir.mkdir()
-    with cell(cell_dir, next_free_port, extra=SHORT if retention == "gone" else None) as running:
+    extra = BROKER_IN_FILES | (SHORT if retention == "gone" else {})
+    with cell(cell_dir, next_free_port, extra=extra) as running:
         play(running, first_1={"grip": 3})
         deploy(running, TWO_STEPS)
         running.performer.kill()

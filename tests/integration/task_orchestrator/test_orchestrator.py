@@ -17,6 +17,7 @@ from services.task_orchestrator.orchestrator import Orchestrator, utc_now
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.storage.process_filter import ProcessFilter
+from tests.kit.databases import default_url
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
     activity,
@@ -34,7 +35,9 @@ NOBODY = "http://127.0.0.1:9"
 
 @pytest.fixture
 def settings(tmp_path: Path) -> OrchestratorSettings:
-    return OrchestratorSettings(_env_file=None, data_dir=tmp_path, broker_url=NOBODY)
+    return OrchestratorSettings(
+        _env_file=None, data_dir=tmp_path, broker_url=NOBODY, database_url=default_url(tmp_path)
+    )
 
 
 @pytest.fixture

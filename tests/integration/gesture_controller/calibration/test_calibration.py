@@ -1,16 +1,16 @@
 """Calibration with the real controller: guided by the hand's own frames, chosen, kept through `kill -9`."""
 
-import sqlite3
 from collections.abc import Callable, Sequence
-from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import orjson
 import pytest
+from sqlalchemy import text
 
 from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
+from handover.database import connect
 from services.gesture_controller.calibration.drift_persistence import MIN_SAVED_CHANGE
+from tests.kit.databases import default_url
 from tests.kit.waiting import until
 
 POINT: Posture = (0.0, 1.0, 0.0, 0.0, 0.0)
@@ -109,7 +109,8 @@ async def test_a_drift_that_was_followed_outlives_a_crash_and_ends_with_the_next
     eventually(lambda: bench.view()["frames"] > 4000)
     followed = bench.view()["drift"]
     assert followed["index"] < -20
-    database = running_cell.data_dir / "gesture_controller.db"
+    file = running_cell.data_dir / "gesture_controller.db"
+    database = default_url(running_cell.data_dir) or f"sqlite:///{file}"
     followed_to = pytest.approx(list(followed.values()), abs=MIN_SAVED_CHANGE * 400)
     eventually(lambda: kept_drift(database) == followed_to)
     kept = kept_drift(database)
@@ -151,11 +152,13 @@ async def test_an_interrupted_calibration_is_reported_until_the_next_one_begins(
     assert bench.view()["calibration"] is None
 
 
-def kept_drift(database: Path) -> list[float] | None:
-    """What the controller has kept so far of how glove-1 has drifted."""
-    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
-        rows = connection.execute("SELECT offsets FROM controller_drifts WHERE glove = 'glove-1'").fetchall()
-    return orjson.loads(rows[0][0]) if rows else None
+def kept_drift(database: str) -> list[float] | None:
+    """Return the stored drift of glove-1."""
+    engine = connect(database, is_own=False)
+    with engine.begin() as connection:
+        offsets = connection.scalar(text("SELECT offsets FROM controller_drifts WHERE glove = 'glove-1'"))
+    engine.dispose()
+    return orjson.loads(offsets) if isinstance(offsets, str | bytes) else offsets
 
 
 async def test_what_is_offered_counts_once_it_is_accepted(
