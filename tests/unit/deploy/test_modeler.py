@@ -10,8 +10,10 @@ import pytest
 from services.task_orchestrator.model import Activity
 from services.task_orchestrator.notation.dialects import handover
 from services.task_orchestrator.notation.file import read_bpmn
+from services.task_orchestrator.spans import evaluated_needs, read_needs
 
 MODELER = Path("deploy/modeler")
+RESERVE = "handover.reserve"
 TEMPLATES: list[dict[str, Any]] = json.loads((MODELER / "element-templates" / "handover.json").read_text())
 
 
@@ -22,7 +24,10 @@ def test_the_descriptor_has_every_element_and_attribute_that_the_reader_knows() 
             one["name"] for one in each["properties"] if one.get("isAttr")
         }
         for each in types
+        if "extends" not in each
     }
+    [attribute] = [each for each in types if "extends" in each]
+    assert [each["name"] for each in attribute["properties"]] == ["reserve"]
     assert described == {name: set(attributes) for name, attributes in handover._ATTRIBUTES.items()}
 
 
@@ -51,7 +56,25 @@ def activity_of(template: dict[str, Any]) -> Activity:
     return definition.activities()["work"]
 
 
-@pytest.mark.parametrize("template", TEMPLATES, ids=lambda template: template["id"])
+def test_a_template_reserves_what_is_written() -> None:
+    (template,) = [each for each in TEMPLATES if each["id"] == RESERVE]
+    (field,) = template["properties"]
+    name, value = field["binding"]["name"], field["value"]
+    extensions = f'<c:properties><c:property name="{name}" value="{value}"/></c:properties>'
+    xml = (
+        '<bpmn:definitions xmlns:bpmn="http://www.omg.org/spec/BPMN/20100524/MODEL" '
+        'xmlns:c="http://camunda.org/schema/1.0/bpmn" targetNamespace="t">'
+        f'<bpmn:process id="p"><bpmn:extensionElements>{extensions}</bpmn:extensionElements>'
+        '<bpmn:startEvent id="s"/></bpmn:process></bpmn:definitions>'
+    )
+    (definition,) = read_bpmn(xml.encode()).definitions
+    (span,) = definition.scope.spans
+    assert evaluated_needs(span, {}) == read_needs(value)
+
+
+@pytest.mark.parametrize(
+    "template", [t for t in TEMPLATES if t["id"] != RESERVE], ids=lambda template: template["id"]
+)
 def test_a_template_makes_a_task_with_its_parameters(template: dict[str, Any]) -> None:
     activity = activity_of(template)
     expected = {
