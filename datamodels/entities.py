@@ -224,6 +224,7 @@ class TaskDefinition(Entity):
     handles_outcomes: Property[StrictBool] | None = None
     required_skills: Property[Words] | None = None
     work_parameters_schema: Property[dict[str, Any]] | None = None
+    output_parameters_schema: Property[dict[str, Any]] | None = None
     is_part_of: Relationship | None = None
     content_digest: Property[str] | None = None
 
@@ -268,6 +269,8 @@ class Task(Entity):
 
     `requested_status` is the requested action; `deadline` is the time until which a performer must accept it.
     The `output_parameters` of a person's Task have an `outcome` (see `Outcome`) and optionally a `note`.
+    A Task of people has what a tasklist shows: its `name`, the `element` of its Process, `priority`,
+    `due_date` and `follow_up_date`, before which nobody needs to look at it.
     """
 
     is_defined_by: Relationship
@@ -279,6 +282,12 @@ class Task(Entity):
     output_parameters: Property[dict[str, Any]] | None = None
     requested_status: Property[RequestedStatus] | None = None
     deadline: Property[DateTime] | None = None
+    name: Property[str] | None = None
+    element: Property[str] | None = None
+    is_part_of: Relationship | None = None
+    priority: Property[Whole] | None = None
+    due_date: Property[DateTime] | None = None
+    follow_up_date: Property[DateTime] | None = None
 
 
 class Device(Entity):

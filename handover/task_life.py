@@ -38,6 +38,12 @@ def performers_of(involved: Iterable[str]) -> list[str]:
     return [resource for resource in involved if type_of(resource) not in PASSIVE_TYPES]
 
 
+def is_for_people(involved: Iterable[str]) -> bool:
+    """Return whether people perform a Task that involves these: nobody performs it, or a Person first."""
+    performers = performers_of(involved)
+    return not performers or type_of(performers[0]) == "Person"
+
+
 def is_legal(before: TaskStatus, after: TaskStatus) -> bool:
     """Return whether a writer may change a Task from `before` to `after` in one step."""
     return after in _NEXT[before]

@@ -4,14 +4,13 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
-from typing import Annotated, Any
+from typing import Annotated
 
 import httpx
 from fastapi import FastAPI, Query, Request, Response, WebSocket
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.types import ASGIApp
 
-from datamodels.states import Outcome
 from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.database import connect
@@ -25,7 +24,7 @@ from webui.live.event_log import MAX_EVENTS_PER_REQUEST, MAX_SEQ, EventLog
 from webui.live.live_socket import LiveSocket
 from webui.live.live_state import LiveState
 from webui.live.viewers import Viewers
-from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, OperatorView, TasklistView
+from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, OperatorView
 from webui.settings import WebuiSettings
 from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
@@ -45,23 +44,6 @@ from webui.sources.tasks import Tasks
 MAX_PROXIED_BODY_BYTES = 4 * 1024 * 1024
 MAX_ALERTS_BODY_BYTES = 256 * 1024
 """Enough for the ids of `MAX_ALERTS_AT_ONCE` Alerts."""
-MAX_RESULT_BYTES = 1024 * 1024
-
-
-class ClaimRequest(BaseModel):
-    """The person who claims or returns a Task; nobody verifies the name yet."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    by: Annotated[str, Field(min_length=1, max_length=100, pattern=r"\S")]
-
-
-class CompleteRequest(ClaimRequest):
-    """The result of a Task that a person has claimed."""
-
-    outcome: Outcome = Outcome.OK
-    note: str = Field("", max_length=1000)
-    outputs: dict[str, Any] = Field(default_factory=dict, description="the result, as the form asks")
 
 
 class AcknowledgeRequest(BaseModel):
@@ -115,7 +97,7 @@ class Components:
         services = ServiceMonitor(urls, http, self.broker, self.state, self.events, extra=extra)
         devices = Devices(self.state, self.events, services)
         processes = Processes(settings, http, self.state, self.events, services)
-        self.tasklist = Tasklist(self.state, self.broker)
+        self.tasklist = Tasklist(self.state)
         tasks = Tasks(self.events, devices, services, processes.refresh, self.tasklist)
         self.alerts = Alerts(self.state, self.events, self.broker, processes.refresh)
         handlers = (devices, tasks, ProcessEntities(processes), self.alerts)
@@ -207,25 +189,6 @@ def _add_api(app: FastAPI, components: Components) -> None:
     async def unshelve(body: AlertsRequest) -> AlertsResult:
         """End the shelving of alerts now."""
         return await components.alerts.unshelve_many(body.alerts, body.by.strip())
-
-    @app.post("/api/tasks/{task}/claim", tags=["tasks"])
-    async def claim(task: str, body: ClaimRequest) -> TasklistView:
-        """Claim a Task for people and start it: 409 if another person or component has it."""
-        return await components.tasklist.claim(task, body.by.strip())
-
-    @app.post("/api/tasks/{task}/return", tags=["tasks"])
-    async def give_back(task: str, body: ClaimRequest) -> TasklistView:
-        """Return a claimed Task, so that others can claim it."""
-        return await components.tasklist.give_back(task, body.by.strip())
-
-    @app.post("/api/tasks/{task}/complete", status_code=204, tags=["tasks"])
-    @max_body(MAX_RESULT_BYTES)
-    async def complete(task: str, body: CompleteRequest) -> Response:
-        """End a claimed Task with its result: 422 if the form of the Task does not allow it."""
-        await components.tasklist.complete(
-            task, body.by.strip(), body.outcome, body.note.strip(), body.outputs
-        )
-        return Response(status_code=204)
 
     @app.post("/api/operator", status_code=201, tags=["operator"])
     async def start_operator(body: StartOperatorRequest) -> OperatorView:

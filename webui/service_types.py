@@ -21,7 +21,8 @@ ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
     "ros-bridge": ("/rules",),
     "study": ("/",),
     "task-orchestrator": (
-        *("/agents", "/definitions", "/mapping", "/pause", "/processes", "/resume", "/statistics"),
+        *("/agents", "/definitions", "/forms", "/mapping", "/pause", "/processes", "/resume", "/statistics"),
+        "/tasks",
     ),
 }
 """The services, and the beginnings of the paths that the page uses."""

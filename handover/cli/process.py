@@ -20,21 +20,46 @@ app.add_typer(mapping, name="mapping")
 
 
 @app.command()
-def deploy(file: Annotated[Path, typer.Argument(help="A BPMN 2.0 file.")]) -> None:
-    """Deploy a process definition to the orchestrator."""
-    try:
-        bpmn = file.read_bytes()
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror}") from None
+def deploy(
+    files: Annotated[list[Path], typer.Argument(help="BPMN 2.0 files, and forms of form-js (*.form).")],
+) -> None:
+    """Deploy process definitions and forms to the orchestrator; several files together, all or none."""
+    contents = {file: _content(file) for file in files}
+    if len(files) > 1 or files[0].suffix == ".form":
+        named = [
+            {"name": file.name, "content": content.decode(errors="replace")}
+            for file, content in contents.items()
+        ]
+        answer = _ask("POST", "/deployments", json={"files": named})
+        for definition in answer["definitions"]:
+            print(f"{definition['name']} version {definition['version']} deployed")
+        for form in answer["forms"]:
+            print(f"form {form['id']} version {form['version']} deployed")
+            for text in form["warnings"]:
+                print(f"warning: form {form['id']}: {text}")
+        _print_warnings(answer["warnings"])
+        return
+    bpmn = contents[files[0]]
     answer = _ask("POST", "/definitions", content=bpmn, headers={"Content-Type": "application/xml"})
     for definition in answer["definitions"]:
         print(f"{definition['name']} version {definition['version']} deployed")
-    for warning in answer["warnings"]:
-        print(f"warning: line {warning['line']}, {warning['element'] or 'the file'}: {warning['message']}")
+    _print_warnings(answer["warnings"])
     for line in answer["allocation"]:
         print(f"{line['name']}: {line['reason']}")
         if line["warning"] and line["warning"] != line["reason"]:
             print(f"  warning: {line['warning']}")
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror}") from None
+
+
+def _print_warnings(warnings: list[dict[str, Any]]) -> None:
+    for warning in warnings:
+        print(f"warning: line {warning['line']}, {warning['element'] or 'the file'}: {warning['message']}")
 
 
 @app.command()

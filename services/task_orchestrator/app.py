@@ -9,11 +9,13 @@ from services.task_orchestrator.components import Components
 from services.task_orchestrator.routes.definitions import add_definitions
 from services.task_orchestrator.routes.event_log import add_event_log
 from services.task_orchestrator.routes.events import add_events
+from services.task_orchestrator.routes.forms import add_forms
 from services.task_orchestrator.routes.interventions import add_interventions
 from services.task_orchestrator.routes.mapping import add_mapping
 from services.task_orchestrator.routes.offers import add_offers
 from services.task_orchestrator.routes.processes import add_processes
 from services.task_orchestrator.routes.statistics import add_statistics
+from services.task_orchestrator.routes.tasklist import add_tasklist
 from services.task_orchestrator.settings import OrchestratorSettings
 
 log = get_logger(__name__)
@@ -50,6 +52,8 @@ def _app(at: Components) -> FastAPI:
     add_definitions(app, at.orchestrator)
     add_processes(app, at)
     add_interventions(app, at)
+    add_tasklist(app, at)
+    add_forms(app, at)
     add_mapping(app, at.orchestrator)
     add_events(app, at)
     add_offers(app, at)

@@ -14,6 +14,7 @@ from services.task_orchestrator.allocation.mapping import read_mapping_file
 from services.task_orchestrator.archive import Archiver
 from services.task_orchestrator.definition_offers import DefinitionOffers
 from services.task_orchestrator.entity_events import EntityEvents
+from services.task_orchestrator.forms.form_js import BadForm
 from services.task_orchestrator.notation.faults import BadBpmn
 from services.task_orchestrator.orchestrator import Orchestrator
 from services.task_orchestrator.reconcile import Reconciler
@@ -67,6 +68,8 @@ class Components:
     async def _deploy_folder(self, folder: Path) -> None:
         if not await asyncio.to_thread(folder.is_dir):
             log.warning("folder of BPMN files not found", folder=str(folder))
+        for file in await asyncio.to_thread(lambda: sorted(folder.glob("*.form"))):
+            await self._deploy_form(file)
         for file in await asyncio.to_thread(lambda: sorted(folder.glob("*.bpmn"))):
             try:
                 xml = await asyncio.to_thread(file.read_bytes)
@@ -79,6 +82,16 @@ class Components:
             else:
                 for each in deployed.deployments:
                     log.info("definition deployed", name=each.name, version=each.version)
+
+    async def _deploy_form(self, file: Path) -> None:
+        try:
+            content = await asyncio.to_thread(file.read_bytes)
+            deployed = await self.orchestrator.deployments.deploy_files([], [(file.name, content)])
+        except (BadForm, OSError) as error:
+            log.warning("form not deployed", file=str(file), error=str(error))
+        else:
+            record = deployed.forms[0].record
+            log.info("form deployed", form=record.id, version=record.version)
 
     async def check_database(self) -> None:
         """Raise an exception if the database does not answer."""

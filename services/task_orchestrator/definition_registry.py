@@ -120,6 +120,10 @@ class DefinitionRegistry(Library):
             message("bpmn.no_such_tag", '"{name}" has no version with the tag "{tag}"', name=name, tag=tag)
         )
 
+    def deployed_at(self, name: str, version: int) -> datetime | None:
+        """Return when a version was deployed."""
+        return self.record(name, version).deployed_at
+
     async def prepare(self, record: DefinitionRecord) -> None:
         """Create the plan of `record` in a thread; the largest file takes half a second.
 

@@ -9,7 +9,8 @@ from datamodels.times import iso
 from handover.content_digest import with_digest
 from handover.messages import message
 from handover.settings import Settings
-from handover.task_life import type_of
+from handover.task_life import is_for_people, type_of
+from services.task_orchestrator.allocation.hints import due_of, follow_up_of, given_priority
 from services.task_orchestrator.model import Activity, Definition
 from services.task_orchestrator.records import TaskRecord
 from services.task_orchestrator.references import is_reference, resource_id
@@ -68,6 +69,11 @@ def _task_definition(settings: Settings, activity: Activity, process_definition:
         entity["requiredSkills"] = _property(list(activity.skills))
     if activity.handles_outcomes:
         entity["handlesOutcomes"] = _property(True)
+    if activity.inputs_schema is not None:
+        entity["workParametersSchema"] = _property(activity.inputs_schema)
+    form = activity.parameters.get("form")
+    if form is not None and isinstance(form.literal, Mapping) and "properties" in form.literal:
+        entity["outputParametersSchema"] = _property(form.literal)
     return entity
 
 
@@ -108,10 +114,12 @@ def task_entity(
     deadline: datetime,
     data: Mapping[str, Any] | None = None,
     candidates: Mapping[str, Any] | None = None,
+    part_of: tuple[str, str] | None = None,
 ) -> Entity:
     """Return the `pending` Task of `activity` with the present process variables and data objects.
 
-    `candidates` describe the people who may claim a Task that involves nobody.
+    `candidates` describe the people that a Task of people is offered to. Such a Task has the attributes that
+    a tasklist shows; `part_of` are the URN of its Process and the element.
 
     Raises `ExpressionError` when a variable is missing, `ValueError` when a reference is invalid.
     """
@@ -129,6 +137,8 @@ def task_entity(
     }
     if candidates is not None:
         entity["workParameters"]["value"]["candidates"] = dict(candidates)
+    if part_of is not None and is_for_people(link["object"] for link in entity["involves"]["value"]):
+        entity |= _tasklist_attributes(activity, variables, *part_of)
     places = [
         _place(settings, place.location.value(variables), place.function, activity)
         for place in activity.happens_at
@@ -163,6 +173,26 @@ def _used(settings: Settings, given: Any, type_: str, activity: Activity) -> Ent
             )
         )
     return link
+
+
+def _tasklist_attributes(
+    activity: Activity, variables: Mapping[str, Any], process: str, element: str
+) -> Entity:
+    attributes: Entity = {
+        "name": _property(activity.name),
+        "element": _property(element),
+        "isPartOf": {"type": "Relationship", "object": process},
+    }
+    priority = given_priority(activity, variables)
+    if priority is not None:
+        attributes["priority"] = _property(priority)
+    for name, moment in (
+        ("dueDate", due_of(activity, variables)),
+        ("followUpDate", follow_up_of(activity, variables)),
+    ):
+        if moment is not None:
+            attributes[name] = _property({"@type": "DateTime", "@value": iso(moment)})
+    return attributes
 
 
 def _work_parameters(activity: Activity, variables: Mapping[str, Any]) -> dict[str, Any]:

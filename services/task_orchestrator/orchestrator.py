@@ -15,6 +15,7 @@ from services.task_orchestrator.operations.deployments import Deployments
 from services.task_orchestrator.operations.due_timers import DueTimers
 from services.task_orchestrator.operations.offering import Offering
 from services.task_orchestrator.operations.process_control import ProcessControl
+from services.task_orchestrator.operations.tasklist import Tasklist
 from services.task_orchestrator.outbox import Outbox
 from services.task_orchestrator.records import Message
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -47,6 +48,7 @@ class Orchestrator:
         self.deployments = Deployments(self.state, self.writer)
         self.processes = ProcessControl(self.state, self.writer)
         self.broker_changes = BrokerChanges(self.state, self.writer)
+        self.tasklist = Tasklist(self.state, self.writer, self.broker_changes, broker)
         self.timers = DueTimers(self.state, self.writer)
         self.archiving = Archiving(self.state, self.writer)
         self.offering = Offering(self.state, self.writer)

@@ -32,6 +32,7 @@ from services.task_orchestrator.execution.migration import Finding
 from services.task_orchestrator.execution.run import OpenActivity, OpenIncident, Run, SpanPlace
 from services.task_orchestrator.execution.state import Library, RunFailed
 from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.model import Activity, FormBinding, Value
 from services.task_orchestrator.process_tally import count_change, count_end, count_start, count_task
 from services.task_orchestrator.records import (
     Act,
@@ -235,7 +236,7 @@ class Process:
             places = run.places(known.token)
             if run.visit(known.token) != known.visit or self.reservations.obstacle(places) is not None:
                 continue
-            open_ = run.open_activity(known.token)
+            open_ = run.open_activity(known.token, known.since)
             with suppress(ExpressionError):  # it becomes an incident when it is tried again
                 assignment = self.allocator.request(open_.activity, open_.variables, self._declined_by(open_))
                 request = assignment.waiting_request
@@ -269,7 +270,7 @@ class Process:
         if run.visit(known.token) != known.visit or self.reservations.obstacle(places) is not None:
             return False
         try:
-            found = self._choose(run.open_activity(known.token), places, known.since, now)
+            found = self._choose(run.open_activity(known.token, known.since), places, known.since, now)
         except ExpressionError:
             return True
         if not isinstance(found, NoPerformer) or found.is_final:
@@ -286,12 +287,14 @@ class Process:
         if not is_paused and self.run is not None and (event := self.run.next_due()) is not None:
             yield Timer(TimerKind.EVENT, "", event)
         for task in self.tasks.values():
-            if task.status is not TaskStatus.PENDING or (is_paused and task.cancelled_at is None):
+            if is_paused and task.cancelled_at is None:
+                continue
+            if task.status is not TaskStatus.PENDING and not task.claims:
                 continue
             if task.cancelled_at is not None:
-                grace = timedelta(seconds=self.settings.cancel_grace_s)
+                grace = timedelta(seconds=0 if task.claims else self.settings.cancel_grace_s)
                 yield Timer(TimerKind.GRACE, task.id, task.cancelled_at + grace)
-            elif not task.alerted:
+            elif not task.alerted and task.status is TaskStatus.PENDING:
                 yield Timer(TimerKind.DEADLINE, task.id, task.deadline)
         for retry in self.record.retries:
             if retry.due is not None and not is_paused:
@@ -328,6 +331,38 @@ class Process:
                 "reason", message("task.refused_by_broker", "the broker rejected the Task: {why}", why=reason)
             )
             self._apply(task, _StatusChange(TaskStatus.FAILED, now, outputs), step, now)
+
+    def report(
+        self,
+        task_id: str,
+        statuses: Iterable[TaskStatus],
+        outputs: Mapping[str, Any],
+        step: Step,
+        now: datetime,
+        **changes: Any,
+    ) -> None:
+        """Write what a person has done with a Task to the records and to the broker.
+
+        `statuses` are the statuses that it goes through, `changes` those of its record.
+        """
+        step.touched.add(self.record.id)
+        self._record_task(self.tasks[task_id].changed(**changes), step)
+        statuses = list(statuses)
+        for status in statuses or [self.tasks[task_id].status]:
+            attributes = {
+                "status": status_property(status, now),
+                "outputParameters": outputs_property(outputs, now),
+            }
+            step.enqueue(self.record.id, MessageKind.APPEND, task_id, attributes)
+        for status in statuses:
+            self._apply(self.tasks[task_id], _StatusChange(status, now, outputs), step, now)
+
+    def form_data(self, task: TaskRecord) -> dict[str, Any]:
+        """Return what a form of an open Task knows: the variables and the parameters of the Task."""
+        known: dict[str, Any] = {}
+        if self.run is not None and self._is_current(self.run, task):
+            known |= self.run.open_activity(task.token).variables
+        return {**known, **task.entity["workParameters"]["value"]}
 
     def missing(self, task_id: str, step: Step, now: datetime) -> None:
         """Handle that the broker does not have the Task: post it again if no performer has started it.
@@ -766,8 +801,8 @@ class Process:
             if (token, visit) in posted or run.visit(token) != visit:
                 continue
             try:
-                each = run.open_activity(token)
                 began = since.get((token, visit), now)
+                each = run.open_activity(token, began)
                 places = run.places(token)
                 obstacle = self.reservations.obstacle(places)
                 if obstacle is not None:
@@ -824,6 +859,7 @@ class Process:
         task_id = self._task_id(open_.element, open_.visit)
         allowed = timedelta(seconds=self.settings.task_deadline_s)
         deadline = activity.deadline.after(now) if activity.deadline is not None else now + allowed
+        activity = self._with_form(activity, now)
         entity = task_entity(
             self.settings,
             task_id,
@@ -833,6 +869,7 @@ class Process:
             at=now,
             deadline=deadline,
             candidates=assignment.candidates,
+            part_of=(self.urn, open_.element),
         )
         if assignment.kind is not None:
             assignment.kind.check(entity["workParameters"]["value"])
@@ -856,6 +893,25 @@ class Process:
         self.composed.append(task_id)
         self._record_task(task, step)
         step.enqueue(self.record.id, MessageKind.CREATE, task_id, entity)
+
+    def _with_form(self, activity: Activity, now: datetime) -> Activity:
+        """Return the activity with the version of its form, which a later deployment does not change."""
+        reference, forms = activity.form, self.allocator.forms
+        if reference is None:
+            return activity
+        name = reference.name
+        if reference.is_file:
+            named = forms.find_file(name)
+            name = name if named is None else named.id
+        version = reference.version
+        if version is None:
+            is_bound = reference.binding is FormBinding.DEPLOYMENT
+            deployed_at = self.library.deployed_at(self.record.definition, self.record.version)
+            moment = deployed_at if is_bound and deployed_at is not None else now
+            found = forms.deployed_by(name, moment)
+            version = None if found is None else found.version
+        form = Value({"id": name, "version": version})
+        return replace(activity, parameters={**activity.parameters, "form": form})
 
     def _cancel_left(self, opened: Mapping[str, int], step: Step, now: datetime) -> None:
         for task in list(self.tasks.values()):

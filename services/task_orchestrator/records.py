@@ -14,6 +14,7 @@ from datamodels.entities import TaskStatus
 from handover.task_life import FINISHED, performers_of
 from services.task_orchestrator.allocation.mapping import MappingTable
 from services.task_orchestrator.execution.machine import Effect
+from services.task_orchestrator.forms.registry import FormRecord
 from services.task_orchestrator.model import Fault
 from services.task_orchestrator.tally import Tally
 
@@ -269,6 +270,12 @@ class TaskRecord:
     """The time in progress, without the present status."""
     paused_ms: int = 0
     """The time paused, without the present status."""
+    claims: int = 0
+    """How often a person has claimed it in the tasklist."""
+    claimed_by: str | None = None
+    """The person who has claimed it and not returned it."""
+    declined_by: tuple[str, ...] = ()
+    """The persons who have declined it, while it is open for others."""
 
     @property
     def finished(self) -> bool:
@@ -296,6 +303,32 @@ class TaskRecord:
     def changed(self, **changes: Any) -> "TaskRecord":
         """Return the record with `changes`."""
         return replace(self, **changes)
+
+
+class TaskActKind(StrEnum):
+    """What a person does with a Task, or says of a Task or process."""
+
+    CLAIM = "claim"
+    RETURN = "return"
+    DECLINE = "decline"
+    COMPLETE = "complete"
+    COMMENT = "comment"
+
+
+@dataclass(frozen=True, slots=True)
+class TaskAct:
+    """What a person did with a Task, or a comment on a Task or process.
+
+    `by` is the name that was given; nobody has verified it.
+    """
+
+    id: str
+    process: str
+    task: str | None
+    kind: TaskActKind
+    by: str
+    at: datetime
+    text: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -402,6 +435,9 @@ class Step:
     ended: set[str] = field(default_factory=set)
     """Processes that have ended in this step."""
     moves: list[Move] = field(default_factory=list)
+    task_acts: list[TaskAct] = field(default_factory=list)
+    forms: list[FormRecord] = field(default_factory=list)
+    """New versions of forms."""
     start_timers: dict[str, tuple[StartTimer, ...]] = field(default_factory=dict)
     """All start timers of definitions that have changed."""
     messages: list[Message] = field(default_factory=list)
@@ -439,6 +475,8 @@ class Step:
             or self.tasks
             or self.messages
             or self.delivered
+            or self.task_acts
+            or self.forms
             or self.messages_stored
             or self.messages_taken
             or self.start_timers

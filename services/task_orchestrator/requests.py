@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from datamodels.entities import TaskStatus
+from datamodels.states import Outcome
 from services.task_orchestrator.storage.process_filter import ProcessFilter, read_condition
 
 MAX_PARAMETERS_BYTES = 1024 * 1024
@@ -226,6 +227,83 @@ class MoveRequest(MendRequest):
     """A request to move a token."""
 
     to: str = Field(max_length=1000, description="the id of the element of the same scope to move it to")
+
+
+Text = Annotated[str, Field(pattern=r"^[^\x00]*[^\x00\s][^\x00]*$", max_length=2000)]
+
+
+class ClaimRequest(BaseModel):
+    """The person who claims a Task; nobody verifies name and groups yet."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name
+    groups: list[Name] = Field(default_factory=list, max_length=100, description="the person's groups")
+    override: bool = Field(False, description="whether to claim a Task that is offered to others")
+
+
+class ReturnRequest(BaseModel):
+    """The person who returns a Task."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name
+    why: str | None = Field(None, max_length=1000, description="the reason, for the history")
+
+
+class DeclineRequest(BaseModel):
+    """The person who declines a Task, and why."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name
+    why: Text = Field(description="the reason, for the history and the next person")
+
+
+class CompleteRequest(BaseModel):
+    """The result of a Task that a person has claimed."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name
+    outcome: Outcome = Outcome.OK
+    note: str = Field("", max_length=1000)
+    outputs: dict[str, Any] = Field(default_factory=dict, description="the result, as the form asks")
+
+
+class CommentRequest(BaseModel):
+    """A comment; a second request with the same `id` adds none."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name
+    text: Text
+    id: str | None = Field(None, pattern=r"^[0-9a-f]{32}$")
+
+
+class FormData(BaseModel):
+    """The values typed so far."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    values: dict[str, Any] = Field(default_factory=dict)
+
+
+class DeployedFile(BaseModel):
+    """A BPMN file or a form of form-js."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str = Field(pattern=r"^[^\x00/\\]{1,200}\.(bpmn|form)$", description="the name of the file")
+    content: str
+
+
+class DeploymentRequest(BaseModel):
+    """Files that are deployed together: all or none."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    files: list[DeployedFile] = Field(min_length=1, max_length=100)
 
 
 def _utc(moment: datetime | None) -> datetime | None:

@@ -78,6 +78,7 @@ class WorkingState:
         """Load everything from the database."""
         await self.on_disk(self.store.migrate)
         self.registry.add(await self.on_disk(self.store.definitions))
+        self.allocator.forms.add(await self.on_disk(self.store.forms))
         table: MappingTable | None = await self.on_disk(self.store.mapping)
         if table is not None:
             self.allocator.mapping = table
@@ -196,6 +197,7 @@ class WorkingState:
         if step.offers or step.offers_deleted:
             self.offers.apply(step)
             self.allocator.task_kinds = self.offers.task_kinds()
+        self.allocator.forms.add(step.forms)
         self.active_processes.apply(step)
         self.events.apply(step)
         self.entities.seen.apply(step.entities_seen)

@@ -431,22 +431,28 @@ class ProcessView(TypedDict):
 
 
 class TasklistView(TypedDict):
-    """Topic `tasklist/<urn>`: an open Task for people; `form` is the JSON Schema of its result.
+    """Topic `tasklist/<urn>`: an open Task for people, without its form and history.
 
-    `claimedBy` is the person who has claimed it on the page. A Task that a component performs is not
-    claimable.
+    It is offered to `persons` (names or URNs) and `groups`. `claimedBy` is the person who has claimed it,
+    `declinedBy` are those who have declined it. A Task that a component performs is not claimable.
     """
 
     id: str
-    kind: str
+    name: str
     description: str | None
+    process: str
+    element: str
     status: Status
-    person: str | None
+    persons: list[str]
+    groups: list[str]
     claimedBy: str | None
+    declinedBy: list[str]
     isClaimable: bool
+    since: str | None
     deadline: str | None
-    form: dict[str, Any] | None
-    inputs: dict[str, Any]
+    dueDate: str | None
+    followUpDate: str | None
+    priority: int | None
 
 
 class DefinitionParameter(TypedDict):

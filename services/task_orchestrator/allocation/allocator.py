@@ -12,7 +12,7 @@ these up to date; nothing of this is stored here, since it follows from them.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, TypeAlias
 
 from handover.messages import Message, message, with_code
@@ -29,6 +29,14 @@ from services.task_orchestrator.allocation.choice import (
     order_of,
     rank,
 )
+from services.task_orchestrator.allocation.hints import (
+    CODE_HINTS,
+    HINT_KINDS,
+    candidates_of,
+    due_of,
+    hint_values,
+    priority_of,
+)
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable, NameKind
 from services.task_orchestrator.allocation.reservations import (
     Hold,
@@ -42,24 +50,12 @@ from services.task_orchestrator.allocation.reservations import (
     wanted_by,
 )
 from services.task_orchestrator.allocation.task_kinds import TaskKind
+from services.task_orchestrator.forms.registry import FormRegistry
 from services.task_orchestrator.languages.base import ExpressionError, Variables
-from services.task_orchestrator.languages.feel import read_feel
-from services.task_orchestrator.languages.juel import read_template
-from services.task_orchestrator.languages.times import read_datetime
 from services.task_orchestrator.model import Activity, Definition, Value
 from services.task_orchestrator.references import is_reference, resource_id
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.spans import Need
-
-_HINT_KINDS: Mapping[NameKind, tuple[str, ...]] = {
-    NameKind.CLASS: ("class", "delegateExpression", "expression", "connector"),
-    NameKind.TOPIC: ("topic",),
-    NameKind.JOB_TYPE: ("jobType",),
-    NameKind.ASSIGNEE: ("assignee",),
-    NameKind.CANDIDATE_GROUP: ("candidateGroups",),
-}
-_CODE_HINTS = frozenset(_HINT_KINDS[NameKind.CLASS])
-"""Hints whose text is the name of code, even if it is written as an expression."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +67,7 @@ class Assignment:
     performer: str | None = None
     """The resource, role or skills, as text; None if people of the tasklist claim it."""
     candidates: Mapping[str, Any] | None = None
-    """Who may claim its Task, if the Task involves nobody."""
+    """The groups and persons that a Task of people is offered to."""
     warning: Message | None = None
     request: Request | None = None
     """What a performer needs, if one has to be chosen."""
@@ -139,6 +135,7 @@ class Allocator:
         self.task_kinds: Mapping[str, TaskKind] = {}
         """The accepted TaskDefinitions of other systems, by id."""
         self.agents = Agents()
+        self.forms = FormRegistry()
         self.has_changed = False
         """Whether waiting activities should be tried again: an agent or its Tasks have changed."""
         self._tasks: dict[str, str] = {}
@@ -377,7 +374,7 @@ class Allocator:
         Raises `ExpressionError` if a variable is missing that says who performs it.
         """
         assignment = self.assign(activity, variables)
-        priority, due = _priority(activity, variables), _due(activity, variables)
+        priority, due = priority_of(activity, variables), due_of(activity, variables)
         performers = tuple(self._named(assignment.activity, variables))
         request = assignment.request
         if request is not None:
@@ -562,7 +559,12 @@ class Allocator:
             request = Request(activity.role, activity.skills)
             reason = message("allocation.needs", "the file asks for {needed}", needed=request.described)
             return Assignment(
-                activity, reason, request.described, request=request, warning=self._nobody_has(request)
+                activity,
+                reason,
+                request.described,
+                candidates=None if activity.role is None else {"groups": [activity.role]},
+                request=request,
+                warning=self._nobody_has(request),
             )
         entry = self.mapping.find(_names(activity, variables))
         if entry is None and (kind := self._kind(activity)) is not None and kind.skills:
@@ -578,7 +580,7 @@ class Allocator:
             )
         if entry is None:
             reason = message("allocation.no_entry", "people, because the mapping has no entry for it")
-            return Assignment(activity, reason, candidates=_candidates(activity, variables))
+            return Assignment(activity, reason, candidates=candidates_of(activity, variables))
         if not self._is_allowed(entry):
             warning = message(
                 "allocation.unconfirmed",
@@ -587,7 +589,9 @@ class Allocator:
                 name=entry.name,
                 performer=performer_of(entry),
             )
-            return Assignment(activity, warning, candidates=_candidates(activity, variables), warning=warning)
+            return Assignment(
+                activity, warning, candidates=candidates_of(activity, variables), warning=warning
+            )
         return self._by_entry(activity, entry)
 
     def _by_entry(self, activity: Activity, entry: MappingEntry) -> Assignment:
@@ -600,7 +604,9 @@ class Allocator:
             },
             involves=() if entry.resource is None else (Value(entry.resource),),
         )
-        request = None
+        request, candidates = None, None
+        if entry.role is not None:
+            candidates = {"groups": [entry.role]}
         if entry.resource is None:
             people_only = self.mapping.by is None
             request = Request(entry.role, entry.skills or (), people_only=people_only)
@@ -615,6 +621,7 @@ class Allocator:
                 version=self.mapping.version,
             ),
             performer_of(entry),
+            candidates=candidates,
             request=request,
             warning=None if request is None else self._nobody_has(request),
         )
@@ -709,59 +716,14 @@ def performer_of(entry: MappingEntry) -> str:
 def _names(activity: Activity, variables: Variables | None) -> Iterator[tuple[NameKind, str]]:
     """Yield the names of an activity that an entry can map, the most specific first."""
     yield NameKind.DEFINITION, activity.definition
-    for kind, hints in _HINT_KINDS.items():
+    for kind, hints in HINT_KINDS.items():
         for hint in hints:
-            for name in _hint(activity, hint, variables):
+            for name in hint_values(activity, hint, variables):
                 yield kind, name
-                if hint in _CODE_HINTS and name.startswith(("${", "#{")) and name.endswith("}"):
+                if hint in CODE_HINTS and name.startswith(("${", "#{")) and name.endswith("}"):
                     yield kind, name[2:-1].strip()
     if activity.lane:
         yield NameKind.LANE, activity.lane
-
-
-def _priority(activity: Activity, variables: Variables) -> int:
-    for name in ("priority", "taskPriority"):
-        for text in _hint(activity, name, variables):
-            with suppress(ValueError):
-                return int(text)
-    return DEFAULT_PRIORITY
-
-
-def _due(activity: Activity, variables: Variables) -> datetime | None:
-    texts = _hint(activity, "dueDate", variables)
-    due = read_datetime(texts[0]) if texts else None
-    return due.replace(tzinfo=UTC) if due is not None and due.tzinfo is None else due
-
-
-def _candidates(activity: Activity, variables: Variables | None) -> dict[str, Any]:
-    found: dict[str, Any] = {
-        "groups": _hint(activity, "candidateGroups", variables),
-        "users": _hint(activity, "candidateUsers", variables),
-        "assignee": next(iter(_hint(activity, "assignee", variables)), None),
-        "lane": activity.lane,
-    }
-    return {name: value for name, value in found.items() if value}
-
-
-def _hint(activity: Activity, name: str, variables: Variables | None) -> list[str]:
-    """Return the names in a hint; an expression that cannot be evaluated stands for itself."""
-    text = activity.hints.get(name, "").strip()
-    if not text:
-        return []
-    value: Any = text
-    if variables is not None and name not in _CODE_HINTS:
-        with suppress(ExpressionError):
-            if text.startswith("="):
-                value = read_feel(text).value(variables)
-            elif "${" in text or "#{" in text:
-                value = read_template(text).value(variables)
-    if isinstance(value, list):
-        return [str(each).strip() for each in value if each is not None]
-    if value is text and (text.startswith("=") or "${" in text or "#{" in text):
-        return [text]
-    is_list = name in {"candidateGroups", "candidateUsers"}
-    names = str(value).split(",") if is_list else [str(value)]
-    return [each.strip() for each in names if each.strip() and value is not None]
 
 
 def _described(value: Value) -> str:

@@ -250,9 +250,12 @@ class Run:
         """Return the activities that were opened and left since the last call."""
         return self._index.take_work_changes()
 
-    def open_activity(self, token: str) -> OpenActivity:
-        """Return the open activity of `token`; raise `RunFailed` if it is not open."""
-        return _open_activity(self._machine(_NEVER), self._working(token))
+    def open_activity(self, token: str, now: datetime | None = None) -> OpenActivity:
+        """Return the open activity of `token`; raise `RunFailed` if it is not open.
+
+        `now` is the time for expressions over its variables.
+        """
+        return _open_activity(self._machine(now or _NEVER), self._working(token))
 
     def visit(self, token: str) -> int | None:
         """Return the visit of the activity of `token` that a performer works on; None if there is none."""

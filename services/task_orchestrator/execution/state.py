@@ -363,6 +363,10 @@ class Library(Protocol):
     def find(self, name: str, version: int | None, tag: str | None) -> Plan:
         """Return the latest version, or that with the version number or tag; raise `RunFailed` if none."""
 
+    def deployed_at(self, name: str, version: int) -> datetime | None:  # noqa: ARG002
+        """Return when a version was deployed, if that is known."""
+        return None
+
 
 def read_snapshot(snapshot: bytes, library: Library) -> State:
     """Return the state of a `snapshot`; raise `RunFailed` if this release cannot read it."""

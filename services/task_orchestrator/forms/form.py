@@ -6,7 +6,7 @@ from typing import Any
 import orjson
 
 from services.task_orchestrator.forms import form_js, json_schema
-from services.task_orchestrator.forms.fields import Field, FieldFault
+from services.task_orchestrator.forms.fields import FieldFault
 from services.task_orchestrator.forms.form_js import Resolved, is_form_js
 from services.task_orchestrator.forms.json_schema import schema_fault
 
@@ -40,28 +40,3 @@ def form_fault(schema: Schema) -> str | None:
     except form_js.BadForm as bad:
         return bad.detail
     return None
-
-
-def field_view(field: Field) -> dict[str, Any]:
-    """Return a field as JSON."""
-    return {
-        "path": field.path,
-        "kind": field.kind.value,
-        "label": field.label,
-        "hint": field.hint,
-        "isRequired": field.is_required,
-        "isReadOnly": field.is_read_only,
-        "initial": field.initial,
-        "options": [{"value": option.value, "label": option.label} for option in field.options],
-        "minimum": field.minimum,
-        "maximum": field.maximum,
-        "minLength": field.min_length,
-        "maxLength": field.max_length,
-        "pattern": field.pattern,
-        "textFormat": field.text_format,
-        "decimals": field.decimals,
-        "unit": field.unit,
-        "isText": field.is_text,
-        "fields": [field_view(each) for each in field.fields],
-        "columns": [{"key": key, "label": label} for key, label in field.columns],
-    }

@@ -245,7 +245,7 @@ def _faults(field: Field, value: Json) -> Iterator[FieldFault]:
 
 
 class _Reader:
-    """Reads components for some data; `is_dynamic` tells whether an expression was met."""
+    """Reads components for some data; `is_dynamic` says whether there was an expression."""
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         self._data = data

@@ -2,20 +2,46 @@
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import PurePath
 from typing import Any
 
 from handover.errors import Problem
-from handover.messages import message
+from handover.messages import Message, message
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
 from services.task_orchestrator.definition_registry import Deployed, Deployment
 from services.task_orchestrator.execution.graph import Plan
+from services.task_orchestrator.forms.form_js import FormFile, read_form
+from services.task_orchestrator.forms.registry import FormRecord
 from services.task_orchestrator.notation.faults import as_json
 from services.task_orchestrator.notation.file import BpmnFile, read_bpmn
 from services.task_orchestrator.records import MessageKind, Step
 from services.task_orchestrator.start_timers import start_timers
 from services.task_orchestrator.step_writer import StepWriter
 from services.task_orchestrator.working_state import WorkingState
+
+
+@dataclass(frozen=True, slots=True)
+class DeployedForm:
+    """The result of the deployment of a form; `created` is False when it changed nothing."""
+
+    record: FormRecord
+    created: bool
+    warnings: tuple[Message, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DeployedFiles:
+    """The results of a deployment of several files."""
+
+    bpmn: Deployed
+    forms: tuple[DeployedForm, ...]
+
+    @property
+    def created(self) -> bool:
+        """Return whether there is a new version of anything."""
+        return self.bpmn.created or any(each.created for each in self.forms)
 
 
 class Deployments:
@@ -31,12 +57,46 @@ class Deployments:
         A process whose file equals its latest version, or with `only_if_never_seen` any version, stays as it
         is.
         """
-        file = await asyncio.to_thread(read_bpmn, xml)
+        deployed = await self.deploy_files([xml], [], only_if_never_seen=only_if_never_seen)
+        return deployed.bpmn
 
-        def act(step: Step) -> Deployed:
-            return deploy_into(step, self._state, file, only_if_never_seen=only_if_never_seen)
+    async def deploy_files(
+        self,
+        bpmn: Sequence[bytes],
+        forms: Sequence[tuple[str | None, bytes]],
+        *,
+        only_if_never_seen: bool = False,
+    ) -> DeployedFiles:
+        """Deploy BPMN files and forms (each with the name of its file) together: all or none.
+
+        Raises `BadBpmn` or `BadForm` if one of them cannot be deployed.
+        """
+        files = [await asyncio.to_thread(read_bpmn, xml) for xml in bpmn]
+        read = [
+            (await asyncio.to_thread(read_form, content, _stem(name)), content, name)
+            for name, content in forms
+        ]
+
+        def act(step: Step) -> DeployedFiles:
+            now = self._state.clock()
+            written = [self._deploy_form(form, content, name, step, now) for form, content, name in read]
+            found = [
+                deploy_into(step, self._state, file, only_if_never_seen=only_if_never_seen) for file in files
+            ]
+            deployments = tuple(each for deployed in found for each in deployed.deployments)
+            warnings = tuple(each for deployed in found for each in deployed.warnings)
+            return DeployedFiles(Deployed(deployments, warnings), tuple(written))
 
         return await self._writer.apply(act)
+
+    def _deploy_form(
+        self, form: FormFile, content: bytes, name: str | None, step: Step, now: datetime
+    ) -> DeployedForm:
+        forms = self._state.allocator.forms
+        record, created = forms.next_version(form, content, name, step.forms, now)
+        if created:
+            step.forms.append(record)
+        return DeployedForm(record, created, form.warnings)
 
     async def check(self, xml: bytes) -> dict[str, Any]:
         """Return the result that a deployment would have; raise `BadBpmn` if the file cannot be executed."""
@@ -112,3 +172,7 @@ def deploy_into(
                 step.enqueue(f"definition {record.name}", MessageKind.DEFINE, subject, entities)
         found.append(Deployment(record.name, record.version, created))
     return Deployed(tuple(found), file.warnings)
+
+
+def _stem(name: str | None) -> str | None:
+    return None if name is None else PurePath(name).stem

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from datetime import datetime
+from enum import StrEnum
 from typing import Any
 
 import orjson
@@ -17,13 +18,14 @@ from services.task_orchestrator.records import (
     Decision,
     IncidentRecord,
     Message,
-    MessageKind,
     OfferRecord,
     OfferStatus,
     ProcessRecord,
     ReservationRecord,
     ReservationState,
     Retry,
+    TaskAct,
+    TaskActKind,
     TaskRecord,
     Unallocated,
 )
@@ -43,7 +45,10 @@ _MOMENTS = frozenset(
     }
 )
 _DOCUMENTS = frozenset(
-    {"parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents", "declined"}
+    {
+        *("parameters", "variables", "waiting", "outputs", "entity", "acts", "incidents", "declined"),
+        "declined_by",
+    }
 )
 
 
@@ -57,7 +62,7 @@ def as_column(value: Any) -> Any:
         return value.isoformat(timespec="microseconds")
     if isinstance(value, Mapping | tuple):
         return orjson.dumps(value).decode()
-    return str(value) if isinstance(value, TaskStatus | MessageKind | OfferStatus) else value
+    return str(value) if isinstance(value, StrEnum) else value
 
 
 def plain_row(record: Any, *, but: Collection[str] = ()) -> dict[str, Any]:
@@ -218,7 +223,13 @@ def to_task(row: Mapping[str, Any]) -> TaskRecord:
     del values["took_ms"], values["performer"]
     if values["allocated"] is not None:
         values["allocated"] = message_in(orjson.loads(values["allocated"]), "text")
-    return TaskRecord(**{**values, "status": TaskStatus(values["status"])})
+    declined_by = tuple(values["declined_by"])
+    return TaskRecord(**{**values, "status": TaskStatus(values["status"]), "declined_by": declined_by})
+
+
+def to_task_act(row: Mapping[str, Any]) -> TaskAct:
+    """Return the record of the row of an act."""
+    return TaskAct(**{**row, "at": to_time(row["at"]), "kind": TaskActKind(row["kind"])})
 
 
 def _act(values: Mapping[str, Any]) -> Act:

@@ -103,6 +103,9 @@ tasks = Table(
     Column("paused_ms", BigInteger, nullable=False, server_default="0"),
     Column("allocated", Text),
     Column("chosen", Boolean, nullable=False, server_default="0"),
+    Column("claims", Integer, nullable=False, server_default="0"),
+    Column("claimed_by", String(200)),
+    Column("declined_by", Text, nullable=False, server_default="[]"),
     Index("orchestrator_tasks_unfinished", "ended_at", "process"),
 )
 process_resources = Table(
@@ -142,6 +145,29 @@ resource_work = Table(
     Column("version", Integer, primary_key=True, autoincrement=False),
     Column("working_ms", BigInteger, nullable=False),
     sqlite_with_rowid=False,
+)
+task_acts = Table(
+    "orchestrator_task_acts",
+    _meta,
+    Column("id", String(32), primary_key=True),
+    Column("process", String(100), nullable=False),
+    Column("task", String(300)),
+    Column("kind", String(10), nullable=False),
+    Column("by", String(200), nullable=False),
+    Column("at", String(40), nullable=False),
+    Column("text", Text),
+    Index("orchestrator_task_acts_process", "process", "at"),
+)
+forms = Table(
+    "orchestrator_forms",
+    _meta,
+    Column("id", String(200), primary_key=True),
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("title", Text, nullable=False),
+    Column("file", String(300)),
+    Column("digest", String(64), nullable=False),
+    Column("content", LargeBinary, nullable=False),
+    Column("deployed_at", String(40), nullable=False),
 )
 inbox = Table(
     "orchestrator_inbox",

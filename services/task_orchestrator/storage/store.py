@@ -21,6 +21,7 @@ from sqlalchemy import (
 from datamodels.entities import TaskStatus
 from handover.database import DatabaseLock
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
+from services.task_orchestrator.forms.registry import FormRecord
 from services.task_orchestrator.records import (
     DefinitionRecord,
     Message,
@@ -31,6 +32,7 @@ from services.task_orchestrator.records import (
     ProcessRecord,
     StartTimer,
     Step,
+    TaskAct,
     TaskRecord,
 )
 from services.task_orchestrator.storage import schema
@@ -44,6 +46,7 @@ from services.task_orchestrator.storage.rows import (
     to_offer,
     to_process,
     to_task,
+    to_task_act,
     to_time,
     to_values,
 )
@@ -115,6 +118,7 @@ class Store:
             ids = list(connection.scalars(old.limit(at_most)))
             theirs = select(tasks.c.id).where(tasks.c.process.in_(ids))
             connection.execute(delete(schema.inbox).where(schema.inbox.c.task.in_(theirs)))
+            connection.execute(delete(schema.task_acts).where(schema.task_acts.c.process.in_(ids)))
             connection.execute(delete(tasks).where(tasks.c.process.in_(ids)))
             resources = schema.process_resources
             connection.execute(delete(resources).where(resources.c.process.in_(ids)))
@@ -132,6 +136,22 @@ class Store:
             schema.definitions.c.name, schema.definitions.c.version
         )
         return [DefinitionRecord(**to_values(row)) for row in self._rows(statement)]
+
+    def forms(self) -> list[FormRecord]:
+        """Return all versions of all forms, oldest first."""
+        statement = select(schema.forms).order_by(schema.forms.c.id, schema.forms.c.version)
+        return [FormRecord(**to_values(row)) for row in self._rows(statement)]
+
+    def task(self, task_id: str) -> TaskRecord | None:
+        """Return a Task; None if there is none."""
+        rows = list(self._rows(select(schema.tasks).where(schema.tasks.c.id == task_id)))
+        return to_task(rows[0]) if rows else None
+
+    def task_acts(self, process: str) -> list[TaskAct]:
+        """Return what people did with the Tasks of a process, and all comments, in order."""
+        table = schema.task_acts
+        statement = select(table).where(table.c.process == process).order_by(table.c.at, table.c.id)
+        return [to_task_act(row) for row in self._rows(statement)]
 
     def mapping(self, version: int | None = None) -> MappingTable | None:
         """Return a version of the mapping, by default the latest; None if there is none."""

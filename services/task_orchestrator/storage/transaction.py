@@ -42,6 +42,7 @@ _CHANGING = (
     *("element", "name", "status", "observed_at", "moves", "ended_at", "cancelled_at"),
     *("alerted", "lost", "outputs"),
     *("status_since", "working_ms", "paused_ms"),
+    *("claims", "claimed_by", "declined_by"),
 )
 """Columns of a Task that change."""
 _UPDATE_PROCESS = (
@@ -82,6 +83,8 @@ def write_step(connection: Connection, step: Step) -> None:
     _write_resources(connection, step)
     write_tally(connection, step.tally)
     _insert(connection, schema.inbox, [plain_row(move) for move in step.moves])
+    _insert(connection, schema.task_acts, [plain_row(act) for act in step.task_acts])
+    _insert(connection, schema.forms, [plain_row(form) for form in step.forms])
     for definition, starts in step.start_timers.items():
         table = schema.start_timers
         connection.execute(delete(table).where(table.c.definition == definition))

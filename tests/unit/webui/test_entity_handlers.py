@@ -42,7 +42,7 @@ class Cell:
         self.http = httpx.AsyncClient(timeout=120)
         services = ServiceMonitor(settings.service_urls, self.http, self.broker, self.state, self.log)
         self.devices = Devices(self.state, self.log, services)
-        tasklist = Tasklist(self.state, self.broker)
+        tasklist = Tasklist(self.state)
         self.tasks = Tasks(self.log, self.devices, services, self.hints.append, tasklist)
         self.alerts = Alerts(self.state, self.log, self.broker)
 
@@ -235,3 +235,28 @@ async def test_unchanged_alerts_are_not_validated_again(cell: Cell, monkeypatch:
     assert validated == []
     cell.alerts.update(alert(2))
     assert validated
+
+
+async def test_an_open_task_of_people_is_in_the_tasklist_until_it_ends(cell: Cell) -> None:
+    entity = {
+        **task("pending", 1),
+        "involves": prop([]),
+        "name": prop("Weigh"),
+        "element": prop("weigh"),
+        "isPartOf": {"type": "Relationship", "object": "urn:ngsi-ld:Process:demo:weighing-1"},
+        "priority": prop(70),
+        "dueDate": moment(30),
+        "workParameters": prop({"candidates": {"groups": ["packing"], "lane": "Hall", "users": ["ben"]}}),
+    }
+    cell.tasks.update(entity)
+    topic = f"tasklist/{TASK}"
+    shown = cell.state.value(topic)
+    assert (shown["name"], shown["process"], shown["priority"]) == ("Weigh", "weighing-1", 70)
+    assert (shown["groups"], shown["persons"]) == (["packing", "Hall"], ["ben"])
+    assert (shown["claimedBy"], shown["isClaimable"]) == (None, True)
+    claimed = {"outputParameters": prop({"by": "tasklist", "operator": "Anna", "declinedBy": ["Ben"]})}
+    cell.tasks.update({**entity, **claimed, "status": prop("inProgress", 2)})
+    shown = cell.state.value(topic)
+    assert (shown["claimedBy"], shown["declinedBy"], shown["isClaimable"]) == ("Anna", ["Ben"], True)
+    cell.tasks.update({**entity, "status": prop("completed", 3)})
+    assert cell.state.value(topic) is None

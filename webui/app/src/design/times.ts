@@ -12,7 +12,8 @@ export function ago(thenMs: number, nowMs: number, language: string): string {
   return language.startsWith("fi") ? `${text} sitten` : `${text} ago`;
 }
 
-function span(seconds: number, language: string): string {
+/** "12 s", "3 min", "5 h", "2 d" for a duration in s. */
+export function span(seconds: number, language: string): string {
   if (seconds < 60) return `${Math.floor(seconds)} s`;
   if (seconds < 3600) return `${Math.floor(seconds / 60)} min`;
   if (seconds < 86_400) return `${Math.floor(seconds / 3600)} h`;

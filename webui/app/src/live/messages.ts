@@ -384,22 +384,28 @@ export interface ProcessView {
 }
 
 /**
- * Topic `tasklist/<urn>`: an open Task for people; `form` is the JSON Schema of its result.
+ * Topic `tasklist/<urn>`: an open Task for people, without its form and history.
  *
- * `claimedBy` is the person who has claimed it on the page. A Task that a component performs is not
- * claimable.
+ * It is offered to `persons` (names or URNs) and `groups`. `claimedBy` is the person who has claimed it,
+ * `declinedBy` are those who have declined it. A Task that a component performs is not claimable.
  */
 export interface TasklistView {
   id: string;
-  kind: string;
+  name: string;
   description: string | null;
+  process: string;
+  element: string;
   status: Status;
-  person: string | null;
+  persons: string[];
+  groups: string[];
   claimedBy: string | null;
+  declinedBy: string[];
   isClaimable: boolean;
+  since: string | null;
   deadline: string | null;
-  form: Record<string, unknown> | null;
-  inputs: Record<string, unknown>;
+  dueDate: string | null;
+  followUpDate: string | null;
+  priority: number | null;
 }
 
 /** A parameter of a process definition. */

@@ -1,73 +1,100 @@
-/** The result of a Task: the outcome, a note, and the fields of its form. */
-import { useState, type ReactNode } from "react";
+/** The result of a Task: the fields of its form, the outcome and a note. What is typed stays until it is sent. */
+import { CircleCheck } from "lucide-react";
+import { useEffect, useRef, useState, type KeyboardEvent, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
-import { errorText } from "~/api/http";
+import type { FormField, TaskDetails } from "~/api/generated/task-orchestrator";
+import { ApiError, errorText } from "~/api/http";
 import { Button } from "~/design/Button";
-import { Checkbox } from "~/design/Checkbox";
 import { ErrorMessage } from "~/design/ErrorMessage";
-import { Field } from "~/design/Field";
 import { Select } from "~/design/Select";
 import { TextBox } from "~/design/TextBox";
-import type { Outcome, TasklistView } from "~/live/messages";
-import { completeTask } from "./actions";
-import { entered, entryOf, fieldsOf, type FieldFault, type FormField } from "./form";
+import { localizedText } from "~/i18n/server";
+import type { Outcome } from "~/live/messages";
+import { completeTask, formOf } from "./actions";
+import { draftOf, keepDraft, type ResultDraft } from "./drafts";
+import { entered, inputs, type Draft, type Entry, type FieldFault } from "./form";
+import { FormFields } from "./FormFields";
+
+const OUTCOMES: readonly Outcome[] = ["ok", "notGood", "problem"];
+const EVALUATE_AFTER_MS = 300;
 
 export interface ResultFormProps {
-  task: TasklistView;
+  task: TaskDetails;
   by: string;
-  icon: ReactNode;
   /** Further acts, beside the one that completes the Task. */
   children: ReactNode;
   onEnd: () => void;
 }
 
-const OUTCOMES: readonly Outcome[] = ["ok", "notGood", "problem"];
-
-export function ResultForm({ task, by, icon, children, onEnd }: ResultFormProps) {
+export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
   const { t } = useTranslation("tasks");
-  const [typed, setTyped] = useState<Record<string, string>>({});
-  const [faults, setFaults] = useState<Record<string, FieldFault>>({});
-  const [outcome, setOutcome] = useState<Outcome>("ok");
-  const [note, setNote] = useState("");
+  const [draft, setDraft] = useState<ResultDraft>(() => draftOf(task.id, by) ?? { entries: {}, outcome: "ok", note: "" });
+  const [faults, setFaults] = useState<Record<string, string>>({});
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
-  const fields = fieldsOf(task.form, task.inputs);
+  const form = useRef<HTMLFormElement>(null);
+  const fields = useFields(task, draft.entries);
+  const change = (changed: Partial<ResultDraft>) => {
+    const after = { ...draft, ...changed };
+    setDraft(after);
+    keepDraft(task.id, by, after);
+  };
   const complete = () => {
-    const result = entered(task.form, fields, typed);
-    const isOk = outcome === "ok";
-    setFaults(isOk ? result.faults : {});
+    const result = entered(fields, draft.entries);
+    const isOk = draft.outcome === "ok";
+    const found = Object.fromEntries(Object.entries(result.faults).map(([path, fault]) => [path, faultText(t, fault)]));
+    setFaults(isOk ? found : {});
     setFailure(null);
-    if (isOk && Object.keys(result.faults).length > 0) return;
+    if (isOk && Object.keys(found).length > 0) {
+      focusFirstFault(form.current);
+      return;
+    }
     setBusy(true);
-    completeTask(task.id, by, { outcome, note, outputs: result.values })
-      .then(onEnd, (error: unknown) => setFailure(errorText(error)))
+    completeTask(task.id, { by, outcome: draft.outcome, note: draft.note, outputs: isOk ? result.values : {} })
+      .then(
+        () => {
+          keepDraft(task.id, by, null);
+          onEnd();
+        },
+        (error: unknown) => {
+          const refused = faultsOf(error);
+          setFaults(refused);
+          setFailure(t("notSent", { why: errorText(error) }));
+          if (Object.keys(refused).length > 0) focusFirstFault(form.current);
+        },
+      )
       .finally(() => setBusy(false));
   };
+  const onKeyDown = (event: KeyboardEvent) => {
+    if (event.key !== "Enter" || !(event.ctrlKey || event.metaKey) || busy) return;
+    event.preventDefault();
+    complete();
+  };
+  const known = new Set(inputs(fields).map((field) => field.path));
+  const others = Object.entries(faults).filter(([path]) => !known.has(path.split(/\.\d+(\.|$)/)[0] ?? path));
   return (
     <form
+      ref={form}
       className="tasklist__form"
       aria-label={t("result")}
       noValidate
+      onKeyDown={onKeyDown}
       onSubmit={(event) => {
         event.preventDefault();
         if (!busy) complete();
       }}
     >
-      {fields.map((field) => (
-        <Entry
-          key={field.name}
-          field={field}
-          text={typed[field.name] ?? entryOf(field)}
-          error={faults[field.name]}
-          onChange={(text) => setTyped((before) => ({ ...before, [field.name]: text }))}
-        />
+      {task.form !== null && task.form.id !== null && task.form.version === null && <p className="quiet">{t("formMissing", { form: task.form.id })}</p>}
+      <FormFields fields={fields} draft={draft.entries} faults={faults} onChange={(path: string, entry: Entry) => change({ entries: { ...draft.entries, [path]: entry } })} />
+      <Select label={t("outcome.label")} value={draft.outcome} options={OUTCOMES.map((value) => ({ value, name: t(`outcome.${value}`) }))} onChange={(value) => change({ outcome: OUTCOMES.find((one) => one === value) ?? "ok" })} />
+      <TextBox label={t("note")} value={draft.note} onChange={(note) => change({ note })} maxLength={1000} />
+      {others.map(([path, text]) => (
+        <ErrorMessage key={path}>{`${path}: ${text}`}</ErrorMessage>
       ))}
-      <Select label={t("outcome.label")} value={outcome} options={OUTCOMES.map((value) => ({ value, name: t(`outcome.${value}`) }))} onChange={(value) => setOutcome(OUTCOMES.find((one) => one === value) ?? "ok")} />
-      <TextBox label={t("note")} value={note} onChange={setNote} maxLength={1000} />
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       <div className="tasklist__acts">
-        <Button type="submit" kind={outcome === "ok" ? "main" : "stop"} icon={icon} isDisabled={busy}>
-          {t(`complete.${outcome}`)}
+        <Button type="submit" kind={draft.outcome === "ok" ? "main" : "stop"} icon={<CircleCheck aria-hidden size={18} />} isDisabled={busy}>
+          {t(`complete.${draft.outcome}`)}
         </Button>
         {children}
       </div>
@@ -75,35 +102,46 @@ export function ResultForm({ task, by, icon, children, onEnd }: ResultFormProps)
   );
 }
 
-interface EntryProps {
-  field: FormField;
-  text: string;
-  error: FieldFault | undefined;
-  onChange: (text: string) => void;
+/** The fields of the form; those of a dynamic one for what is typed, as the server has evaluated it last. */
+function useFields(task: TaskDetails, entries: Draft): readonly FormField[] {
+  const [evaluated, setEvaluated] = useState<readonly FormField[] | null>(null);
+  const isDynamic = task.form?.isDynamic === true;
+  const fields = evaluated ?? task.form?.fields ?? [];
+  const typed = isDynamic ? JSON.stringify(entered(fields, entries).values) : "";
+  useEffect(() => {
+    if (!isDynamic || typed === "{}") return;
+    let isCurrent = true;
+    const timer = setTimeout(() => {
+      formOf(task.id, { values: JSON.parse(typed) as Record<string, unknown> }).then(
+        (form) => {
+          if (isCurrent && form !== null) setEvaluated(form.fields);
+        },
+        () => undefined, // without a connection the fields stay as they are; the server checks the result
+      );
+    }, EVALUATE_AFTER_MS);
+    return () => {
+      isCurrent = false;
+      clearTimeout(timer);
+    };
+  }, [isDynamic, typed, task.id]);
+  return fields;
 }
 
-function Entry({ field, text, error, onChange }: EntryProps) {
-  const { t } = useTranslation("tasks");
-  const label = field.isRequired ? t("required", { name: field.title }) : field.title;
-  const fault = error === undefined ? undefined : t(`fault.${error}`);
-  const hint = field.hint ?? undefined;
-  if (field.kind === "boolean") {
-    return (
-      <Checkbox isSelected={text === "true"} onChange={(isSelected) => onChange(String(isSelected))}>
-        {label}
-      </Checkbox>
-    );
-  }
-  if (field.kind === "choice") {
-    const options = field.options.map(({ name }, nth) => ({ value: String(nth), name }));
-    return (
-      <div>
-        <Select label={label} value={text} options={[{ value: "", name: t("notChosen") }, ...options]} onChange={onChange} />
-        {fault !== undefined && <ErrorMessage>{fault}</ErrorMessage>}
-      </div>
-    );
-  }
-  const common = { label, hint, value: text, onChange, error: fault, isReadOnly: field.isReadOnly, isRequired: field.isRequired, validationBehavior: "aria" as const };
-  if (field.kind === "json") return <TextBox {...common} rows={4} isCode />;
-  return <Field {...common} inputMode={field.kind === "text" ? "text" : "decimal"} />;
+function faultText(t: (key: string, values: { limit: number | undefined }) => string, { code, limit }: FieldFault): string {
+  return t(limit === undefined ? `fault.${code}` : `fault.${code}Limit`, { limit });
+}
+
+/** The faults by field that the server has found. */
+function faultsOf(error: unknown): Record<string, string> {
+  const listed = error instanceof ApiError ? error.problem["faults"] : undefined;
+  if (!Array.isArray(listed)) return {};
+  return Object.fromEntries((listed as { field: string; reason: string }[]).map((fault) => [fault.field, localizedText(fault, "reason") ?? fault.reason]));
+}
+
+function focusFirstFault(form: HTMLFormElement | null): void {
+  // The faults are drawn first.
+  requestAnimationFrame(() => {
+    const invalid = form?.querySelector<HTMLElement>("[aria-invalid=true]") ?? form?.querySelector("[role=alert]")?.parentElement?.querySelector<HTMLElement>("input, select, textarea");
+    invalid?.focus();
+  });
 }

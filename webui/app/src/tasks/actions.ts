@@ -1,21 +1,41 @@
 /** What a person does with a Task of the tasklist. */
-import { request } from "~/api/http";
-import type { Outcome, TasklistView } from "~/live/messages";
+import type {
+  ClaimRequest, CommentRequest, CompleteRequest, DeclineRequest, FormData, ReturnRequest, TaskComment, TaskDetails, TaskForm,
+} from "~/api/generated/task-orchestrator";
+import { requestService } from "~/api/http";
 
-export function claimTask(task: string, by: string): Promise<TasklistView> {
-  return request(`tasks/${encodeURIComponent(task)}/claim`, { method: "POST", json: { by } });
+function post<T>(path: string, json: unknown): Promise<T> {
+  return requestService("task-orchestrator", path, { method: "POST", json });
 }
 
-export function returnTask(task: string, by: string): Promise<TasklistView> {
-  return request(`tasks/${encodeURIComponent(task)}/return`, { method: "POST", json: { by } });
+const of = (task: string) => `tasks/${encodeURIComponent(task)}`;
+
+export function claimTask(task: string, request: ClaimRequest): Promise<TaskDetails> {
+  return post(`${of(task)}/claim`, request);
 }
 
-export interface Result {
-  outcome: Outcome;
-  note: string;
-  outputs: Record<string, unknown>;
+export function returnTask(task: string, request: ReturnRequest): Promise<TaskDetails> {
+  return post(`${of(task)}/return`, request);
 }
 
-export function completeTask(task: string, by: string, result: Result): Promise<unknown> {
-  return request(`tasks/${encodeURIComponent(task)}/complete`, { method: "POST", json: { by, ...result } });
+export function declineTask(task: string, request: DeclineRequest): Promise<TaskDetails> {
+  return post(`${of(task)}/decline`, request);
+}
+
+export function completeTask(task: string, request: CompleteRequest): Promise<TaskDetails> {
+  return post(`${of(task)}/complete`, request);
+}
+
+/** The form for the values typed so far: conditions and expressions are evaluated by the server. */
+export function formOf(task: string, request: FormData): Promise<TaskForm | null> {
+  return post(`${of(task)}/form`, request);
+}
+
+/** The id makes a repeated request harmless. */
+export function commentOnTask(task: string, request: CommentRequest): Promise<TaskComment> {
+  return post(`${of(task)}/comments`, request);
+}
+
+export function commentOnProcess(process: string, request: CommentRequest): Promise<TaskComment> {
+  return post(`processes/${encodeURIComponent(process)}/comments`, request);
 }

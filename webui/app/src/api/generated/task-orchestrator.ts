@@ -113,6 +113,34 @@ export interface CheckedDefinition {
   created: boolean;
 }
 
+/** The person who claims a Task; nobody verifies name and groups yet. */
+export interface ClaimRequest {
+  by: string;
+  groups?: string[];
+  override?: boolean;
+}
+
+/** A comment; a second request with the same `id` adds none. */
+export interface CommentRequest {
+  by: string;
+  text: string;
+  id?: string | null;
+}
+
+/** The result of a Task that a person has claimed. */
+export interface CompleteRequest {
+  by: string;
+  outcome?: Outcome;
+  note?: string;
+  outputs?: Record<string, unknown>;
+}
+
+/** The person who declines a Task, and why. */
+export interface DeclineRequest {
+  by: string;
+  why: string;
+}
+
 /** An activity of a definition. */
 export interface DefinitionActivity {
   id: string;
@@ -230,6 +258,65 @@ export interface ElementsView {
   version: number | null;
   processes: DefinitionTimes;
   elements: ElementTimes[];
+}
+
+/** The kind of a field; those from `GROUP` on have no value of their own. */
+export type FieldKind = "text" | "multiline" | "number" | "integer" | "boolean" | "date" | "time" | "datetime" | "choice" | "choices" | "json" | "list" | "computed" | "group" | "note" | "image" | "link" | "table" | "separator";
+
+/** A column of a table. */
+export interface FormColumn {
+  key: string;
+  label: string;
+}
+
+/** The values typed so far. */
+export interface FormData {
+  values?: Record<string, unknown>;
+}
+
+/**
+ * A field of a form, or a part that is only shown.
+ *
+ * `path` is the place of its value in the result: names joined by dots; within a list it starts at the item.
+ * `fields` are those of a group, or of each item of a list. The rows of a table are `initial`.
+ */
+export interface FormField {
+  path: string;
+  kind: FieldKind;
+  label: string;
+  hint: string | null;
+  isRequired: boolean;
+  isReadOnly: boolean;
+  initial: unknown;
+  options: FormOption[];
+  minimum: number | null;
+  maximum: number | null;
+  minLength: number | null;
+  maxLength: number | null;
+  pattern: string | null;
+  textFormat: string | null;
+  decimals: number | null;
+  unit: string | null;
+  isText: boolean;
+  fields: FormField[];
+  columns: FormColumn[];
+}
+
+/** A value that can be chosen in a field. */
+export interface FormOption {
+  value: unknown;
+  label: string;
+}
+
+/** A version of a form; `warnings` are the components that are not shown. */
+export interface FormView {
+  id: string;
+  version: number;
+  title: string;
+  file: string | null;
+  deployedAt: string;
+  created?: boolean;
+  warnings?: string[];
 }
 
 /**
@@ -399,6 +486,9 @@ export interface NextActivity {
   involves: string[];
 }
 
+/** The `outcome` in the outputParameters of a person's Task; `ok` if it is missing. */
+export type Outcome = "ok" | "notGood" | "problem";
+
 /** A request to pause or resume processes. */
 export interface PauseRequest {
   by: string;
@@ -554,6 +644,12 @@ export interface RetryView {
   due: string;
 }
 
+/** The person who returns a Task. */
+export interface ReturnRequest {
+  by: string;
+  why?: string | null;
+}
+
 /** A time of a weekday (Monday is 1) in which an agent works. */
 export interface ShiftView {
   weekday: number;
@@ -573,6 +669,80 @@ export interface SkillView {
 export interface StatusChange {
   status: TaskStatus;
   at: string;
+}
+
+/** What a person does with a Task, or says of a Task or process. */
+export type TaskActKind = "claim" | "return" | "decline" | "complete" | "comment";
+
+/** A comment on a Task or process; nobody has verified the name `by` while `verified` is false. */
+export interface TaskComment {
+  id: string;
+  task: string | null;
+  by: string;
+  verified: boolean;
+  at: string;
+  text: string;
+}
+
+/** A Task of people with all details; `inputs` are its parameters, `outputs` its result. */
+export interface TaskDetails {
+  id: string;
+  process: string;
+  element: string;
+  name: string;
+  status: TaskStatus;
+  person: string | null;
+  persons: string[];
+  groups: string[];
+  claimedBy: string | null;
+  declinedBy: string[];
+  isClaimable: boolean;
+  createdAt: string;
+  dueDate: string | null;
+  followUpDate: string | null;
+  priority: number | null;
+  processTitle: string;
+  processKey: string | null;
+  definition: string;
+  version: number;
+  description: string | null;
+  deadline: string;
+  endedAt: string | null;
+  inputs: Record<string, unknown>;
+  inputsSchema: Record<string, unknown> | null;
+  outputs: Record<string, unknown> | null;
+  form: TaskForm | null;
+  comments: TaskComment[];
+  history: TaskHistoryEntry[];
+}
+
+/**
+ * The form of a Task for the present data; with `isDynamic` it is asked for again when a value changes.
+ *
+ * `id` and `version` are those of a deployed form. Without fields the form is not deployed.
+ */
+export interface TaskForm {
+  id: string | null;
+  version: number | null;
+  isDynamic: boolean;
+  fields: FormField[];
+}
+
+/**
+ * What became of a Task: created, offered, an act of a person, or another status.
+ *
+ * `offeredTo` are the persons and groups of an offer, `text` the reason.
+ */
+export interface TaskHistoryEntry {
+  at: string;
+  kind: TaskActKind | "created" | "offered" | "status";
+  by: string | null;
+  verified: boolean;
+  status?: TaskStatus;
+  offeredTo?: string[];
+  text: string | null;
+  textCode?: string;
+  textParameters?: Record<string, unknown>;
 }
 
 /** The status of a Task or a Process; the last two are final. */
@@ -600,6 +770,29 @@ export interface TaskView {
   endedAt: string | null;
   cancelled: boolean;
   history: StatusChange[];
+}
+
+/**
+ * A Task of people as an element of a list.
+ *
+ * `person` is the one that it was given to; `persons` and `groups` those that it is offered to.
+ */
+export interface TasklistEntry {
+  id: string;
+  process: string;
+  element: string;
+  name: string;
+  status: TaskStatus;
+  person: string | null;
+  persons: string[];
+  groups: string[];
+  claimedBy: string | null;
+  declinedBy: string[];
+  isClaimable: boolean;
+  createdAt: string;
+  dueDate: string | null;
+  followUpDate: string | null;
+  priority: number | null;
 }
 
 /** The processes that started and ended in an hour or on a day (UTC). */

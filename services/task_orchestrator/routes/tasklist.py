@@ -1,0 +1,184 @@
+"""Routes: the tasklist: people claim, return, decline and complete Tasks, and comment on them."""
+
+from typing import Annotated, Any
+
+from fastapi import FastAPI, Path, Query, Response
+from starlette.responses import JSONResponse
+
+from datamodels.entities import TaskStatus
+from handover.body_limit import max_body
+from handover.errors import Problem
+from handover.messages import message
+from handover.task_life import is_for_people
+from services.task_orchestrator.components import Components
+from services.task_orchestrator.records import TaskRecord
+from services.task_orchestrator.requests import (
+    MAX_PARAMETERS_BYTES,
+    ClaimRequest,
+    CommentRequest,
+    CompleteRequest,
+    DeclineRequest,
+    FormData,
+    ReturnRequest,
+)
+from services.task_orchestrator.responses import json_response
+from services.task_orchestrator.tasklist_responses import (
+    TaskComment,
+    TaskDetails,
+    TaskForm,
+    TaskHistoryEntry,
+    TasklistEntry,
+)
+from services.task_orchestrator.tasklist_views import (
+    comment_view,
+    resolved_form,
+    task_details,
+    task_history,
+    tasklist_entry,
+)
+
+DETAILS: dict[int | str, dict[str, Any]] = {200: {"model": TaskDetails}}
+COMMENTED: dict[int | str, dict[str, Any]] = {201: {"model": TaskComment}}
+TaskId = Annotated[str, Path(max_length=300)]
+
+
+def add_tasklist(app: FastAPI, at: Components) -> None:
+    """Add the routes of Tasks for people."""
+    tasklist, state = at.orchestrator.tasklist, at.orchestrator.state
+
+    @app.get("/tasks", tags=["tasklist"], responses={200: {"model": list[TasklistEntry]}})
+    async def tasks(
+        claimed_by: Annotated[str | None, Query(max_length=200, description="claimed by this person")] = None,
+        group: Annotated[str | None, Query(max_length=200, description="offered to this group")] = None,
+        process: Annotated[str | None, Query(max_length=100, description="of this process")] = None,
+        limit: Annotated[int, Query(ge=1, le=5000)] = 1000,
+    ) -> Response:
+        """Return the open Tasks of people, those that are due first before others."""
+        entries = [
+            tasklist_entry(task)
+            for each in state.active_processes.processes.values()
+            if process is None or each.record.id == at.plain_id(process)
+            for task in each.tasks.values()
+            if is_for_people(link["object"] for link in task.entity["involves"]["value"])
+        ]
+        found = [
+            entry
+            for entry in entries
+            if (claimed_by is None or entry["claimedBy"] == claimed_by)
+            and (group is None or group in entry["groups"])
+        ]
+        found.sort(
+            key=lambda entry: (entry["dueDate"] or "9", -(entry["priority"] or 50), entry["createdAt"])
+        )
+        return json_response(found[:limit])
+
+    @app.get("/tasks/{task_id}", tags=["tasklist"], responses=DETAILS)
+    async def task(task_id: TaskId) -> Response:
+        """Return a Task of people with its form, comments and history."""
+        return json_response(await _details(at, _urn(at, task_id)))
+
+    @app.get(
+        "/tasks/{task_id}/history", tags=["tasklist"], responses={200: {"model": list[TaskHistoryEntry]}}
+    )
+    async def history(task_id: TaskId) -> Response:
+        """Return what became of a Task, the earliest first."""
+        return json_response((await _details(at, _urn(at, task_id)))["history"])
+
+    @app.post("/tasks/{task_id}/form", tags=["tasklist"], responses={200: {"model": TaskForm | None}})
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def form(task_id: TaskId, body: FormData) -> Response:
+        """Return the form of a Task for the values typed so far: conditions and expressions are evaluated."""
+        found = await tasklist.task(_urn(at, task_id))
+        return JSONResponse(_form(at, found, body.values))
+
+    @app.post("/tasks/{task_id}/claim", tags=["tasklist"], responses=DETAILS)
+    async def claim(task_id: TaskId, body: ClaimRequest) -> Response:
+        """Claim a Task and start it: 409 if another person or a component has it."""
+        groups = [group.strip() for group in body.groups]
+        await tasklist.claim(_urn(at, task_id), body.by.strip(), groups, override=body.override)
+        return json_response(await _details(at, _urn(at, task_id)))
+
+    @app.post("/tasks/{task_id}/return", tags=["tasklist"], responses=DETAILS)
+    async def give_back(task_id: TaskId, body: ReturnRequest) -> Response:
+        """Return a claimed Task, so that others can claim it."""
+        await tasklist.give_back(_urn(at, task_id), body.by.strip(), body.why)
+        return json_response(await _details(at, _urn(at, task_id)))
+
+    @app.post("/tasks/{task_id}/decline", tags=["tasklist"], responses=DETAILS)
+    async def decline(task_id: TaskId, body: DeclineRequest) -> Response:
+        """Decline a Task with a reason: the next suitable person gets it, or it stays open for others."""
+        await tasklist.decline(_urn(at, task_id), body.by.strip(), body.why.strip())
+        return json_response(await _details(at, _urn(at, task_id)))
+
+    @app.post("/tasks/{task_id}/complete", tags=["tasklist"], responses=DETAILS)
+    @max_body(MAX_PARAMETERS_BYTES)
+    async def complete(task_id: TaskId, body: CompleteRequest) -> Response:
+        """End a claimed Task: 422 with `faults` by field if its form refuses the result."""
+        await tasklist.complete(
+            _urn(at, task_id), body.by.strip(), body.outcome, body.note.strip(), body.outputs
+        )
+        return json_response(await _details(at, _urn(at, task_id)))
+
+    @app.post("/tasks/{task_id}/comments", status_code=201, tags=["tasklist"], responses=COMMENTED)
+    async def comment(task_id: TaskId, body: CommentRequest) -> JSONResponse:
+        """Add a comment to a Task."""
+        found = await tasklist.task(_urn(at, task_id))
+        act = await tasklist.comment(
+            found.process, body.by.strip(), body.text.strip(), task_id=found.id, key=body.id
+        )
+        return JSONResponse(comment_view(act), 201)
+
+    @app.post("/processes/{process_id}/comments", status_code=201, tags=["tasklist"], responses=COMMENTED)
+    async def comment_on_process(process_id: str, body: CommentRequest) -> JSONResponse:
+        """Add a comment to a process."""
+        act = await tasklist.comment(at.plain_id(process_id), body.by.strip(), body.text.strip(), key=body.id)
+        return JSONResponse(comment_view(act), 201)
+
+    @app.get(
+        "/processes/{process_id}/comments", tags=["tasklist"], responses={200: {"model": list[TaskComment]}}
+    )
+    async def comments(process_id: str) -> Response:
+        """Return the comments on a process and on its Tasks, the earliest first."""
+        await state.require_process(at.plain_id(process_id))
+        acts = await at.orchestrator.on_disk(at.orchestrator.store.task_acts, at.plain_id(process_id))
+        return json_response([comment_view(act) for act in acts if act.kind == "comment"])
+
+
+def _urn(at: Components, task_id: str) -> str:
+    return at.settings.entity_id("Task", task_id)
+
+
+def _form(at: Components, task: TaskRecord, typed: dict[str, Any] | None = None) -> TaskForm | None:
+    state = at.orchestrator.state
+    process = state.active_processes.processes.get(task.process)
+    is_open = process is not None and task.id in process.tasks
+    data = process.form_data(task) if process is not None and is_open else {}
+    return resolved_form(task, state.allocator.forms, {**data, **(typed or task.outputs or {})})
+
+
+async def _details(at: Components, task_id: str) -> TaskDetails:
+    store, registry = at.orchestrator.store, at.orchestrator.state.registry
+    task = await at.orchestrator.tasklist.task(task_id)
+    seen = await at.orchestrator.on_disk(store.everything, task.process)
+    acts = await at.orchestrator.on_disk(store.task_acts, task.process)
+    if seen is None:
+        raise Problem(404, "No such task", message("tasklist.gone", "the process of this task is deleted"))
+    record, tasks, moves = seen
+    deployed = registry.record(record.definition, record.version)
+    await registry.prepare(deployed)
+    activity = registry.plan_of(deployed).definition.activities().get(task.element)
+    own = [act for act in acts if act.task == task.id]
+    earlier = [
+        each
+        for each in tasks
+        if (each.element, each.token) == (task.element, task.token) and each.visit < task.visit
+    ]
+    return task_details(
+        task,
+        record,
+        deployed.title,
+        activity,
+        form_view=None if task.status in {TaskStatus.COMPLETED, TaskStatus.FAILED} else _form(at, task),
+        acts=own,
+        history=task_history(task, earlier, [move for move in moves if move.task == task.id], own),
+    )

@@ -1,0 +1,212 @@
+"""Views of Tasks of people, their forms, comments and history."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from datamodels.times import iso
+from handover.messages import message_in, with_code
+from handover.task_life import PASSIVE_TYPES, type_of
+from services.task_orchestrator.forms import form
+from services.task_orchestrator.forms.fields import Field
+from services.task_orchestrator.forms.form_js import Resolved
+from services.task_orchestrator.forms.registry import FormRecord, FormRegistry
+from services.task_orchestrator.model import Activity
+from services.task_orchestrator.people_acts import form_of, is_claimable, offer_of, performer_of
+from services.task_orchestrator.records import Move, ProcessRecord, TaskAct, TaskActKind, TaskRecord
+from services.task_orchestrator.tasklist_responses import (
+    FormField,
+    FormView,
+    TaskComment,
+    TaskDetails,
+    TaskForm,
+    TaskHistoryEntry,
+    TasklistEntry,
+)
+
+_NO_INPUTS = frozenset({"description", "form", "candidates", "handlesOutcomes"})
+MAX_HISTORY = 1000
+
+
+def tasklist_entry(task: TaskRecord) -> TasklistEntry:
+    """Return a Task of people as an element of a list."""
+    offer, candidates = offer_of(task), _inputs(task).get("candidates")
+    lane = candidates.get("lane") if isinstance(candidates, Mapping) else None
+    given = candidates.get("groups", []) if isinstance(candidates, Mapping) else []
+    return {
+        "id": task.id,
+        "process": task.process,
+        "element": task.element,
+        "name": task.name or task.element,
+        "status": task.status,
+        "person": performer_of(task),
+        "persons": list(offer.persons),
+        "groups": list(dict.fromkeys([*given, *([lane] if lane else [])])),
+        "claimedBy": task.claimed_by,
+        "declinedBy": list(task.declined_by),
+        "isClaimable": is_claimable(task),
+        "createdAt": iso(task.created_at),
+        "dueDate": _moment(task, "dueDate"),
+        "followUpDate": _moment(task, "followUpDate"),
+        "priority": task.entity.get("priority", {}).get("value"),
+    }
+
+
+def task_details(
+    task: TaskRecord,
+    process: ProcessRecord,
+    title: str,
+    activity: Activity | None,
+    *,
+    form_view: TaskForm | None,
+    acts: Sequence[TaskAct],
+    history: Sequence[TaskHistoryEntry],
+) -> TaskDetails:
+    """Return a Task of people with all details."""
+    inputs = _inputs(task)
+    described = inputs.get("description")
+    drawn = None if activity is None else activity.description
+    return {
+        **tasklist_entry(task),
+        "processTitle": title,
+        "processKey": process.key,
+        "definition": process.definition,
+        "version": process.version,
+        "description": described if isinstance(described, str) else drawn,
+        "deadline": iso(task.deadline),
+        "endedAt": None if task.ended_at is None else iso(task.ended_at),
+        "inputs": {
+            **_used(task),
+            **{name: value for name, value in inputs.items() if name not in _NO_INPUTS},
+        },
+        "inputsSchema": None if activity is None else activity.inputs_schema,
+        "outputs": None if task.outputs is None else dict(task.outputs),
+        "form": form_view,
+        "comments": [comment_view(act) for act in acts if act.kind is TaskActKind.COMMENT],
+        "history": list(history),
+    }
+
+
+def _inputs(task: TaskRecord) -> Mapping[str, Any]:
+    inputs: Mapping[str, Any] = task.entity["workParameters"]["value"]
+    return inputs
+
+
+def _used(task: TaskRecord) -> dict[str, list[str]]:
+    """Return the names of the Materials and Assets that a Task uses, by type in lower case."""
+    found: dict[str, list[str]] = {}
+    for link in task.entity["involves"]["value"]:
+        type_ = type_of(link["object"])
+        if type_ in PASSIVE_TYPES:
+            found.setdefault(f"{type_.lower()}s", []).append(link["object"].rpartition(":")[2])
+    return found
+
+
+def _moment(task: TaskRecord, name: str) -> str | None:
+    attribute = task.entity.get(name)
+    return None if attribute is None else str(attribute["value"]["@value"])
+
+
+def resolved_form(task: TaskRecord, forms: FormRegistry, data: Mapping[str, Any]) -> TaskForm | None:
+    """Return the form of a Task for `data`; None if it has none."""
+    name, version, schema = form_of(task, forms)
+    if name is None and schema is None:
+        return None
+    resolved = Resolved((), is_dynamic=False) if schema is None else form.resolve(schema, data)
+    return {
+        "id": name,
+        "version": version,
+        "isDynamic": resolved.is_dynamic,
+        "fields": [field_view(field) for field in resolved.fields],
+    }
+
+
+def field_view(field: Field) -> FormField:
+    """Return a field of a form."""
+    return {
+        "path": field.path,
+        "kind": field.kind,
+        "label": field.label,
+        "hint": field.hint,
+        "isRequired": field.is_required,
+        "isReadOnly": field.is_read_only,
+        "initial": field.initial,
+        "options": [{"value": option.value, "label": option.label} for option in field.options],
+        "minimum": field.minimum,
+        "maximum": field.maximum,
+        "minLength": field.min_length,
+        "maxLength": field.max_length,
+        "pattern": field.pattern,
+        "textFormat": field.text_format,
+        "decimals": field.decimals,
+        "unit": field.unit,
+        "isText": field.is_text,
+        "fields": [field_view(each) for each in field.fields],
+        "columns": [{"key": key, "label": label} for key, label in field.columns],
+    }
+
+
+def comment_view(act: TaskAct) -> TaskComment:
+    """Return a comment."""
+    return {
+        "id": act.id,
+        "task": act.task,
+        "by": act.by,
+        "verified": False,  # there are no accounts yet: `by` is what was given
+        "at": iso(act.at),
+        "text": act.text or "",
+    }
+
+
+def task_history(
+    task: TaskRecord, earlier: Sequence[TaskRecord], moves: Sequence[Move], acts: Sequence[TaskAct]
+) -> list[TaskHistoryEntry]:
+    """Return what became of a Task, the earliest first; `earlier` are those that others have declined."""
+    found = [entry for each in earlier for entry in _declined_by_performer(each)]
+    offer = offer_of(task)
+    offered: TaskHistoryEntry = {
+        **_entry(iso(task.created_at), "offered"),
+        "offeredTo": [*offer.persons, *offer.groups],
+    }
+    if task.allocated is not None:
+        offered |= with_code("text", task.allocated)  # type: ignore[typeddict-item]  # a text and its code
+    found += [_entry(iso(task.created_at), "created"), offered]
+    later = [*map(_move_entry, moves)]
+    later += [_act_entry(act) for act in acts if act.kind is not TaskActKind.COMMENT]
+    later.sort(key=lambda entry: (entry["at"], entry["kind"] == "status"))
+    return [*found, *later][-MAX_HISTORY:]
+
+
+def _move_entry(move: Move) -> TaskHistoryEntry:
+    return {**_entry(iso(move.received_at), "status"), "status": move.status}
+
+
+def _act_entry(act: TaskAct) -> TaskHistoryEntry:
+    return {**_entry(iso(act.at), act.kind.value), "by": act.by, "text": act.text}
+
+
+def _declined_by_performer(task: TaskRecord) -> list[TaskHistoryEntry]:
+    """Return who got the activity before and has declined it."""
+    outputs = task.outputs or {}
+    if outputs.get("declined") is not True or task.ended_at is None:
+        return []
+    entry = _entry(iso(task.ended_at), TaskActKind.DECLINE.value)
+    entry["by"] = str(outputs.get("operator") or (performer_of(task) or "").rpartition(":")[2]) or None
+    reason = message_in(outputs, "reason")
+    if reason is not None:
+        entry |= with_code("text", reason)  # type: ignore[typeddict-item]  # a text and its code
+    return [entry]
+
+
+def _entry(at: str, kind: str) -> TaskHistoryEntry:
+    return {"at": at, "kind": kind, "by": None, "verified": False, "text": None}  # type: ignore[typeddict-item]
+
+
+def form_record_view(record: FormRecord) -> FormView:
+    """Return a version of a form."""
+    return {
+        "id": record.id,
+        "version": record.version,
+        "title": record.title,
+        "file": record.file,
+        "deployedAt": iso(record.deployed_at),
+    }

@@ -1,0 +1,41 @@
+"""Hints: due dates, follow-up dates and priorities of Tasks, as they stand in the entity."""
+
+from typing import Any
+
+import pytest
+
+from tests.unit.task_orchestrator.drawing import end, path, start
+from tests.unit.task_orchestrator.process_driver import ProcessDriver, created
+
+BODY = (
+    start()
+    + '<bpmn:userTask id="pack" name="Pack"><bpmn:extensionElements>'
+    + '<handover:task definition="pack" {hints}/></bpmn:extensionElements></bpmn:userTask>'
+    + end()
+    + path("start", "pack", "end")
+)
+
+
+def posted(hints: str) -> dict[str, Any]:
+    driver = ProcessDriver(BODY.replace("{hints}", hints))
+    assert len(created(driver.step)) == 1
+    return next(message.body for message in driver.step.messages if message.body and "status" in message.body)
+
+
+@pytest.mark.parametrize(
+    ("given", "moment"),
+    [
+        ("2026-05-01T08:00:00Z", "2026-05-01T08:00:00"),
+        ("2026-05-01T08:00:00+02:00", "2026-05-01T06:00:00"),
+        ("P1D", "2026-05-05T08:00:00"),
+        ("${dateTime().plusDays(1)}", "2026-05-05T08:00:00"),
+        ("soon", ""),
+    ],
+)
+def test_a_due_date_is_a_moment_or_a_duration_from_now(given: str, moment: str) -> None:
+    entity = posted(f'dueDate="{given}" followUpDate="{given}" priority="70"')
+    assert entity["priority"]["value"] == 70
+    for name in ("dueDate", "followUpDate"):
+        value = entity[name]["value"]["@value"] if name in entity else ""
+        assert value.startswith(moment)
+        assert bool(value) is bool(moment)
