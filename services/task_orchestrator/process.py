@@ -19,6 +19,7 @@ from handover.messages import message, message_in, text_of, with_code
 from handover.task_life import FINISHED, is_reachable
 from services.task_orchestrator import process_alerts
 from services.task_orchestrator.allocation.allocator import Allocator, Assignment, NoPerformer
+from services.task_orchestrator.due_queue import DueQueue
 from services.task_orchestrator.entities import (
     definition_id,
     outputs_property,
@@ -144,6 +145,13 @@ class Process:
     reservations: SpanReservations = field(init=False)
     reported: tuple[TaskStatus, int] | None = None
     """The status and the number of Tasks that were last written to the broker."""
+    _by_visit: dict[tuple[str, int], str] = field(default_factory=dict)
+    """The Task that has not ended of each token and visit."""
+    _unposted: dict[tuple[str, int], None] = field(default_factory=dict)
+    """The open activities without a Task, as token and visit."""
+    _compared: Run | None = None
+    """The run of which `_unposted` is known; a run that takes its place is compared as a whole."""
+    _task_dues: DueQueue[str] = field(default_factory=DueQueue)
 
     def __post_init__(self) -> None:
         self.reservations = SpanReservations(self.record.id, self.allocator, self.record.reservations)
@@ -287,22 +295,29 @@ class Process:
         if not is_paused and self.run is not None and (event := self.run.next_due()) is not None:
             yield Timer(TimerKind.EVENT, "", event)
         for task in self.tasks.values():
-            if is_paused and task.cancelled_at is None:
-                continue
-            if task.status is not TaskStatus.PENDING and not task.claims:
-                continue
-            if task.cancelled_at is not None:
-                grace = timedelta(seconds=0 if task.claims else self.settings.cancel_grace_s)
-                yield Timer(TimerKind.GRACE, task.id, task.cancelled_at + grace)
-            elif not task.alerted and task.status is TaskStatus.PENDING:
-                yield Timer(TimerKind.DEADLINE, task.id, task.deadline)
+            if not is_paused or task.cancelled_at is not None:
+                yield from self._timer_of(task)
         for retry in self.record.retries:
             if retry.due is not None and not is_paused:
                 yield Timer(TimerKind.RETRY, retry.token, retry.due)
 
     def next_due(self) -> datetime | None:
         """Return when the first of the timers is due."""
-        return min((timer.due for timer in self._timers()), default=None)
+        if self.record.status is TaskStatus.PAUSED:
+            return min((timer.due for timer in self._timers()), default=None)
+        moments = [self._task_dues.next_due(), *(retry.due for retry in self.record.retries)]
+        if self.run is not None:
+            moments.append(self.run.next_due())
+        return min((moment for moment in moments if moment is not None), default=None)
+
+    def _timer_of(self, task: TaskRecord) -> Iterator[Timer]:
+        if task.status is not TaskStatus.PENDING and not task.claims:
+            return
+        if task.cancelled_at is not None:
+            grace = timedelta(seconds=0 if task.claims else self.settings.cancel_grace_s)
+            yield Timer(TimerKind.GRACE, task.id, task.cancelled_at + grace)
+        elif not task.alerted and task.status is TaskStatus.PENDING:
+            yield Timer(TimerKind.DEADLINE, task.id, task.deadline)
 
     def is_news(self, seen: Task) -> bool:
         """Return whether the Task as `seen` has a new status that can follow the known one."""
@@ -386,7 +401,7 @@ class Process:
     def tick(self, step: Step, now: datetime) -> None:
         """Process the timers that are due at `now`."""
         step.touched.add(self.record.id)
-        due = [timer for timer in self.timers() if timer.due <= now]
+        due = self._due_timers(now)
         for timer in due:
             task = self.tasks.get(timer.subject)
             if timer.kind is TimerKind.DEADLINE and task is not None:
@@ -400,6 +415,20 @@ class Process:
             self.run.advance(now)
         if due:
             self._update(step, now)
+
+    def _due_timers(self, now: datetime) -> list[Timer]:
+        if self.record.status is TaskStatus.PAUSED:
+            return [timer for timer in self.timers() if timer.due <= now]
+        found = [each for task in self._task_dues.due(now) for each in self._timer_of(self.tasks[task])]
+        event = None if self.run is None else self.run.next_due()
+        if event is not None and event <= now:
+            found.append(Timer(TimerKind.EVENT, "", event))
+        found += [
+            Timer(TimerKind.RETRY, retry.token, retry.due)
+            for retry in self.record.retries
+            if retry.due is not None and retry.due <= now
+        ]
+        return sorted(found, key=lambda timer: timer.due)
 
     def deliver(self, wait: int, variables: Mapping[str, Any], step: Step, now: datetime) -> None:
         """Let a message or signal occur that the process waits for."""
@@ -730,15 +759,16 @@ class Process:
             self.reservations.update(None, (), now, reserves=False)
             if self.record.unallocated:
                 self._record_waiting([])
-        open_visits = run.open_visits() if run is not None else {}
-        self._cancel_left(open_visits, step, now)
+        self._cancel_left(run, step, now)
         if self.record.retries:
+            visits = {
+                each.token: None if run is None else run.visit(each.token) for each in self.record.retries
+            }
             self._revise(
                 retries=tuple(
-                    replace(each, visit=open_visits[each.token])  # another agent may have been asked
+                    replace(each, visit=visit)  # another agent may have been asked
                     for each in self.record.retries
-                    if each.token in open_visits
-                    and (each.due is None or open_visits[each.token] == each.visit)
+                    if (visit := visits[each.token]) is not None and (each.due is None or visit == each.visit)
                 )
             )
         self._update_incidents(step)
@@ -785,10 +815,10 @@ class Process:
         )
 
     def _post_open(self, run: Run, step: Step, now: datetime) -> None:
-        posted = {(task.token, task.visit) for task in self.tasks.values()}
-        posted |= {(retry.token, retry.visit) for retry in self.record.retries if retry.due is not None}
+        self._compare(run, step, now)
+        postponed = {(retry.token, retry.visit) for retry in self.record.retries if retry.due is not None}
         is_paused = self.record.status is TaskStatus.PAUSED
-        unposted = [token for token, visit in run.open_visits().items() if (token, visit) not in posted]
+        unposted = [token for token, visit in self._unposted if (token, visit) not in postponed]
         self.reservations.update(run, unposted, now, reserves=not is_paused)
         if is_paused:
             self.reservations.pause()
@@ -797,8 +827,8 @@ class Process:
             return
         since = {(each.token, each.visit): each.since for each in self.record.unallocated}
         waiting: list[Unallocated] = []
-        for token, visit in run.open_visits().items():
-            if (token, visit) in posted or run.visit(token) != visit:
+        for token, visit in list(self._unposted):
+            if (token, visit) in postponed or run.visit(token) != visit:
                 continue
             try:
                 began = since.get((token, visit), now)
@@ -913,16 +943,36 @@ class Process:
         form = Value({"id": name, "version": version})
         return replace(activity, parameters={**activity.parameters, "form": form})
 
-    def _cancel_left(self, opened: Mapping[str, int], step: Step, now: datetime) -> None:
+    def _compare(self, run: Run, step: Step, now: datetime) -> None:
+        """Note the open activities without a Task, and cancel the Tasks of those that were left."""
+        changes = run.take_work_changes()
+        opened, left = changes.opened, changes.left
+        if self._compared is not run:
+            self._compared = run
+            self._unposted.clear()
+            opened, left = tuple(run.open_visits().items()), tuple(self._by_visit)
+        for each in left:
+            self._unposted.pop(each, None)
+            task = self.tasks.get(self._by_visit.get(each, ""))
+            if task is not None and run.visit(each[0]) != each[1]:
+                self._cancel_task(task, step, now)
+        for each in opened:
+            if each not in self._by_visit:
+                self._unposted[each] = None
+
+    def _cancel_left(self, run: Run | None, step: Step, now: datetime) -> None:
+        """Cancel the Tasks of activities that were left, all of them at the end of the process."""
+        if run is not None:
+            self._compare(run, step, now)
+            return
         for task in list(self.tasks.values()):
-            if task.cancelled_at is None and opened.get(task.token) != task.visit:
-                self._record_task(task.changed(cancelled_at=now), step)
-                step.enqueue(
-                    self.record.id,
-                    MessageKind.APPEND,
-                    task.id,
-                    status_request(RequestedStatus.CANCELLED, now),
-                )
+            self._cancel_task(task, step, now)
+
+    def _cancel_task(self, task: TaskRecord, step: Step, now: datetime) -> None:
+        if task.cancelled_at is None:
+            self._record_task(task.changed(cancelled_at=now), step)
+            request = status_request(RequestedStatus.CANCELLED, now)
+            step.enqueue(self.record.id, MessageKind.APPEND, task.id, request)
 
     def _close_cancelled(self, task: TaskRecord, step: Step, now: datetime) -> None:
         """Close a cancelled Task that no performer has accepted."""
@@ -968,11 +1018,17 @@ class Process:
         self._track(task)
 
     def _track(self, task: TaskRecord) -> None:
+        visit = task.token, task.visit
+        due = None if task.finished else next((timer.due for timer in self._timer_of(task)), None)
+        self._task_dues.set(task.id, due)
         if task.finished:
             self.tasks.pop(task.id, None)
+            self._by_visit.pop(visit, None)
             self.allocator.remove_task(task.id)
             return
         self.tasks[task.id] = task
+        self._by_visit[visit] = task.id
+        self._unposted.pop(visit, None)
         if task.performer:
             self.allocator.add_task(task.id, task.performer)
 
