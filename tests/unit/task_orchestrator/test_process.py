@@ -470,3 +470,31 @@ def test_a_paused_process_that_was_loaded_again_is_still_paused() -> None:
     driver.process = Process.resume(before.settings, before.plan, before.record, tasks, before.library)
     driver.receive("first-1", "completed")
     assert driver.open == []
+
+
+MANY = (
+    "<bpmn:multiInstanceLoopCharacteristics><bpmn:loopCardinality>200</bpmn:loopCardinality>"
+    "</bpmn:multiInstanceLoopCharacteristics>"
+)
+
+
+def test_many_parallel_instances_are_posted_once_and_each_ends_alone() -> None:
+    late = boundary("late", "work", timer("PT1H")) + activity("other") + path("late", "other", "end")
+    work = activity("work").replace("</bpmn:userTask>", f"{MANY}</bpmn:userTask>")
+    driver = ProcessDriver(start() + work + end() + path("start", "work", "end") + late)
+    names = [f"work-{visit}" for visit in range(1, 201)]
+    assert created(driver.step) == [task_id(name) for name in names]
+    for left, name in enumerate(names[:150]):
+        driver.receive(name, "completed")
+        assert not created(driver.step)
+        assert list(driver.step.tasks) == [task_id(name)]
+        assert len(driver.process.tasks) == 199 - left
+    before, tasks = driver.process, list(driver.process.tasks.values())
+    driver.process = Process.resume(before.settings, before.plan, before.record, tasks, before.library)
+    driver.receive("work-151", "completed")
+    assert not created(driver.step)
+    driver.after(hours=1)
+    driver.tick()
+    assert created(driver.step) == [task_id("other-1")]
+    cancelled = {message.subject for message in driver.step.messages if message.kind is MessageKind.APPEND}
+    assert cancelled == {task_id(name) for name in names[151:]}
