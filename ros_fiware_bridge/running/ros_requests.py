@@ -167,28 +167,7 @@ class RosTaskPerformer(Performer):
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Perform the Task by its rule; return the outputs."""
-        named = job.parameters.get("operation")
-        operation = str(named) if named is not None else job.task.is_defined_by.object.rsplit(":", 1)[-1]
-        request = self._requests.get((job.resource, operation))
-        if request is None:
-            known = ", ".join(task for resource, task in self._requests if resource == job.resource)
-            raise TaskFailed(
-                message(
-                    "ros.no_rule_for_operation",
-                    'the ROS bridge has no rule for "{operation}" of {resource}; it has rules for {known}',
-                    operation=operation,
-                    resource=job.resource,
-                    known=known,
-                )
-            )
-        if not request.stats.enabled:
-            raise TaskFailed(
-                message(
-                    "ros.rule_disabled",
-                    'the rule "{rule}" of the ROS bridge is switched off',
-                    rule=request.stats.name,
-                )
-            )
+        request = self._request_for(job)
         rule = request.planned.rule
         if job.resumed and isinstance(rule, ActionGoal) and not rule.again:
             raise TaskFailed(
@@ -215,6 +194,32 @@ class RosTaskPerformer(Performer):
             raise
         except HandoverError as error:
             raise TaskFailed(text_of(error)) from error
+
+    def _request_for(self, job: Job) -> RosRequest:
+        """Return the request of the Task's operation; raise `TaskFailed` without an enabled rule."""
+        named = job.parameters.get("operation")
+        operation = str(named) if named is not None else job.task.is_defined_by.object.rsplit(":", 1)[-1]
+        request = self._requests.get((job.resource, operation))
+        if request is None:
+            known = ", ".join(task for resource, task in self._requests if resource == job.resource)
+            raise TaskFailed(
+                message(
+                    "ros.no_rule_for_operation",
+                    'the ROS bridge has no rule for "{operation}" of {resource}; it has rules for {known}',
+                    operation=operation,
+                    resource=job.resource,
+                    known=known,
+                )
+            )
+        if not request.stats.enabled:
+            raise TaskFailed(
+                message(
+                    "ros.rule_disabled",
+                    'the rule "{rule}" of the ROS bridge is switched off',
+                    rule=request.stats.name,
+                )
+            )
+        return request
 
 
 def _fraction(progress: Any) -> float:

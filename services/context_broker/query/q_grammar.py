@@ -1,4 +1,4 @@
-"""Parser of the query language `q`: for example, Tasks in progress are `status=="inProgress"`.
+"""Parser of `q` filters: for example, Tasks in progress are `status=="inProgress"`.
 
 Grammar of ETSI GS CIM 009, clause 4.9. `;` is and, `|` is or; and binds tighter. `sensor{humidity}` is the
 humidity of the entity that the relationship `sensor` links to. The tree contains short names; `q_match`

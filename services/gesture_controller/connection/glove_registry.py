@@ -144,19 +144,7 @@ class GloveRegistry:
             )
         known = self.known.get(name)
         if known is not None:
-            if hand not in {None, known.hand} or person not in {None, known.person}:
-                raise Problem(
-                    409,
-                    "Known otherwise",
-                    message(
-                        "glove.known_otherwise",
-                        "{name} is the {hand} glove of {person}; declare another name, or choose who "
-                        "wears it with PUT /gloves/{name}/person",
-                        name=name,
-                        hand=known.hand,
-                        person=known.person or "nobody",
-                    ),
-                )
+            _require_same(known, hand, person)
             return known, False
         worn = next((each for each in self.known.worn_by(person) if each.hand == (hand or "right")), None)
         if worn is not None:
@@ -230,3 +218,21 @@ def _responder(glove: Glove | None) -> GestureResponder | None:
 def _is_in_use(glove: Glove) -> bool:
     responder = glove.responder
     return bool(responder.prompt or responder.partner or glove.modes.paused or glove.observers.accuracy_test)
+
+
+def _require_same(known: Glove, hand: str | None, person: str | None) -> None:
+    """Raise `Problem` 409 if a known glove is declared with another hand or person."""
+    if hand in {None, known.hand} and person in {None, known.person}:
+        return
+    raise Problem(
+        409,
+        "Known otherwise",
+        message(
+            "glove.known_otherwise",
+            "{name} is the {hand} glove of {person}; declare another name, or choose who "
+            "wears it with PUT /gloves/{name}/person",
+            name=known.name,
+            hand=known.hand,
+            person=known.person or "nobody",
+        ),
+    )

@@ -168,31 +168,7 @@ class People:
                     limit=MAX_OWN_GESTURES,
                 ),
             )
-        known, _, _ = without_conflicts(others, self.site.gestures, self._base_commands(name))
-        nearest = None
-        if own.shape.code is not None and is_code(own.shape.code):
-            made_with = own.sample.glove if own.sample else None
-            samples = {
-                key: one.sample
-                for key, one in others.gestures.items()
-                if one.sample is not None and one.sample.glove == made_with
-            }
-            near = neighbours(own.shape.code, known.codes, own.sample, thresholds, samples)
-            nearest = near[0] if near else None
-            rejection = find_rejection(own.shape.code, near, unreliable)
-            if rejection is not None:
-                extra = {"nearest": neighbour_view(rejection.other)} if rejection.other else None
-                raise Problem(
-                    409,
-                    "Too near",
-                    message(
-                        "people.too_near",
-                        '"{gesture}" cannot be kept: {why}',
-                        gesture=gesture,
-                        why=rejection.why,
-                    ),
-                    extra=extra,
-                )
+        nearest = self._nearest(others, gesture, own, thresholds, unreliable)
         changed = replace(others, gestures={**others.gestures, gesture: own})
         try:
             gestures = gestures_of(changed, self.site.gestures)
@@ -203,6 +179,41 @@ class People:
             raise Problem(409, "In use", text_of(error)) from None
         await self._keep(changed)
         return gesture not in person.gestures, nearest
+
+    def _nearest(
+        self,
+        others: Person,
+        gesture: str,
+        own: OwnGesture,
+        thresholds: Thresholds | None,
+        unreliable: Collection[str],
+    ) -> Neighbour | None:
+        """Return the gesture nearest to `own`; raise `Problem` 409 if the two would be confused."""
+        if own.shape.code is None or not is_code(own.shape.code):
+            return None
+        known, _, _ = without_conflicts(others, self.site.gestures, self._base_commands(others.name))
+        recorded_with = own.sample.glove if own.sample else None
+        samples = {
+            key: other.sample
+            for key, other in others.gestures.items()
+            if other.sample is not None and other.sample.glove == recorded_with
+        }
+        near = neighbours(own.shape.code, known.codes, own.sample, thresholds, samples)
+        rejection = find_rejection(own.shape.code, near, unreliable)
+        if rejection is not None:
+            extra = {"nearest": neighbour_view(rejection.other)} if rejection.other else None
+            raise Problem(
+                409,
+                "Too near",
+                message(
+                    "people.too_near",
+                    '"{gesture}" cannot be kept: {why}',
+                    gesture=gesture,
+                    why=rejection.why,
+                ),
+                extra=extra,
+            )
+        return near[0] if near else None
 
     async def drop_gesture(self, name: str, gesture: str) -> list[int]:
         """Delete an own gesture of a person; return the commands that get the gesture of the site again.
