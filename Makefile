@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-screen pictures clean
+.PHONY: help setup demo up test ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-screen pictures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -150,7 +150,7 @@ lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with has
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
 
-bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge  ## measure everything
+bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion  ## measure everything
 
 bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
 	@$(BIN)/python -m benchmarks.broker
@@ -168,6 +168,9 @@ bench-handover: setup  ## from the held gesture to the robot; cold start; memory
 bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker, 1,000 messages a second
 	@$(BIN)/python -m benchmarks.ros_graph
 	@$(BIN)/python -m benchmarks.ros_bridge $(ARGS)
+
+bench-motion: setup  ## motion planning: plans, inverse kinematics, collision checks (ARGS="--problems 100")
+	@$(BIN)/python -m benchmarks.motion $(ARGS)
 
 bench-screen: setup  ## the screen in Chromium: response times and memory
 	@$(BIN)/python -m benchmarks.screen $(ARGS)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +18,7 @@ from lxml import etree
 
 from handover.errors import UsageError
 from handover.messages import message, text_of
+from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Frame, Pose, Vector
 from services.trajectory_tool.robot import Joints, Unreachable
 from services.trajectory_tool.srdf import InvalidSrdf, LinkPair, Srdf, read_srdf
@@ -139,13 +141,7 @@ class RobotModel:
     def reach(self, pose: Pose, near: Joints) -> Joints:
         """Return the joints nearest to `near` with the tip of the tool at `pose`. Raises `Unreachable`."""
         if self.inverse is None:
-            raise Unreachable(
-                message(
-                    "robot.no_inverse_kinematics",
-                    '{robot} has no inverse kinematics; give "joints" instead of a pose',
-                    robot=self.name,
-                )
-            )
+            return self._reach_numerically(pose, near)
         try:
             return self.allow(self.inverse(self.flange_for(pose), near))
         except Unreachable as why:
@@ -158,6 +154,24 @@ class RobotModel:
                     why=text_of(why),
                 )
             ) from None
+
+    def _reach_numerically(self, pose: Pose, near: Joints) -> Joints:
+        if not is_available():
+            raise Unreachable(
+                message(
+                    "robot.no_inverse_kinematics",
+                    '{robot} has no inverse kinematics; give "joints" instead of a pose, or install the '
+                    'extra "motion"',
+                    robot=self.name,
+                )
+            )
+        found: Joints = self._planner.reach(pose, near)
+        return found
+
+    @cached_property
+    def _planner(self) -> Any:
+        # Imported here: it needs the extra, and a second to start.
+        return import_module("services.trajectory_tool.planning.planner").Planner(self)
 
     def allow(self, joints: Joints) -> Joints:
         """Return `joints` if there is one for each joint, within its limits. Raises `Unreachable`."""

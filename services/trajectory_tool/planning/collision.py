@@ -70,8 +70,9 @@ class Collisions:
         self._exact: Any = None
         self.checked = 0
         """The number of checked configurations, for measurements."""
-        reaches = np.array([arm.reach_of(item) for item in self._geometry.geometryObjects])
-        self.reach = reaches.max(axis=0)
+        items = self._geometry.geometryObjects
+        reaches = np.array([arm.reach_of(item) for item in items]).reshape(-1, arm.n)
+        self.reach = reaches.max(axis=0, initial=0.0)
         """How far any point moves at most for 1 rad (or 1 m) of each joint."""
         self._shares = self._pair_shares(reaches)
 
@@ -144,7 +145,7 @@ class Collisions:
             inner, outer = sorted((pair.first, pair.second), key=lambda number: items[number].parentJoint)
             between = reaches[outer].copy()
             between[: items[inner].parentJoint] = 0.0
-            shares.append(float((between / self.reach).max()))
+            shares.append(float((between / np.maximum(self.reach, 1e-9)).max()))
         return np.array(shares)
 
     def _distance_data(self) -> Any:

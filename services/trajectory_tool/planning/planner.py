@@ -149,6 +149,14 @@ class Planner:
         assert why is not None  # noqa: S101 - there is at least one goal
         raise why
 
+    def reach(self, pose: Pose, near: Joints) -> Joints:
+        """Return joint positions near `near` with the tool at a pose, without a look at obstacles."""
+        begin = np.array(near)
+        found = self.inverse.solve(pose, begin)
+        if found is None:
+            raise Unreachable(self._unreachable(pose, begin))
+        return tuple(found.tolist())
+
     def nearest_free(self, pose: Pose, near: Joints) -> Joints:
         """Return the free joint positions nearest to `near` with the tool at a pose."""
         return tuple(self.goals(pose, np.array(near))[0].tolist())

@@ -162,3 +162,15 @@ def test_the_walls_of_a_bin_are_inside_its_size(settings: TrajectorySettings) ->
             reach = abs(wall.pose.position[axis] - middle) + wall.shape.size[axis] / 2
             assert reach <= half + 1e-9
     assert replace(walls[0], name="other") != walls[0]
+
+
+async def test_an_arm_without_closed_form_is_moved_to_poses(
+    worker: Any, settings: TrajectorySettings, time: Any
+) -> None:
+    panda = settings.model_copy(update={"robot_model": "panda", "scene_file": None})
+    made = type(worker)(panda, time)
+    async with made.cell:
+        await made.do("moveTo", pose={"position": [0.4, 0.2, 0.3]})
+        assert made.cell.tool_pose.position == pytest.approx((0.4, 0.2, 0.3), abs=1e-4)
+        with pytest.raises(TaskFailed, match=r"cannot be at \(2\.000, .* the nearest it reaches"):
+            await made.do("moveTo", pose={"position": [2.0, 0.0, 0.3]})

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from handover.errors import UsageError
+from services.trajectory_tool import robot_model
+from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import pointing_down
 from services.trajectory_tool.robot import Unreachable
 from services.trajectory_tool.robot_model import Finger, RobotModel, read_model
@@ -60,7 +62,19 @@ def test_a_continuous_joint_turns_without_limit_and_a_prismatic_one_stops_at_its
         model.allow((0.0, 0.1))
 
 
-def test_a_pose_needs_inverse_kinematics(tmp_path: Path) -> None:
+@pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+def test_a_pose_is_reached_without_a_closed_form(tmp_path: Path) -> None:
+    model = crane(tmp_path)
+    pose = model.tool_pose((0.3, -0.2))
+    assert model.reach(pose, (0.0, 0.0)) == pytest.approx((0.3, -0.2), abs=1e-4)
+    with pytest.raises(Unreachable, match=r"the nearest it reaches is"):
+        model.reach(pointing_down((9.0, 0.0, 0.5)), (0.0, 0.0))
+
+
+def test_a_pose_needs_inverse_kinematics_or_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(robot_model, "is_available", lambda: False)
     with pytest.raises(Unreachable, match='Crane has no inverse kinematics; give "joints"'):
         crane(tmp_path).reach(pointing_down((1.0, 0.0, 0.5)), (0.0, 0.0))
 
