@@ -22,7 +22,7 @@ ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
     "study": ("/",),
     "task-orchestrator": (
         *("/agents", "/definitions", "/forms", "/mapping", "/pause", "/processes", "/resume", "/statistics"),
-        "/tasks",
+        *("/offers", "/tasks"),
     ),
 }
 """The services, and the beginnings of the paths that the page uses."""

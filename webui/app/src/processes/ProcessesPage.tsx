@@ -11,6 +11,7 @@ import { useKeys } from "~/shell/keys";
 import { pathOf, placeOf, type Place } from "./address";
 import { DefinitionPanel } from "./definition/DefinitionPanel";
 import { ProcessList } from "./list/ProcessList";
+import { OffersPanel, useOpenOffers } from "./offers/OffersPanel";
 import { ProcessPanel } from "./process/ProcessPanel";
 import { StartDialog } from "./start/StartDialog";
 import { UploadPanel } from "./upload/UploadPanel";
@@ -27,6 +28,7 @@ export default function ProcessesPage() {
   const place = placeOf(path);
   const [starting, setStarting] = useState<Starting | null>(null);
   const [file, setFile] = useState<File | null>(null);
+  const { value: offers } = useOpenOffers();
   const open = (to: Place) => go(pathOf(to));
   const look = (one: File) => {
     setFile(one);
@@ -51,7 +53,13 @@ export default function ProcessesPage() {
         if (dropped?.kind === "file") void dropped.getFile().then(look);
       }}
     >
-      <ProcessList place={place} onStart={(definition) => setStarting({ definition, version: null })} onUpload={upload} />
+      <ProcessList
+        place={place}
+        offers={offers?.length ?? 0}
+        onStart={(definition) => setStarting({ definition, version: null })}
+        onUpload={upload}
+        onOffers={() => open({ kind: "offers" })}
+      />
       <div className="processes__place">
         {place.kind === "process" && <ProcessPanel key={place.id} id={place.id} />}
         {place.kind === "definition" && (
@@ -61,6 +69,7 @@ export default function ProcessesPage() {
             onStart={(definition, version) => setStarting({ definition, version })}
           />
         )}
+        {place.kind === "offers" && <OffersPanel />}
         {place.kind === "upload" && (
           <UploadPanel
             file={file}

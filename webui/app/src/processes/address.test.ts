@@ -8,6 +8,7 @@ it.each<[string, Place]>([
   ["/processes/definition/bin-picking", { kind: "definition", name: "bin-picking" }],
   ["/processes/definition", { kind: "nothing" }],
   ["/processes/upload", { kind: "upload" }],
+  ["/processes/offers", { kind: "offers" }],
   ["/processes/a/b/c", { kind: "nothing" }],
   ["/processes/caf%C3%A9", { kind: "process", id: "café" }],
   ["/processes/100%", { kind: "process", id: "100%" }],

@@ -1,10 +1,11 @@
-/** The content of the Processes page by its path: nothing, a process, a definition, or an uploaded file. */
+/** The content of the Processes page by its path: nothing, a process, a definition, an uploaded file, or offers. */
 
 export type Place =
   | { kind: "nothing" }
   | { kind: "process"; id: string }
   | { kind: "definition"; name: string }
-  | { kind: "upload" };
+  | { kind: "upload" }
+  | { kind: "offers" };
 
 const ROOT = "/processes";
 
@@ -14,7 +15,7 @@ export function placeOf(path: string): Place {
   if (first === undefined || more.length > 0) return { kind: "nothing" };
   if (first === "definition") return second === undefined ? { kind: "nothing" } : { kind: "definition", name: second };
   if (second !== undefined) return { kind: "nothing" };
-  return first === "upload" ? { kind: "upload" } : { kind: "process", id: first };
+  return first === "upload" || first === "offers" ? { kind: first } : { kind: "process", id: first };
 }
 
 /** The path of a place. */
@@ -27,7 +28,8 @@ export function pathOf(place: Place): string {
     case "definition":
       return `${ROOT}/definition/${encodeURIComponent(place.name)}`;
     case "upload":
-      return `${ROOT}/upload`;
+    case "offers":
+      return `${ROOT}/${place.kind}`;
   }
 }
 

@@ -195,6 +195,12 @@ export interface DefinitionWithActivities {
   allocation: ActivityAllocation[];
 }
 
+/** A version of a definition that was deployed from an offer. */
+export interface DeployedVersion {
+  name: string;
+  version: number;
+}
+
 /** The definitions of a deployed file; the first of them is also the response itself. */
 export interface Deployment {
   name: string;
@@ -484,6 +490,55 @@ export interface NextActivity {
   description: string | null;
   lane: string | null;
   involves: string[];
+}
+
+/** A decision about an offer; `by` is the name that was given. */
+export interface OfferDecision {
+  at: string;
+  status: OfferStatus;
+  by: string;
+  verified: boolean;
+  why: string | null;
+  deployed: DeployedVersion[];
+}
+
+/** A decision about an offer. */
+export interface OfferRequest {
+  by: string;
+  why?: string | null;
+}
+
+/** What has become of an offer. */
+export type OfferStatus = "open" | "accepted" | "rejected" | "superseded" | "withdrawn";
+
+/** A definition of another system; `definitions`, `changes` and `allocation` are of open offers only. */
+export interface OfferView {
+  id: string;
+  entity: string;
+  type: string;
+  name: string;
+  status: OfferStatus;
+  foundAt: string;
+  times: number;
+  inForce: boolean;
+  hasFile: boolean;
+  attributes: Record<string, unknown>;
+  faults: BpmnWarning[];
+  warnings: BpmnWarning[];
+  decisions: OfferDecision[];
+  definitions: CheckedDefinition[];
+  changes: OfferedChange[];
+  allocation: ActivityAllocation[];
+}
+
+/** An element of a process, or an attribute of an entity, that the acceptance would change. */
+export interface OfferedChange {
+  process: string | null;
+  element: string;
+  name: string | null;
+  change: "added" | "removed" | "changed";
+  before: unknown;
+  after: unknown;
 }
 
 /** The `outcome` in the outputParameters of a person's Task; `ok` if it is missing. */

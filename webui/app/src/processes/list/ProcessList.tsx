@@ -1,5 +1,5 @@
 /** The list at the left: what can run, what runs, what has run. It keeps its place while somebody is in it. */
-import { FileUp, ListFilter, Play } from "lucide-react";
+import { FileUp, Inbox, ListFilter, Play } from "lucide-react";
 import { useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, useLocation, useSearch } from "wouter";
@@ -36,9 +36,12 @@ export interface ProcessListProps {
   place: Place;
   onStart: (definition: DefinitionView) => void;
   onUpload: () => void;
+  /** How many definitions of other systems wait for a decision. */
+  offers: number;
+  onOffers: () => void;
 }
 
-export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
+export function ProcessList({ place, onStart, onUpload, offers, onOffers }: ProcessListProps) {
   const { t, i18n } = useTranslation(["processes", "common"]);
   const [, go] = useLocation();
   const { filter, find, sorting, bar } = useView();
@@ -103,6 +106,11 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
         <Button icon={<FileUp aria-hidden size={18} />} onPress={onUpload}>
           {t("list.upload")}
         </Button>
+        {offers > 0 && (
+          <Button icon={<Inbox aria-hidden size={18} />} aria-current={place.kind === "offers"} onPress={onOffers}>
+            {t("list.offers", { count: offers })}
+          </Button>
+        )}
         {sections.running.some(({ status }) => status !== "paused") && <PaceButton pace="pause" of="everything" />}
         {sections.running.some(({ status }) => status === "paused") && <PaceButton pace="resume" of="everything" />}
       </div>
