@@ -267,10 +267,11 @@ class Process(Entity):
 class Task(Entity):
     """A piece of work for the resources that it involves; the first one executes it.
 
-    `requested_status` is the requested action; `deadline` is the time until which a performer must accept it.
+    `requested_status` is the requested action; `deadline` is the time until which a performer must accept it,
+    `due_date` the time until which it should be completed. Until `follow_up_date` nobody needs to look at it.
+    Of the Tasks that wait for a resource the one with the highest `priority` (50 by default) comes first.
     The `output_parameters` of a person's Task have an `outcome` (see `Outcome`) and optionally a `note`.
-    A Task of people has what a tasklist shows: its `name`, the `element` of its Process, `priority`,
-    `due_date` and `follow_up_date`, before which nobody needs to look at it.
+    A Task of people has what a tasklist shows: its `name` and the `element` of its Process.
     """
 
     is_defined_by: Relationship

@@ -66,6 +66,14 @@ TASK_NOT_ACCEPTED: Final = AlertType(
     "No performer accepted a Task before its deadline.",
     "Start the component that acts for the involved resource, or cancel the process.",
 )
+TASK_PAST_DUE: Final = AlertType(
+    AlertCategory.TASK,
+    "taskPastDue",
+    Severity.MEDIUM,
+    "Task",
+    "A Task has not ended at its due date, or a level of its escalation was reached.",
+    "Complete the Task, or ask somebody else to.",
+)
 TASK_LOST: Final = AlertType(
     AlertCategory.TASK,
     "taskLost",

@@ -23,6 +23,8 @@ from handover.telemetry import get_logger
 log = get_logger(__name__)
 
 PROGRESS_EVERY_S = 0.5
+DEFAULT_PRIORITY = 50
+_NEVER = datetime.max.replace(tzinfo=UTC)
 
 
 class RequestedAction(Enum):
@@ -70,6 +72,16 @@ class Job:
         self._progress_writer: asyncio.Task[None] | None = None
         self._progress_at = float("-inf")
         self._observe_request(task)
+
+    @property
+    def order(self) -> tuple[bool, int, datetime]:
+        """Return the order of this job among those that wait for the same resource."""
+        priority, due = self.task.priority, self.task.due_date
+        return (
+            not self.resumed,
+            -(DEFAULT_PRIORITY if priority is None else priority.value),
+            _NEVER if due is None else due.value,
+        )
 
     @property
     def parameters(self) -> dict[str, Any]:

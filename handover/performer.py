@@ -10,12 +10,10 @@ How it works:
 1. It learns of Tasks by a subscription and by querying the broker: at start, after a lost connection, and
 every
    few seconds (`Resync`).
-2. Each resource has a `ResourceQueue` with one worker, so a resource executes one Task at a time, in the
-order
-   of arrival.
-3. After a crash, a Task that was started is executed again. A Task whose end was recorded (`finished_tasks`)
-is
-   not: the recorded end is reported again.
+2. Each resource has a `ResourceQueue` with one worker, so a resource executes one Task at a time: first one
+   that was started before a crash, then by priority, due date and arrival.
+3. After a crash, a Task that was started is executed again. A Task whose end was recorded
+   (`finished_tasks`) is not: the recorded end is reported again.
 """
 
 import asyncio
@@ -71,6 +69,12 @@ class ResourceQueue:
     waiting: deque[Job] = field(default_factory=deque)
     has_waiting: asyncio.Event = field(default_factory=asyncio.Event)
     worker: asyncio.Task[None] | None = None
+
+    def take(self) -> Job:
+        """Remove and return the job to execute next."""
+        job = min(self.waiting, key=lambda each: each.order)
+        self.waiting.remove(job)
+        return job
 
 
 class Performer(ABC):
@@ -345,7 +349,7 @@ class Performer(ABC):
             while not queue.waiting:
                 queue.has_waiting.clear()
                 await queue.has_waiting.wait()
-            job = queue.waiting.popleft()
+            job = queue.take()
             try:
                 await self._work_on(job)
             except Exception:

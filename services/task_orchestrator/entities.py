@@ -135,10 +135,11 @@ def task_entity(
         "workParameters": _property({**(data or {}), **_work_parameters(activity, variables)}),
         "deadline": _property({"@type": "DateTime", "@value": iso(deadline)}),
     }
+    entity |= _schedule(activity, variables)
     if candidates is not None:
         entity["workParameters"]["value"]["candidates"] = dict(candidates)
     if part_of is not None and is_for_people(link["object"] for link in entity["involves"]["value"]):
-        entity |= _tasklist_attributes(activity, variables, *part_of)
+        entity |= _tasklist_attributes(activity, *part_of)
     places = [
         _place(settings, place.location.value(variables), place.function, activity)
         for place in activity.happens_at
@@ -175,14 +176,17 @@ def _used(settings: Settings, given: Any, type_: str, activity: Activity) -> Ent
     return link
 
 
-def _tasklist_attributes(
-    activity: Activity, variables: Mapping[str, Any], process: str, element: str
-) -> Entity:
-    attributes: Entity = {
+def _tasklist_attributes(activity: Activity, process: str, element: str) -> Entity:
+    return {
         "name": _property(activity.name),
         "element": _property(element),
         "isPartOf": {"type": "Relationship", "object": process},
     }
+
+
+def _schedule(activity: Activity, variables: Mapping[str, Any]) -> Entity:
+    """Return the priority, due date and follow-up date that an activity gives."""
+    attributes: Entity = {}
     priority = given_priority(activity, variables)
     if priority is not None:
         attributes["priority"] = _property(priority)

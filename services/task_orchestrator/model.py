@@ -254,6 +254,17 @@ class RetryPolicy:
 
 
 @dataclass(frozen=True, slots=True)
+class Escalation:
+    """What happens `after` the due date of a Task that has not ended, or after it was posted without one."""
+
+    after: Duration
+    code: str | None = None
+    """The BPMN escalation that the activity throws."""
+    group: str | None = None
+    """A group whose people may claim the Task as well."""
+
+
+@dataclass(frozen=True, slots=True)
 class Activity:
     """The Task that an activity creates each time it is reached."""
 
@@ -289,6 +300,8 @@ class Activity:
     spreads_outputs: bool = False
     """Whether each outputParameter becomes a variable of its own name, as Camunda has it."""
     retry: RetryPolicy | None = None
+    escalations: tuple[Escalation, ...] = ()
+    """The earliest first."""
 
     def unhandled(self, outputs: Mapping[str, Any]) -> Message | None:
         """Return why a completed Task counts as failed (an unhandled outcome); None if it does not."""

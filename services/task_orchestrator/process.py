@@ -28,6 +28,7 @@ from services.task_orchestrator.entities import (
     status_request,
     task_entity,
 )
+from services.task_orchestrator.escalations import due_in, escalation_times, with_groups
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.migration import Finding
 from services.task_orchestrator.execution.run import OpenActivity, OpenIncident, Run, SpanPlace
@@ -296,7 +297,7 @@ class Process:
             yield Timer(TimerKind.EVENT, "", event)
         for task in self.tasks.values():
             if not is_paused or task.cancelled_at is not None:
-                yield from self._timer_of(task)
+                yield from self._timers_of(task)
         for retry in self.record.retries:
             if retry.due is not None and not is_paused:
                 yield Timer(TimerKind.RETRY, retry.token, retry.due)
@@ -310,7 +311,9 @@ class Process:
             moments.append(self.run.next_due())
         return min((moment for moment in moments if moment is not None), default=None)
 
-    def _timer_of(self, task: TaskRecord) -> Iterator[Timer]:
+    def _timers_of(self, task: TaskRecord) -> Iterator[Timer]:
+        if task.escalates_at is not None and task.cancelled_at is None:
+            yield Timer(TimerKind.ESCALATION, task.id, task.escalates_at)
         if task.status is not TaskStatus.PENDING and not task.claims:
             return
         if task.cancelled_at is not None:
@@ -409,6 +412,8 @@ class Process:
                 process_alerts.raise_overdue(step, task)
             elif timer.kind is TimerKind.GRACE and task is not None:
                 self._close_cancelled(task, step, now)
+            elif timer.kind is TimerKind.ESCALATION and task is not None:
+                self._escalate(task, step, now)
             elif timer.kind is TimerKind.RETRY and self.run is not None:
                 self._repeat(self.run, timer.subject, now)
         if any(timer.kind is TimerKind.EVENT for timer in due) and self.run is not None:
@@ -419,7 +424,8 @@ class Process:
     def _due_timers(self, now: datetime) -> list[Timer]:
         if self.record.status is TaskStatus.PAUSED:
             return [timer for timer in self.timers() if timer.due <= now]
-        found = [each for task in self._task_dues.due(now) for each in self._timer_of(self.tasks[task])]
+        tasks = [self.tasks[task] for task in self._task_dues.due(now)]
+        found = [each for task in tasks for each in self._timers_of(task) if each.due <= now]
         event = None if self.run is None else self.run.next_due()
         if event is not None and event <= now:
             found.append(Timer(TimerKind.EVENT, "", event))
@@ -651,6 +657,8 @@ class Process:
         step.moves.append(Move(task.id, moves, change.status, change.observed_at, now))
         if task.alerted:
             process_alerts.clear_overdue(step, task)
+        if change.final:
+            process_alerts.clear_past_due(step, task)
         changed = task.changed(
             status=change.status,
             observed_at=max(observed, default=None),  # the clocks of performers differ
@@ -903,6 +911,7 @@ class Process:
         )
         if assignment.kind is not None:
             assignment.kind.check(entity["workParameters"]["value"])
+        moments = escalation_times(activity, assignment.due, now)
         task = TaskRecord(
             id=task_id,
             process=self.record.id,
@@ -918,6 +927,7 @@ class Process:
             name=activity.name,
             allocated=assignment.reason,
             chosen=assignment.request is not None,
+            escalates_at=moments[0][0] if moments else None,
         )
         step.new.add(task_id)
         self.composed.append(task_id)
@@ -942,6 +952,28 @@ class Process:
             version = None if found is None else found.version
         form = Value({"id": name, "version": version})
         return replace(activity, parameters={**activity.parameters, "form": form})
+
+    def _escalate(self, task: TaskRecord, step: Step, now: datetime) -> None:
+        """Handle that a Task has not ended when a level of its escalation is due."""
+        run = self.run
+        if run is None or not self._is_current(run, task):
+            self._record_task(task.changed(escalates_at=None), step)
+            return
+        level = task.escalated
+        levels = escalation_times(run.activity(task.token), due_in(task.entity), task.created_at)
+        escalation = levels[level][1] if level < len(levels) else None
+        following = levels[level + 1][0] if level + 1 < len(levels) else None
+        if level < len(levels):
+            process_alerts.raise_past_due(step, task, level, escalation)
+        self._record_task(task.changed(escalates_at=following, escalated=level + 1), step)
+        if escalation is not None and escalation.group is not None:
+            groups = [each.group for _, each in levels[: level + 1] if each is not None and each.group]
+            parameters = with_groups(task.entity, groups)
+            if parameters is not None:
+                step.enqueue(self.record.id, MessageKind.APPEND, task.id, parameters)
+        if escalation is not None and escalation.code is not None:
+            details = {"activity": task.element, "code": escalation.code, "task": task.id}
+            run.escalate(task.token, escalation.code, details, now)
 
     def _compare(self, run: Run, step: Step, now: datetime) -> None:
         """Note the open activities without a Task, and cancel the Tasks of those that were left."""
@@ -1019,8 +1051,8 @@ class Process:
 
     def _track(self, task: TaskRecord) -> None:
         visit = task.token, task.visit
-        due = None if task.finished else next((timer.due for timer in self._timer_of(task)), None)
-        self._task_dues.set(task.id, due)
+        dues = () if task.finished else (timer.due for timer in self._timers_of(task))
+        self._task_dues.set(task.id, min(dues, default=None))
         if task.finished:
             self.tasks.pop(task.id, None)
             self._by_visit.pop(visit, None)

@@ -2,8 +2,16 @@
 
 from typing import Any
 
-from handover.alert_catalogue import PROCESS_FAILED, PROCESS_INCIDENT, TASK_LOST, TASK_NOT_ACCEPTED, AlertType
+from handover.alert_catalogue import (
+    PROCESS_FAILED,
+    PROCESS_INCIDENT,
+    TASK_LOST,
+    TASK_NOT_ACCEPTED,
+    TASK_PAST_DUE,
+    AlertType,
+)
 from handover.messages import message, with_code
+from services.task_orchestrator.model import Escalation
 from services.task_orchestrator.records import IncidentRecord, MessageKind, ProcessRecord, Step, TaskRecord
 
 
@@ -28,6 +36,34 @@ def raise_overdue(step: Step, task: TaskRecord) -> None:
 def clear_overdue(step: Step, task: TaskRecord) -> None:
     """Clear the Alert: a performer has accepted the Task, or it was cancelled."""
     step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _overdue_key(task)})
+
+
+def raise_past_due(step: Step, task: TaskRecord, level: int, escalation: Escalation | None) -> None:
+    """Raise the Alert that the Task has not ended in time; `level` 0 is the due date."""
+    if escalation is not None and escalation.group is not None:
+        description = message(
+            "alert.task_escalated_to",
+            "The Task {task} has not ended in time; it was escalated to {group}",
+            task=task.id,
+            group=escalation.group,
+        )
+    elif escalation is not None:
+        description = message(
+            "alert.task_escalated",
+            'The Task {task} has not ended in time; the escalation "{code}" was thrown',
+            task=task.id,
+            code=escalation.code,
+        )
+    else:
+        description = message("alert.task_past_due", "The Task {task} has not ended in time", task=task.id)
+    key = _past_due_key(task, level)
+    _raise(step, task.process, TASK_PAST_DUE, key=key, source=task.id, description=description)
+
+
+def clear_past_due(step: Step, task: TaskRecord) -> None:
+    """Clear the Alerts of all levels: the Task has ended."""
+    for level in range(task.escalated):
+        step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _past_due_key(task, level)})
 
 
 def raise_lost(step: Step, task: TaskRecord) -> None:
@@ -110,6 +146,10 @@ def _short(task: TaskRecord) -> str:
 
 def _overdue_key(task: TaskRecord) -> str:
     return f"{_short(task)} not accepted"
+
+
+def _past_due_key(task: TaskRecord, level: int) -> str:
+    return f"{_short(task)} past due {level}"
 
 
 def _incident_key(process: ProcessRecord, incident: IncidentRecord) -> str:

@@ -262,6 +262,10 @@ class TaskRecord:
     """The name of the activity as it is drawn."""
     allocated: str | None = None
     """Why its performer got it."""
+    escalates_at: datetime | None = None
+    """When the next level of its escalation is due; the due date is the first one."""
+    escalated: int = 0
+    """How many levels were reached."""
     chosen: bool = False
     """Whether its performer was chosen among several, so that another may get it."""
     status_since: datetime | None = None
@@ -393,6 +397,7 @@ class TimerKind(StrEnum):
 
     EVENT = "event"
     RETRY = "retry"
+    ESCALATION = "escalation"
     DEADLINE = "deadline"
     GRACE = "grace"
 

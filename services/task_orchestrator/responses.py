@@ -345,7 +345,10 @@ class Allocated(TypedDict):
 
 
 class TaskView(Reason, Allocated):
-    """A Task of a process."""
+    """A Task of a process.
+
+    Until `deadline` a performer accepts it, until `dueDate` it should be completed.
+    """
 
     id: str
     element: str
@@ -358,6 +361,9 @@ class TaskView(Reason, Allocated):
     outputParameters: Mapping[str, Any] | None
     createdAt: str
     deadline: str | None
+    priority: int | None
+    dueDate: str | None
+    followUpDate: str | None
     endedAt: str | None
     cancelled: bool
     history: list[StatusChange]

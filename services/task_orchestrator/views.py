@@ -354,6 +354,9 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
         "workParameters": parameters,
         "createdAt": iso(task.created_at),
         "deadline": iso(task.deadline),
+        "priority": task.entity.get("priority", {}).get("value"),
+        "dueDate": _moment_of(task, "dueDate"),
+        "followUpDate": _moment_of(task, "followUpDate"),
         "endedAt": _iso(task.ended_at),
         "cancelled": task.cancelled_at is not None,
         **_reason(message_in(outputs, "reason") if failed else None),
@@ -462,6 +465,11 @@ def _retry_view(each: Retry, due: datetime) -> RetryView:
         **_known_reason(each.reason),
         "due": iso(due),
     }
+
+
+def _moment_of(task: TaskRecord, name: str) -> str | None:
+    given = task.entity.get(name)
+    return None if given is None else str(given["value"]["@value"])
 
 
 def _iso(moment: datetime | None) -> str | None:

@@ -294,6 +294,9 @@ class TaskView(TypedDict):
     outputParameters: dict[str, Any] | None
     createdAt: str
     deadline: str | None
+    priority: int | None
+    dueDate: str | None
+    followUpDate: str | None
     endedAt: str | None
     cancelled: bool
     reason: str | None

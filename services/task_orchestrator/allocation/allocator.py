@@ -380,7 +380,13 @@ class Allocator:
         if request is not None:
             place = self._place(activity, variables)
             request = replace(request, declined=declined, place=place, priority=priority, due=due)
-        return replace(assignment, request=request, performers=performers, priority=priority, due=due)
+        return replace(
+            assignment,
+            request=request,
+            performers=performers,
+            priority=priority,
+            due=due,
+        )
 
     def choose(
         self,

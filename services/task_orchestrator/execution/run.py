@@ -251,11 +251,11 @@ class Run:
         return self._index.take_work_changes()
 
     def open_activity(self, token: str, now: datetime | None = None) -> OpenActivity:
-        """Return the open activity of `token`; raise `RunFailed` if it is not open.
+        """Return the open activity of `token`, with `now` as the time that its expressions read.
 
-        `now` is the time for expressions over its variables.
+        Raises `RunFailed` if it is not open.
         """
-        return _open_activity(self._machine(now or _NEVER), self._working(token))
+        return _open_activity(self._machine(now or self._now), self._working(token))
 
     def visit(self, token: str) -> int | None:
         """Return the visit of the activity of `token` that a performer works on; None if there is none."""
@@ -312,7 +312,7 @@ class Run:
 
     def entity_waits(self) -> tuple[EntityWait, ...]:
         """Return the events with a filter of entities that the process waits for."""
-        machine, found = self._machine(_NEVER), []
+        machine, found = self._machine(self._now), []
         for wait in map(self._state.waits.__getitem__, self._index.subscribed):
             on = entity_filter(event_of(machine, wait))
             if on is not None:
@@ -438,7 +438,7 @@ class Run:
 
     def catches(self, token: str, code: str | None) -> bool:
         """Return whether an event catches the error `code` of an open activity."""
-        return is_caught(self._machine(_NEVER), self._working(token), code)
+        return is_caught(self._machine(self._now), self._working(token), code)
 
     def refuse(self, token: str, reason: str, now: datetime) -> None:
         """Raise an incident at an open activity whose Task cannot be created."""

@@ -28,6 +28,7 @@ from services.task_orchestrator.notation.document import (
     local,
 )
 from services.task_orchestrator.notation.elements import referenced, refuse, warn_without_effect
+from services.task_orchestrator.notation.escalations import read_escalations
 from services.task_orchestrator.notation.performers import RESOURCE_ROLES, performer_hints
 from services.task_orchestrator.notation.retries import read_retry
 from services.task_orchestrator.notation.task_data import (
@@ -99,6 +100,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         inputs_schema=work.inputs_schema,
         spreads_outputs=spreads and not outputs,
         retry=read_retry(element, hints, context),
+        escalations=read_escalations(element, found),
     )
 
 

@@ -42,6 +42,7 @@ _MOMENTS = frozenset(
         "cancelled_at",
         "archived_at",
         "status_since",
+        "escalates_at",
     }
 )
 _DOCUMENTS = frozenset(

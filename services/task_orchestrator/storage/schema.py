@@ -102,6 +102,8 @@ tasks = Table(
     Column("working_ms", BigInteger, nullable=False, server_default="0"),
     Column("paused_ms", BigInteger, nullable=False, server_default="0"),
     Column("allocated", Text),
+    Column("escalates_at", String(40)),
+    Column("escalated", Integer, nullable=False, server_default="0"),
     Column("chosen", Boolean, nullable=False, server_default="0"),
     Column("claims", Integer, nullable=False, server_default="0"),
     Column("claimed_by", String(200)),

@@ -40,7 +40,7 @@ from services.task_orchestrator.tally import MAX_RESOURCE_LENGTH
 
 _CHANGING = (
     *("element", "name", "status", "observed_at", "moves", "ended_at", "cancelled_at"),
-    *("alerted", "lost", "outputs"),
+    *("alerted", "lost", "outputs", "escalates_at", "escalated"),
     *("status_since", "working_ms", "paused_ms"),
     *("claims", "claimed_by", "declined_by"),
 )

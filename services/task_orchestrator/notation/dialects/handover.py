@@ -90,6 +90,7 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "output": frozenset({"name", "from"}),
     "process": frozenset({"version"}),
     "retry": frozenset({"attempts", "delay", "factor", "maxDelay", "codes"}),
+    "escalation": frozenset({"after", "code", "group"}),
     "on": frozenset({"type", "idPattern", "q", "variable", "correlation"}),
     "reserve": frozenset({"resource", "expression", "role", "skills"}),
 }
@@ -289,7 +290,7 @@ class Handover:
         name = local(element)
         allowed = {"process"} if name == "process" else {"on"} if _can_be_event(element) else set()
         if name.endswith(("ask", "Event")):
-            allowed = allowed | {"task", "retry"}
+            allowed = allowed | {"escalation", "retry", "task"}
         if name in _RESERVING:
             allowed = allowed | {"reserve"}
         for extension in extensions(element):
@@ -327,6 +328,14 @@ def extension_of(element: etree._Element, name: str, found: Findings) -> etree._
     if named:
         _check_attributes(named[0], found)
     return named[0] if named else None
+
+
+def extensions_of(element: etree._Element, name: str, found: Findings) -> list[etree._Element]:
+    """Return our extension elements `name` of an element, and report unknown attributes."""
+    named = [each for each in extensions(element) if each.tag == f"{{{NAMESPACE}}}{name}"]
+    for each in named:
+        _check_attributes(each, found)
+    return named
 
 
 def _parts(extension: etree._Element, names: Set[str], found: Findings) -> dict[str, list[etree._Element]]:

@@ -331,6 +331,9 @@ export interface TaskView {
   outputParameters: Record<string, unknown> | null;
   createdAt: string;
   deadline: string | null;
+  priority: number | null;
+  dueDate: string | null;
+  followUpDate: string | null;
   endedAt: string | null;
   cancelled: boolean;
   reason: string | null;

@@ -803,7 +803,11 @@ export interface TaskHistoryEntry {
 /** The status of a Task or a Process; the last two are final. */
 export type TaskStatus = "pending" | "assigned" | "inProgress" | "paused" | "completed" | "failed";
 
-/** A Task of a process. */
+/**
+ * A Task of a process.
+ *
+ * Until `deadline` a performer accepts it, until `dueDate` it should be completed.
+ */
 export interface TaskView {
   reason: string | null;
   reasonCode?: string;
@@ -822,6 +826,9 @@ export interface TaskView {
   outputParameters: Record<string, unknown> | null;
   createdAt: string;
   deadline: string | null;
+  priority: number | null;
+  dueDate: string | null;
+  followUpDate: string | null;
   endedAt: string | null;
   cancelled: boolean;
   history: StatusChange[];

@@ -51,6 +51,18 @@ export function TaskPanel({ process, task, onClose }: TaskPanelProps) {
             <dd>{clock(task.deadline)}</dd>
           </>
         )}
+        {task.dueDate !== null && task.endedAt === null && (
+          <>
+            <dt>{t("task.dueDate")}</dt>
+            <dd>{clock(task.dueDate)}</dd>
+          </>
+        )}
+        {task.priority !== null && (
+          <>
+            <dt>{t("task.priority")}</dt>
+            <dd>{task.priority}</dd>
+          </>
+        )}
         <dt>{t("task.visit")}</dt>
         <dd>{task.visit}</dd>
       </dl>
