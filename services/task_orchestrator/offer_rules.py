@@ -210,8 +210,9 @@ class Offers:
             return
         if candidate.file is not None or not known.has_file:
             known = replace(known, faults=candidate.faults, warnings=candidate.warnings)
-        if known.times == MANY_TIMES:
-            known = replace(known, warnings=(*known.warnings, _fault(_changed_in_turn())))
+        in_turn = _fault(_changed_in_turn())
+        if known.times >= MANY_TIMES and in_turn not in known.warnings:
+            known = replace(known, warnings=(*known.warnings, in_turn))
         step.offers[known.id] = replace(known, has_file=known.has_file or candidate.file is not None)
         if candidate.file is not None:
             step.offer_files[known.id] = candidate.file

@@ -1,0 +1,73 @@
+"""A proxy before a broker, which refuses what a test names, and records what the broker has accepted."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import httpx
+
+_HOP_BY_HOP = frozenset({"connection", "transfer-encoding", "content-length", "content-encoding"})
+
+
+@dataclass
+class RefusingProxy:
+    """What the proxy does: it answers 503 to requests whose body has one of the texts in `refused`."""
+
+    target: str
+    url: str = ""
+    refused: frozenset[bytes] = frozenset()
+    refusals: int = 0
+    accepted: list[tuple[str, bytes]] = field(default_factory=list)
+    """Path and body of the accepted writes, in their order."""
+
+
+@contextmanager
+def refusing_proxy(target: str) -> Iterator[RefusingProxy]:
+    """Run a proxy before the server at `target`."""
+    proxy = RefusingProxy(target)
+    client = httpx.Client(base_url=target, trust_env=False, timeout=120)
+
+    class Handler(BaseHTTPRequestHandler):
+        def forward(self) -> None:
+            body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            if any(text in body for text in proxy.refused):
+                proxy.refusals += 1
+                self.answer(503, {}, b'{"title": "Starting"}')
+                return
+            headers = {name: value for name, value in self.headers.items() if name.lower() != "host"}
+            try:
+                answer = client.request(self.command, self.path, content=body, headers=headers)
+            except httpx.TransportError:
+                self.answer(503, {}, b'{"title": "Not there"}')
+                return
+            if self.command == "POST" and answer.is_success:
+                proxy.accepted.append((self.path, body))
+            kept = {name: value for name, value in answer.headers.items() if name not in _HOP_BY_HOP}
+            self.answer(answer.status_code, kept, answer.content)
+
+        def answer(self, status: int, headers: dict[str, str], body: bytes) -> None:
+            self.send_response(status)
+            for name, value in headers.items():
+                self.send_header(name, value)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        do_GET = do_POST = do_PATCH = do_DELETE = forward  # noqa: N815 - as the base class calls them
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    proxy.url = f"http://127.0.0.1:{server.server_address[1]}"
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield proxy
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+        client.close()
