@@ -1,4 +1,4 @@
-"""A performer never sees a Task before its TaskDefinition, though the broker refuses it and a kill follows."""
+"""A performer never sees a Task before its TaskDefinition: the broker refuses it, and a kill follows."""
 
 from pathlib import Path
 
