@@ -50,11 +50,44 @@ LOOKS = {
     "4k": {"width": 3840, "height": 2160},
 }
 PAGES = {
-    "start": "/", "work": "/work?glove=glove-1", "processes": "/processes", "system": "/system",
-    "alerts": "/system?tab=alerts", "events": "/system?tab=events", "robots": "/system?tab=robots",
+    "start": "/", "work": "/work?glove=glove-1", "processes": "/processes", "tasks": "/tasks",
+    "system": "/system", "alerts": "/system?tab=alerts", "events": "/system?tab=events", "robots": "/system?tab=robots",
     "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
 }  # fmt: skip
 FIRST_ORDER = 4711
+ONE_TASK = """<bpmn:definitions xmlns:bpmn="http://www.omg.org/spec/BPMN/20100524/MODEL"
+    xmlns:camunda="http://camunda.org/schema/1.0/bpmn" targetNamespace="urn:pictures">
+  <bpmn:process id="{name}" name="{title}" isExecutable="true">
+    <bpmn:startEvent id="start"/>
+    <bpmn:userTask id="work" name="{title}" {attributes}/>
+    <bpmn:endEvent id="end"/>
+    <bpmn:sequenceFlow id="a" sourceRef="start" targetRef="work"/>
+    <bpmn:sequenceFlow id="b" sourceRef="work" targetRef="end"/>
+  </bpmn:process>
+</bpmn:definitions>"""
+INSPECTED = 'camunda:formKey="camunda-forms:deployment:inspection.form" camunda:candidateGroups="quality"'
+PEOPLE_TASKS = (
+    ("inspection", "Inspect the part", f'{INSPECTED} camunda:dueDate="PT3H" camunda:priority="80"'),
+    ("packing", "Pack the box", 'camunda:candidateGroups="packing" camunda:dueDate="P1D"'),
+    ("rework", "Rework the seam", 'camunda:assignee="anna" camunda:dueDate="-PT2H"'),
+    ("report", "Write the shift report", ""),
+    ("greasing", "Grease the axis", 'camunda:followUpDate="P2D"'),
+)
+INSPECTION_FORM = {
+    "type": "default",
+    "id": "inspection",
+    "components": [
+        {
+            "type": "number", "key": "weight", "label": "Weight", "validate": {"required": True, "max": 20},
+            "appearance": {"suffixAdorner": "kg"},
+        },
+        {
+            "type": "radio", "key": "colour", "label": "Colour",
+            "values": [{"label": "Red", "value": "red"}, {"label": "Green", "value": "green"}],
+        },
+        {"type": "checkbox", "key": "damaged", "label": "Damaged"},
+    ],
+}  # fmt: skip
 LOCALES = {"en": "en-GB", "de": "de-DE", "fi": "fi-FI"}
 
 
@@ -155,9 +188,13 @@ class Product:
 
     def start_process(self) -> str:
         """Start bin picking with an unused business key and return the id."""
-        key = f"order {FIRST_ORDER + self._orders}"
-        self._orders += 1
+        key = self.next_order()
         return str(self.post("/task-orchestrator/processes", definition="bin-picking", key=key)["id"])
+
+    def next_order(self) -> str:
+        """Return an unused business key."""
+        self._orders += 1
+        return f"order {FIRST_ORDER + self._orders - 1}"
 
     def prompted_code(self) -> str:
         """Return the code of the gesture that the glove is prompted for, as soon as there is a Task."""
@@ -242,6 +279,27 @@ def processes(product: Product) -> None:
         time.sleep(3)
         product.keep(page, "processes")
     product.complete(running)
+
+
+def tasks(product: Product) -> None:
+    """The tasklist with a claimed Task and its form."""
+    files = [{"name": "inspection.form", "content": orjson.dumps(INSPECTION_FORM).decode()}]
+    files += [
+        {"name": f"{name}.bpmn", "content": ONE_TASK.format(name=name, title=title, attributes=attributes)}
+        for name, title, attributes in PEOPLE_TASKS
+    ]
+    product.post("task-orchestrator/deployments", files=files)
+    for name, _, _ in PEOPLE_TASKS:
+        product.post("task-orchestrator/processes", definition=name, key=product.next_order())
+    listed = product.http.get("task-orchestrator/tasks").raise_for_status().json()
+    task = next(each["id"] for each in listed if each["name"] == "Inspect the part")
+    product.post(f"task-orchestrator/tasks/{task}/claim", by="Anna", override=True)
+    product.post(f"task-orchestrator/tasks/{task}/comments", by="Ben", text="Use the new scale.")
+    with product.page(f"/tasks?task={task.rpartition(':')[2]}") as page:
+        page.get_by_role("form", name="Result").wait_for()
+        page.get_by_label("Weight (kg) (required)").fill("12.5")
+        time.sleep(2)
+        product.keep(page, "tasks")
 
 
 def system(product: Product) -> None:
@@ -369,8 +427,8 @@ def all_looks(product: Product, folder: Path) -> None:
     product.complete(process)
 
 
-SCENES = {"people": people, "work": work, "processes": processes, "system": system, "calibrate": calibrate,
-          "test": test, "study": study}  # fmt: skip
+SCENES = {"people": people, "work": work, "processes": processes, "tasks": tasks, "system": system,
+          "calibrate": calibrate, "test": test, "study": study}  # fmt: skip
 
 
 def main() -> None:

@@ -9,27 +9,37 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { RelativeTime } from "~/design/RelativeTime";
 import { TextBox } from "~/design/TextBox";
 import { useWithName } from "~/shell/userName";
+import { commentDrafts } from "./drafts";
+import "./Comments.css";
 
 const MAX_LENGTH = 2000;
 
 export interface CommentsProps {
+  /** The Task or process; what is typed is kept for it. */
+  subject: string;
   comments: readonly TaskComment[];
   onComment: (request: CommentRequest) => Promise<unknown>;
 }
 
-export function Comments({ comments, onComment }: CommentsProps) {
+export function Comments({ subject, comments, onComment }: CommentsProps) {
   const { t } = useTranslation("tasks");
   const { withName, question } = useWithName();
   // A request that is repeated after a lost connection has the same id, so that no comment is there twice.
-  const [draft, setDraft] = useState({ text: "", id: newId() });
+  const [draft, setDraft] = useState(() => commentDrafts.of(subject) ?? { text: "", id: newId() });
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
+  const type = (text: string) => {
+    const after = { ...draft, text };
+    setDraft(after);
+    commentDrafts.keep(subject, text === "" ? null : after);
+  };
   const send = () => {
     if (draft.text.trim() === "" || busy) return;
     setBusy(true);
     setFailure(null);
     void withName(async (by) => {
       await onComment({ by, text: draft.text, id: draft.id });
+      commentDrafts.keep(subject, null);
       setDraft({ text: "", id: newId() });
     })
       .catch((error: unknown) => setFailure(t("notSent", { why: errorText(error) })))
@@ -59,7 +69,7 @@ export function Comments({ comments, onComment }: CommentsProps) {
           send();
         }}
       >
-        <TextBox label={t("comments.new")} value={draft.text} onChange={(text) => setDraft((before) => ({ ...before, text }))} maxLength={MAX_LENGTH} />
+        <TextBox label={t("comments.new")} value={draft.text} onChange={type} maxLength={MAX_LENGTH} />
         {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
         <Button type="submit" icon={<MessageSquarePlus aria-hidden size={18} />} isDisabled={busy || draft.text.trim() === ""}>
           {t("comments.send")}

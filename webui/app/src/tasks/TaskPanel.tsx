@@ -61,7 +61,7 @@ export function TaskPanel({ id, live, onBack, onNews }: TaskPanelProps) {
       <Head task={task} />
       <Inputs task={task} />
       <Acts key={task.id} task={task} onChange={reload} onEnd={onBack} onNews={onNews} />
-      <Comments comments={task.comments} onComment={(request) => commentOnTask(task.id, request).then(reload)} />
+      <Comments subject={task.id} comments={task.comments} onComment={(request) => commentOnTask(task.id, request).then(reload)} />
       <History entries={task.history} />
     </article>
   );

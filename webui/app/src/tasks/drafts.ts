@@ -8,39 +8,56 @@ export interface ResultDraft {
   note: string;
 }
 
-const STORAGE_KEY = "handover.drafts";
+export interface CommentDraft {
+  text: string;
+  id: string;
+}
+
 const MAX_DRAFTS = 50;
 
-/** The oldest first. */
-type Stored = [string, ResultDraft][];
+/** Drafts by subject, the oldest first. */
+class Drafts<T> {
+  readonly #storageKey: string;
 
-function stored(): Stored {
-  try {
-    const read = JSON.parse(localStorage.getItem(STORAGE_KEY) ?? "[]") as unknown;
-    return Array.isArray(read) ? (read as Stored) : [];
-  } catch {
-    return [];
+  constructor(storageKey: string) {
+    this.#storageKey = storageKey;
+  }
+
+  /** The draft for a subject; null if there is none. */
+  of(subject: string): T | null {
+    return this.#stored().find(([known]) => known === subject)?.[1] ?? null;
+  }
+
+  /** Keep a draft; null forgets it. */
+  keep(subject: string, draft: T | null): void {
+    const others = this.#stored().filter(([known]) => known !== subject);
+    if (draft !== null) others.push([subject, draft]);
+    try {
+      localStorage.setItem(this.#storageKey, JSON.stringify(others.slice(-MAX_DRAFTS)));
+    } catch {
+      // The storage is full: the entries stay on the page.
+    }
+  }
+
+  #stored(): [string, T][] {
+    try {
+      const read = JSON.parse(localStorage.getItem(this.#storageKey) ?? "[]") as unknown;
+      return Array.isArray(read) ? (read as [string, T][]) : [];
+    } catch {
+      return [];
+    }
   }
 }
 
-/** The draft of a person for a Task; null if there is none. */
+const results = new Drafts<ResultDraft>("handover.drafts");
+export const commentDrafts = new Drafts<CommentDraft>("handover.comments");
+
+/** The draft of a person for the result of a Task; null if there is none. */
 export function draftOf(task: string, by: string): ResultDraft | null {
-  const key = keyOf(task, by);
-  return stored().find(([known]) => known === key)?.[1] ?? null;
+  return results.of(`${by}\n${task}`);
 }
 
-/** Keep a draft; null forgets it. */
+/** Keep the draft of a person for the result of a Task; null forgets it. */
 export function keepDraft(task: string, by: string, draft: ResultDraft | null): void {
-  const key = keyOf(task, by);
-  const others = stored().filter(([known]) => known !== key);
-  if (draft !== null) others.push([key, draft]);
-  try {
-    localStorage.setItem(STORAGE_KEY, JSON.stringify(others.slice(-MAX_DRAFTS)));
-  } catch {
-    // The storage is full: the entries stay on the page.
-  }
-}
-
-function keyOf(task: string, by: string): string {
-  return `${by}\n${task}`;
+  results.keep(`${by}\n${task}`, draft);
 }

@@ -83,12 +83,13 @@ export function matches({ task, processName }: ListedTask, find: string): boolea
 
 const byName = (a: ListedTask, b: ListedTask) => a.task.name.localeCompare(b.task.name, undefined, { numeric: true }) || a.task.id.localeCompare(b.task.id);
 const byDue = (a: ListedTask, b: ListedTask) => momentOf(a.task.dueDate) - momentOf(b.task.dueDate);
+const byAge = (a: ListedTask, b: ListedTask) => (a.task.since ?? "").localeCompare(b.task.since ?? "");
 const byPriority = (a: ListedTask, b: ListedTask) => priorityOf(b.task) - priorityOf(a.task);
 
 const COMPARISONS: Record<Order, (a: ListedTask, b: ListedTask) => number> = {
-  due: (a, b) => byDue(a, b) || byPriority(a, b) || byName(a, b),
-  priority: (a, b) => byPriority(a, b) || byDue(a, b) || byName(a, b),
-  newest: (a, b) => (b.task.since ?? "").localeCompare(a.task.since ?? "") || byName(a, b),
+  due: (a, b) => byDue(a, b) || byPriority(a, b) || byAge(a, b) || byName(a, b),
+  priority: (a, b) => byPriority(a, b) || byDue(a, b) || byAge(a, b) || byName(a, b),
+  newest: (a, b) => byAge(b, a) || byName(a, b),
   name: byName,
 };
 

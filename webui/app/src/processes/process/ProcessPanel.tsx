@@ -21,12 +21,13 @@ import { TasksBar } from "../timeline/TasksBar";
 import { TasksView } from "../timeline/TasksView";
 import { ProcessHead } from "./ProcessHead";
 import { TaskPanel } from "./TaskPanel";
+import { ProcessComments } from "./ProcessComments";
 import { Values } from "./Values";
 import "./ProcessPanel.css";
 
 const Diagram = lazy(() => import("../diagram/Diagram"));
 
-export const VIEWS = ["timeline", "table", "values", "acts"] as const;
+export const VIEWS = ["timeline", "table", "values", "acts", "comments"] as const;
 export type View = (typeof VIEWS)[number];
 
 export function ProcessPanel({ id }: { id: string }) {
@@ -89,6 +90,7 @@ function Shown({ process }: { process: ProcessView }) {
         <div className="process__below">
           {view === "values" && <Values process={process} />}
           {view === "acts" && <Acts process={process} elements={elements} />}
+          {view === "comments" && <ProcessComments id={process.id} />}
           {showsTasks && <TasksView process={process} view={view} picked={picked} onPick={setPicked} />}
           {task !== null && showsTasks && (
             <TaskPanel process={process} task={task} onClose={() => setPicked("")} />
