@@ -51,7 +51,8 @@ LOOKS = {
 }
 PAGES = {
     "start": "/", "work": "/work?glove=glove-1", "processes": "/processes", "tasks": "/tasks",
-    "system": "/system", "alerts": "/system?tab=alerts", "events": "/system?tab=events", "robots": "/system?tab=robots",
+    "system": "/system", "alerts": "/system?tab=alerts", "events": "/system?tab=events",
+    "robots": "/system?tab=robots",
     "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
 }  # fmt: skip
 FIRST_ORDER = 4711

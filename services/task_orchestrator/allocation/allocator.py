@@ -646,8 +646,9 @@ class Allocator:
                 **with_code("reason", assignment.reason),
                 "warning": None,
             }
-            if assignment.warning is not None:
-                view |= with_code("warning", assignment.warning)
+            warning = assignment.warning or self._form_warning(activity)
+            if warning is not None:
+                view |= with_code("warning", warning)
             found.append(view)
         return found
 
@@ -675,6 +676,19 @@ class Allocator:
         if entry.resource is not None:
             return None
         return self._nobody_has(Request(entry.role, entry.skills or ()))
+
+    def _form_warning(self, activity: Activity) -> Message | None:
+        reference = activity.form
+        if reference is None:
+            return None
+        name, version = reference.name, reference.version
+        if self.forms.find_file(name) if reference.is_file else self.forms.find(name, version):
+            return None
+        return message(
+            "form.not_deployed",
+            'the form "{form}" is not deployed; people complete the Task without it',
+            form=name,
+        )
 
     def _nobody_has(self, request: Request) -> Message | None:
         if any(request.suits(agent) for agent in self.agents.by_id.values()):

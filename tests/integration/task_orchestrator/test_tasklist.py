@@ -152,7 +152,10 @@ def test_a_form_that_was_deployed_with_the_process_refuses_a_result_by_field(run
 
 
 def test_a_form_that_is_posted_later_belongs_to_an_open_task(running: Cell) -> None:
-    deploy(running, "late", 'camunda:formRef="late-form">')
+    xml = {"Content-Type": "application/xml"}
+    file = bpmn("late", 'camunda:formRef="late-form">')
+    (line,) = running.api.post("/definitions", content=file, headers=xml).json()["allocation"]
+    assert line["warningCode"] == "form.not_deployed"
     _, task = begin(running, "late")
     assert details(running, task)["form"] == {
         "id": "late-form",
