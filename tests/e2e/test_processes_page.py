@@ -188,6 +188,34 @@ def test_an_engineer_resolves_incidents_with_a_name_and_a_reason(
 
 
 @pytest.mark.usefixtures("quiet_screen")
+def test_a_process_shows_who_holds_the_robot_and_an_engineer_releases_it(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    holder, waiting = (
+        ask(cell, "POST", "processes", json={"definition": "bin-picking"})["id"] for _ in range(2)
+    )
+    page = open_page(f"/processes/{waiting}", who="")
+    reservations = page.get_by_role("list", name="Reservations")
+    expect(reservations).to_contain_text(re.compile(f"waits: ur10-1 is held by {holder} since .*[0-9]:[0-9]"))
+    has_look(page, "confirm_clear", "token")
+    accessible(page)
+    keep(page, "processes-reservation-waits")
+    page.goto(f"/processes/{holder}")
+    expect(reservations).to_contain_text("Bin picking has reserved ur10-1")
+    keep(page, "processes-reservation-held")
+    page.get_by_role("button", name="Release …").click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Reason").fill("the gripper is empty")
+    dialog.get_by_label("Your name").fill("Liisa")
+    dialog.get_by_role("button", name="Release", exact=True).click()
+    expect(dialog).to_have_count(0)
+    expect(reservations).to_contain_text("released by Liisa")
+    page.get_by_role("radio", name="History").click()
+    expect(page.get_by_role("table", name="History")).to_contain_text("the gripper is empty")
+    wait_for(lambda: ask(cell, "GET", f"processes/{waiting}")["reservations"][0]["state"] == "held")
+
+
+@pytest.mark.usefixtures("quiet_screen")
 def test_a_step_is_skipped_with_results_and_a_branch_is_ended(cell: Cell, open_page: OpenPage) -> None:
     process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
     answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
