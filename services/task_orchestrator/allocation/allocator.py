@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from operator import itemgetter
 from typing import Any, TypeAlias
 
 from handover.messages import Message, message, with_code
@@ -25,6 +26,7 @@ from services.task_orchestrator.allocation.choice import (
     Order,
     Request,
     WaitingRequest,
+    joined,
     name_of,
     order_of,
     rank,
@@ -182,25 +184,39 @@ class Allocator:
         if self._waiting.pop((process, token), None) is not None:
             self.has_changed = True
 
-    def waiting(self) -> list[str]:
-        """Return the processes that may get an agent for which they wait, in the order of service."""
-        ordered: list[tuple[Order, str]] = [
-            (each.order, each.key[0])
-            for each in self._waiting.values()
-            if not self._is_hopeless(each.request)
-        ]
-        ordered += [
-            (each.order, each.holder[0])
-            for each in self.reservations.waiting.values()
-            if not any(self._loads.get(a) or self.reservations.holding(a) for a in each.wanted.named)
-        ]
-        return list(dict.fromkeys(process for _, process in sorted(ordered)))
+    @property
+    def has_waiting(self) -> bool:
+        """Return whether an activity or a reservation waits for an agent."""
+        return bool(self._waiting or self.reservations.waiting)
 
-    def _is_hopeless(self, request: Request) -> bool:
-        """Return whether the named agent of a request has as many Tasks as it may have."""
-        if request.resource is None:
+    def waiting(self) -> Iterator[str]:
+        """Yield the processes that may get an agent for which they wait, in the order of service.
+
+        What those before have got is no longer offered: many may wait for one robot.
+        """
+        activities = [(each.order, each.key[0], each.request) for each in self._waiting.values()]
+        reservations = [
+            (each.order, each.holder[0], each.wanted) for each in self.reservations.waiting.values()
+        ]
+        tried: set[str] = set()
+        for _, process, needed in sorted((*activities, *reservations), key=itemgetter(0)):
+            if process not in tried and self._may_be_served(needed):
+                tried.add(process)
+                yield process
+
+    def _may_be_served(self, needed: Request | Wanted) -> bool:
+        """Return whether the agents are free; whether others come before is not looked at."""
+        if isinstance(needed, Request):
+            return needed.resource is None or self._load(needed.resource) < self._limit(needed.resource)
+        if not all(map(self._is_idle, needed.named)):
             return False
-        return len(self._loads.get(request.resource, ())) >= self._limit(request.resource)
+        agents = self.agents.by_id.values()
+        return all(
+            any(slot.suits(each) and self._is_idle(each.id) for each in agents) for slot in needed.slots
+        )
+
+    def _is_idle(self, agent: str) -> bool:
+        return agent not in self._loads and self.reservations.holding(agent) is None
 
     # Reservations
 
@@ -313,11 +329,12 @@ class Allocator:
         waiting = self.reservations.waiting.get(holder)
         if waiting is None:
             return None
-        for agent in sorted(waiting.wanted.named):
-            hold = self.reservations.holding(agent)
-            if hold is not None:
-                return held_by(agent, hold)
-        return waiting.reason
+        wanted = waiting.wanted
+        named = sorted(wanted.named)
+        suitable = [a for a in self.agents.by_id if any(self._suits(slot, a) for slot in wanted.slots)]
+        holds = {agent: self.reservations.holding(agent) for agent in (*named, *suitable)}
+        held = [held_by(agent, hold) for agent, hold in holds.items() if hold is not None]
+        return joined(held) if held else waiting.reason
 
     def _wanted(self, needs: Needs, activities: Iterable[Activity], variables: Variables) -> Wanted:
         claims = {span: [self._claim(need) for need in each] for span, each in needs.items()}

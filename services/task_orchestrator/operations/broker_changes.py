@@ -87,7 +87,7 @@ class BrokerChanges:
             allocator.agents = agents
             allocator.has_changed = True
 
-        if agents != allocator.agents or allocator.waiting():
+        if agents != allocator.agents or allocator.has_waiting:
             await self._writer.apply(act)
 
     def _changed_tasks(self, entities: Iterable[Mapping[str, Any]]) -> list[Task]:
