@@ -110,4 +110,7 @@ class Plan:
     def __init__(self, definition: Definition, version: int = 1) -> None:
         self.definition = definition
         self.version = version
-        self.graph = Graph(definition.scope, find_unions(definition.scope))
+        unions = find_unions(definition.scope)
+        self.graph = Graph(definition.scope, unions)
+        self.may_reserve = bool(unions) or any(node.call is not None for node in definition.nodes())
+        """Whether resources are reserved for parts of it, or may be for a process that it calls."""

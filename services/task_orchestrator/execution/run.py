@@ -327,7 +327,7 @@ class Run:
     @property
     def has_spans(self) -> bool:
         """Return whether resources may be reserved for what runs."""
-        return any(frame.graph.unions for frame in self._state.frames.values())
+        return self.plan.may_reserve and any(frame.graph.unions for frame in self._state.frames.values())
 
     def active_spans(self) -> tuple[ActiveSpan, ...]:
         """Return the spans in which tokens are, those of calling processes first."""
