@@ -159,6 +159,18 @@ def move(
     _mend(process, f"tokens/{token}/move", by, why, None, to=to)
 
 
+@app.command()
+def release(
+    process: Process,
+    reservation: Annotated[str, typer.Argument(help="The key of the reservation, as `show` lists it.")],
+    by: By,
+    why: Why = None,
+) -> None:
+    """Release what is reserved for a part of a process; the next activity of it reserves again."""
+    _ask("POST", f"/processes/{process}/reservations/{reservation}/release", json={"by": by, "why": why})
+    print(f"{process} has released {reservation}")
+
+
 @app.command("set")
 def set_variables(process: Process, by: By, variables: Variables, why: Why = None) -> None:
     """Set variables of a running process."""

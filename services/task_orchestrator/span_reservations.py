@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 from handover.errors import Problem
-from handover.messages import Message, message, text_of
-from services.task_orchestrator.allocation.allocator import Allocator, Within
+from handover.messages import message, text_of
+from services.task_orchestrator.allocation.allocator import Allocator, AskedReservation, Within
 from services.task_orchestrator.allocation.reservations import Hold
 from services.task_orchestrator.execution.run import ActiveSpan, Run, SpanPlace
 from services.task_orchestrator.languages.base import ExpressionError
@@ -98,7 +98,8 @@ class SpanReservations:
             if span.key in waiting:
                 try:
                     asked_at = self.live[span.key].asked_at
-                    if not span.outer and self._decide(run, span, asked_at, now) is None:
+                    asked = self._asked(run, span, self._needs(run, span), asked_at)
+                    if not span.outer and self.allocator.why_not_reserved(asked, now) is None:
                         return True
                 except (ExpressionError, ValueError):
                     return True
@@ -168,10 +169,7 @@ class SpanReservations:
             if span.outer:
                 self._record(self._covered(span, needs, record, now))
                 return
-            variables = run.span_variables(span.key)
-            found = self.allocator.reserve(
-                (self.process, span.key), needs, span.union.activities, variables, since=asked_at, now=now
-            )
+            found = self.allocator.reserve(self._asked(run, span, needs, asked_at), now)
         except (ExpressionError, ValueError) as error:
             self._unregister(span.key)
             self._record(replace(record, state=ReservationState.IMPOSSIBLE, since=now, reason=text_of(error)))
@@ -192,15 +190,11 @@ class SpanReservations:
         elif known is None or known.state is not ReservationState.WAITING:
             self._record(replace(record, reason=found))
 
-    def _decide(self, run: Run, span: ActiveSpan, asked_at: datetime, now: datetime) -> Message | None:
-        return self.allocator.why_not_reserved(
-            (self.process, span.key),
-            self._needs(run, span),
-            span.union.activities,
-            run.span_variables(span.key),
-            since=asked_at,
-            now=now,
-        )
+    def _asked(
+        self, run: Run, span: ActiveSpan, needs: Mapping[str, Sequence[Need]], asked_at: datetime
+    ) -> AskedReservation:
+        variables = run.span_variables(span.key)
+        return AskedReservation((self.process, span.key), needs, span.union.activities, variables, asked_at)
 
     def _needs(self, run: Run, span: ActiveSpan) -> dict[str, tuple[Need, ...]]:
         variables = run.span_variables(span.key)
@@ -244,14 +238,8 @@ class SpanReservations:
         except (ExpressionError, ValueError):
             return  # it becomes an incident when it is tried again
         if not span.outer:
-            self.allocator.await_reservation(
-                (self.process, span.key),
-                needs,
-                span.union.activities,
-                run.span_variables(span.key),
-                since=known.asked_at,
-                reason=known.reason,
-            )
+            asked = self._asked(run, span, needs, known.asked_at)
+            self.allocator.await_reservation(asked, known.reason)
             self._registered.add(span.key)
 
     def _register(self, each: ReservationRecord) -> None:

@@ -108,6 +108,22 @@ Needs: TypeAlias = Mapping[str, Sequence[Need]]
 
 
 @dataclass(frozen=True, slots=True)
+class AskedReservation:
+    """What is reserved for spans; those whom their `activities` name beside it are used."""
+
+    holder: Holder
+    needs: Needs
+    activities: Iterable[Activity]
+    variables: Variables
+    since: datetime
+
+    @property
+    def order(self) -> Order:
+        """Return the order in which it is served."""
+        return order_of(DEFAULT_PRIORITY, None, self.since, self.holder)
+
+
+@dataclass(frozen=True, slots=True)
 class NoPerformer:
     """Nobody can take an activity now; `is_final` if all have declined it."""
 
@@ -194,12 +210,12 @@ class Allocator:
 
         What those before have got is no longer offered: many may wait for one robot.
         """
-        activities = [(each.order, each.key[0], each.request) for each in self._waiting.values()]
-        reservations = [
-            (each.order, each.holder[0], each.wanted) for each in self.reservations.waiting.values()
+        waiting: list[tuple[Order, str, Request | Wanted]] = [
+            (each.order, each.key[0], each.request) for each in self._waiting.values()
         ]
+        waiting += [(each.order, each.holder[0], each.wanted) for each in self.reservations.waiting.values()]
         tried: set[str] = set()
-        for _, process, needed in sorted((*activities, *reservations), key=itemgetter(0)):
+        for _, process, needed in sorted(waiting, key=itemgetter(0)):
             if process not in tried and self._may_be_served(needed):
                 tried.add(process)
                 yield process
@@ -229,55 +245,25 @@ class Allocator:
         if self.reservations.release(holder):
             self.has_changed = True
 
-    def reserve(
-        self,
-        holder: Holder,
-        needs: Needs,
-        activities: Iterable[Activity],
-        variables: Variables,
-        *,
-        since: datetime,
-        now: datetime,
-    ) -> Hold | Message:
-        """Reserve what spans need, the outermost first; else wait, and return the reason.
-
-        `activities` are those within; whom they name beside what is reserved is used.
-        """
-        wanted = self._wanted(needs, activities, variables)
-        found = self._decide(holder, wanted, since, now)
+    def reserve(self, asked: AskedReservation, now: datetime) -> Hold | Message:
+        """Reserve what spans need; else wait, and return the reason."""
+        found = self._decide(asked, now)
         if isinstance(found, Hold):
             self.reservations.hold(found)
             return found
         return found.reason
 
-    def why_not_reserved(
-        self,
-        holder: Holder,
-        needs: Needs,
-        activities: Iterable[Activity],
-        variables: Variables,
-        *,
-        since: datetime,
-        now: datetime,
-    ) -> Message | None:
+    def why_not_reserved(self, asked: AskedReservation, now: datetime) -> Message | None:
         """Return why a reservation has to wait; None if `reserve` would succeed."""
-        found = self._decide(holder, self._wanted(needs, activities, variables), since, now)
+        found = self._decide(asked, now)
         return None if isinstance(found, Hold) else found.reason
 
-    def await_reservation(
-        self,
-        holder: Holder,
-        needs: Needs,
-        activities: Iterable[Activity],
-        variables: Variables,
-        *,
-        since: datetime,
-        reason: str,
-    ) -> None:
+    def await_reservation(self, asked: AskedReservation, reason: str) -> None:
         """Let a reservation wait that has waited before a restart."""
-        wanted = self._wanted(needs, activities, variables)
-        order = order_of(DEFAULT_PRIORITY, None, since, holder)
-        self.reservations.waiting[holder] = WaitingReservation(holder, wanted, order, reason, wanted.named)
+        wanted = self._wanted(asked)
+        self.reservations.waiting[asked.holder] = WaitingReservation(
+            asked.holder, wanted, asked.order, reason, wanted.named
+        )
 
     def cover(self, holder: Holder, needs: Needs) -> dict[str, tuple[str, ...]] | None:
         """Return what is reserved for spans that share a reservation; None if they need more than it has."""
@@ -303,13 +289,13 @@ class Allocator:
         if hold is not None:
             self.reservations.held[holder] = replace(hold, spans={**hold.spans, **spans})
 
-    def _decide(self, holder: Holder, wanted: Wanted, since: datetime, now: datetime) -> Hold | Refused:
-        order = order_of(DEFAULT_PRIORITY, None, since, holder)
+    def _decide(self, asked: AskedReservation, now: datetime) -> Hold | Refused:
+        wanted = self._wanted(asked)
         situation = Situation(self.agents.by_id, now, self.tasks_of, self._waits_before, self._rank)
-        found = self.reservations.decide(holder, wanted, order, situation)
+        found = self.reservations.decide(asked.holder, wanted, asked.order, situation)
         if isinstance(found, Refused):
-            self.reservations.waiting[holder] = WaitingReservation(
-                holder, wanted, order, found.reason, found.claimed
+            self.reservations.waiting[asked.holder] = WaitingReservation(
+                asked.holder, wanted, asked.order, found.reason, found.claimed
             )
         return found
 
@@ -336,8 +322,8 @@ class Allocator:
         held = [held_by(agent, hold) for agent, hold in holds.items() if hold is not None]
         return joined(held) if held else waiting.reason
 
-    def _wanted(self, needs: Needs, activities: Iterable[Activity], variables: Variables) -> Wanted:
-        claims = {span: [self._claim(need) for need in each] for span, each in needs.items()}
+    def _wanted(self, asked: AskedReservation) -> Wanted:
+        claims = {span: [self._claim(need) for need in each] for span, each in asked.needs.items()}
         named = {each: span for span, them in claims.items() for each in them if isinstance(each, str)}
         spans = {
             span: [self._shared_name(each, span, named) or each for each in them]
@@ -345,10 +331,10 @@ class Allocator:
         }
         used: set[str] = set()
         used_slots: list[Request] = []
-        for activity in activities:
+        for activity in asked.activities:
             with suppress(ExpressionError):  # it is not known yet who performs it
-                assignment = self.assign(activity, variables)
-                used |= set(self._named(assignment.activity, variables))
+                assignment = self.assign(activity, asked.variables)
+                used |= set(self._named(assignment.activity, asked.variables))
                 request = assignment.request
                 if request is not None and not any(self._suits(request, agent) for agent in named):
                     used_slots.append(request)
