@@ -86,7 +86,7 @@ class Receiver:
 
 
 def receivers(
-    processes: Iterable[Process], type_: WaitType, name: str, matches: Callable[[Process, Any], bool]
+    processes: Iterable[Process], type_: WaitType, name: str, matches: Callable[[Process, Subscription], bool]
 ) -> list[Receiver]:
     """Return the waits for `name` of `processes` whose process and key match, in the order of their start."""
     found = [
@@ -94,16 +94,16 @@ def receivers(
         for process in processes
         if process.run is not None
         for subscription in process.run.subscriptions()
-        if subscription.type is type_ and subscription.name == name and matches(process, subscription.key)
+        if subscription.type is type_ and subscription.name == name and matches(process, subscription)
     ]
     return sorted(found, key=lambda each: (each.process.record.started_at, each.process.record.id))
 
 
-def matches_key(process: Process, waited_for: Any, key: Any) -> bool:
-    """Return whether a message with `key` is for a process that waits for `waited_for`.
+def matches_key(process: Process, subscription: Subscription, key: Any) -> bool:
+    """Return whether a message with `key` is for a subscription of a process.
 
-    A wait without a key takes a message without one, or with the business key of the process.
+    A wait without a key takes a message without one, or with the business key of the (called) process.
     """
-    if waited_for is not None:
-        return key is not None and str(waited_for) == str(key)
-    return key is None or process.record.key == str(key)
+    if subscription.key is not None:
+        return key is not None and str(subscription.key) == str(key)
+    return key is None or (subscription.business_key or process.record.key) == str(key)

@@ -190,7 +190,10 @@ class EventDelivery:
     def _receivers(self, record: MessageRecord) -> list[Receiver]:
         waiting = self._waiting(WaitType.MESSAGE, record.name)
         found = receivers(
-            waiting, WaitType.MESSAGE, record.name, lambda process, key: matches_key(process, key, record.key)
+            waiting,
+            WaitType.MESSAGE,
+            record.name,
+            lambda process, waiting: matches_key(process, waiting, record.key),
         )
         return sorted(found, key=lambda each: not self._are_partners(each.process, record.sender))
 

@@ -147,9 +147,11 @@ def _call(machine: Machine, token: Token, call: Call) -> None:
                 given = {name: variables[name] for name in variables if not parameters or name in parameters}
             given.update(_evaluated(call.inputs, variables))
             given = plan.definition.arguments(given)
+            key = None if call.key is None else call.key.value(variables)
     except Problem as problem:
         raise machine.failure(token, problem.detail) from problem
     frame = machine.add_frame(plan.graph, token, plan=plan, variables=given)
+    frame.key = None if key is None else str(key)
     _start_frame(machine, token, frame)
 
 

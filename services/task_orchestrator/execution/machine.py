@@ -249,7 +249,16 @@ class Machine:
         here = {} if token is None else {"id": str(token.id), "currentActivityId": token.node}
         if token is not None:
             here["currentActivityName"] = self.node(token).name
+            key = self.business_key(self.frame_of(token))
+            if key is not None:
+                here |= {"processBusinessKey": key, "businessKey": key}
         return {**self.identity, **here}
+
+    def business_key(self, frame: Frame) -> str | None:
+        """Return the business key of the called process of a frame; None if it is that of the process."""
+        while frame.key is None and frame.host is not None:
+            frame = self.state.frames[self.state.tokens[frame.host].frame]
+        return frame.key
 
     def copy_variables(self, token: Token) -> VisibleVariables:
         """Return a copy of the variables that a token sees."""

@@ -101,6 +101,8 @@ class Subscription:
     name: str
     key: Any
     element: str
+    business_key: str | None = None
+    """The key of the called process that waits; None: that of the process itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,6 +300,7 @@ class Run:
 
     def subscriptions(self) -> tuple[Subscription, ...]:
         """Return the messages and signals that the process waits for."""
+        machine = self._machine(self._now)
         return tuple(
             Subscription(
                 wait.id,
@@ -305,6 +308,7 @@ class Run:
                 wait.text or "",
                 wait.key,
                 self._state.frames[wait.frame].prefix + wait.node,
+                machine.business_key(self._state.frames[wait.frame]),
             )
             for wait in map(self._state.waits.__getitem__, self._index.subscribed)
             if wait.type in {WaitType.MESSAGE, WaitType.SIGNAL}

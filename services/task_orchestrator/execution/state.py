@@ -149,6 +149,8 @@ class Frame:
     host: int | None = None
     process: tuple[str, int] | None = None
     """Name and version of the definition, if the frame is a process."""
+    key: str | None = None
+    """The business key of a called process, if its call activity gives it one."""
     variables: dict[str, Any] = field(default_factory=dict)
     data: dict[str, Any] = field(default_factory=dict)
     """Data objects by id."""

@@ -25,6 +25,7 @@ from tests.unit.task_orchestrator.execution.build import (
     Driver,
     boundary,
     call,
+    catch,
     definition,
     end,
     event_sub,
@@ -41,6 +42,22 @@ from tests.unit.task_orchestrator.execution.build import (
 )
 
 # Subprocesses
+
+
+def test_a_called_process_has_the_business_key_that_its_call_gives() -> None:
+    waiting = definition(scope(start(), catch("wait", message("go")), ("start", "wait")), "called")
+    content = scope(start(), call("c", "called", key=value("order")), ("start", "c"))
+    run = Driver(content, waiting, order="order 7")
+    (subscription,) = run.run.subscriptions()
+    assert subscription.business_key == "order 7"
+    without = Driver(scope(start(), call("c", "called"), ("start", "c")), waiting)
+    assert without.run.subscriptions()[0].business_key is None
+    key = Value(expression=read_juel("${execution.businessKey}"))
+    reading = Assignment("known", key)
+    asks = replace(script("s", "x = 1"), script=(reading,))
+    nested = definition(scope(start(), asks, work("w"), ("start", "s", "w")), "called")
+    read = Driver(content, nested, order="order 7")
+    assert read.run.open()[0].variables["known"] == "order 7"
 
 
 def test_a_subprocess_runs_to_its_end() -> None:
