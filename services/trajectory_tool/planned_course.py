@@ -6,7 +6,9 @@ Where the time runs at the rate r, the joints have
     velocity = q' r        acceleration = q'' r^2 + q' r'        jerk = q''' r^3 + 3 q'' r r' + q' r''
 
 The rate falls along a quintic from 1 to 0. The shortest stop is chosen for which all joints stay within the
-limits of the robot; while the trajectory itself is at a limit, the stop may have to begin later.
+limits of the robot; while the trajectory itself is at a limit, the stop may have to begin later. At reduced
+speed there is a reserve, since a stop may use the full limits. At full speed the motion may have to end at its
+target.
 """
 
 from dataclasses import dataclass
@@ -20,7 +22,7 @@ from services.trajectory_tool.trajectory import Limits, Setpoint
 STOPS_S = (0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.4, 2.0)
 DELAYS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.12, 0.16, 0.2, 0.3, 0.4)
 TOLERANCE = 1.001
-SAMPLES = 40
+SAMPLE_EVERY_S = 0.004
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,23 +94,20 @@ class PlannedCourse:
 
 
 def _shortest_stop(trajectory: JointTrajectory, from_s: float, limits: Limits) -> _Stop:
-    """Return the shortest stop within the limits; without any, the one that exceeds them least."""
+    """Return the shortest stop within the limits; at the latest, the motion ends at its target."""
+    left_s = trajectory.duration_s - from_s
     choices = sorted(
         (_Stop(from_s, delay_s, takes_s) for delay_s, takes_s in product(DELAYS_S, STOPS_S)),
         key=lambda stop: stop.total_s,
     )
-    best, least = choices[-1], float("inf")
     for stop in choices:
-        ratio = _peak_ratio(trajectory, stop, limits)
-        if ratio <= TOLERANCE:
+        if stop.total_s < left_s and _peak_ratio(trajectory, stop, limits) <= TOLERANCE:
             return stop
-        if ratio < least:
-            best, least = stop, ratio
-    return best
+    return _Stop(from_s, left_s, SAMPLE_EVERY_S)
 
 
 def _peak_ratio(trajectory: JointTrajectory, stop: _Stop, limits: Limits) -> float:
-    x = np.linspace(0.0, 1.0, SAMPLES)
+    x = np.linspace(0.0, 1.0, max(round(stop.takes_s / SAMPLE_EVERY_S), 40))
     gone = x - (2.5 * x**4 - 3 * x**5 + x**6)
     rate = (1 - (10 * x**3 - 15 * x**4 + 6 * x**5))[:, None]
     change = (-30 * x**2 * (1 - x) ** 2 / stop.takes_s)[:, None]

@@ -281,6 +281,7 @@ class Planner:
             if self._is_straight(trajectory, found.joints[0], target):
                 break
             limits = replace(limits, velocity=tuple(0.7 * value for value in limits.velocity))
+        self.check(trajectory, motions.margin_m / 2)
         return Plan(trajectory, (found.joints[0], found.joints[-1]), motions.margin_m)
 
     def _is_straight(self, trajectory: JointTrajectory, start: Array, target: pin.SE3) -> bool:

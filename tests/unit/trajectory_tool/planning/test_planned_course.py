@@ -1,0 +1,74 @@
+"""Stops on a planned trajectory: within the limits of the robot, and on the path."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.trajectory_tool.joint_trajectory import JointTrajectory
+from services.trajectory_tool.planned_course import PlannedCourse
+from services.trajectory_tool.planning import timing
+from services.trajectory_tool.robots import ROBOTS
+from services.trajectory_tool.trajectory import Limits
+
+EVERY_S = 0.001
+BEGAN_S = 100.0
+
+
+def trajectories(limits: Limits, home: Any, count: int, seed: int) -> list[JointTrajectory]:
+    random = np.random.default_rng(seed)
+    found = []
+    for number in range(count):
+        path = list(np.array(home) + random.uniform(-0.8, 0.8, (2 + number % 3, len(home))))
+        if len(path) == 2:
+            found.append(timing.line(path[0], path[1], limits))
+        else:
+            found.append(timing.along(timing.BlendedLines(path, limits), limits))
+    return found
+
+
+def until_rest(course: PlannedCourse, stop_at_s: float) -> Any:
+    """Return the setpoints of every millisecond until the end of the motion."""
+    now_s, found = BEGAN_S, []
+    while True:
+        found.append(course.at(now_s, may_go=now_s < stop_at_s))
+        if course.is_over(now_s):
+            return found
+        now_s += EVERY_S
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda"])
+@pytest.mark.parametrize("speed", [0.3, 0.6, 1.0])
+def test_a_stop_stays_on_the_path_and_within_the_limits(name: str, speed: float) -> None:
+    model = ROBOTS.load(name)
+    limits = model.limits
+    random = np.random.default_rng(8)
+    stops = []
+    for planned in trajectories(limits, model.home, 25, seed=9):
+        trajectory = planned.slowed(speed)
+        at_s = BEGAN_S + float(random.uniform(0.05, 0.9)) * trajectory.duration_s
+        course = PlannedCourse(trajectory, limits, BEGAN_S)
+        found = until_rest(course, at_s)
+        velocities = np.array([one.velocities for one in found])
+        accelerations = np.array([one.accelerations for one in found])
+        positions = np.array([one.positions for one in found])
+        assert (np.abs(velocities) <= np.array(limits.velocity) * 1.001).all()
+        assert (np.abs(accelerations) <= np.array(limits.acceleration) * 1.01).all()
+        jerks = np.abs(np.diff(accelerations, axis=0)) / EVERY_S
+        assert (jerks <= np.array(limits.jerk) * 1.05).all()
+        assert (np.abs(np.diff(positions, axis=0)) <= np.array(limits.velocity) * EVERY_S * 1.01).all()
+        path = trajectory.positions(EVERY_S)
+        for one in positions[:: max(len(positions) // 20, 1)]:
+            assert np.abs(path - one).max(axis=1).min() < 0.005
+        assert found[-1].velocities == (0.0,) * len(model.joints)
+        stops.append(BEGAN_S + len(found) * EVERY_S - at_s)
+    if speed < 1:
+        assert max(stops) < 1.0
+
+
+def test_a_motion_without_a_stop_ends_at_its_target() -> None:
+    model = ROBOTS.load("ur10")
+    (trajectory,) = trajectories(model.limits, model.home, 1, seed=10)
+    found = until_rest(PlannedCourse(trajectory, model.limits, BEGAN_S), stop_at_s=np.inf)
+    assert found[-1].positions == pytest.approx(trajectory.target, abs=1e-9)
+    assert len(found) * EVERY_S == pytest.approx(trajectory.duration_s, abs=0.003)
