@@ -7,8 +7,8 @@ Where the time runs at the rate r, the joints have
 
 The rate falls along a quintic from 1 to 0. The shortest stop is chosen for which all joints stay within the
 limits of the robot; while the trajectory itself is at a limit, the stop may have to begin later. At reduced
-speed there is a reserve, since a stop may use the full limits. At full speed the motion may have to end at its
-target.
+speed there is a reserve, since a stop may use the full limits. At full speed the motion may have to end at
+its target.
 """
 
 from dataclasses import dataclass

@@ -58,7 +58,7 @@ class Motions:
         return None
 
     def are_samples_free(self, samples: Array) -> bool:
-        """Return whether a finely sampled curve is free; the lines between samples are certified."""
+        """Return whether a sampled curve is free, its samples and the lines between them."""
         travels = np.abs(np.diff(samples, axis=0)) @ self.collisions.reach
         place = np.concatenate([[0.0], np.cumsum(travels)])
         return self.is_state_free(samples[-1]) and self._are_free(samples, place, 0, len(samples) - 1)
@@ -95,8 +95,10 @@ class Motions:
                     continue
                 if not self.collisions.is_free(samples[middle], self.margin_m):
                     return False
-                if high - low > 1 and half_m > self.margin_m:
+                if high - low > 1:
                     rest += [(low, middle), (middle, high)]
+                elif not self._is_between_free(samples[low], samples[high]):
+                    return False
             spans = rest
         return True
 

@@ -94,9 +94,11 @@ def test_nothing_touches_on_a_certified_line(arm: Arm, cell: World) -> None:
             assert not touches
             certified += 1
             assert motions.are_samples_free(dense)
+            assert motions.are_samples_free(np.array([start, end]))
         elif touches:
             refused += 1
-            assert not motions.are_samples_free(dense)
+            for step in (1, 3, 83, 249):  # the divisors of 249, so that the end is a sample
+                assert not motions.are_samples_free(dense[::step])
             contact = motions.first_contact([start, end])
             assert contact is not None
             assert not motions.is_state_free(contact)
