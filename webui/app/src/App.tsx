@@ -11,6 +11,7 @@ import { useParticipantMode } from "~/study/participantMode";
 
 const WorkPage = lazy(() => import("~/work/WorkPage"));
 const ProcessesPage = lazy(() => import("~/processes/ProcessesPage"));
+const CockpitPage = lazy(() => import("~/cockpit/CockpitPage"));
 const TasksPage = lazy(() => import("~/tasks/TasksPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
 const PeoplePage = lazy(() => import("~/people/PeoplePage"));
@@ -41,6 +42,7 @@ export function App() {
             <Route path="/" component={StartPage} />
             <Route path="/work" component={WorkPage} />
             <Route path="/processes/*?" component={ProcessesPage} />
+            <Route path="/cockpit" component={CockpitPage} />
             <Route path="/tasks" component={TasksPage} />
             <Route path="/system" component={SystemPage} />
             <Route path="/people" component={PeoplePage} />

@@ -1,6 +1,6 @@
 /** The frame of every page: navigation, connection state and preferences. */
 import {
-  CircleHelp, ClipboardList, Cog, Crosshair, HardHat, House, ListTodo, Settings2, SlidersHorizontal, Users, Workflow,
+  CircleHelp, ClipboardList, Cog, Crosshair, Gauge, HardHat, House, ListTodo, Settings2, SlidersHorizontal, Users, Workflow,
 } from "lucide-react";
 import { Suspense, useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -18,6 +18,7 @@ const pages = [
   { path: "/", name: "start", icon: House, key: "1" },
   { path: "/work", name: "work", icon: HardHat, key: "2" },
   { path: "/processes", name: "processes", icon: Workflow, key: "3" },
+  { path: "/cockpit", name: "cockpit", icon: Gauge, key: "0" },
   { path: "/tasks", name: "tasks", icon: ListTodo, key: "9" },
   { path: "/system", name: "system", icon: Cog, key: "4" },
   { path: "/calibrate", name: "calibrate", icon: SlidersHorizontal, key: "5" },

@@ -117,6 +117,7 @@ function Body({ definition, newest }: { definition: DefinitionWithActivities; ne
       <Activities
         activities={definition.activities}
         counts={elements ?? {}}
+        allocation={definition.allocation}
         onPick={(element) => setCentred({ element, at: Date.now() })}
       />
     </>

@@ -11,6 +11,7 @@ import { Drawing } from "./drawing";
 import { drawn } from "./layout";
 import type { Marks } from "./marks";
 import "./Diagram.css";
+import "./heat.css";
 
 export interface DiagramProps {
   xml: string;

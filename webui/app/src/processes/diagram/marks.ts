@@ -5,7 +5,10 @@
 import type { ElementCount, ProcessView } from "~/live/messages";
 
 /** A class on the element itself: it has a token, an incident or a fault, it failed, it is picked, a token may move to it. */
-export type Look = "token" | "incident" | "failed" | "done" | "fault" | "picked" | "target";
+export type Look = "token" | "incident" | "failed" | "done" | "fault" | "picked" | "target" | Heat;
+
+/** A colour of the heat map, from the least to the most. */
+export type Heat = "heat1" | "heat2" | "heat3" | "heat4" | "heat5";
 
 /** A small badge at the element. */
 export interface Badge {

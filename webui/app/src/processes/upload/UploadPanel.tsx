@@ -10,6 +10,7 @@ import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import type { DefinitionView } from "~/live/messages";
+import { Performer } from "../definition/Activities";
 import { marksOfFaults, withPicked } from "../diagram/marks";
 import { faultsOf, listedFaults, type BpmnFault } from "./faults";
 import { textOf } from "./file";
@@ -111,15 +112,17 @@ function Verdict({ looked, onDeployed }: { looked: Looked; onDeployed: (definiti
 
 function Faulted({ looked }: { looked: Looked }) {
   const { t } = useTranslation("processes");
-  const { faults, warnings } = looked;
+  const { faults, warnings, check } = looked;
+  const allocation = check?.allocation ?? [];
+  const hasLists = faults.length + warnings.length + allocation.length > 0;
   const isPlaced = faults.some((fault) => fault.element !== null);
   const [centred, setCentred] = useState<{ element: string; at: number } | null>(null);
   const picked = centred?.element ?? null;
   const marks = useMemo(() => withPicked(marksOfFaults(faults, warnings), picked), [faults, warnings, picked]);
   const show = (element: string) => setCentred({ element, at: Date.now() });
   return (
-    <div className={faults.length + warnings.length === 0 ? "upload__body" : "upload__body upload__body--faulty"}>
-      {faults.length + warnings.length > 0 && (
+    <div className={hasLists ? "upload__body upload__body--faulty" : "upload__body"}>
+      {hasLists && (
         <div className="upload__lists">
           {faults.length > 0 && (
             <section className="upload__faults" aria-label={t("upload.faults")}>
@@ -133,6 +136,21 @@ function Faulted({ looked }: { looked: Looked }) {
               <h2>{t("upload.warnings")}</h2>
               <p className="quiet small">{t("upload.warningsMean")}</p>
               <FaultList faults={warnings} first={faults.length + 1} picked={picked} onPick={show} />
+            </section>
+          )}
+          {allocation.length > 0 && (
+            <section className="upload__allocation" aria-label={t("upload.allocation")}>
+              <h2>{t("upload.allocation")}</h2>
+              <dl>
+                {allocation.map((line) => (
+                  <div key={`${line.process} ${line.element}`}>
+                    <dt>{line.name === "" ? line.element : line.name}</dt>
+                    <dd>
+                      <Performer line={line} />
+                    </dd>
+                  </div>
+                ))}
+              </dl>
             </section>
           )}
         </div>
