@@ -229,7 +229,7 @@ def work(product: Product) -> None:
     with product.page("/work?glove=glove-1") as page:
         process = product.start_process()
         code = product.prompted_code()
-        page.locator("[data-situation='asked']").wait_for()
+        page.locator("[data-situation='prompt']").wait_for()
         time.sleep(2)
         frames = [(time.monotonic(), page.screenshot(type="jpeg", quality=92))]
         product.hand.show(code)

@@ -71,7 +71,7 @@ async def measure_answers(env: dict[str, str], browser: Browser, count: int) -> 
         while min(len(times) for name, times in took.items() if name != "open another page") < count:
             code = await asked_of(http)
             keeping = asyncio.create_task(hand.show(OPEN_HAND, SETTLE_S))
-            await page.locator("[data-situation='asked']").wait_for()
+            await page.locator("[data-situation='prompt']").wait_for()
             await keeping
             if by_hand:
                 keeping = asyncio.create_task(hand.show(OPEN_HAND, 0.5))

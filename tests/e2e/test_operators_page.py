@@ -44,7 +44,7 @@ def until_done(page: Page, act: Callable[[], None]) -> None:
         match stage.get_attribute("data-situation"):
             case "completed":
                 return
-            case "asked":
+            case "prompt":
                 act()
             case "failed" | "incident" | "serviceLost" | "linkLost":
                 pytest.fail(page.locator("main").inner_text())
@@ -95,7 +95,7 @@ def test_with_the_mouse_only(
     page.get_by_role("heading", name="Paused").wait_for()
     keep(page, "work-paused")
     page.get_by_role("button", name="Resume").first.click()
-    page.locator("[data-situation='asked']").wait_for()
+    page.locator("[data-situation='prompt']").wait_for()
     seen_at_work = False
 
     def answer() -> None:

@@ -243,7 +243,7 @@ def test_paused_and_stopped_states_are_readable_from_a_distance(
     look(page, "en", "light")
     assert_visible(page, "Resume")
     page.get_by_role("button", name="Resume").last.click()
-    page.locator("[data-situation=asked]").wait_for()
+    page.locator("[data-situation=prompt]").wait_for()
     task = httpx.get(glove, timeout=120).json()["task"]["id"]
     answer = {"by": "Anna", "task": task, "outcome": "notGood", "note": "There is a scratch on the left side"}
     httpx.post(f"{glove}/complete", json=answer, timeout=120).raise_for_status()
@@ -309,7 +309,7 @@ def test_station_settings_are_stored(
     page = open_page(WORK, viewport=SIZES["desk"])
     texts = "[...document.querySelectorAll('.work :is(p, h1, .status-badge)')]"
     smallest = f"Math.min(...{texts}.map((one) => parseFloat(getComputedStyle(one).fontSize)))"
-    page.locator("[data-situation=asked]").wait_for()
+    page.locator("[data-situation=prompt]").wait_for()
     page.evaluate("document.fonts.ready.then(() => true)")
     before = page.evaluate(smallest)
     page.get_by_role("button", name="Screen and viewing distance").click()
@@ -321,7 +321,7 @@ def test_station_settings_are_stored(
     page.get_by_role("dialog").wait_for(state="detached")
     assert page.evaluate(smallest) == pytest.approx(before * 2.5 / 2.0, rel=0.02)
     page.reload()
-    page.locator("[data-situation=asked]").wait_for()
+    page.locator("[data-situation=prompt]").wait_for()
     assert page.evaluate(smallest) == pytest.approx(before * 2.5 / 2.0, rel=0.02)
     assert_visible(page, MAIN["en"])
 
@@ -351,7 +351,7 @@ def test_the_page_is_never_blank_between_two_steps(open_page: OpenPage) -> None:
     page.get_by_role("button", name="Complete by hand").click()
     page.get_by_text("Completed by Anna").wait_for()
     page.locator("[data-situation=robot]").wait_for()
-    page.locator("[data-situation=asked]").wait_for(timeout=120_000)
+    page.locator("[data-situation=prompt]").wait_for(timeout=120_000)
     assert page.evaluate("window.stages.size") >= 3
     assert page.evaluate("window.blanks") == []
 
@@ -380,7 +380,7 @@ def test_answer_gestures_and_a_lost_glove_are_readable_from_a_distance(
         assert (task["status"], task["outputParameters"]["outcome"]) == ("failed", "notGood")
         assert task["outputParameters"]["by"] == "gesture"
         asked()
-        page.locator("[data-situation=asked]").wait_for()
+        page.locator("[data-situation=prompt]").wait_for()
     finally:
         wearer.take_off()
     page.get_by_role("heading", name="Connection to glove-1 lost").wait_for()
