@@ -99,6 +99,14 @@ PROCESS_INCIDENT: Final = AlertType(
     "Other parts of the process continue.",
     "Remove the cause that the Alert names, then retry, skip or move it on the page.",
 )
+ENTITY_FILTER_REFUSED: Final = AlertType(
+    AlertCategory.PROCESS,
+    "entityFilterRefused",
+    Severity.HIGH,
+    "ProcessDefinition",
+    "The broker refuses the filter of an event that waits for entities, so the event never occurs.",
+    "Correct the `q` or `idPattern` of `handover:on` and deploy the file again.",
+)
 SPECIFICATIONS_UNAVAILABLE: Final = AlertType(
     AlertCategory.SYSTEM,
     "specificationDatabaseUnavailable",
@@ -121,9 +129,11 @@ CATALOGUE: Final = (
     CALIBRATION_NEEDED,
     UNKNOWN_GESTURE,
     TASK_NOT_ACCEPTED,
+    TASK_PAST_DUE,
     TASK_LOST,
     PROCESS_FAILED,
     PROCESS_INCIDENT,
+    ENTITY_FILTER_REFUSED,
     SPECIFICATIONS_UNAVAILABLE,
     ROS_PROBLEM,
 )

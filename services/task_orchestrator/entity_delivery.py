@@ -15,6 +15,7 @@ from datamodels.forms import to_key_values
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.task_orchestrator.correlation import EventStart
+from services.task_orchestrator.entities import definition_id
 from services.task_orchestrator.entity_matching import (
     BASELINE,
     CONTACT,
@@ -111,6 +112,19 @@ class EntityDelivery:
                 event if isinstance(event, ConditionalEvent) else None,
             )
             self._starts.setdefault(on.key, []).append(start)
+
+    def user_of(self, key: str) -> tuple[str, str]:
+        """Return the ProcessDefinition that uses a filter, and the name of the event as it is drawn."""
+        definitions = [
+            *self._definitions.values(),
+            *(process.plan.definition for process in self._processes.values()),
+        ]
+        for definition in definitions:
+            for node in definition.entity_events():
+                on = entity_filter(node)
+                if on is not None and on.key == key:
+                    return definition_id(self._settings, definition), node.name or node.id
+        return self._settings.entity_id("ProcessDefinition", "unknown"), key
 
     def watched(self) -> dict[str, Watched]:
         """Return the filters of the latest definitions and of running processes, by key.

@@ -16,9 +16,12 @@ from typing import Any
 
 from fastapi import Request
 
+from handover.alert_catalogue import ENTITY_FILTER_REFUSED
+from handover.alerts import clear_alert, raise_alert
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.errors import Problem
+from handover.messages import message
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
 from handover.telemetry import get_logger
@@ -53,6 +56,8 @@ class EntityEvents:
         self._was_disconnected = True
         """Whether conditions may have been true meanwhile without a notification."""
         self._queried: set[str] = set()
+        self._refused: set[str] = set()
+        """The filters that the broker refuses; there is an Alert for each."""
         self._to_read: dict[str, set[str]] = {}
         self._waits_changed = asyncio.Event()
         self._tasks = BackgroundTasks("entity-events")
@@ -106,10 +111,13 @@ class EntityEvents:
         for key, each in watched.items():
             try:
                 await self._reconcile_filter(key, each, since)
+                if key in (self._subscribed or ()):
+                    await self._clear_refused(key)
             except BrokerUnavailable as error:
                 failure = error
             except BrokerError as error:
                 log.warning("filter of entities refused", type=each.on.type, q=each.on.q, error=str(error))
+                await self._report_refused(key, each.on, str(error))
         if failure is not None:
             raise failure
         self._was_disconnected = False
@@ -117,6 +125,34 @@ class EntityEvents:
             await self._store_contact(moment)
         if self._delivery.has_unused():
             await self._orchestrator.writer.apply(self._delivery.remove_unused)
+
+    async def _report_refused(self, key: str, on: EntityFilter, why: str) -> None:
+        """Raise the Alert that an event can never occur, since the broker refuses its filter."""
+        if key in self._refused:
+            return
+        source, event = self._delivery.user_of(key)
+        await raise_alert(
+            self._broker,
+            self._settings,
+            ENTITY_FILTER_REFUSED,
+            key=_refused_key(key),
+            source=source,
+            description=message(
+                "alert.entity_filter_refused",
+                'The event "{event}" never occurs: the broker refuses its filter (type {type}, q {q}): '
+                "{why}. Correct the file and deploy it again",
+                event=event,
+                type=on.type,
+                q=on.q or "-",
+                why=why,
+            ),
+        )
+        self._refused.add(key)
+
+    async def _clear_refused(self, key: str) -> None:
+        if key in self._refused:
+            await clear_alert(self._broker, self._settings, key=_refused_key(key))
+            self._refused.discard(key)
 
     async def _reconcile_filter(self, key: str, watched: Watched, since: str | None = None) -> None:
         """Query a filter; with `since` evaluate conditions also for the states since then."""
@@ -230,10 +266,13 @@ class EntityEvents:
             except BrokerError as error:
                 on = watched[key].on
                 log.warning("subscription to entities refused", type=on.type, q=on.q, error=str(error))
+                await self._report_refused(key, on, str(error))
             else:
                 known = known | {key}
         self._subscribed = known
         self._queried &= set(watched)
+        for key in self._refused - set(watched):
+            await self._clear_refused(key)
         for key in set(self._locks) - set(watched):
             if not self._locks[key].locked():
                 del self._locks[key]
@@ -295,3 +334,7 @@ def _in_parts(entities: Entities) -> list[Entities]:
         entities[start : start + MAX_ENTITIES_PER_STEP]
         for start in range(0, len(entities), MAX_ENTITIES_PER_STEP)
     ]
+
+
+def _refused_key(filter_key: str) -> str:
+    return f"filter {filter_key} refused"

@@ -254,6 +254,18 @@ def test_a_filter_that_the_broker_refuses_does_not_stop_the_others(world: Cell) 
     assert world.look(process["id"])["variables"]["entity"]["id"] == right
     assert "filter of entities refused" in world.orchestrator.log()
 
+    def alert() -> dict[str, Any] | None:
+        listed = [
+            one for one in world.of_type("Alert") if one["subCategory"]["value"] == "entityFilterRefused"
+        ]
+        return listed[0] if listed else None
+
+    raised = eventually(alert, "the Alert about the filter")
+    assert raised["alertSource"]["object"] == "urn:ngsi-ld:ProcessDefinition:demo:wrong"
+    assert "((" in raised["description"]["value"]
+    deploy(world, "wrong", starts_with(on("message", "Wrong")) + end() + path("start", "end"))
+    eventually(lambda: "validTo" in (alert() or {}) or None, "the end of the Alert")
+
 
 def test_entities_created_while_the_orchestrator_is_down_are_found_exactly_once(
     tmp_path: Path,
