@@ -1,5 +1,8 @@
 """Tasks in a cell with obstacles: every motion is planned, followed, paused, and planned again."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,7 @@ from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose, pointing_down
 from services.trajectory_tool.robots import ur10
 from services.trajectory_tool.settings import TrajectorySettings
+from tests.kit.paths import REPOSITORY
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
 
@@ -138,6 +142,23 @@ async def test_changed_obstacles_stop_the_motion_and_are_avoided(
     assert planning.revision == 1
     assert worker.cell.tool_pose.distance_m(pointing_down((-0.55, 0.45, 0.4))) < 1e-5
     assert await touching(worker.cell, path[::2]) == []
+
+
+def test_a_cell_without_obstacles_does_not_load_the_planner(settings: TrajectorySettings) -> None:
+    program = (
+        "import sys\n"
+        "import services.trajectory_tool.app\n"
+        "from services.trajectory_tool.cell import Cell\n"
+        "from services.trajectory_tool.settings import TrajectorySettings\n"
+        "cell = Cell(TrajectorySettings.load())\n"
+        "assert not cell.planning.avoids_obstacles\n"
+        "print(sorted({'pinocchio', 'coal', 'ompl', 'toppra'} & sys.modules.keys()))\n"
+    )
+    environment = {**os.environ, "HANDOVER_DATA_DIR": str(settings.data_dir)}
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=REPOSITORY, env=environment
+    )
+    assert ran.stdout.strip() == "[]", ran.stderr
 
 
 def test_obstacles_need_the_extra(settings: TrajectorySettings, monkeypatch: pytest.MonkeyPatch) -> None:
