@@ -107,7 +107,7 @@ class BrokerClient:
         `selection` holds the query parameters of NGSI-LD (clause 6.4.3.2): `type`, `id`, `id_pattern`,
         `attrs`, `q`; lists are joined with commas.
         """
-        return [entity async for entity in self._pages(selection)]
+        return [entity async for page in self._pages(selection) for entity in page]
 
     async def evolution(self, since: str, **selection: Any) -> list[dict[str, Any]]:
         """Return the temporal evolution, normalized and with times, of entities that changed since a time.
@@ -115,7 +115,8 @@ class BrokerClient:
         Raises `BrokerError` if the broker has no temporal API.
         """
         times = {"timerel": "after", "timeAt": since, "timeproperty": "modifiedAt", "options": "sysAttrs"}
-        return [entity async for entity in self._pages({**selection, **times}, "/temporal/entities")]
+        pages = self._pages({**selection, **times}, "/temporal/entities")
+        return [entity async for page in pages for entity in page]
 
     async def find(self, model: type[AnEntity], **selection: Any) -> list[AnEntity]:
         """Return all entities of `model` that match; an invalid one is logged and skipped."""
@@ -187,7 +188,7 @@ class BrokerClient:
 
     async def subscriptions(self) -> list[dict[str, Any]]:
         """Return all subscriptions."""
-        return [subscription async for subscription in self._pages({}, "/subscriptions")]
+        return [subscription async for page in self._pages({}, "/subscriptions") for subscription in page]
 
     async def delete_subscription(self, subscription_id: str) -> None:
         """Delete a subscription; raise `NotFound` if there is none."""
@@ -195,14 +196,13 @@ class BrokerClient:
 
     async def _pages(
         self, selection: Mapping[str, Any], path: str = "/entities"
-    ) -> AsyncIterator[dict[str, Any]]:
+    ) -> AsyncIterator[list[dict[str, Any]]]:
         params = {_parameter(name): _joined(value) for name, value in selection.items() if value is not None}
         offset = 0
         while True:
             page = await self._call("GET", path, params={**params, "limit": PAGE, "offset": offset})
-            entities = orjson.loads(page.body)
-            for entity in entities:
-                yield entity
+            entities: list[dict[str, Any]] = orjson.loads(page.body)
+            yield entities
             if len(entities) < PAGE:
                 return
             offset += PAGE

@@ -1,6 +1,6 @@
 """Broker changes: Tasks and agents as the broker has them."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from prometheus_client import Counter
@@ -106,20 +106,24 @@ class BrokerChanges:
                 RECEIVED.labels("known").inc()
         return tasks
 
-    def _select_changed(self, entities: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+    def _select_changed(self, entities: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+        changed, foreign, unchanged = [], 0, 0
         for entity in entities:
             task_id = str(entity.get("id"))
             owner = self._state.active_processes.owner(task_id)
             if owner is None:
-                RECEIVED.labels("foreign").inc()
+                foreign += 1
                 if not _is_finished(entity):
                     self.on_unowned()  # an ended Task of the orchestrator may have reappeared
                 continue
             known = owner.tasks.get(task_id)  # none while the step that ends it is written
             if known is None or _status(entity) == known.status.value:
-                RECEIVED.labels("known").inc()
+                unchanged += 1
             else:
-                yield entity
+                changed.append(entity)
+        RECEIVED.labels("foreign").inc(foreign)
+        RECEIVED.labels("known").inc(unchanged)
+        return changed
 
     def _apply(self, tasks: Iterable[Task], step: Step) -> int:
         now = self._state.clock()

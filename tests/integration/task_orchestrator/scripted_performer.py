@@ -1,7 +1,8 @@
 """A performer that does what a script says and writes down what it did: a process of its own, that can die.
 
 It keeps each result in a file before it reports it, as a robot knows what it holds: performed again after a
-crash, the same Task gives the same result and is not done twice.
+crash, the same Task gives the same result and is not done twice. A Task with `moves_s` is a motion: if the
+performer is killed during it, the outcome is unknown, and the Task is reported as failed.
 """
 
 import asyncio
@@ -22,6 +23,8 @@ from handover.settings import Settings
 
 PORT = int(os.environ["PERFORMER_PORT"])
 DONE = Path(os.environ["PERFORMER_DONE"])
+BEGUN = DONE.with_suffix(".begun")
+"""The motions that were begun."""
 SCRIPT = Path(os.environ["PERFORMER_SCRIPT"])
 
 
@@ -35,14 +38,28 @@ class Scripted(Performer):
             async with asyncio.timeout(script.pop("after_s", 0.01)):
                 await job.changed()
         await job.checkpoint()
-        done = DONE.read_text().split() if DONE.exists() else []
-        if not (job.resumed and f"{job.task.id}" in done):
-            with DONE.open("a") as file:
-                file.write(f"{job.task.id}\n")
-                file.flush()
+        done = _lines(DONE)
+        if "moves_s" in script and job.task.id not in done:
+            if job.task.id in _lines(BEGUN):
+                raise TaskFailed("interrupted in a motion, whose outcome is unknown")
+            _append(BEGUN, job.task.id)
+            await asyncio.sleep(script["moves_s"])
+        script.pop("moves_s", None)
+        if not (job.resumed and job.task.id in done):
+            _append(DONE, job.task.id)
         if "fails" in script:
             raise TaskFailed(script.pop("fails"), **script)
         return script
+
+
+def _lines(file: Path) -> list[str]:
+    return file.read_text().split() if file.exists() else []
+
+
+def _append(file: Path, line: str) -> None:
+    with file.open("a") as out:
+        out.write(f"{line}\n")
+        out.flush()
 
 
 def make_app(settings: Settings) -> FastAPI:
