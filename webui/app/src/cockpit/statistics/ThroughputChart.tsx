@@ -50,13 +50,13 @@ function usePlot(points: Points, step: PlotStep, language: string) {
 
   useEffect(() => {
     newest.current = points;
-    plot.current?.setData(dataOf(points));
-  }, [points]);
+    plot.current?.setData(dataOf(points, step));
+  }, [points, step]);
 
   useEffect(() => {
     const host = place.current;
     if (host === null) return;
-    const made = new uPlot(optionsOf(host, step, language), dataOf(newest.current), host);
+    const made = new uPlot(optionsOf(host, step, language), dataOf(newest.current, step), host);
     plot.current = made;
     const resized = new ResizeObserver(() => made.setSize({ width: host.clientWidth, height: host.clientHeight }));
     resized.observe(host);
@@ -70,8 +70,11 @@ function usePlot(points: Points, step: PlotStep, language: string) {
   return place;
 }
 
-function dataOf(points: Points): uPlot.AlignedData {
-  return [points.at, points.started, points.completed, points.failed];
+/** The last hour or day is as wide as the others: its values are repeated at its end. */
+function dataOf({ at, started, completed, failed }: Points, step: PlotStep): uPlot.AlignedData {
+  const repeated = (values: number[]) => [...values, values.at(-1) ?? 0];
+  const end = (at.at(-1) ?? 0) + (step === "hour" ? HOUR_MS : 24 * HOUR_MS) / 1000;
+  return [[...at, end], repeated(started), repeated(completed), repeated(failed)];
 }
 
 function optionsOf(host: HTMLElement, step: PlotStep, language: string): uPlot.Options {
