@@ -13,6 +13,8 @@ K = TypeVar("K", str, int)
 class DueQueue(Generic[K]):
     """A heap of moments; entries that are out of date are removed when they come first, or are too many."""
 
+    __slots__ = ("_dues", "_heap")
+
     def __init__(self) -> None:
         self._dues: dict[K, datetime] = {}
         self._heap: list[tuple[datetime, K]] = []

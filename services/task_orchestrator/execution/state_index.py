@@ -20,7 +20,7 @@ class WorkChanges:
     left: tuple[tuple[str, int], ...]
 
 
-@dataclass
+@dataclass(slots=True)
 class _Places:
     """How many records are at each element, in the order in which the elements were reached."""
 
@@ -47,6 +47,18 @@ class _Places:
 
 class StateIndex:
     """The index of one state."""
+
+    __slots__ = (
+        "_dues",
+        "_left",
+        "_opened",
+        "_state",
+        "_token_places",
+        "_wait_places",
+        "incidents",
+        "subscribed",
+        "working",
+    )
 
     def __init__(self, state: State) -> None:
         self._state = state
