@@ -25,6 +25,7 @@ DOCUMENTS = sorted(
     ]
 )
 FENCE = re.compile(r"^[ >]*```(?P<language>\w*)\n(?P<content>.*?)^[ >]*```", re.MULTILINE | re.DOTALL)
+HERE_DOCUMENT = re.compile(r"<<(?P<end>[A-Z]+)$.*?^(?P=end)$", re.MULTILINE | re.DOTALL)
 CODE = re.compile(r"`[^`\n]+`")
 LINK = re.compile(r"\[[^\]]*\]\((?P<target>[^)\s]+)\)")
 MAX_README_LINES = 150
@@ -70,9 +71,9 @@ def commands() -> Iterator[tuple[str, str]]:
 
 
 def commands_of(script: str) -> Iterator[str]:
-    """Yield the commands of a script; a quoted argument may have several lines."""
+    """Yield the commands of a script; a quoted argument may have several lines, and so may a here-document."""
     unfinished = ""
-    for line in script.replace("\\\n", " ").splitlines():
+    for line in HERE_DOCUMENT.sub("", script.replace("\\\n", " ")).splitlines():
         text = unfinished + line.strip()
         try:
             words = shlex.split(text, comments=True)
@@ -90,6 +91,8 @@ def test_every_command_exists(document: str, command: str) -> None:
     words = shlex.split(command)
     while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
         words = words[1:]
+    if not words:
+        return  # only variables
     program = words[0].removeprefix(".venv/bin/")
     if program == "python" and words[1].endswith(".py"):
         return  # a file that the reader has saved
