@@ -71,7 +71,7 @@ def commands() -> Iterator[tuple[str, str]]:
 
 
 def commands_of(script: str) -> Iterator[str]:
-    """Yield the commands of a script; a quoted argument may have several lines, and so may a here-document."""
+    """Yield the commands of a script; a quoted argument may have several lines, as may a here-document."""
     unfinished = ""
     for line in HERE_DOCUMENT.sub("", script.replace("\\\n", " ")).splitlines():
         text = unfinished + line.strip()
