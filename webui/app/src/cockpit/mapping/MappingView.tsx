@@ -59,10 +59,8 @@ export function MappingView() {
           base={base ?? present.version}
           entries={entries}
           isChanged={changes.size > 0}
-          onBase={() => {
-            setBase(present.version);
-            mapping.reload();
-          }}
+          onBase={() => setBase(present.version)}
+          onConflict={mapping.reload}
           onReset={reset}
           onConfirmed={() => {
             reset();
@@ -110,11 +108,13 @@ interface ConfirmationProps {
   entries: readonly MappingEntry[];
   isChanged: boolean;
   onBase: () => void;
+  /** The mapping is another one than was read. */
+  onConflict: () => void;
   onReset: () => void;
   onConfirmed: () => void;
 }
 
-function Confirmation({ mapping, base, entries, isChanged, onBase, onReset, onConfirmed }: ConfirmationProps) {
+function Confirmation({ mapping, base, entries, isChanged, onBase, onConflict, onReset, onConfirmed }: ConfirmationProps) {
   const { t } = useTranslation("cockpit");
   const { withName, question } = useWithName();
   const [asks, setAsks] = useState(false);
@@ -131,7 +131,9 @@ function Confirmation({ mapping, base, entries, isChanged, onBase, onReset, onCo
           onConfirmed();
         },
         (error: unknown) => {
-          setConflict(error instanceof ApiError && error.problem.status === 409);
+          const isConflict = error instanceof ApiError && error.problem.status === 409;
+          setConflict(isConflict);
+          if (isConflict) onConflict();
           throw error;
         },
       );
@@ -150,6 +152,7 @@ function Confirmation({ mapping, base, entries, isChanged, onBase, onReset, onCo
         <div className="mapping__conflict">
           <ErrorMessage>{t("mapping.conflict", { present: mapping.version, base })}</ErrorMessage>
           <Button
+            isDisabled={base === mapping.version}
             onPress={() => {
               setConflict(false);
               onBase();
