@@ -35,6 +35,7 @@ from services.task_orchestrator.execution.run import OpenActivity, OpenIncident,
 from services.task_orchestrator.execution.state import Library, RunFailed
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import Activity, FormBinding, Value
+from services.task_orchestrator.notation.names import in_urn
 from services.task_orchestrator.process_tally import count_change, count_end, count_start, count_task
 from services.task_orchestrator.records import (
     Act,
@@ -890,7 +891,7 @@ class Process:
         self._revise(unallocated=tuple(waiting))
 
     def _task_id(self, element: str, visit: int) -> str:
-        return self.settings.entity_id("Task", f"{self.record.id}-{element}-{visit}")
+        return self.settings.entity_id("Task", f"{self.record.id}-{in_urn(element)}-{visit}")
 
     def _post(self, open_: OpenActivity, assignment: Assignment, step: Step, now: datetime) -> None:
         activity = assignment.activity

@@ -1,7 +1,5 @@
 """Activities: the Task, call, loop and data of an activity, read into the model."""
 
-import re
-import unicodedata
 from dataclasses import replace
 
 from lxml import etree
@@ -29,6 +27,7 @@ from services.task_orchestrator.notation.document import (
 )
 from services.task_orchestrator.notation.elements import referenced, refuse, warn_without_effect
 from services.task_orchestrator.notation.escalations import read_escalations
+from services.task_orchestrator.notation.names import definition_of
 from services.task_orchestrator.notation.performers import RESOURCE_ROLES, performer_hints
 from services.task_orchestrator.notation.retries import read_retry
 from services.task_orchestrator.notation.task_data import (
@@ -37,22 +36,6 @@ from services.task_orchestrator.notation.task_data import (
     own_data,
     read_task_data,
 )
-
-_GENERATED_ID = re.compile(
-    r"(?:[A-Z][A-Za-z]*_(?:[0-9a-z]{7}|\d+)|_?[0-9A-Fa-f]{8}-[0-9A-Fa-f-]{27}|(?:sid|id|_)-?[0-9A-Fa-f-]{16,})",
-    re.ASCII,
-)
-"""Ids that drawing tools make, such as `Activity_0k2pzw1` and `UserTask_1`; the drawn name says more."""
-
-
-def definition_name(element: etree._Element) -> str:
-    """Return the TaskDefinition of an activity that names none: its id, or its name if that says more."""
-    id_ = element.get("id") or ""
-    name = element.get("name") or ""
-    if not _GENERATED_ID.fullmatch(id_):
-        return id_
-    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    return re.sub(r"[^A-Za-z0-9]+", "-", plain).strip("-").lower()[:100] or id_
 
 
 def read_activity(element: etree._Element, context: Context, *, script: Script | None = None) -> Activity:
@@ -83,7 +66,9 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         name=_drawn_name(element) or id_,
         description=documentation(element),
         lane=context.lanes.get(id_),
-        definition=work.definition if work.definition is not None else definition_name(element),
+        definition=work.definition
+        if work.definition is not None
+        else definition_of(id_, element.get("name") or ""),
         deadline=work.deadline,
         involves=work.involves,
         happens_at=work.happens_at,

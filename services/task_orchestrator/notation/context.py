@@ -1,23 +1,15 @@
 """Context: what the readers of nodes share while they read one process."""
 
-import re
 from dataclasses import dataclass, field
 
 from lxml import etree
 
 from handover.messages import message
-from services.task_orchestrator.languages.native_grammar import is_variable_name
 from services.task_orchestrator.notation.dialects.choice import Dialects
 from services.task_orchestrator.notation.document import local
 from services.task_orchestrator.notation.elements import Collaboration, Declarations
 from services.task_orchestrator.notation.faults import Findings
-
-_ID = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,63}", re.ASCII)
-
-
-def variable_of(element: str) -> str:
-    """Return the name of the process variable for the element with the id `element`."""
-    return element.replace("-", "_").replace(".", "_")
+from services.task_orchestrator.notation.names import MAX_NODE_ID, is_node_id, is_process_id, variable_of
 
 
 @dataclass
@@ -47,13 +39,22 @@ class Context:
     def id(self, element: etree._Element) -> str:
         """Return the id of an element; report it if it is invalid or used twice."""
         found = element.get("id") or ""
-        if not _ID.fullmatch(found):
+        if local(element) == "process" and not is_process_id(found):
+            self.found.fault(
+                element,
+                message(
+                    "bpmn.wrong_process_id",
+                    "a process needs an id of A-Z, a-z, 0-9, - _ . (at most 64 characters)",
+                ),
+            )
+        elif not is_node_id(found):
             self.found.fault(
                 element,
                 message(
                     "bpmn.wrong_id",
-                    "{element} needs an id of A-Z, a-z, 0-9, - _ . (at most 64 characters)",
+                    "{element} needs an id of letters, digits, - _ . (at most {limit} characters)",
                     element=local(element),
+                    limit=MAX_NODE_ID,
                 ),
             )
         elif found in self.ids:
@@ -82,15 +83,6 @@ class Context:
                     variable=variable,
                     base=base,
                     other=self.variables[base],
-                ),
-            )
-        if not is_variable_name(variable):
-            self.found.fault(
-                element,
-                message(
-                    "bpmn.no_variable",
-                    '"{variable}" cannot be a variable; name its outputs or change the id',
-                    variable=variable,
                 ),
             )
         return variable

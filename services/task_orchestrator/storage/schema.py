@@ -204,7 +204,7 @@ start_timers = Table(
     "orchestrator_start_timers",
     _meta,
     Column("definition", String(64), primary_key=True),
-    Column("event", String(64), primary_key=True),
+    Column("event", String(200), primary_key=True),
     Column("due", String(40), nullable=False),
     Column("text", Text),
     Column("count", Integer, nullable=False),

@@ -108,6 +108,13 @@ def undo(name: str) -> str:
 
 
 CASES: dict[str, Case] = {
+    "unicode-ids": Case(
+        start() + '<bpmn:userTask id="Prüfen"><bpmn:extensionElements><handover:task definition="check">'
+        '<handover:involves resource="Device:glove-1"/></handover:task></bpmn:extensionElements></bpmn:userTask>'
+        + end()
+        + chain("Prüfen"),
+        ["prufen-a1ca1357598782f7-1"],
+    ),
     **{
         kind: Case(FRAME + activity("work", kind=kind) + chain("work"), ["work-1"])
         for kind in ("task", "userTask", "manualTask", "serviceTask", "sendTask", "businessRuleTask")

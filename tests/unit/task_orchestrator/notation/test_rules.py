@@ -84,7 +84,7 @@ WRONG = {
         '"f": a condition in python is not supported yet',
     ),
     "id twice": (ONE_STEP + activity("work"), 'the id "work" is used twice'),
-    "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of A-Z"),
+    "bad id": (start("a b") + WORK + end() + path("a b", "work", "end"), "needs an id of letters"),
     "empty subprocess": (between(sub("x", "")), '"x": the subprocess is empty; draw its content'),
     "transaction": (between('<bpmn:transaction id="x"/>'), '"x": transaction is not supported yet; draw'),
     "ad-hoc": (between('<bpmn:adHocSubProcess id="x"/>'), '"x": adHocSubProcess is not supported yet; draw'),
