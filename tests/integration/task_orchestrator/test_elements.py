@@ -109,10 +109,7 @@ def undo(name: str) -> str:
 
 CASES: dict[str, Case] = {
     "unicode-ids": Case(
-        start() + '<bpmn:userTask id="Prüfen"><bpmn:extensionElements><handover:task definition="check">'
-        '<handover:involves resource="Device:glove-1"/></handover:task></bpmn:extensionElements></bpmn:userTask>'
-        + end()
-        + chain("Prüfen"),
+        FRAME + activity("check").replace('userTask id="check"', 'userTask id="Prüfen"') + chain("Prüfen"),
         ["prufen-a1ca1357598782f7-1"],
     ),
     **{
