@@ -33,6 +33,7 @@ PAGES = {
     "work": "/work",
     "processes": "/processes",
     "tasks": "/tasks",
+    "cockpit": "/cockpit",
     "system": "/system",
     "calibrate": "/calibrate",
     "people": "/people",
