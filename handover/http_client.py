@@ -9,6 +9,7 @@ responses, up to a limit that also holds for the inflated body. Neither follows 
 """
 
 import asyncio
+import select
 import socket
 import ssl
 import zlib
@@ -197,8 +198,23 @@ class _Connection(asyncio.Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether the other side has not closed it."""
+        """Whether it is not closed, as far as the event loop has noticed."""
         return self.transport is not None and not self.transport.is_closing()
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the idle connection can take a request.
+
+        If the other side has closed it and the event loop has not noticed yet, its socket is readable.
+        """
+        if not self.is_open or self.transport is None:
+            return False
+        connected = self.transport.get_extra_info("socket")
+        if connected is None or not hasattr(select, "poll"):  # Windows has none
+            return True
+        poll = select.poll()
+        poll.register(connected.fileno(), select.POLLIN)
+        return not poll.poll(0)
 
     def _settle(self, answer: Any) -> None:
         if self._answer is not None and not self._answer.done():
@@ -312,7 +328,8 @@ class PooledHttpClient:
         now_s = asyncio.get_running_loop().time()
         while idle:
             connection = idle.pop()
-            if not connection.is_open:
+            if not connection.is_usable:
+                connection.close()
                 continue
             if not may_repeat and now_s - connection.idle_since_s > FRESH_S:
                 connection.close()

@@ -1,6 +1,5 @@
 """Two orchestrators on one PostgreSQL database: one works, the other takes over."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,7 +25,7 @@ def test_a_standby_takes_over_and_nothing_is_lost_or_doubled(
         url = f"http://127.0.0.1:{port}"
         standby = Member(
             "standby",
-            [sys.executable, "-m", "services.task_orchestrator"],
+            "services.task_orchestrator",
             {**running.orchestrator.environment, "HANDOVER_ORCHESTRATOR_PORT": str(port)},
             tmp_path / "standby.log",
             f"{url}/healthz",

@@ -16,8 +16,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
-from tests.integration.task_orchestrator.cell import CONTEXT
 from tests.kit.waiting import scaled
+from tests.unit.task_orchestrator.drawing import drawing
 from webui.live.live_socket import LiveSocket
 from webui.live.live_state import LiveState
 from webui.live.viewers import Viewers
@@ -140,23 +140,17 @@ def test_an_incident_and_what_a_person_does_about_it_arrive(
     TypeAdapter(type_of_topic(f"process/{begun['id']}")).validate_python(viewer.process(), strict=True)
 
 
-def test_all_topics_match_their_types(
-    whole_cell: Any, look: Callable[[], Any], browser: httpx.Client
-) -> None:
+@pytest.mark.usefixtures("whole_cell")
+def test_all_topics_match_their_types(look: Callable[[], Any], browser: httpx.Client) -> None:
     viewer = look()
     viewer.subscribe(JOINTS)
     begun = {"definition": "bin-picking", "parameters": {"robot": "Device:ur10-2"}}
     browser.post("/api/task-orchestrator/processes", json=begun).raise_for_status()
-    task = {
-        "id": "urn:ngsi-ld:Task:demo:weigh",
-        "type": "Task",
-        "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:weigh"},
-        "status": {"type": "Property", "value": "pending", "observedAt": "2026-05-04T08:00:00Z"},
-        "involves": {"type": "Property", "value": []},
-        "workParameters": {"type": "Property", "value": {"description": "Weigh the part"}},
-    }
-    entities = f"{whole_cell.url('context_broker')}/ngsi-ld/v1/entities"
-    httpx.post(entities, json=task, headers={"Link": CONTEXT}, trust_env=False).raise_for_status()
+    file = drawing('<bpmn:userTask id="weigh" name="Weigh the part"/>', name="weighing")
+    definitions = "/api/task-orchestrator/definitions"
+    browser.post(definitions, content=file, headers={"Content-Type": "application/xml"}).raise_for_status()
+    weighing = {"definition": "weighing"}  # its Task is one for people, so it is in the tasklist
+    browser.post("/api/task-orchestrator/processes", json=weighing).raise_for_status()
     families = {name.rstrip("/") for name in TOPICS} - {"people", "alert"}
     viewer.read_until(lambda: JOINTS in viewer.topics and viewer.process().get("tasks"))
     viewer.read_until(lambda: families <= {topic.partition("/")[0] for topic in viewer.topics})
