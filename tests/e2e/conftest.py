@@ -84,6 +84,8 @@ def quiet_screen(screen: Cell) -> Cell:
         f"{screen.url('trajectory_tool')}/robots/ur10-1",
     ):
         wait_for(lambda busy=busy: httpx.get(busy, timeout=120).json()["task"] is None)  # type: ignore[misc]
+    running = {"status": "inProgress"}  # until it has ended, a process keeps the robot that it has reserved
+    wait_for(lambda: httpx.get(processes, params=running, timeout=120).json() == [])
     return screen
 
 

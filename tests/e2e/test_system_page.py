@@ -63,7 +63,7 @@ def test_a_failed_service_is_shown_with_the_reason_and_recovers(
     expect(page.get_by_role("grid", name="Events")).to_contain_text("Trajectory tool is running")
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_an_acknowledgement_with_a_name_survives_a_restart(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
@@ -101,7 +101,7 @@ def test_an_acknowledgement_with_a_name_survives_a_restart(
     assert stored["humanVerified"]["by"]["value"] == "Aino", stored
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_the_robot_moves_and_its_gripper_is_released_only_when_idle(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
