@@ -55,6 +55,7 @@ def migrate(
             "install the newer release or use another database"
         )
     if before == version:
+        _refuse_other_tables(engine, tables, component)
         return
     if before is not None:
         copy = _copy_file(engine, f"{component}.v{before}")
@@ -82,6 +83,22 @@ def _refuse_unreleased(engine: Engine, component: str) -> None:
             f"the tables of {component} in {shown} have a format that was never released, which this release "
             "does not read; use another database or schema"
         )
+
+
+def _refuse_other_tables(engine: Engine, tables: MetaData, component: str) -> None:
+    """Refuse tables of this version that lack some: a state between two releases has made them."""
+    inspector = inspect(engine)
+    for table in tables.sorted_tables:
+        columns = inspector.get_columns(table.name) if inspector.has_table(table.name) else []
+        present = {column["name"] for column in columns}
+        missing = [column.name for column in table.columns if column.name not in present]
+        if missing:
+            shown = engine.url.render_as_string(hide_password=True)
+            raise UsageError(
+                f"the table {table.name} of {component} in {shown} has no {', '.join(missing)}: "
+                "a version between two releases has made it, which this one does not read; "
+                "use another database or schema"
+            )
 
 
 def _version_table(component: str) -> Table:

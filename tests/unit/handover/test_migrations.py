@@ -44,6 +44,13 @@ def test_older_tables_are_migrated_after_the_file_is_copied(engine: Engine, tmp_
     copy.dispose()
 
 
+def test_tables_of_a_version_between_two_releases_are_refused(engine: Engine) -> None:
+    migrate(engine, FIRST, component="lamp", version=1)
+    with pytest.raises(UsageError, match=r"table thing of lamp .* has no colour: .* use another database"):
+        migrate(engine, SECOND, component="lamp", version=1)
+    assert [column["name"] for column in inspect(engine).get_columns("thing")] == ["id"]
+
+
 def test_a_failed_step_changes_nothing(engine: Engine) -> None:
     def breaks(connection: Connection) -> None:
         add_colour(connection)
