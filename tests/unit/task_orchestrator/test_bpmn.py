@@ -155,10 +155,6 @@ WRONG = {
         start() + activity("work", attributes='robot="x"') + end() + path("start", "work", "end"),
         'has no attribute "robot"',
     ),
-    "variable that is a word of the language": (
-        start() + activity("not") + end() + path("start", "not", "end"),
-        '"not" cannot be a variable',
-    ),
     "call activity": (ONE_STEP + '<bpmn:callActivity id="c"/>', "the call activity names no process"),
     "sub-process": (ONE_STEP + '<bpmn:subProcess id="s"/>', "the subprocess is empty"),
     "unknown element": (ONE_STEP + '<bpmn:teleport id="t"/>', "teleport is not supported yet"),
