@@ -94,6 +94,9 @@ class Reconciler:
         if len(tasks) < len(received):
             self._agents_resync.request()
         changed = self._orchestrator.broker_changes.changed_ids(tasks)
+        if not changed:  # a poll may have been faster; the answer says that the change is stored
+            await self._orchestrator.broker_changes.wait_until_written()
+            return
         try:
             entities = await self._receiver.read("Task", changed)
         except BrokerError as error:

@@ -43,6 +43,10 @@ class BrokerChanges:
         answers = await self._writer.apply_each({name: applying(tasks) for name, tasks in by_process.items()})
         return sum(answers.values())
 
+    async def wait_until_written(self) -> None:
+        """Wait until all changes that are applied by now are in the database."""
+        await self._writer.apply(lambda _: None)
+
     def changed_ids(self, entities: Iterable[Mapping[str, Any]]) -> list[str]:
         """Return the ids of the Tasks of the orchestrator among `entities` with another status than known.
 
