@@ -24,6 +24,7 @@ from services.task_orchestrator.notation.document import (
     documentation,
     flag,
     local,
+    own_data,
 )
 from services.task_orchestrator.notation.elements import referenced, refuse, warn_without_effect
 from services.task_orchestrator.notation.escalations import read_escalations
@@ -33,7 +34,6 @@ from services.task_orchestrator.notation.retries import read_retry
 from services.task_orchestrator.notation.task_data import (
     associated_variable,
     has_variable,
-    own_data,
     read_task_data,
 )
 
@@ -154,7 +154,7 @@ def _multi_instance(element: etree._Element, loop: etree._Element, context: Cont
     items = main.items(loop, found)
     cardinality, completion = child_text(loop, "loopCardinality"), child_text(loop, "completionCondition")
     if loop.get("behavior") not in {None, "All"} or child(loop, "complexBehaviorDefinition") is not None:
-        warn_without_effect_text(element, "behavior of multiInstanceLoopCharacteristics", context)
+        warn_without_effect(element, found, "behavior of multiInstanceLoopCharacteristics")
     collection = items.collection
     if collection is None:
         name = _data_name(element, child_text(loop, "loopDataInputRef"), context)
@@ -218,13 +218,6 @@ def _data_name(element: etree._Element, reference: str, context: Context) -> str
     return associated or own_data(element).get(reference) or context.properties.get(reference) or reference
 
 
-def warn_without_effect_text(element: etree._Element, what: str, context: Context) -> None:
-    """Add the warning that a part of an element has no effect on the execution."""
-    context.found.warn(
-        element, message("bpmn.no_effect", "{element} has no effect on the execution", element=what)
-    )
-
-
 def read_data(
     element: etree._Element, context: Context, *, is_event: bool = False
 ) -> tuple[tuple[DataAssociation, ...], tuple[DataAssociation, ...]]:
@@ -247,7 +240,7 @@ def read_data(
             continue
         for part in ("transformation", "assignment"):
             if child(association, part) is not None:
-                warn_without_effect_text(association, f"{part} of a {local(association)}", context)
+                warn_without_effect(association, context.found, f"{part} of a {local(association)}")
         if is_input:
             inputs.append(DataAssociation(data, names.get(inner) or context.data_names[data]))
         else:

@@ -5,7 +5,7 @@ elements and their depth are limited before anything else looks at them.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Container, Iterator, Mapping
 
 from lxml import etree
 
@@ -130,6 +130,33 @@ def flag(element: etree._Element, name: str, *, default: bool) -> bool:
     """Return a boolean attribute; other texts than those of XML Schema count as the default."""
     given = (element.get(name) or "").strip()
     return {"true": True, "1": True, "false": False, "0": False}.get(given, default)
+
+
+def attributes_of(element: etree._Element, namespaces: Container[str | None]) -> dict[str, str]:
+    """Return the attributes of an element that belong to a vendor, by their local names."""
+    names = {name: etree.QName(name) for name in element.attrib}
+    return {
+        qualified.localname: element.attrib[name]
+        for name, qualified in names.items()
+        if qualified.namespace in namespaces
+    }
+
+
+def own_data(element: etree._Element) -> Mapping[str, str]:
+    """Return the names of the data inputs and outputs of an activity or event, by id."""
+    specification = child(element, "ioSpecification")
+    parts = [element] if specification is None else [element, specification]
+    return {
+        each.get("id") or "": each.get("name") or ""
+        for part in parts
+        for each in children(part, "dataInput", "dataOutput")
+    }
+
+
+def assigned_text(association: etree._Element) -> str:
+    """Return the text that a data association assigns; empty if it assigns none."""
+    assignment = child(association, "assignment")
+    return "" if assignment is None else child_text(assignment, "from")
 
 
 def extensions(element: etree._Element) -> Iterator[etree._Element]:

@@ -57,11 +57,11 @@ _DIAGRAMS = frozenset({"http://www.omg.org/spec/BPMN/20100524/DI"})
 _COLLABORATION = HARMLESS | {"participant", "messageFlow"}
 
 
-def warn_without_effect(element: etree._Element, found: Findings) -> None:
-    """Add the warning that an element has no effect on the execution."""
+def warn_without_effect(element: etree._Element, found: Findings, what: str | None = None) -> None:
+    """Add the warning that an element, or `what` of it, has no effect on the execution."""
     found.warn(
         element,
-        message("bpmn.no_effect", "{element} has no effect on the execution", element=local(element)),
+        message("bpmn.no_effect", "{element} has no effect on the execution", element=what or local(element)),
     )
 
 

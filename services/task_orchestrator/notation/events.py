@@ -34,7 +34,7 @@ from services.task_orchestrator.notation.document import (
     local,
     text,
 )
-from services.task_orchestrator.notation.elements import message_of, referenced, refuse
+from services.task_orchestrator.notation.elements import message_of, referenced, refuse, warn_without_effect
 from services.task_orchestrator.timers import due_at, is_time, parse_cycle
 
 _NAMES = (
@@ -177,14 +177,7 @@ def _conditional(source: _Source) -> ConditionalEvent | None:
 
 def _compensation(source: _Source) -> CompensateEvent:
     if not flag(source.definition, "waitForCompletion", default=True):
-        source.context.found.warn(
-            source.element,
-            message(
-                "bpmn.no_effect",
-                "{element} has no effect on the execution",
-                element='waitForCompletion="false"',
-            ),
-        )
+        warn_without_effect(source.element, source.context.found, 'waitForCompletion="false"')
     return CompensateEvent(referenced(source.definition.get("activityRef") or "") or None)
 
 

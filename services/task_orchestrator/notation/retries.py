@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from lxml import etree
 
 from handover.durations import parse_duration
-from handover.messages import message
 from services.task_orchestrator.model import RetryPolicy, Value
 from services.task_orchestrator.notation.context import Context
 from services.task_orchestrator.notation.dialects.base import attempt
 from services.task_orchestrator.notation.dialects.handover import extension_of
+from services.task_orchestrator.notation.elements import warn_without_effect
 from services.task_orchestrator.timers import RepeatingInterval, parse_cycle
 
 MAX_ATTEMPTS = 1000
@@ -32,14 +32,7 @@ def read_retry(element: etree._Element, hints: Mapping[str, str], context: Conte
         cycle = hints["retry"]
         policy = attempt(element, lambda: _cycle(cycle), None, found) if "{" not in cycle else None
         if policy is None and element.get("id") not in found.broken:
-            found.warn(
-                element,
-                message(
-                    "bpmn.no_effect",
-                    "{element} has no effect on the execution",
-                    element=f"failedJobRetryTimeCycle {cycle[:64]}",
-                ),
-            )
+            warn_without_effect(element, found, f"failedJobRetryTimeCycle {cycle[:64]}")
         return policy
     if "retries" in hints:
         return attempt(element, lambda: RetryPolicy(_attempts(context, hints["retries"])), None, found)

@@ -14,7 +14,14 @@ from services.task_orchestrator.languages.native_grammar import is_variable_name
 from services.task_orchestrator.model import Value
 from services.task_orchestrator.notation.context import Context
 from services.task_orchestrator.notation.dialects.base import attempt, native_variable
-from services.task_orchestrator.notation.document import child, child_text, children, local
+from services.task_orchestrator.notation.document import (
+    assigned_text,
+    child,
+    child_text,
+    children,
+    local,
+    own_data,
+)
 from services.task_orchestrator.notation.elements import referenced
 
 
@@ -44,17 +51,6 @@ def _declare(element: etree._Element, context: Context) -> None:
         context.properties[id_] = variable
 
 
-def own_data(element: etree._Element) -> Mapping[str, str]:
-    """Return the names of the data inputs and outputs of an activity or event, by id."""
-    specification = child(element, "ioSpecification")
-    parts = [element] if specification is None else [element, specification]
-    return {
-        each.get("id") or "": each.get("name") or ""
-        for part in parts
-        for each in children(part, "dataInput", "dataOutput")
-    }
-
-
 def read_task_data(element: etree._Element, context: Context) -> TaskData:
     """Return what the data associations of an activity with variables say of its Task."""
     names = own_data(element)
@@ -80,8 +76,7 @@ def _input(association: etree._Element, context: Context) -> Value:
     found = context.found
     if source in context.properties:
         return attempt(association, lambda: native_variable(context.properties[source]), Value(), found)
-    assignment = child(association, "assignment")
-    given = "" if assignment is None else child_text(assignment, "from")
+    given = assigned_text(association)
     return attempt(association, lambda: context.dialects.main.value(given), Value(), found)
 
 

@@ -29,8 +29,15 @@ from services.task_orchestrator.notation.dialects.base import (
     native_variable,
 )
 from services.task_orchestrator.notation.dialects.scripts import SIMILAR_TO_JUEL, assigned_by, set_variables
-from services.task_orchestrator.notation.document import child_text, extensions, local, namespace, text
-from services.task_orchestrator.notation.elements import referenced
+from services.task_orchestrator.notation.document import (
+    attributes_of,
+    child_text,
+    extensions,
+    local,
+    namespace,
+    text,
+)
+from services.task_orchestrator.notation.elements import referenced, warn_without_effect
 from services.task_orchestrator.notation.faults import Findings
 
 NAMESPACES = (
@@ -98,7 +105,7 @@ class Camunda7:
 
     def work(self, element: etree._Element, found: Findings) -> Work:
         """Return what attributes and extension elements say of the Task."""
-        attributes = _attributes(element)
+        attributes = attributes_of(element, NAMESPACES)
         hints = {name: attributes[name].strip() for name in _HINTS if attributes.get(name)}
         if "type" in hints and "topic" not in hints:
             hints.setdefault("topic", hints["type"])
@@ -147,7 +154,7 @@ class Camunda7:
         if local(element).endswith("EventDefinition"):
             passed, everything, _ = self._passed(element, "in", found)
             if everything:
-                _warn(element, 'camunda:in variables="all"', found)
+                warn_without_effect(element, found, 'camunda:in variables="all"')
             return Mapped(passed)
         connectors = [each for each in _ours(element) if local(each) == "connector"]
         outputs = [each for part in connectors for each in _connector_io(part, "outputParameter", found)]
@@ -173,7 +180,7 @@ class Camunda7:
         type_ = field.get("type") or "string"
         schema: dict[str, Json] = dict(_FORM_TYPES.get(type_, {"type": "string"}))
         if type_ not in _FORM_TYPES and type_ != "enum":
-            _warn(field, f'the type "{type_[:64]}" of a formField', found)
+            warn_without_effect(field, found, f'the type "{type_[:64]}" of a formField')
         if field.get("label"):
             schema["title"] = field.get("label")
         choices = list(_named(field, "value"))
@@ -185,7 +192,9 @@ class Camunda7:
         for validation in _named(field, "validation"):
             for constraint in _named(validation, "constraint"):
                 if not _constrain(schema, name, constraint, required):
-                    _warn(field, f'the constraint "{(constraint.get("name") or "")[:64]}"', found)
+                    warn_without_effect(
+                        field, found, f'the constraint "{(constraint.get("name") or "")[:64]}"'
+                    )
         members = {key: Value(value) for key, value in schema.items()}
         given = field.get("defaultValue")
         if given is not None and _has_expression(given):
@@ -205,7 +214,7 @@ class Camunda7:
 
     def call(self, element: etree._Element, found: Findings) -> Call | None:
         """Return the called process with its binding, `in` and `out`."""
-        attributes = _attributes(element)
+        attributes = attributes_of(element, NAMESPACES)
         called = (element.get("calledElement") or "").strip()
         if not called:
             what = "callActivity with caseRef (CMMN)" if attributes.get("caseRef") else ""
@@ -240,7 +249,7 @@ class Camunda7:
         )
 
     def _bound(self, element: etree._Element, binding: str, attribute: str, found: Findings) -> Value | None:
-        attributes = _attributes(element)
+        attributes = attributes_of(element, NAMESPACES)
         if attributes.get("calledElementBinding") != binding:
             return None
         given = (attributes.get(attribute) or "").strip()
@@ -279,7 +288,7 @@ class Camunda7:
 
     def items(self, loop: etree._Element, found: Findings) -> Items:
         """Return `collection` and `elementVariable`."""
-        attributes = _attributes(loop)
+        attributes = attributes_of(loop, NAMESPACES)
         collection, variable = attributes.get("collection"), attributes.get("elementVariable")
         if variable is not None and not is_variable_name(variable):
             found.fault(loop, f'elementVariable="{variable}" cannot be the name of a variable')
@@ -298,7 +307,7 @@ class Camunda7:
         if format_.lower() == "juel" and source:
             value = attempt(element, lambda: self.value(source), Value(), found)
             return Script((Assignment(variable, value),) if variable else ())
-        resource = _attributes(element).get("resource")
+        resource = attributes_of(element, NAMESPACES).get("resource")
         if format_.lower() in {"", "handover"} and not resource:
             return Script(native_script(element, source, found))
         assignments = () if variable or resource else _set_variables(format_, source)
@@ -316,7 +325,7 @@ class Camunda7:
         return Script(format=format_, text=source or resource or "", variable=variable)
 
     def _result_variable(self, element: etree._Element, found: Findings) -> str | None:
-        name = _attributes(element).get("resultVariable")
+        name = attributes_of(element, NAMESPACES).get("resultVariable")
         if name and not is_variable_name(name):
             found.fault(element, f'resultVariable="{name}" cannot be the name of a variable')
         return name or None
@@ -325,7 +334,7 @@ class Camunda7:
         self, element: etree._Element, definition: etree._Element | None, found: Findings
     ) -> Occurrence:
         """Return the variables for code and message of a caught error or escalation."""
-        attributes = {} if definition is None else _attributes(definition)
+        attributes = {} if definition is None else attributes_of(definition, NAMESPACES)
         code = attributes.get("errorCodeVariable") or attributes.get("escalationCodeVariable")
         text_ = attributes.get("errorMessageVariable")
         for name in (code, text_):
@@ -339,11 +348,11 @@ class Camunda7:
 
     def process(self, element: etree._Element, found: Findings) -> ProcessExtension:  # noqa: ARG002
         """Return the version tag."""
-        return ProcessExtension(_attributes(element).get("versionTag") or None)
+        return ProcessExtension(attributes_of(element, NAMESPACES).get("versionTag") or None)
 
     def check(self, element: etree._Element, found: Findings) -> None:
         """Report what has no effect, and decisions."""
-        attributes = _attributes(element)
+        attributes = attributes_of(element, NAMESPACES)
         if local(element) == "businessRuleTask" and attributes.get("decisionRef"):
             found.fault(
                 element,
@@ -355,9 +364,9 @@ class Camunda7:
                 ),
             )
         for name in sorted(attributes.keys() - _HARMLESS):
-            _warn(element, f"camunda:{name}", found)
+            warn_without_effect(element, found, f"camunda:{name}")
         if attributes.get("calledElementBinding") == "deployment":
-            _warn(element, 'camunda:calledElementBinding="deployment"', found)
+            warn_without_effect(element, found, 'camunda:calledElementBinding="deployment"')
         for extension in _ours(element):
             name = local(extension)
             is_start_form = name == "formData" and local(element) == "startEvent"
@@ -367,7 +376,7 @@ class Camunda7:
                 or name == "potentialStarter"
                 or (name in {"executionListener", "taskListener"} and not listener_assignments(extension))
             ):
-                _warn(extension, f"camunda:{name}", found)
+                warn_without_effect(extension, found, f"camunda:{name}")
 
     def listeners(self, element: etree._Element) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
         """Return the variables that listeners set before and after an element."""
@@ -395,21 +404,8 @@ def _set_variables(format_: str, source: str) -> tuple[Assignment, ...]:
     return (set_variables(source) or ()) if format_.lower() in SIMILAR_TO_JUEL else ()
 
 
-def _warn(element: etree._Element, what: str, found: Findings) -> None:
-    found.warn(element, message("bpmn.no_effect", "{element} has no effect on the execution", element=what))
-
-
 def _has_expression(text: str) -> bool:
     return "${" in text or "#{" in text
-
-
-def _attributes(element: etree._Element) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for name, value in element.attrib.items():
-        qualified = etree.QName(name)
-        if qualified.namespace in NAMESPACES:
-            found[qualified.localname] = value
-    return found
 
 
 def _ours(element: etree._Element) -> Iterator[etree._Element]:

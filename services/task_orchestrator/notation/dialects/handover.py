@@ -64,7 +64,7 @@ from services.task_orchestrator.notation.dialects.base import (
     native_script,
 )
 from services.task_orchestrator.notation.document import child_text, extensions, local, namespace, text
-from services.task_orchestrator.notation.elements import referenced
+from services.task_orchestrator.notation.elements import referenced, warn_without_effect
 from services.task_orchestrator.notation.faults import Findings
 from services.task_orchestrator.references import is_reference
 
@@ -282,11 +282,7 @@ class Handover:
             if attribute == f"{{{NAMESPACE}}}reserve" and local(element) in _RESERVING:
                 continue
             if attribute.startswith(f"{{{NAMESPACE}}}"):
-                what = f"handover:{etree.QName(attribute).localname}"
-                found.warn(
-                    element,
-                    message("bpmn.no_effect", "{element} has no effect on the execution", element=what),
-                )
+                warn_without_effect(element, found, f"handover:{etree.QName(attribute).localname}")
         name = local(element)
         allowed = {"process"} if name == "process" else {"on"} if _can_be_event(element) else set()
         if name.endswith(("ask", "Event")):

@@ -34,14 +34,16 @@ from services.task_orchestrator.notation.dialects.scripts import (
     similar_condition,
 )
 from services.task_orchestrator.notation.document import (
-    child,
+    assigned_text,
+    attributes_of,
     child_text,
     children,
     extensions,
     local,
     namespace,
+    own_data,
 )
-from services.task_orchestrator.notation.elements import referenced
+from services.task_orchestrator.notation.elements import referenced, warn_without_effect
 from services.task_orchestrator.notation.faults import Findings
 
 NAMESPACES = ("http://www.jboss.org/drools", "http://www.jboss.org/drools/flow/gpd")
@@ -102,7 +104,7 @@ class Jbpm:
 
     def work(self, element: etree._Element, found: Findings) -> Work:
         """Return the work item, service or rules of an activity, and who does a human task."""
-        attributes = _attributes(element)
+        attributes = attributes_of(element, NAMESPACES)
         hints: dict[str, str] = {}
         for name, given in _assigned_inputs(element).items():
             if name in _HINTS and given:
@@ -148,7 +150,7 @@ class Jbpm:
         self, element: etree._Element, found: Findings
     ) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
         """Return what the data associations of a call activity pass to the called process, and back."""
-        names = _data_names(element)
+        names = own_data(element)
         inputs: list[Assignment] = []
         outputs: list[Assignment] = []
         for association in children(element, "dataInputAssociation", "dataOutputAssociation"):
@@ -160,7 +162,7 @@ class Jbpm:
                 found.fault(association, f'"{variable}" cannot be the name of a variable')
                 continue
             if is_input and not source:
-                reading = partial(self.value, _assigned(association))
+                reading = partial(self.value, assigned_text(association))
             else:
                 reading = partial(native_variable, source if is_input else names.get(source, source))
             value = attempt(association, reading, Value(), found)
@@ -206,7 +208,7 @@ class Jbpm:
 
     def process(self, element: etree._Element, found: Findings) -> ProcessExtension:  # noqa: ARG002
         """Return the version."""
-        return ProcessExtension(_attributes(element).get("version") or None)
+        return ProcessExtension(attributes_of(element, NAMESPACES).get("version") or None)
 
     def listeners(self, element: etree._Element) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
         """Return the variables that the scripts at entry and exit set."""
@@ -219,13 +221,13 @@ class Jbpm:
 
     def check(self, element: etree._Element, found: Findings) -> None:
         """Report what has no effect."""
-        for name in sorted(_attributes(element).keys() - _HARMLESS):
-            _warn(element, f"drools:{name}", found)
+        for name in sorted(attributes_of(element, NAMESPACES).keys() - _HARMLESS):
+            warn_without_effect(element, found, f"drools:{name}")
         for extension in extensions(element):
             if namespace(extension) not in NAMESPACES or local(extension) == "metaData":
                 continue
             if local(extension) not in _SCRIPTS or set_variables(_script_of(extension)) is None:
-                _warn(extension, f"drools:{local(extension)}", found)
+                warn_without_effect(extension, found, f"drools:{local(extension)}")
 
 
 _SCRIPTS = frozenset({"onEntry-script", "onExit-script"})
@@ -241,38 +243,12 @@ def _script_of(listener: etree._Element) -> str:
     return next(((part.text or "").strip() for part in listener.iterchildren("{*}script")), "")
 
 
-def _assigned(association: etree._Element) -> str:
-    assignment = child(association, "assignment")
-    return "" if assignment is None else child_text(assignment, "from")
-
-
-def _data_names(element: etree._Element) -> Mapping[str, str]:
-    specification = child(element, "ioSpecification")
-    if specification is None:
-        return {}
-    parts = children(specification, "dataInput", "dataOutput")
-    return {each.get("id") or "": each.get("name") or "" for each in parts}
-
-
 def _assigned_inputs(element: etree._Element) -> Mapping[str, str]:
     """Return the texts that are assigned to data inputs, by the name of the data input."""
-    names = _data_names(element)
+    names = own_data(element)
     found: dict[str, str] = {}
     for association in children(element, "dataInputAssociation"):
         target = referenced(child_text(association, "targetRef"))
         if target in names:
-            found[names[target]] = _assigned(association)
+            found[names[target]] = assigned_text(association)
     return found
-
-
-def _attributes(element: etree._Element) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for name, value in element.attrib.items():
-        qualified = etree.QName(name)
-        if qualified.namespace in NAMESPACES:
-            found[qualified.localname] = value
-    return found
-
-
-def _warn(element: etree._Element, what: str, found: Findings) -> None:
-    found.warn(element, message("bpmn.no_effect", "{element} has no effect on the execution", element=what))

@@ -32,7 +32,7 @@ from services.task_orchestrator.notation.document import (
     namespace,
     text,
 )
-from services.task_orchestrator.notation.elements import refuse
+from services.task_orchestrator.notation.elements import refuse, warn_without_effect
 from services.task_orchestrator.notation.faults import Findings
 
 NAMESPACE = "http://camunda.org/schema/zeebe/1.0"
@@ -239,14 +239,7 @@ class Zeebe:
                     found,
                 )
             elif name not in _HARMLESS:
-                found.warn(
-                    extension,
-                    message(
-                        "bpmn.no_effect",
-                        "{element} has no effect on the execution",
-                        element=f"zeebe:{name}",
-                    ),
-                )
+                warn_without_effect(extension, found, f"zeebe:{name}")
 
 
 def _form_reference(definition: etree._Element) -> FormReference | None:
