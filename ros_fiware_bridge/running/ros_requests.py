@@ -137,7 +137,7 @@ class RosRequest:
 async def _cancel_with_task(job: Job, goal: Goal) -> None:
     """Cancel the goal when the Task is cancelled; repeat the request until the goal has ended."""
     while job.requested_action is not RequestedAction.CANCEL:
-        await job.changed()
+        await job.changed(since=job.requested_action)
     backoff = Backoff(CANCEL_RETRY_S, CANCEL_RETRY_S)
     while True:
         try:

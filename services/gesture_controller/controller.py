@@ -259,8 +259,10 @@ class GestureController(Performer):
 
 async def _follow_requests(glove: Glove, job: Job) -> None:
     """Let a hold begin as soon as the Task may continue, while the broker is still being notified."""
+    action = RequestedAction.RUN
     while True:
-        if await job.changed() is RequestedAction.RUN:
+        action = await job.changed(since=action)
+        if action is RequestedAction.RUN:
             glove.responder.listen()
         else:
             glove.responder.stop_listening()

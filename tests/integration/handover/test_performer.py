@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 
 from datamodels.entities import Task, TaskStatus
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.job import Job, RequestedAction, TaskCancelled
 from handover.settings import Settings
 from handover.task_life import UNFINISHED_QUERY
 from tests.kit.cell import Cell
@@ -131,6 +132,29 @@ async def test_a_task_pauses_goes_on_and_is_cancelled_when_asked(broker: BrokerC
     ended = await comes_to(broker, task, TaskStatus.FAILED)
     assert ended.output_parameters is not None
     assert ended.output_parameters.value["reason"] == "cancelled"
+
+
+@pytest.mark.parametrize("status", [TaskStatus.ASSIGNED, TaskStatus.IN_PROGRESS])
+async def test_a_cancellation_during_the_start_of_a_task_ends_it(
+    cell: Cell, broker: BrokerClient, status: TaskStatus
+) -> None:
+    nobody = "urn:ngsi-ld:Device:demo:nobody-1"
+    task = a_task(f"cancelled-when-{status}").to_normalized()
+    task["involves"]["value"] = [{"type": "Relationship", "object": nobody}]
+    await broker.create(task)
+
+    class CancelledDuringWrite(BrokerClient):
+        async def append(self, entity_id: str, attributes: Mapping[str, Any]) -> None:
+            await super().append(entity_id, attributes)
+            if attributes["status"]["value"] == status:
+                await ask(broker, job.task, "cancelled")
+                job.observe(await broker.get(entity_id, Task))
+
+    async with CancelledDuringWrite(Settings.load(broker_url=cell.url("context_broker"))) as client:
+        job = Job(Task.from_ngsild(task), nobody, client)
+        with pytest.raises(TaskCancelled):
+            await job.accept()
+    assert await job.changed() is RequestedAction.CANCEL
 
 
 async def test_one_task_is_done_at_a_time_and_one_that_waits_can_be_cancelled(broker: BrokerClient) -> None:
