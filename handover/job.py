@@ -89,10 +89,12 @@ class Job:
         given = self.task.work_parameters
         return dict(given.value) if given is not None and isinstance(given.value, Mapping) else {}
 
-    async def changed(self, since: RequestedAction | None = None) -> RequestedAction:
-        """Wait until `requested_action` differs from `since` (default: the present one), and return it."""
-        before = self.requested_action if since is None else since
-        while self.requested_action is before:
+    async def changed(self, since: RequestedAction = RequestedAction.RUN) -> RequestedAction:
+        """Wait until `requested_action` differs from `since`, the action the caller knows, and return it.
+
+        It returns at once if a request came before the call, so none is missed.
+        """
+        while self.requested_action is since:
             await self._action_changed.wait()
         return self.requested_action
 
@@ -166,12 +168,16 @@ class Job:
         self._decide()
 
     async def accept(self) -> None:
-        """Write `assigned`, then `inProgress`, unless the Task already has that status."""
+        """Write `assigned`, then `inProgress`, unless the Task already has that status.
+
+        Raises `TaskCancelled` when the Task was cancelled, also while the status was written.
+        """
         if self.task.status.value is TaskStatus.PENDING:
             await self._move(TaskStatus.ASSIGNED)
         await self.checkpoint()
         if self.task.status.value is not TaskStatus.IN_PROGRESS:
             await self._move(TaskStatus.IN_PROGRESS)
+            await self.checkpoint()
 
     async def finish(self, status: TaskStatus, outputs: Mapping[str, Any]) -> None:
         """Write the final status with the outputParameters; repeated until the broker accepts it."""
