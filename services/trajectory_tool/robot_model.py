@@ -8,7 +8,7 @@ robot, in this order; joints beside it, such as fingers, are not planned.
 import hashlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -102,6 +102,8 @@ class RobotModel:
     """Named positions of the joints."""
     _to_flange: tuple[_Segment, ...] = field(repr=False)
     _tool: Frame = field(repr=False)
+    base: Frame = IDENTITY
+    """Where the root link stands in the frame of the cell; all poses of the model are in that frame."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -120,11 +122,22 @@ class RobotModel:
     @cached_property
     def revision(self) -> str:
         """Return a hash that differs between descriptions that are drawn or moved differently."""
-        described = (self.name, self.home, self.joints, self.tip, self.fingers, self.urdf)
+        described = (self.name, self.home, self.joints, self.tip, self.fingers, self.urdf, self.base)
         return hashlib.sha256(repr(described).encode()).hexdigest()[:16]
 
+    def mounted(self, base: Frame) -> "RobotModel":
+        """Return the model with its root link at `base` in the frame of the cell."""
+        from_cell, inverse, solutions = base.inverse(), self.inverse, self.solutions
+        return replace(
+            self,
+            base=base @ self.base,
+            _to_flange=(_Segment(base, (0.0, 0.0, 1.0), "fixed", None), *self._to_flange),
+            inverse=inverse and (lambda flange, near: inverse(from_cell @ flange, near)),
+            solutions=solutions and (lambda flange, near: solutions(from_cell @ flange, near)),
+        )
+
     def flange(self, joints: Joints) -> Frame:
-        """Return the frame of the flange, seen from the base."""
+        """Return the frame of the flange, seen from the cell."""
         reached = IDENTITY
         for segment in self._to_flange:
             reached = reached @ segment.frame(joints)

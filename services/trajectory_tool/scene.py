@@ -7,21 +7,24 @@ present positions of parts are in `contents.py`.
 import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from handover.errors import UsageError
-from services.trajectory_tool.obstacles import Box, Cylinder, Mesh, Obstacle, Shape, Sphere
-from services.trajectory_tool.poses import Pose, pointing_down
+from services.trajectory_tool.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
+from services.trajectory_tool.poses import Frame, Pose, Vector, pointing_down
 from services.trajectory_tool.robot import Joints, Unreachable
 from services.trajectory_tool.robot_model import RobotModel
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
 Length = Annotated[FiniteFloat, Field(gt=0, le=1)]
 Size = Annotated[FiniteFloat, Field(gt=0, le=20)]
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class _Written(BaseModel):
@@ -85,18 +88,109 @@ class Thing(Placed):
             raise ValueError('needs one of "box", "cylinder", "sphere" and "mesh"')
         return self
 
-    def obstacle(self, name: str, folder: Path) -> Obstacle:
-        """Return the obstacle; a mesh file is looked for in `folder`."""
-        shape: Shape
+    def shape(self, folder: Path) -> Shape:
+        """Return the shape; a mesh file is looked for in `folder`."""
         if self.box is not None:
-            shape = Box(self.box)
-        elif self.cylinder is not None:
-            shape = Cylinder(self.cylinder.radius, self.cylinder.length)
-        elif self.sphere is not None:
-            shape = Sphere(self.sphere)
-        else:
-            shape = Mesh(folder / (self.mesh or ""), (self.scale,) * 3)
-        return Obstacle(name, shape, self.pose)
+            return Box(self.box)
+        if self.cylinder is not None:
+            return Cylinder(self.cylinder.radius, self.cylinder.length)
+        if self.sphere is not None:
+            return Sphere(self.sphere)
+        return Mesh(folder / (self.mesh or ""), (self.scale,) * 3)
+
+    def obstacle(self, name: str, folder: Path) -> Obstacle:
+        """Return the obstacle."""
+        return Obstacle(name, self.shape(folder), self.pose)
+
+
+ZoneKind = Literal["keepOut", "reducedSpeed"]
+
+REDUCED_SPEED_MPS = 0.25
+"""The speed of the tool in a zone of reduced speed that names none: that of the reduced mode of ISO 10218."""
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """A part of the cell with a rule: no robot enters it, or the tool moves slowly in it.
+
+    `shape` is at `pose` in the frame of the cell. `max_tool_speed_mps` is 0 in a keep-out zone.
+    """
+
+    name: str
+    shape: Box | Cylinder | Sphere
+    pose: Pose
+    kind: ZoneKind
+    max_tool_speed_mps: float
+
+    def distance_m(self, point: Vector) -> float:
+        """Return the distance of a point from the zone; 0 inside."""
+        x, y, z = map(abs, (self.pose.frame().inverse() @ Frame(IDENTITY, point)).position)
+        match self.shape:
+            case Box((width, depth, height)):
+                return math.hypot(max(x - width / 2, 0.0), max(y - depth / 2, 0.0), max(z - height / 2, 0.0))
+            case Cylinder(radius, length):
+                return math.hypot(max(math.hypot(x, y) - radius, 0.0), max(z - length / 2, 0.0))
+            case Sphere(radius):
+                return max(math.hypot(x, y, z) - radius, 0.0)
+
+    def contains(self, point: Vector) -> bool:
+        """Return whether a point of the cell is in the zone."""
+        return self.distance_m(point) == 0.0
+
+
+class WrittenZone(Thing):
+    """A zone in a scene file: a box, a cylinder or a sphere with its rule."""
+
+    kind: ZoneKind
+    max_tool_speed_mps: Annotated[FiniteFloat, Field(gt=0, le=10)] = REDUCED_SPEED_MPS
+
+    @model_validator(mode="after")
+    def _no_mesh(self) -> Self:
+        if self.mesh is not None:
+            raise ValueError('a zone is a "box", a "cylinder" or a "sphere"')
+        return self
+
+    def zone(self, name: str) -> Zone:
+        """Return the zone."""
+        shape = self.shape(Path())
+        assert not isinstance(shape, Mesh | Capsule)  # noqa: S101 - the validator refuses a mesh
+        return Zone(
+            name,
+            shape,
+            self.pose,
+            self.kind,
+            0.0 if self.kind == "keepOut" else self.max_tool_speed_mps,
+        )
+
+
+class Fence(_Written):
+    """A fence along points of the ground in m."""
+
+    points: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=2, max_length=100)]
+    height_m: Size = 1.4
+    thickness_m: Length = 0.04
+    foot_m: FiniteFloat = 0.0
+    """The height of its lower edge."""
+
+    def obstacles(self, name: str) -> Iterator[Obstacle]:
+        """Yield a panel between each two points."""
+        for (x, y), (to_x, to_y) in pairwise(self.points):
+            length, half = math.hypot(to_x - x, to_y - y), math.atan2(to_y - y, to_x - x) / 2
+            middle = ((x + to_x) / 2, (y + to_y) / 2, self.foot_m + self.height_m / 2)
+            panel = Box((max(length, self.thickness_m), self.thickness_m, self.height_m))
+            yield Obstacle(name, panel, Pose(middle, (0.0, 0.0, math.sin(half), math.cos(half))))
+
+
+class MountedCamera(Placed):
+    """A camera of the cell: it looks along -z of its pose turned by `tilt_deg`; `body` is its housing."""
+
+    tilt_deg: FiniteFloat = 0.0
+    field_of_view_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] = 60.0
+    body: tuple[Size, Size, Size] = (0.1, 0.1, 0.06)
+
+    def obstacle(self, name: str) -> Obstacle:
+        """Return the housing."""
+        return Obstacle(name, Box(self.body), self.pose)
 
 
 class OpenBox(Placed):
@@ -147,12 +241,23 @@ class Scene(_Written):
     bins: dict[Name, Bin] = Field(default_factory=dict)
     fixtures: dict[Name, Fixture] = Field(default_factory=dict)
     obstacles: dict[Name, Thing] = Field(default_factory=dict)
+    fences: dict[Name, Fence] = Field(default_factory=dict)
+    cameras: dict[Name, MountedCamera] = Field(default_factory=dict)
+    zones: dict[Name, WrittenZone] = Field(default_factory=dict)
     folder: Annotated[Path, Field(exclude=True)] = Path()
     """Where mesh files are looked for: the folder of the scene file."""
 
     def solids(self) -> tuple[Obstacle, ...]:
-        """Return everything that the robot may not touch."""
+        """Return everything that a robot may not touch, keep-out zones included."""
         found = [thing.obstacle(name, self.folder) for name, thing in self.obstacles.items()]
+        for name, fence in self.fences.items():
+            found += fence.obstacles(name)
+        found += [camera.obstacle(name) for name, camera in self.cameras.items()]
+        found += [
+            Obstacle(name, zone.shape(self.folder), zone.pose)
+            for name, zone in self.zones.items()
+            if zone.kind == "keepOut"
+        ]
         for name, bin_ in self.bins.items():
             if bin_.walls is not None:
                 found += bin_.walls.obstacles(name)
@@ -160,6 +265,10 @@ class Scene(_Written):
             if fixture.body is not None:
                 found.append(fixture.body.obstacle(name, self.folder))
         return tuple(found)
+
+    def all_zones(self) -> tuple[Zone, ...]:
+        """Return the zones."""
+        return tuple(zone.zone(name) for name, zone in self.zones.items())
 
     def home_of(self, model: RobotModel) -> Joints:
         """Return the home position of a robot in this cell."""

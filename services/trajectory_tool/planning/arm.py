@@ -179,7 +179,21 @@ def _built(model: RobotModel) -> tuple[Any, Any]:
         raise ValueError(
             f"its joints are {', '.join(names)}, and {', '.join(model.joint_names)} are expected"
         )
+    _mount(reduced, geometry, _se3(model.base))
     return reduced, geometry
+
+
+def _mount(model: Any, geometry: Any, base: Any) -> None:
+    """Move everything that is fixed to the root to `base`."""
+    for number in range(1, model.njoints):
+        if model.parents[number] == 0:
+            model.jointPlacements[number] = base * model.jointPlacements[number]
+    for number in range(1, model.nframes):
+        if model.frames[number].parentJoint == 0:
+            model.frames[number].placement = base * model.frames[number].placement
+    for item in geometry.geometryObjects:
+        if item.parentJoint == 0:
+            item.placement = base * item.placement
 
 
 def _without_continuous(urdf: str) -> str:
