@@ -83,7 +83,7 @@ class Bench:
             "HANDOVER_DATA_DIR": str(folder),
             "HANDOVER_BROKER_PORT": str(self.broker_port),
             "HANDOVER_BROKER_URL": f"http://127.0.0.1:{self.broker_port}",
-            "HANDOVER_BROKER_OUTBOUND_ALLOW": "127.0.0.0/8",
+            "HANDOVER_OUTBOUND_ALLOW": "127.0.0.0/8",
             "HANDOVER_BRIDGE_PORT": str(self.bridge_port),
             "HANDOVER_ROS_MAPPING": str(folder / "mapping.yaml"),
             "HANDOVER_ROS_DOMAIN_ID": str(self.domain),

@@ -22,6 +22,8 @@ from urllib.parse import urlsplit
 
 import httptools
 
+from handover.outbound_policy import AddressRefused
+
 MAX_IDLE: Final = 8
 """Idle connections kept open for each address."""
 MAX_ANSWER_BYTES: Final = 256 * 1024
@@ -34,10 +36,6 @@ FRESH_S: Final = 1.0
 """Idle time up to which a connection is reused for a request that must not be sent twice. Servers close
 idle connections later than that."""
 _INFLATED: Final = frozenset({"gzip", "x-gzip", "deflate"})
-
-
-class AddressRefused(Exception):
-    """The destination is refused; the text names the rule and the setting."""
 
 
 class Resolver(Protocol):
@@ -407,6 +405,8 @@ class BodyReadingHttpClient(PooledHttpClient):
         """
         may_repeat = method not in {"POST", "PATCH"}
         reply: HttpResponse = await self._send(method, url, headers, body, timeout_s, may_repeat=may_repeat)
+        if len(reply.body) > self._max_response_bytes:  # its end came with the bytes beyond the limit
+            raise ResponseTooLarge(f"the answer has more than {self._max_response_bytes} bytes")
         coding = reply.headers.get("content-encoding", "identity").strip().lower()
         if coding == "identity" or not reply.body:
             return reply

@@ -21,6 +21,7 @@ from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
 
 from handover.errors import UsageError
+from handover.outbound_policy import OutboundPolicy
 
 PREFIX = "HANDOVER_"
 LIFELINE = f"{PREFIX}LIFELINE"
@@ -125,6 +126,13 @@ class Settings(BaseSettings):
         description="origins (https://panel.example) whose requests are accepted besides each server's own, "
         "with commas: for a proxy that changes Host, and for WebSockets; CORS headers are not sent",
     )
+    outbound_allow: str = Field(
+        "",
+        description="hosts, addresses and networks, comma-separated (task-orchestrator, 10.0.0.0/8), to "
+        "which a service may connect, besides public ones, where a client names the address (notifications, "
+        "context sources, @contexts, BPMN files). While it listens on loopback only, its own machine and "
+        "private networks are open without it",
+    )
     http_header_timeout_s: float = Field(
         10.0, gt=0, description="timeout for the head of a request, in seconds"
     )
@@ -186,6 +194,12 @@ class Settings(BaseSettings):
                 )
         return origins
 
+    @field_validator("outbound_allow")
+    @classmethod
+    def _names_hosts_and_networks(cls, allowed: str) -> str:
+        OutboundPolicy.of("127.0.0.1", allowed)
+        return allowed
+
     @classmethod
     def load(cls, **overrides: Any) -> Self:
         """Read the settings; raise `UsageError` with one line for each invalid setting."""
@@ -204,6 +218,10 @@ class Settings(BaseSettings):
             return url.rstrip("/")
         host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)  # noqa: S104 - not bound
         return f"http://{f'[{host}]' if ':' in host else host}:{port}"
+
+    def outbound_policy(self) -> OutboundPolicy:
+        """Return which addresses the service may connect to where a client names them."""
+        return OutboundPolicy.of(self.host, self.outbound_allow)
 
     def own_urls(self) -> Iterator[str]:
         """Yield the addresses of our servers in these settings."""

@@ -29,6 +29,7 @@ READY_WITHIN_S = 30.0
 STOP_WITHIN_S = 2.0
 MIN_FREE_BYTES = 50 * 1024 * 1024
 MAX_LOG_BYTES = 10 * 1024 * 1024
+BROKER = "context-broker"
 LOOPBACK = "localhost,127.0.0.0/8,::1"
 NO_USE = 2
 """The exit code of a process for which a restart does not help."""
@@ -70,8 +71,8 @@ class Launcher:
         self._data_dir = settings.data_dir.absolute()
         self._settings = settings
         # The broker may notify the services at all their addresses.
-        given = BrokerSettings.load().broker_outbound_allow
-        self._outbound_allow = ",".join(filter(None, (LOOPBACK, *sorted(_hosts_of(services)), given)))
+        given = BrokerSettings.load().outbound_allow
+        self._broker_outbound_allow = ",".join(filter(None, (LOOPBACK, *sorted(_hosts_of(services)), given)))
         self._say = say
         self._running: list[Running] = []
         self._watchers: list[asyncio.Task[None]] = []
@@ -131,13 +132,16 @@ class Launcher:
             for host, port, setting in service.listens():
                 self._ports.enter_context(await held(host, port, setting, say=self._say))
 
+    def _environment_of(self, name: str) -> dict[str, str]:
+        return {"HANDOVER_OUTBOUND_ALLOW": self._broker_outbound_allow} if name == BROKER else {}
+
     async def _start(self, running: Running) -> None:
         running.log.parent.mkdir(parents=True, exist_ok=True)
         if running.log.exists() and running.log.stat().st_size > MAX_LOG_BYTES:
             running.log.replace(running.log.with_suffix(".log.1"))
         environment = {
             **os.environ,
-            "HANDOVER_BROKER_OUTBOUND_ALLOW": self._outbound_allow,
+            **self._environment_of(running.name),
             LIFELINE: "1",
             "HANDOVER_DATA_DIR": str(self._data_dir),
             "PYTHONUNBUFFERED": "1",

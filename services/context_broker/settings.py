@@ -5,7 +5,6 @@ from typing import Literal
 from pydantic import Field, FilePath, field_validator
 
 from handover.settings import Settings
-from services.context_broker.network.outbound_policy import OutboundPolicy
 
 
 class BrokerSettings(Settings):
@@ -40,12 +39,6 @@ class BrokerSettings(Settings):
     broker_notification_ca_file: FilePath | None = Field(
         None, description="certificate authorities (PEM) for subscribers, besides those of the system"
     )
-    broker_outbound_allow: str = Field(
-        "",
-        description="hosts, addresses and networks, comma-separated (task-orchestrator, 10.0.0.0/8), to "
-        "which the broker may connect besides public ones: for notifications, context sources and @contexts. "
-        "While it listens on loopback only, its own machine and private networks are open without it",
-    )
     broker_source_timeout_s: float = Field(
         5.0,
         gt=0,
@@ -77,16 +70,6 @@ class BrokerSettings(Settings):
     @classmethod
     def _is_root(cls, url: str | None) -> str | None:
         return None if url is None else url.rstrip("/").removesuffix("/ngsi-ld/v1")
-
-    @field_validator("broker_outbound_allow")
-    @classmethod
-    def _names_hosts_and_networks(cls, allowed: str) -> str:
-        OutboundPolicy.of("127.0.0.1", allowed)
-        return allowed
-
-    def outbound_policy(self) -> OutboundPolicy:
-        """Return which addresses the broker may connect to."""
-        return OutboundPolicy.of(self.host, self.broker_outbound_allow)
 
     broker_federation: bool = Field(
         default=True,

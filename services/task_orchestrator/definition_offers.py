@@ -21,7 +21,7 @@ from handover.messages import message, text_of
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
 from handover.telemetry import get_logger
-from services.task_orchestrator.downloads import DownloadFailed, download
+from services.task_orchestrator.downloads import Downloader, DownloadFailed
 from services.task_orchestrator.offer_rules import (
     OFFERED_TYPES,
     RESOURCES,
@@ -63,6 +63,7 @@ class DefinitionOffers:
         """When the file of an offer may be loaded again, after a failure."""
         self._to_read: dict[str, set[str]] = {}
         self._has_to_read = asyncio.Event()
+        self._downloader = Downloader(self._settings.outbound_policy())
         self._downloads = asyncio.Semaphore(MAX_DOWNLOADS)
         self._tasks = BackgroundTasks("definition-offers")
 
@@ -75,6 +76,7 @@ class DefinitionOffers:
 
     async def __aexit__(self, *_: object) -> None:
         await self._tasks.__aexit__()
+        self._downloader.close()
 
     async def receive_notification(self, request: Request) -> None:
         """Read the entities of a notification soon; raise `Problem` if it is refused."""
@@ -200,7 +202,7 @@ class DefinitionOffers:
         else:
             try:
                 async with self._downloads:
-                    file = await download(candidate.bpmn.strip())
+                    file = await self._downloader.download(candidate.bpmn.strip())
             except DownloadFailed as failure:
                 self._retry_at_s[candidate.id] = asyncio.get_running_loop().time() + RETRY_DOWNLOAD_S
                 return with_fault(candidate, text_of(failure))

@@ -17,10 +17,10 @@ import orjson
 
 from handover.errors import Problem
 from handover.http_client import BodyReadingHttpClient, SendError
+from handover.outbound_policy import OutboundPolicy
 from handover.settings import PASSWORD_IN_URL, STARS
 from services.context_broker.model.problems import bad_request_data, context_not_available
 from services.context_broker.model.validation import shown
-from services.context_broker.network.outbound_policy import OutboundPolicy
 
 MAX_CONTEXT_BYTES: Final = 1024 * 1024
 """Maximum size of an inflated @context: twice that of the largest published ones."""

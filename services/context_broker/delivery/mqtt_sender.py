@@ -7,9 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
-from handover.http_client import AddressRefused, ResponseTimeout, SendError
+from handover.http_client import ResponseTimeout, SendError
+from handover.outbound_policy import AddressRefused, OutboundPolicy
 from services.context_broker.delivery.mqtt_address import MqttAddress
-from services.context_broker.network.outbound_policy import OutboundPolicy
 
 GOODBYE_WITHIN_S: Final = 1.0
 """How long a disconnect may take."""

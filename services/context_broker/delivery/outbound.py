@@ -5,12 +5,12 @@ from dataclasses import KW_ONLY, dataclass, field
 from weakref import WeakValueDictionary
 
 from handover.http_client import PooledHttpClient
+from handover.outbound_policy import OutboundPolicy
 from services.context_broker.delivery.endpoint import Endpoint
 from services.context_broker.delivery.endpoint_queue import WAITING, EndpointQueue, EndpointUser, MemoryBudget
 from services.context_broker.delivery.mqtt_sender import MqttSender
 from services.context_broker.delivery.notification import headers, mqtt_message
 from services.context_broker.delivery.subscription import Subscription
-from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.storage.journal import Journal
 
 

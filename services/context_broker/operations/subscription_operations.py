@@ -26,6 +26,7 @@ from services.context_broker.delivery.subscription_documents import (
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import already_exists, not_found, not_stored
 from services.context_broker.model.validation import require_uri, timestamp_now
+from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
     json_headers,
@@ -217,7 +218,7 @@ class SubscriptionOperations:
     @staticmethod
     async def _require_open(tenant: Tenant, candidate: Subscription) -> None:
         policy = tenant.notifier.outbound.policy
-        await policy.require_allowed(candidate.endpoint.host, "notification.endpoint.uri")
+        await require_allowed(policy, candidate.endpoint.host, "notification.endpoint.uri")
 
     async def keep(self, tenant: Tenant, current: Subscription) -> None:
         """Store a new or changed subscription, and activate it once it is durable."""

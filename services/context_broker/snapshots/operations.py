@@ -27,6 +27,7 @@ from uuid import uuid4
 from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryOut
 from services.context_broker.model.problems import already_exists, not_found
 from services.context_broker.model.validation import inside, moment, outside, require_uri
+from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.request.document_responses import document_response, in_media_type
 from services.context_broker.request.request_context import (
     PREFIX,
@@ -195,7 +196,7 @@ class BrokerSnapshots:
     async def _require_open(self, tenant: Tenant, document: Mapping[str, Any]) -> None:
         if document.get("endpoint") is not None:
             host = urlsplit(document["endpoint"]).hostname or ""
-            await tenant.notifier.outbound.policy.require_allowed(host, '"endpoint"')
+            await require_allowed(tenant.notifier.outbound.policy, host, '"endpoint"')
 
     def _existing(self, tenant: Tenant, snapshot_id: str) -> Snapshot:
         require_uri(snapshot_id, "the id of a snapshot")

@@ -18,9 +18,9 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 from handover.http_client import SendError
+from handover.outbound_policy import OutboundPolicy
 from services.context_broker.delivery.mqtt_address import mqtt_address
 from services.context_broker.delivery.mqtt_sender import MqttSender
-from services.context_broker.network.outbound_policy import OutboundPolicy
 from tests.integration.context_broker import acts
 
 Eventually = Callable[..., Any]

@@ -15,7 +15,7 @@ from tests.integration.context_broker.acts import Eventually, create, subscribe
 from tests.integration.context_broker.conftest import BrokerProcess
 from tests.kit.context_sources import put, register
 
-SETTING = "HANDOVER_BROKER_OUTBOUND_ALLOW"
+SETTING = "HANDOVER_OUTBOUND_ALLOW"
 BEYOND_LOOPBACK = {"HANDOVER_HOST": "127.1"}
 """Listens on 127.0.0.1 by a name that is no loopback address as it is written, so it counts as any other."""
 CONTEXT = orjson.dumps({"@context": {"speed": "https://a.example/speed"}})

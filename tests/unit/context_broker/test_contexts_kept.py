@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem
+from handover.outbound_policy import OutboundPolicy
 from services.context_broker.contexts.context_resolver import CORE, ContextResolver
 from services.context_broker.contexts.fetching import (
     MAX_KEPT_S,
@@ -19,7 +20,6 @@ from services.context_broker.contexts.fetching import (
 )
 from services.context_broker.contexts.own_address import OwnAddress
 from services.context_broker.model.problems import context_not_available
-from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.storage.entries import DocumentKey, DocumentKind
 
 URL = "https://a.example/context.jsonld"

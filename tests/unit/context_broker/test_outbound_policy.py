@@ -11,18 +11,19 @@ import pytest
 
 from handover.errors import Problem, UsageError
 from handover.http_client import (
-    AddressRefused,
     BodyReadingHttpClient,
     PooledHttpClient,
     ResponseTooLarge,
     SendError,
     inflate,
 )
-from services.context_broker.network.outbound_policy import (
+from handover.outbound_policy import (
     SETTING,
+    AddressRefused,
     OutboundPolicy,
     is_loopback,
 )
+from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.settings import BrokerSettings
 
 ON_LOOPBACK, BEYOND = OutboundPolicy(), OutboundPolicy(listens_beyond_loopback=True)
@@ -74,7 +75,7 @@ def test_public_addresses_are_allowed(host: str) -> None:
 def test_the_setting_allows_networks_and_addresses(
     allowed: str, opened: list[str], refused: list[str]
 ) -> None:
-    policy = BrokerSettings.load(host="0.0.0.0", broker_outbound_allow=allowed).outbound_policy()
+    policy = BrokerSettings.load(host="0.0.0.0", outbound_allow=allowed).outbound_policy()
     assert [policy.fault_of(one) for one in opened] == [None] * len(opened)
     assert all(policy.fault_of(one) for one in refused)
 
@@ -89,22 +90,22 @@ def test_the_setting_allows_hosts_by_name(host: str) -> None:
 @pytest.mark.parametrize("wrong", ["10.0.0.1/8", "10.0.0.300", "http://cell:80", "a b", "*", "10.0.0.0/33"])
 def test_an_invalid_entry_is_named_in_the_error(wrong: str) -> None:
     with pytest.raises(UsageError, match=SETTING) as refused:
-        BrokerSettings.load(broker_outbound_allow=f"localhost,{wrong}")
+        BrokerSettings.load(outbound_allow=f"localhost,{wrong}")
     assert repr(wrong) in str(refused.value)
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.1", "2130706433", "0x7f.1", "0177.0.0.1"])
 def test_names_and_odd_spellings_are_checked_by_their_address(host: str) -> None:
-    with pytest.raises(AddressRefused, match="own machine"):
+    with pytest.raises(AddressRefused, match="this machine"):
         asyncio.run(BEYOND.resolved(host, 80))
     with pytest.raises(Problem) as refused:
-        asyncio.run(BEYOND.require_allowed(host, "the endpoint"))
+        asyncio.run(require_allowed(BEYOND, host, "the endpoint"))
     assert refused.value.status == 400
     assert SETTING in refused.value.detail
 
 
 def test_an_unresolved_name_is_accepted_and_fails_when_used() -> None:
-    asyncio.run(BEYOND.require_allowed("nobody.invalid", "the endpoint"))
+    asyncio.run(require_allowed(BEYOND, "nobody.invalid", "the endpoint"))
     with pytest.raises(SendError):
         asyncio.run(PooledHttpClient(BEYOND).post("http://nobody.invalid/", [], b"", 5))
 

@@ -125,9 +125,9 @@ def test_the_addresses_by_which_services_find_each_other_lead_to_containers() ->
 
 @pytest.mark.parametrize("more", ["", "192.168.7.0/24,scada.example"])
 def test_the_broker_may_connect_to_every_service_of_the_cell(more: str) -> None:
-    given = OURS["context-broker"]["environment"]["HANDOVER_BROKER_OUTBOUND_ALLOW"]
-    allowed = VARIABLE.sub(lambda met: {"CELL_BROKER_OUTBOUND_ALLOW": more}[met[1]], given)
-    policy = BrokerSettings.load(host="0.0.0.0", broker_outbound_allow=allowed).outbound_policy()
+    given = OURS["context-broker"]["environment"]["HANDOVER_OUTBOUND_ALLOW"]
+    allowed = VARIABLE.sub(lambda met: {"CELL_OUTBOUND_ALLOW": more}[met[1]], given)
+    policy = BrokerSettings.load(host="0.0.0.0", outbound_allow=allowed).outbound_policy()
     assert policy.listens_beyond_loopback
     others = {service.name for service in SERVICES if service.name != "context-broker"}
     assert policy.hosts == others | ({"scada.example"} if more else set())

@@ -19,6 +19,7 @@ from handover.http_client import (
     ResponseTooLarge,
     SendError,
 )
+from handover.outbound_policy import OutboundPolicy
 from handover.telemetry import get_logger
 from services.context_broker.contexts.context_resolver import CORE, ContextResolver
 from services.context_broker.federation.distribution.translation import older, translated
@@ -26,7 +27,6 @@ from services.context_broker.federation.distribution.via import append_to_via, c
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.federation.registrations.registry import Registry
 from services.context_broker.model.context import Context
-from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.request.request_context import JSON, JSON_LD
 
 log = get_logger(__name__)

@@ -28,6 +28,7 @@ from services.context_broker.federation.registrations.source_subscriptions impor
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.problems import already_exists, conflict, not_found, not_stored
 from services.context_broker.model.validation import require_uri, timestamp_now
+from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.query.type_selection import of_types
 from services.context_broker.request.document_responses import document_response, in_media_type
 from services.context_broker.request.query_parameters import (
@@ -204,7 +205,7 @@ class RegistrationOperations:
 async def _require_open(tenant: Tenant, candidate: Registration) -> None:
     """Raise a problem (400) if the outbound policy refuses the address of the source."""
     host = urlsplit(candidate.endpoint).hostname or ""
-    await tenant.notifier.outbound.policy.require_allowed(host, '"endpoint"')
+    await require_allowed(tenant.notifier.outbound.policy, host, '"endpoint"')
 
 
 def _existing(request: RequestContext) -> Registration:

@@ -48,22 +48,30 @@ def test_the_broker_may_connect_to_this_machine_and_to_what_is_set(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("HANDOVER_BROKER_OUTBOUND_ALLOW", raising=False)
+    monkeypatch.delenv("HANDOVER_OUTBOUND_ALLOW", raising=False)
     if own is not None:
-        (tmp_path / ".env").write_text(f"HANDOVER_BROKER_OUTBOUND_ALLOW={own}\n")
+        (tmp_path / ".env").write_text(f"HANDOVER_OUTBOUND_ALLOW={own}\n")
     allowed = asyncio.run(allowed_by_the_launcher(tmp_path, []))
-    policy = BrokerSettings.load(host="0.0.0.0", broker_outbound_allow=allowed).outbound_policy()
+    policy = BrokerSettings.load(host="0.0.0.0", outbound_allow=allowed).outbound_policy()
     assert [policy.fault_of(one) for one in ("127.0.0.1", "127.8.8.8", "::1")] == [None] * 3
     assert "localhost" in policy.hosts
     assert (policy.fault_of("10.1.2.3") is None, "scada.example" in policy.hosts) == (bool(own), bool(own))
 
 
-async def allowed_by_the_launcher(data_dir: Path, services: Sequence[Service]) -> str:
-    """What a process of the launcher finds in HANDOVER_BROKER_OUTBOUND_ALLOW."""
-    script = "import os; print(os.environ['HANDOVER_BROKER_OUTBOUND_ALLOW'])"
+def test_only_the_broker_may_connect_to_the_services(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HANDOVER_OUTBOUND_ALLOW", "mes.example")
+    assert asyncio.run(allowed_by_the_launcher(tmp_path, [], "task-orchestrator")) == "mes.example"
+
+
+async def allowed_by_the_launcher(
+    data_dir: Path, services: Sequence[Service], name: str = "context-broker"
+) -> str:
+    """What the process `name` of the launcher finds in HANDOVER_OUTBOUND_ALLOW."""
+    script = "import os; print(os.environ.get('HANDOVER_OUTBOUND_ALLOW'))"
     launcher = Launcher(services, Settings.load(data_dir=data_dir), lambda _: None)
-    await launcher.add("asked", [sys.executable, "-c", script])
-    log = data_dir / "logs" / "asked.log"
+    await launcher.add(name, [sys.executable, "-c", script])
+    log = data_dir / "logs" / f"{name}.log"
     async with asyncio.timeout(120):
         while not (said := log.read_text().strip()):
             await asyncio.sleep(0.01)
@@ -79,7 +87,7 @@ def test_the_broker_may_notify_services_that_listen_on_an_address_of_the_network
     monkeypatch.setenv("HANDOVER_HOST", host)
     monkeypatch.setenv("HANDOVER_ORCHESTRATOR_URL", "http://10.0.0.3:54200")
     allowed = asyncio.run(allowed_by_the_launcher(tmp_path, SERVICES))
-    policy = BrokerSettings.load(broker_outbound_allow=allowed).outbound_policy()
+    policy = BrokerSettings.load(outbound_allow=allowed).outbound_policy()
     assert policy.listens_beyond_loopback
     assert host in policy.hosts or policy.fault_of(host) is None
     assert policy.fault_of("10.0.0.3") is None

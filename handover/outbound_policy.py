@@ -1,9 +1,9 @@
-"""The outbound policy: the addresses that the broker connects to when a client names them.
+"""The outbound policy: the addresses that a service connects to when a client names them.
 
-Clients name addresses in subscriptions, registrations, snapshots and @contexts, and could make the broker
-reach what they cannot reach themselves. Each address has an `AddressKind`. A broker that listens on loopback
-refuses a few kinds; one that listens beyond loopback refuses all that are not public. Hosts and networks in
-HANDOVER_BROKER_OUTBOUND_ALLOW are always allowed.
+Clients name addresses in subscriptions, registrations, snapshots, @contexts and process definitions, and
+could make a service reach what they cannot reach themselves. Each address has an `AddressKind`. A service
+that listens on loopback refuses a few kinds; one that listens beyond loopback refuses all that are not
+public. Hosts and networks in HANDOVER_OUTBOUND_ALLOW are always allowed.
 
 Names are checked by the addresses they resolve to, and the connection is made to a checked address, never to
 the name. A name that resolves to another address a moment later has no effect.
@@ -17,21 +17,19 @@ from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Final, Self
 
-from handover.http_client import AddressRefused
-from services.context_broker.model.problems import bad_request_data
-
-SETTING: Final = "HANDOVER_BROKER_OUTBOUND_ALLOW"
-LOOKUP_TIMEOUT_S: Final = 1.0
-"""Timeout for resolving a name while a client waits for the response; it is resolved again when used."""
-
+SETTING: Final = "HANDOVER_OUTBOUND_ALLOW"
 Address = IPv4Address | IPv6Address
 Network = IPv4Network | IPv6Network
+
+
+class AddressRefused(Exception):
+    """The destination is refused; the text names the rule and the setting."""
 
 
 class AddressKind(Enum):
     """The kind of an address, as in error texts."""
 
-    LOOPBACK = "an address of the broker's own machine"
+    LOOPBACK = "an address of this machine"
     LINK_LOCAL = "a link-local address"
     METADATA = "an address of a cloud's metadata service"
     PRIVATE = "an address of a private network"
@@ -68,7 +66,7 @@ _KINDS: Final[tuple[tuple[AddressKind, tuple[str, ...]], ...]] = (
 _NETWORKS: Final = tuple((kind, ip_network(one)) for kind, listed in _KINDS for one in listed)
 _PUBLIC_IPV6: Final = ip_network("2000::/3")
 _ALWAYS_REFUSED: Final = frozenset({AddressKind.LINK_LOCAL, AddressKind.METADATA, AddressKind.MULTICAST})
-"""Kinds that a broker refuses even if it listens on loopback only."""
+"""Kinds that a service refuses even if it listens on loopback only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +105,9 @@ class OutboundPolicy:
         if address is None or kind is None or any(address in one for one in self.networks):
             return None
         if self.listens_beyond_loopback:
-            why = "a broker that listens beyond loopback"
+            why = "a service that listens beyond loopback"
         elif kind in _ALWAYS_REFUSED or (kind is AddressKind.TRANSLATED and self._is_refused_within(address)):
-            why = "this broker"
+            why = "this service"
         else:
             return None
         return (
@@ -137,18 +135,8 @@ class OutboundPolicy:
         allowed = [one for one, fault in faults.items() if fault is None]
         if not allowed:
             why = next((fault for fault in faults.values() if fault), f"{host} has no address")
-            raise AddressRefused(why if host in faults else f"{host} resolves to {why}")
+            raise AddressRefused(why if host in faults else f"{host} resolves to a refused address: {why}")
         return allowed
-
-    async def require_allowed(self, host: str, what: str) -> None:
-        """Raise a problem (400) if `host` is refused; a name that does not resolve yet is allowed."""
-        try:
-            async with asyncio.timeout(LOOKUP_TIMEOUT_S):
-                await self.resolved(host, 0)
-        except AddressRefused as refused:
-            raise bad_request_data(f"{what}: {refused}") from None
-        except (OSError, TimeoutError, UnicodeError):
-            return
 
 
 def address_of(host: str) -> Address | None:
