@@ -15,7 +15,7 @@ from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.due_queue import DueQueue
 from services.task_orchestrator.metrics import HandoverTimer
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.storage.store import Store

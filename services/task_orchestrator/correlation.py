@@ -15,7 +15,7 @@ from services.task_orchestrator.execution.run import Subscription
 from services.task_orchestrator.execution.state import WaitType
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import Definition, Kind, MessageEvent, SignalEvent
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 
 log = get_logger(__name__)
 

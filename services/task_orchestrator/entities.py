@@ -7,12 +7,12 @@ from typing import Any
 from datamodels.entities import RequestedStatus, TaskStatus
 from datamodels.times import iso
 from handover.content_digest import with_digest
-from handover.messages import message
+from handover.messages import message, with_code
 from handover.settings import Settings
 from handover.task_life import is_for_people, type_of
 from services.task_orchestrator.allocation.hints import due_of, follow_up_of, given_priority
 from services.task_orchestrator.model import Activity, Definition
-from services.task_orchestrator.records import TaskRecord
+from services.task_orchestrator.records import ProcessRecord, TaskRecord
 from services.task_orchestrator.references import is_reference, resource_id
 
 Entity = dict[str, Any]
@@ -246,3 +246,36 @@ def outputs_property(outputs: Mapping[str, Any], at: datetime) -> Entity:
 
 def _property(value: Any) -> Entity:
     return {"type": "Property", "value": value}
+
+
+def entity_of(
+    settings: Settings, record: ProcessRecord, defined_by: str, composed: Iterable[str], now: datetime
+) -> Entity:
+    """Return the Process entity of `record`, whose Tasks have the ids `composed`."""
+    outputs: dict[str, Any] | None = None
+    if record.status is TaskStatus.COMPLETED:
+        outputs = {n: v for n, v in record.variables.items() if n not in record.parameters}
+    elif record.status is TaskStatus.FAILED:
+        outputs = with_code("reason", record.reason or "")
+    elif record.acts:
+        outputs = {}  # a retried process has none, whatever was written before
+    return process_entity(
+        settings,
+        record.id,
+        defined_by,
+        status=record.status,
+        at=record.ended_at or now,
+        parameters=record.parameters,
+        tasks=composed,
+        outputs=outputs,
+    )
+
+
+def execution_properties(settings: Settings, record: ProcessRecord, definition: Definition) -> Entity:
+    """Return the properties of `execution` in JUEL."""
+    return {
+        "processInstanceId": record.id,
+        "processBusinessKey": record.key,
+        "businessKey": record.key,
+        "processDefinitionId": definition_id(settings, definition),
+    }

@@ -35,7 +35,7 @@ from services.task_orchestrator.model import (
     MessageEvent,
     entity_filter,
 )
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Step
 from services.task_orchestrator.settings import OrchestratorSettings
 

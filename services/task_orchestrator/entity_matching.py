@@ -17,7 +17,7 @@ from services.task_orchestrator.execution.run import EntityWait
 from services.task_orchestrator.execution.state import WaitType
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import KEY_LENGTH, EntityFilter
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 
 SeenChanges = Mapping[tuple[str, str], str | None]
 """Digests by filter and entity that a step has changed; None: forgotten."""

@@ -24,7 +24,7 @@ from services.task_orchestrator.entity_matching import EntityIndex
 from services.task_orchestrator.execution.machine import ThrownMessage, ThrownSignal
 from services.task_orchestrator.execution.state import WaitType
 from services.task_orchestrator.model import Definition
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import MessageOutcome, MessageRecord, Step
 from services.task_orchestrator.stored_messages import StoredMessages
 

@@ -18,7 +18,7 @@ from handover.outcomes import reason_of
 from handover.task_life import is_for_people, performers_of
 from services.task_orchestrator.forms import form
 from services.task_orchestrator.forms.registry import FormRegistry
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Step, TaskAct, TaskActKind, TaskRecord
 
 BY_TASKLIST: Final = "tasklist"

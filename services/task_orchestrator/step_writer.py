@@ -22,7 +22,7 @@ from handover.errors import HandoverError, Problem
 from handover.messages import message
 from handover.telemetry import get_logger
 from services.task_orchestrator.outbox import Outbox
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Step
 from services.task_orchestrator.working_state import WorkingState
 

@@ -18,7 +18,7 @@ from services.task_orchestrator.lookahead import upcoming_activities
 from services.task_orchestrator.model import Activity, Definition
 from services.task_orchestrator.notation.comparison import ElementChange
 from services.task_orchestrator.notation.faults import as_json
-from services.task_orchestrator.process import MigrationReport
+from services.task_orchestrator.process.interventions import MigrationReport
 from services.task_orchestrator.records import (
     Act,
     DefinitionRecord,

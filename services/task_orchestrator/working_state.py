@@ -24,7 +24,7 @@ from services.task_orchestrator.entity_matching import SeenEntities
 from services.task_orchestrator.event_delivery import EventDelivery
 from services.task_orchestrator.model import Definition
 from services.task_orchestrator.offer_rules import Offers
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import DefinitionRecord, ProcessRecord, StartTimer, Step
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.storage.store import Store

@@ -5,8 +5,7 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from services.task_orchestrator.entities import final_attributes
-from services.task_orchestrator.process import entity_of
+from services.task_orchestrator.entities import entity_of, final_attributes
 from services.task_orchestrator.records import MessageKind, Step
 from services.task_orchestrator.step_writer import StepWriter
 from services.task_orchestrator.storage.store import EndedProcess, EndedTask

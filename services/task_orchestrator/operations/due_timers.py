@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.task_orchestrator.correlation import EventStart
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Step
 from services.task_orchestrator.start_timers import next_timer
 from services.task_orchestrator.step_writer import StepWriter

@@ -11,7 +11,9 @@ from handover.errors import Problem
 from handover.messages import message, text_of
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.languages.native import is_variable_name
-from services.task_orchestrator.process import MigrationReport, Process
+from services.task_orchestrator.process import interventions
+from services.task_orchestrator.process.interventions import MigrationReport
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Act, ActKind, MessageOutcome, Step
 from services.task_orchestrator.step_writer import StepWriter
 from services.task_orchestrator.working_state import WorkingState
@@ -56,7 +58,7 @@ class ProcessControl:
     async def cancel(self, process_id: str, by: str | None = None) -> None:
         """Cancel a process; raise `Problem` 404 if there is none, 409 if it has ended."""
         await self._writer.apply_to(
-            process_id, lambda process, step: process.cancel(by, step, self._state.clock())
+            process_id, lambda process, step: interventions.cancel(process, by, step, self._state.clock())
         )
 
     async def retry(self, process_id: str, task_id: str, by: str) -> None:
@@ -66,8 +68,8 @@ class ProcessControl:
         """
 
         def act(process: Process, step: Step) -> None:
-            token, now = process.incident_of(task_id), self._state.clock()
-            process.mend(Act(now, ActKind.RETRY, by, task_id), token, step, now)
+            token, now = interventions.incident_of(process, task_id), self._state.clock()
+            interventions.mend(process, Act(now, ActKind.RETRY, by, task_id), token, step, now)
 
         await self._writer.apply_to(process_id, act)
 
@@ -90,7 +92,7 @@ class ProcessControl:
         def act(process: Process, step: Step) -> None:
             now = self._state.clock()
             decided = Act(now, kind, by, to=to, why=why, values=dict(values) if values else None)
-            process.mend(decided, token, step, now)
+            interventions.mend(process, decided, token, step, now)
 
         await self._writer.apply_to(process_id, act)
 
@@ -99,7 +101,7 @@ class ProcessControl:
 
         def act(process: Process, step: Step) -> None:
             now = self._state.clock()
-            process.release_reservation(Act(now, ActKind.RELEASE, by, why=why), key, step, now)
+            interventions.release_reservation(process, Act(now, ActKind.RELEASE, by, why=why), key, step, now)
 
         await self._writer.apply_to(process_id, act)
 
@@ -135,7 +137,9 @@ class ProcessControl:
         plan = await self._plan(record.definition, version)
         return await self._writer.apply_to(
             process_id,
-            lambda process, step: process.migrate(plan, act, step, self._state.clock(), dry=dry),
+            lambda process, step: interventions.migrate(
+                process, plan, act, step, self._state.clock(), dry=dry
+            ),
         )
 
     async def migrate_all(
@@ -158,7 +162,7 @@ class ProcessControl:
             )
 
         def migrating(process: Process) -> Callable[[Step], MigrationReport]:
-            return lambda step: process.migrate(plan, act, step, self._state.clock(), dry=dry)
+            return lambda step: interventions.migrate(process, plan, act, step, self._state.clock(), dry=dry)
 
         wanted = {
             process.record.id: migrating(process)
@@ -207,9 +211,9 @@ class ProcessControl:
         now = self._state.clock()
         act = Act(now, kind, by, why=why)
         if kind is ActKind.PAUSE:
-            process.pause(act, step, now)
+            interventions.pause(process, act, step, now)
         else:
-            process.resume_work(act, step, now)
+            interventions.resume_work(process, act, step, now)
 
 
 def check_variables(variables: Mapping[str, Any]) -> None:

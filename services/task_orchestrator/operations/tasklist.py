@@ -12,7 +12,7 @@ from handover.errors import Problem
 from handover.messages import message
 from services.task_orchestrator.operations.broker_changes import BrokerChanges
 from services.task_orchestrator.people_acts import PeopleActs, performer_of
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Step, TaskAct, TaskActKind, TaskRecord
 from services.task_orchestrator.step_writer import StepWriter
 from services.task_orchestrator.working_state import WorkingState

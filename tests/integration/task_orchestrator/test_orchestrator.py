@@ -14,7 +14,7 @@ from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
 from services.task_orchestrator.orchestrator import Orchestrator, utc_now
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.storage.process_filter import ProcessFilter
 from tests.kit.databases import default_url

@@ -12,7 +12,7 @@ from services.task_orchestrator.allocation.allocator import Allocator
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.state import RunFailed
 from services.task_orchestrator.notation.file import read_bpmn
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import ProcessRecord, ReservationState, Step, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import NOW

@@ -9,7 +9,7 @@ from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.state import Library
 from services.task_orchestrator.model import Definition
 from services.task_orchestrator.notation.file import read_bpmn
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import MessageKind, ProcessRecord, Step
 from services.task_orchestrator.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import NOW, drawing

@@ -4,6 +4,7 @@ from datetime import timedelta
 from typing import Any
 
 from datamodels.times import iso
+from services.task_orchestrator.process import interventions
 from services.task_orchestrator.records import Act, ActKind, MessageKind, Step
 from tests.unit.task_orchestrator.drawing import NOW, activity, boundary, end, path, start
 from tests.unit.task_orchestrator.process_driver import ProcessDriver, alerts, task_id
@@ -122,10 +123,12 @@ def test_a_task_of_a_robot_is_escalated_by_alerts_only() -> None:
 
 def test_nothing_escalates_while_the_process_is_paused_or_after_the_end() -> None:
     driver = ProcessDriver(scheduled('dueDate="PT10M" deadline="P1D"'))
-    driver.process.pause(Act(driver.now, ActKind.PAUSE, "Ann"), driver.next_step(), driver.now)
+    interventions.pause(driver.process, Act(driver.now, ActKind.PAUSE, "Ann"), driver.next_step(), driver.now)
     wait(driver, hours=1)
     assert alerts(driver.step) == []
-    driver.process.resume_work(Act(driver.now, ActKind.RESUME, "Ann"), driver.next_step(), driver.now)
+    interventions.resume_work(
+        driver.process, Act(driver.now, ActKind.RESUME, "Ann"), driver.next_step(), driver.now
+    )
     wait(driver, seconds=0)
     assert len(alerts(driver.step)) == 1
     ended = ProcessDriver(scheduled('dueDate="PT10M"'))

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from datamodels.entities import TaskStatus
 from handover.errors import Problem
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process import interventions
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Act, ActKind, MessageKind, ProcessRecord, Step, TaskRecord
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
@@ -38,15 +39,17 @@ BRANCHES = (
 
 def retry(driver: ProcessDriver, name: str, by: str = "Ann") -> None:
     driver.after(seconds=1)
-    token = driver.process.incident_of(task_id(name))
+    token = interventions.incident_of(driver.process, task_id(name))
     act = Act(driver.now, ActKind.RETRY, by, task_id(name))
-    driver.process.mend(act, token, driver.next_step(), driver.now)
+    interventions.mend(driver.process, act, token, driver.next_step(), driver.now)
 
 
 def mend(driver: ProcessDriver, kind: ActKind, element: str, **details: Any) -> None:
     driver.after(seconds=1)
     token = next(each.token for each in driver.process.record.incidents if each.element == element)
-    driver.process.mend(Act(driver.now, kind, "Ann", **details), token, driver.next_step(), driver.now)
+    interventions.mend(
+        driver.process, Act(driver.now, kind, "Ann", **details), token, driver.next_step(), driver.now
+    )
 
 
 def cleared(step: Step) -> list[str]:
@@ -195,18 +198,20 @@ def test_a_task_that_has_not_failed_cannot_be_retried() -> None:
 
 def test_an_ended_process_cannot_be_mended() -> None:
     driver = ProcessDriver(ONE_STEP)
-    driver.process.cancel("Ann", driver.next_step(), driver.now)
+    interventions.cancel(driver.process, "Ann", driver.next_step(), driver.now)
     assert driver.process.record.acts == (Act(driver.now, ActKind.CANCEL, "Ann"),)
     assert refusal(driver, "work-1").status == 409
     with pytest.raises(Problem, match="already"):
-        driver.process.mend(Act(driver.now, ActKind.SET_VARIABLES), None, driver.next_step(), driver.now)
+        interventions.mend(
+            driver.process, Act(driver.now, ActKind.SET_VARIABLES), None, driver.next_step(), driver.now
+        )
 
 
 def test_the_alert_of_an_incident_ends_with_the_process() -> None:
     driver = ProcessDriver(ONE_STEP)
     driver.receive("work-1", "failed", reason="no")
     (alert,) = alerts(driver.step)
-    driver.process.cancel("Ann", driver.next_step(), driver.now)
+    interventions.cancel(driver.process, "Ann", driver.next_step(), driver.now)
     assert cleared(driver.step) == [alert["key"]]
 
 

@@ -6,7 +6,8 @@ import pytest
 
 from datamodels.entities import Task, TaskStatus
 from handover.errors import Problem
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process import interventions
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Act, ActKind, MessageKind, TimerKind
 from tests.unit.task_orchestrator.drawing import (
     NOW,
@@ -234,17 +235,17 @@ def test_a_process_that_ends_by_an_error_calls_its_other_tasks_back() -> None:
 
 def test_a_cancelled_process_ends_failed_and_calls_its_tasks_back() -> None:
     driver = ProcessDriver(ONE_STEP)
-    driver.process.cancel(None, driver.next_step(), NOW)
+    interventions.cancel(driver.process, None, driver.next_step(), NOW)
     assert processes(driver.step)[-1]["status"]["value"] == "failed"
     assert processes(driver.step)[-1]["outputParameters"]["value"] == {"reason": "cancelled"}
     assert alerts(driver.step) == []
     with pytest.raises(Problem, match="ended"):
-        driver.process.cancel(None, driver.next_step(), NOW)
+        interventions.cancel(driver.process, None, driver.next_step(), NOW)
 
 
 def test_a_cancelled_task_nobody_took_up_is_closed_after_a_grace() -> None:
     driver = ProcessDriver(ONE_STEP)
-    driver.process.cancel(None, driver.next_step(), NOW)
+    interventions.cancel(driver.process, None, driver.next_step(), NOW)
     assert [timer.kind for timer in driver.process.timers()] == [TimerKind.GRACE]
     driver.after(seconds=4)
     driver.tick()
@@ -260,7 +261,7 @@ def test_a_cancelled_task_nobody_took_up_is_closed_after_a_grace() -> None:
 def test_a_cancelled_task_that_was_taken_up_is_left_to_its_performer() -> None:
     driver = ProcessDriver(ONE_STEP)
     driver.receive("work-1", "inProgress")
-    driver.process.cancel(None, driver.next_step(), NOW)
+    interventions.cancel(driver.process, None, driver.next_step(), NOW)
     driver.after(hours=1)
     driver.tick()
     assert driver.open == ["work-1"]
@@ -325,7 +326,7 @@ def test_a_started_task_that_the_broker_lost_raises_one_alert_and_is_not_repeate
 
 def test_a_cancelled_task_the_broker_lost_counts_as_closed() -> None:
     driver = ProcessDriver(ONE_STEP)
-    driver.process.cancel(None, driver.next_step(), NOW)
+    interventions.cancel(driver.process, None, driver.next_step(), NOW)
     driver.process.missing(task_id("work-1"), driver.next_step(), NOW)
     assert driver.process.over
 
@@ -438,14 +439,14 @@ def test_an_error_boundary_catches_an_outcome_by_its_name() -> None:
 
 def test_a_paused_process_posts_nothing_until_it_is_resumed() -> None:
     driver = ProcessDriver(TWO_STEPS)
-    driver.process.pause(Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
+    interventions.pause(driver.process, Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
     (request,) = [message for message in driver.step.messages if message.kind is MessageKind.APPEND]
     assert (request.subject, request.body["requestedStatus"]["value"]) == (task_id("first-1"), "paused")
     assert processes(driver.step)[-1]["status"]["value"] == "paused"
     driver.receive("first-1", "completed")
     assert driver.open == []
     assert driver.process.record.status is TaskStatus.PAUSED
-    driver.process.resume_work(Act(NOW, ActKind.RESUME, "Ann"), driver.next_step(), NOW)
+    interventions.resume_work(driver.process, Act(NOW, ActKind.RESUME, "Ann"), driver.next_step(), NOW)
     assert driver.open == ["second-1"]
     assert driver.process.record.status is TaskStatus.IN_PROGRESS
     assert [act.act for act in driver.process.record.acts] == [ActKind.PAUSE, ActKind.RESUME]
@@ -454,18 +455,20 @@ def test_a_paused_process_posts_nothing_until_it_is_resumed() -> None:
 def test_timers_wait_while_a_process_is_paused() -> None:
     late = boundary("late", "work", timer("PT1M")) + activity("other") + path("late", "other", "end")
     driver = ProcessDriver(ONE_STEP + late)
-    driver.process.pause(Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
+    interventions.pause(driver.process, Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
     driver.after(minutes=10)
     driver.tick()
     assert driver.process.timers() == ()
     assert driver.open == ["work-1"]
-    driver.process.resume_work(Act(driver.now, ActKind.RESUME, "Ann"), driver.next_step(), driver.now)
+    interventions.resume_work(
+        driver.process, Act(driver.now, ActKind.RESUME, "Ann"), driver.next_step(), driver.now
+    )
     assert "other-1" in driver.open
 
 
 def test_a_paused_process_that_was_loaded_again_is_still_paused() -> None:
     driver = ProcessDriver(TWO_STEPS)
-    driver.process.pause(Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
+    interventions.pause(driver.process, Act(NOW, ActKind.PAUSE, "Ann"), driver.next_step(), NOW)
     before, tasks = driver.process, list(driver.process.tasks.values())
     driver.process = Process.resume(before.settings, before.plan, before.record, tasks, before.library)
     driver.receive("first-1", "completed")

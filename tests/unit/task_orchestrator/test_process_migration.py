@@ -4,7 +4,9 @@ import pytest
 
 from handover.errors import Problem
 from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.process import MigrationReport, Process
+from services.task_orchestrator.process import interventions
+from services.task_orchestrator.process.interventions import MigrationReport
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Act, ActKind
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
@@ -39,7 +41,7 @@ def migrate(
 ) -> MigrationReport:
     plan = Plan(only_process(drawing(body)), version)
     act = Act(driver.now, ActKind.MIGRATE, "Ann", why="a check is missing", mapping=mapping)
-    return driver.process.migrate(plan, act, driver.next_step(), driver.now, dry=dry)
+    return interventions.migrate(driver.process, plan, act, driver.next_step(), driver.now, dry=dry)
 
 
 def test_an_open_task_stays_and_its_performer_gets_no_message() -> None:
@@ -86,8 +88,10 @@ def test_a_renamed_task_keeps_its_id_and_an_incident_knows_it() -> None:
     driver.receive("work-1", "failed", reason="no")
     (incident,) = driver.process.record.incidents
     assert (incident.element, incident.task) == ("weld", task_id("work-1"))
-    token = driver.process.incident_of(task_id("work-1"))
-    driver.process.mend(Act(driver.now, ActKind.RETRY, "Ann"), token, driver.next_step(), driver.now)
+    token = interventions.incident_of(driver.process, task_id("work-1"))
+    interventions.mend(
+        driver.process, Act(driver.now, ActKind.RETRY, "Ann"), token, driver.next_step(), driver.now
+    )
     assert created(driver.step) == [task_id("weld-2")]
 
 
@@ -126,6 +130,6 @@ def test_an_ended_process_and_the_same_version_are_refused() -> None:
     driver = ProcessDriver(ONE_STEP)
     with pytest.raises(Problem, match="version 1 already"):
         migrate(driver, ONE_STEP, 1)
-    driver.process.cancel("Ann", driver.next_step(), driver.now)
+    interventions.cancel(driver.process, "Ann", driver.next_step(), driver.now)
     with pytest.raises(Problem, match="failed already"):
         migrate(driver, TWO_STEPS)

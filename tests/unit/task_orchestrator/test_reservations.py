@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from datamodels.entities import TaskStatus
 from handover.errors import Problem
 from services.task_orchestrator.allocation.agents import UNLIMITED, Agent, Agents
+from services.task_orchestrator.process import interventions
 from services.task_orchestrator.records import Act, ActKind, Step
 from tests.unit.task_orchestrator.cell_driver import SharedCell, performer, urn
 from tests.unit.task_orchestrator.drawing import boundary, drawing, end, flow, gateway, path, start
@@ -259,7 +260,7 @@ def test_cancel_and_an_error_that_leaves_the_span_release_the_robot() -> None:
     assert cell.works(second) == {"scan": "a"}
     assert cell.works(first) == {"tidy": "b"}, "the span was left"
     third = cell.start("p")
-    cell.processes[second].cancel("Ada", Step(1), cell.now)
+    interventions.cancel(cell.processes[second], "Ada", Step(1), cell.now)
     cell.settle()
     assert cell.works(third) == {}, "the cancelled Task may still move the robot"
     (task,) = cell.processes[second].tasks.values()
@@ -277,19 +278,19 @@ def test_an_incident_keeps_the_robot_until_an_engineer_releases_it() -> None:
     process = cell.processes[first]
     (held,) = process.record.reservations
     act = Act(cell.now, ActKind.RELEASE, "Ada", why="the gripper is empty")
-    process.release_reservation(act, held.key, Step(1), cell.now)
+    interventions.release_reservation(process, act, held.key, Step(1), cell.now)
     cell.settle()
     assert cell.works(second) == {"scan": "a"}
     assert process.record.acts == (replace(act, element="cell"),)
     (incident,) = process.record.incidents
-    process.mend(Act(cell.now, ActKind.RETRY, "Ada"), incident.token, Step(1), cell.now)
+    interventions.mend(process, Act(cell.now, ActKind.RETRY, "Ada"), incident.token, Step(1), cell.now)
     cell.settle()
     assert cell.works(first) == {}, "the next activity reserves again"
     cell.report(second, "scan")
     cell.report(second, "pick")
     assert cell.works(first) == {"scan": "a"}
     with pytest.raises(Problem) as unknown:
-        process.release_reservation(act, "7.other", Step(1), cell.now)
+        interventions.release_reservation(process, act, "7.other", Step(1), cell.now)
     assert unknown.value.status == 404
 
 
@@ -338,7 +339,7 @@ def test_a_missing_variable_of_a_reservation_is_an_incident_that_can_be_mended()
     (incident,) = cell.processes[name].record.incidents
     assert "robot" in incident.reason
     act = Act(cell.now, ActKind.RETRY, "Ada", values={"robot": "Device:a"})
-    cell.processes[name].mend(act, incident.token, Step(1), cell.now)
+    interventions.mend(cell.processes[name], act, incident.token, Step(1), cell.now)
     assert cell.works(name) == {"scan": "a"}
 
 
@@ -358,12 +359,12 @@ def test_an_activity_without_a_performer_goes_to_the_agent_of_its_lane() -> None
 def test_a_paused_process_keeps_what_it_holds_and_gives_up_its_place() -> None:
     cell = SharedCell(TWO_STEPS, a=agent("a", "robot"))
     first, second, third = (cell.start("p") for _ in range(3))
-    cell.processes[second].pause(Act(cell.now, ActKind.PAUSE, "Ada"), Step(1), cell.now)
+    interventions.pause(cell.processes[second], Act(cell.now, ActKind.PAUSE, "Ada"), Step(1), cell.now)
     cell.restart()
     cell.report(first, "scan")
     cell.report(first, "pick")
     assert (cell.works(second), cell.works(third)) == ({}, {"scan": "a"})
-    cell.processes[second].resume_work(Act(cell.now, ActKind.RESUME, "Ada"), Step(1), cell.now)
+    interventions.resume_work(cell.processes[second], Act(cell.now, ActKind.RESUME, "Ada"), Step(1), cell.now)
     cell.report(third, "scan")
     cell.report(third, "pick")
     assert cell.works(second) == {"scan": "a"}

@@ -11,7 +11,8 @@ from handover.durations import Duration, parse_duration
 from handover.messages import with_code
 from handover.outcomes import is_outcome_unknown, outcome_unknown
 from services.task_orchestrator.model import RetryPolicy, Value
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process import interventions
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Act, ActKind
 from services.task_orchestrator.retries import MAX_DELAY_S, retry_at
 from tests.unit.task_orchestrator.drawing import NOW, ONE_STEP, activity, boundary, end, path, start
@@ -144,7 +145,9 @@ def test_a_person_may_retry_skip_or_pause_while_the_delay_runs() -> None:
         driver = ProcessDriver(retrying())
         fail(driver, "work-1")
         (waiting,) = driver.process.record.retries
-        driver.process.mend(Act(driver.now, kind, "Ann"), waiting.token, driver.next_step(), driver.now)
+        interventions.mend(
+            driver.process, Act(driver.now, kind, "Ann"), waiting.token, driver.next_step(), driver.now
+        )
         return driver
 
     retried = decide(ActKind.RETRY)
@@ -153,10 +156,12 @@ def test_a_person_may_retry_skip_or_pause_while_the_delay_runs() -> None:
     assert decide(ActKind.SKIP).process.over
     driver = ProcessDriver(retrying())
     fail(driver, "work-1")
-    driver.process.pause(Act(driver.now, ActKind.PAUSE, "Ann"), driver.next_step(), driver.now)
+    interventions.pause(driver.process, Act(driver.now, ActKind.PAUSE, "Ann"), driver.next_step(), driver.now)
     wait(driver, hours=1)
     assert driver.open == []
-    driver.process.resume_work(Act(driver.now, ActKind.RESUME, "Ann"), driver.next_step(), driver.now)
+    interventions.resume_work(
+        driver.process, Act(driver.now, ActKind.RESUME, "Ann"), driver.next_step(), driver.now
+    )
     driver.tick()
     assert driver.open == ["work-2"]
 

@@ -14,7 +14,7 @@ from datamodels.entities import TaskStatus
 from handover.database import connect
 from handover.errors import Problem
 from handover.messages import message
-from services.task_orchestrator.process_tally import count_change, count_end, count_start, count_task
+from services.task_orchestrator.process.tally import count_change, count_end, count_start, count_task
 from services.task_orchestrator.records import IncidentRecord, Move, ProcessRecord, Step, TaskRecord
 from services.task_orchestrator.reporting.period import read_period
 from services.task_orchestrator.storage import schema

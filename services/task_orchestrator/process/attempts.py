@@ -1,0 +1,103 @@
+"""Attempts: an activity is performed again after a failure, or by another agent if one has declined it.
+
+The functions return the changed record of the process.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any
+
+from services.task_orchestrator.execution.run import OpenActivity, Run
+from services.task_orchestrator.records import ProcessRecord, Retry, TaskRecord
+from services.task_orchestrator.retries import attempts_of, is_retried, retry_at
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a Task has failed: the error code or outcome, if any, and what its performer reported."""
+
+    code: str | None
+    reason: str
+    outputs: Mapping[str, Any]
+
+
+def declined_key(token: str, element: str) -> str:
+    """Return the key of an activity in `ProcessRecord.declined`."""
+    return f"{token} {element}"
+
+
+def postpone(
+    record: ProcessRecord, run: Run, task: TaskRecord, failure: Failure, now: datetime
+) -> ProcessRecord | None:
+    """Let a failed activity wait for its next attempt; return None if it has none."""
+    open_ = run.open_activity(task.token)
+    policy = open_.activity.retry
+    is_caught = run.catches(task.token, failure.code)
+    if policy is None or not is_retried(policy, failure.code, failure.outputs, is_caught=is_caught):
+        return None
+    before = next((each for each in record.retries if each.token == task.token), None)
+    failed = 1 if before is None else before.failed + 1
+    attempts = attempts_of(policy, open_.variables)
+    if failed >= attempts:
+        return None
+    retry = Retry(
+        token=task.token,
+        visit=task.visit,
+        element=open_.element,
+        name=open_.activity.name,
+        task=task.id,
+        failed=failed,
+        attempts=attempts,
+        reason=failure.reason,
+        due=retry_at(policy, failed, now),
+    )
+    return replace(record, retries=(*(each for each in record.retries if each is not before), retry))
+
+
+def repeat(record: ProcessRecord, run: Run, token: str, now: datetime) -> ProcessRecord:
+    """Begin the next attempt of an activity, if it waits for it."""
+    waiting = next((e for e in record.retries if e.token == token and e.due is not None), None)
+    if waiting is None or run.visit(token) != waiting.visit:
+        return record
+    run.repeat(token, now)
+    present = replace(waiting, visit=run.visit(token) or 0, due=None)
+    return replace(record, retries=tuple(present if e is waiting else e for e in record.retries))
+
+
+def is_postponed(record: ProcessRecord, token: str) -> bool:
+    """Return whether the activity of a token waits for its next attempt."""
+    return any(each.token == token and each.due is not None for each in record.retries)
+
+
+def present_retries(record: ProcessRecord, run: Run | None) -> tuple[Retry, ...]:
+    """Return the retries of the activities that are still open, with their present visits."""
+    visits = {each.token: None if run is None else run.visit(each.token) for each in record.retries}
+    return tuple(
+        replace(each, visit=visit)  # another agent may have been asked
+        for each in record.retries
+        if (visit := visits[each.token]) is not None and (each.due is None or visit == each.visit)
+    )
+
+
+def ask_next(record: ProcessRecord, run: Run, task: TaskRecord, now: datetime) -> ProcessRecord:
+    """Open the activity again: its performer has declined it, so that another gets it."""
+    key = declined_key(task.token, task.element)
+    declined = (*record.declined.get(key, ()), task.performer)
+    changed = replace(record, declined={**record.declined, key: declined})
+    run.repeat(task.token, now)
+    return changed
+
+
+def forget_declined(record: ProcessRecord, token: str, element: str) -> ProcessRecord:
+    """Let an activity be offered to all again."""
+    key = declined_key(token, element)
+    if key not in record.declined:
+        return record
+    others = {each: agents for each, agents in record.declined.items() if each != key}
+    return replace(record, declined=others)
+
+
+def declined_by(record: ProcessRecord, open_: OpenActivity) -> frozenset[str]:
+    """Return the agents that have declined an activity."""
+    return frozenset(record.declined.get(declined_key(open_.token, open_.element), ()))

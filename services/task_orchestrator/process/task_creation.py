@@ -1,0 +1,92 @@
+"""Task creation: the Task of an open activity, as its record and as the entity of the broker."""
+
+from dataclasses import replace
+from datetime import datetime, timedelta
+
+from datamodels.entities import TaskStatus
+from services.task_orchestrator.allocation.allocator import Assignment
+from services.task_orchestrator.entities import task_entity
+from services.task_orchestrator.escalations import escalation_times
+from services.task_orchestrator.execution.run import OpenActivity
+from services.task_orchestrator.execution.state import Library
+from services.task_orchestrator.forms.registry import FormRegistry
+from services.task_orchestrator.model import Activity, FormBinding, Value
+from services.task_orchestrator.notation.names import in_urn
+from services.task_orchestrator.records import ProcessRecord, TaskRecord
+from services.task_orchestrator.settings import OrchestratorSettings
+
+
+def task_id_of(settings: OrchestratorSettings, process: str, element: str, visit: int) -> str:
+    """Return the id of the Task of a visit of an element."""
+    return settings.entity_id("Task", f"{process}-{in_urn(element)}-{visit}")
+
+
+def create_task(
+    settings: OrchestratorSettings,
+    process: ProcessRecord,
+    open_: OpenActivity,
+    assignment: Assignment,
+    *,
+    activity: Activity,
+    now: datetime,
+) -> TaskRecord:
+    """Return the Task of an open activity; `activity` is the assigned one with the version of its form.
+
+    Raises `ValueError` or `ExpressionError` if its parameters cannot be evaluated or are invalid.
+    """
+    task_id = task_id_of(settings, process.id, open_.element, open_.visit)
+    allowed = timedelta(seconds=settings.task_deadline_s)
+    deadline = activity.deadline.after(now) if activity.deadline is not None else now + allowed
+    entity = task_entity(
+        settings,
+        task_id,
+        activity,
+        open_.variables,
+        data=open_.data,
+        at=now,
+        deadline=deadline,
+        candidates=assignment.candidates,
+        part_of=(settings.entity_id("Process", process.id), open_.element),
+    )
+    if assignment.kind is not None:
+        assignment.kind.check(entity["workParameters"]["value"])
+    moments = escalation_times(activity, assignment.due, now)
+    return TaskRecord(
+        id=task_id,
+        process=process.id,
+        element=open_.element,
+        visit=open_.visit,
+        token=open_.token,
+        status=TaskStatus.PENDING,
+        observed_at=now,
+        moves=0,
+        created_at=now,
+        deadline=deadline,
+        entity=entity,
+        name=activity.name,
+        allocated=assignment.reason,
+        chosen=assignment.request is not None,
+        escalates_at=moments[0][0] if moments else None,
+    )
+
+
+def with_form_version(
+    activity: Activity, process: ProcessRecord, forms: FormRegistry, library: Library, now: datetime
+) -> Activity:
+    """Return the activity with the version of its form, which a later deployment does not change."""
+    reference = activity.form
+    if reference is None:
+        return activity
+    name = reference.name
+    if reference.is_file:
+        named = forms.find_file(name)
+        name = name if named is None else named.id
+    version = reference.version
+    if version is None:
+        is_bound = reference.binding is FormBinding.DEPLOYMENT
+        deployed_at = library.deployed_at(process.definition, process.version)
+        moment = deployed_at if is_bound and deployed_at is not None else now
+        found = forms.deployed_by(name, moment)
+        version = None if found is None else found.version
+    form = Value({"id": name, "version": version})
+    return replace(activity, parameters={**activity.parameters, "form": form})
