@@ -12,7 +12,7 @@ from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.service import create_app
 from handover.storage import storage_check
-from services.trajectory_tool.controller import Controller
+from services.trajectory_tool.controller import Controller, Controllers
 from services.trajectory_tool.device import description
 from services.trajectory_tool.joint_states import stream, written
 from services.trajectory_tool.robot import RobotFault
@@ -27,11 +27,11 @@ RobotView = dict[str, Any]
 def make_app(settings: TrajectorySettings) -> FastAPI:
     """Return the application; raise `UsageError` for settings that do not work."""
     broker = BrokerClient(settings)
-    controller = Controller(settings, broker)
+    controllers = Controllers(settings, broker)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with broker, controller:
+        async with broker, controllers:
             yield
 
     app = create_app(
@@ -40,13 +40,13 @@ def make_app(settings: TrajectorySettings) -> FastAPI:
         lifespan=lifespan,
         checks={
             "broker": broker.probe,
-            "tasks": controller.probe,
+            "tasks": controllers.probe,
             "storage": storage_check(settings.data_dir),
         },
     )
-    controller.mount(app)
-    _add_robots(app, controller)
-    _add_stream(app, controller)
+    controllers.mount(app)
+    _add_robots(app, controllers)
+    _add_stream(app, controllers)
     return app
 
 
@@ -69,17 +69,16 @@ def view_of(controller: Controller) -> RobotView:
     }
 
 
-def _add_robots(app: FastAPI, controller: Controller) -> None:
+def _add_robots(app: FastAPI, controllers: Controllers) -> None:
     @app.get("/robots", tags=["robots"])
     async def robots() -> list[RobotView]:
         """Return the state of every robot."""
-        return [view_of(controller)]
+        return [view_of(controller) for controller in controllers.by_name.values()]
 
     @app.get("/robots/{robot}", tags=["robots"])
     async def one_robot(robot: str) -> RobotView:
         """Return the state of a robot: joints, tool pose, gripper, and its Task."""
-        _require_known(controller, robot)
-        return view_of(controller)
+        return view_of(_known(controllers, robot))
 
     @app.get("/robots/{robot}/description", tags=["robots"])
     async def describe(robot: str) -> dict[str, Any]:
@@ -87,20 +86,18 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
 
         It is constant while the tool runs; `revision` differs for every other description.
         """
-        _require_known(controller, robot)
+        controller = _known(controllers, robot)
         return {"id": controller.robot_name, **description(controller.cell)}
 
     @app.get("/robots/{robot}/urdf", tags=["robots"], response_class=Response)
     async def urdf(robot: str) -> Response:
         """Return the URDF of the robot."""
-        _require_known(controller, robot)
-        return Response(controller.cell.model.urdf, media_type="application/xml")
+        return Response(_known(controllers, robot).cell.model.urdf, media_type="application/xml")
 
     @app.get("/robots/{robot}/scene", tags=["robots"])
     async def scene(robot: str) -> dict[str, Any]:
-        """Return the cell in the frame of the robot's base: bins, fixtures, and the pose of each part."""
-        _require_known(controller, robot)
-        cell = controller.cell
+        """Return the cell in its own frame: bins, fixtures, obstacles, and the pose of each part."""
+        cell = _known(controllers, robot).cell
         parts = [
             {"part": lying.part, "place": lying.place, **lying.pose.written()}
             for lying in cell.contents.lying
@@ -110,7 +107,7 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
     @app.post("/robots/{robot}/gripper/free", tags=["robots"])
     async def free(robot: str) -> RobotView:
         """Open the gripper so that a person can remove the part; 409 while the robot executes a Task."""
-        _require_known(controller, robot)
+        controller = _known(controllers, robot)
         if controller.work is not None:
             raise Problem(
                 409,
@@ -134,11 +131,11 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
         return view_of(controller)
 
 
-def _add_stream(app: FastAPI, controller: Controller) -> None:
+def _add_stream(app: FastAPI, controllers: Controllers) -> None:
     @app.websocket("/robots/{robot}/joint_states")
     async def joint_states(reader: WebSocket, robot: str) -> None:
         try:
-            _require_known(controller, robot)
+            controller = _known(controllers, robot)
             hz = _rate(reader.query_params.get("hz"))
         except Problem as problem:
             await reader.accept()
@@ -147,8 +144,9 @@ def _add_stream(app: FastAPI, controller: Controller) -> None:
         await stream(controller.cell.robot, controller.cell.model.joint_names, reader, hz)
 
 
-def _require_known(controller: Controller, robot: str) -> None:
-    if robot not in {controller.robot_name, controller.device.id}:
+def _known(controllers: Controllers, robot: str) -> Controller:
+    controller = controllers.of(robot)
+    if controller is None:
         raise Problem(
             404,
             "No such robot",
@@ -156,9 +154,10 @@ def _require_known(controller: Controller, robot: str) -> None:
                 "robot.no_such_robot",
                 'there is no robot "{robot}"; there is {known}',
                 robot=robot,
-                known=controller.robot_name,
+                known=", ".join(controllers.by_name),
             ),
         )
+    return controller
 
 
 def _rate(rate: str | None) -> float:

@@ -1,54 +1,68 @@
-"""The cell: robot, camera and parts, with their stored state."""
+"""One robot in the cell: its gripper, driver and planner, with the scene and the parts around it."""
 
 import asyncio
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from handover.broker import BrokerClient
 from handover.telemetry import get_logger
-from services.trajectory_tool.camera import Camera
-from services.trajectory_tool.contents import Contents, Lying, initial
+from services.trajectory_tool.cell_file import RobotEntry
+from services.trajectory_tool.contents import Contents, Lying
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
-from services.trajectory_tool.memory import Act, Memory, MemoryFile
+from services.trajectory_tool.memory import Act, RobotMemory
 from services.trajectory_tool.motion import MotionPlanning
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, Robot
 from services.trajectory_tool.robot_model import RobotModel
-from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.scene import load
-from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.scene import Scene
+
+if TYPE_CHECKING:
+    from services.trajectory_tool.workcell import Workcell
 
 log = get_logger(__name__)
 
 
 class Cell:
-    """One robot with its gripper, the camera, the scene around it and the parts in it.
+    """A robot with its gripper in a workcell, of which it sees the scene and the parts.
 
-    An asynchronous context manager while the robot is switched on. A robot behind ROS is reached through
-    `broker`. Raises `UsageError` when the robot, the scene or the stored state cannot be used.
+    An asynchronous context manager while the robot is switched on. Raises `UsageError` when the robot cannot
+    be used as its `entry` in the cell file demands.
     """
 
     def __init__(
         self,
-        settings: TrajectorySettings,
-        clock: Clock | None = None,
+        workcell: "Workcell",
+        name: str,
+        entry: RobotEntry,
+        model: RobotModel,
         *,
+        known: RobotMemory | None = None,
+        clock: Clock | None = None,
         broker: BrokerClient | None = None,
     ) -> None:
-        self.model: RobotModel = ROBOTS.load(settings.robot_model)
-        self.limits = settings.limits_of(self.model.limits)
-        self.scene = scene = load(settings.scene_file, self.model)
-        self.home = scene.home_of(self.model)
-        self.planning = MotionPlanning(self.model, self.limits, scene)
-        self._digest = scene.digest(self.model.joint_names)
-        self.file = MemoryFile(settings.data_dir / "trajectory_tool" / f"{settings.robot_id}.json")
-        self.camera = Camera(settings.detection_rate, settings.scan_seed)
-        known = self.file.load(self._digest, len(self.model.joints))
-        self.contents: Contents = known.contents if known else initial(scene)
+        self.name = name
+        self.entry = entry
+        self.model = model
+        self.limits = entry.limits_of(name, model)
+        self._workcell = workcell
+        self.camera = workcell.camera
+        self.file = workcell.file
+        self.neighbour_wait_s = workcell.settings.neighbour_wait_s
+        self.home = model.home if workcell.scene.home is None else workcell.scene.home
+        self.held: str | None = known.held if known else None
         self.last_act: Act | None = known.last_act if known else None
         self.seen: str | None = known.seen if known else None
         self.in_hand = asyncio.Lock()
         """Locked while a Task or a person uses the robot or its gripper."""
-        self.robot: Robot = self._robot(settings, known, clock, broker)
+        self.planning = MotionPlanning(
+            model,
+            self.limits,
+            workcell.scene,
+            name=name,
+            space=workcell.space,
+            joints=lambda: self.joints,
+            held=lambda: self.held,
+        )
+        self.robot: Robot = self._robot(known, clock, broker)
 
     async def __aenter__(self) -> Self:
         await self.robot.__aenter__()
@@ -62,6 +76,20 @@ class Cell:
             log.exception("state of the cell not stored", file=str(self.file.path))
 
     @property
+    def scene(self) -> Scene:
+        """Return the scene."""
+        return self._workcell.scene
+
+    @property
+    def contents(self) -> Contents:
+        """Return the parts that lie in the cell."""
+        return self._workcell.contents
+
+    @contents.setter
+    def contents(self, contents: Contents) -> None:
+        self._workcell.contents = contents
+
+    @property
     def joints(self) -> Joints:
         """Return the present joint positions."""
         return self.robot.state().positions
@@ -71,22 +99,20 @@ class Cell:
         """Return the present pose of the gripper's tips."""
         return self.model.tool_pose(self.joints)
 
-    @property
-    def held(self) -> str | None:
-        """Return the part in the gripper."""
-        return self.contents.held
-
-    async def remember(self) -> None:
-        """Store the state of the cell durably. Raises `OSError`."""
-        memory = Memory(
-            scene=self._digest,
+    def memory(self) -> RobotMemory:
+        """Return the state of the robot that survives a power cut."""
+        return RobotMemory(
+            joint_names=self.model.joint_names,
             joints=self.joints,
             gripper_closed=self.robot.gripper_closed,
-            contents=self.contents,
+            held=self.held,
             last_act=self.last_act,
             seen=self.seen,
         )
-        await asyncio.to_thread(self.file.save, memory)
+
+    async def remember(self) -> None:
+        """Store the state of the cell durably. Raises `OSError`."""
+        await self._workcell.remember()
 
     async def grip(self, task: str) -> str | None:
         """Close the gripper for `task`; return the gripped part, None (and open again) without one."""
@@ -95,7 +121,7 @@ class Cell:
         if part is None:
             await self.robot.open_gripper()
             return None
-        self.contents = self.contents.gripped(part)
+        self.contents, self.held = self.contents.gripped(part), part
         self.last_act = Act(task, "gripped", part, pose)
         await self.remember()
         return part
@@ -105,7 +131,7 @@ class Cell:
         pose, part = self.tool_pose, self.held
         await self.robot.open_gripper()
         if part is not None:
-            self.contents = self.contents.released(place, pose)
+            self.contents, self.held = self.contents.released(part, place, pose), None
             self.last_act = Act(task, "released", part, pose, place)
         await self.remember()
 
@@ -114,7 +140,7 @@ class Cell:
         async with self.in_hand:
             part = self.held
             await self.robot.open_gripper()
-            self.contents = self.contents.freed()
+            self.held = None
             await self.remember()
         return part
 
@@ -145,15 +171,11 @@ class Cell:
             nest = self.contents.free_nest(self.scene, fixture)
         return nest
 
-    def _robot(
-        self,
-        settings: TrajectorySettings,
-        known: Memory | None,
-        clock: Clock | None,
-        broker: BrokerClient | None,
-    ) -> Robot:
+    def _robot(self, known: RobotMemory | None, clock: Clock | None, broker: BrokerClient | None) -> Robot:
         context = RobotContext(
-            settings=settings,
+            settings=self._workcell.settings,
+            robot_id=self.name,
+            options=self.entry.settings,
             model=self.model,
             limits=self.limits,
             joints=known.joints if known else self.home,
@@ -163,7 +185,7 @@ class Cell:
             broker=broker,
             clock=clock,
         )
-        factory: RobotFactory = DRIVERS.load(settings.robot)
+        factory: RobotFactory = DRIVERS.load(self.entry.driver)
         return factory(context)
 
     def _between_fingers(self, tool: Pose) -> str | None:

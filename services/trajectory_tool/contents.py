@@ -1,4 +1,4 @@
-"""Contents: the poses of all parts, and the part in the gripper.
+"""Contents: the poses of all parts that lie in the cell.
 
 The values are immutable: every action returns the contents after it.
 """
@@ -22,10 +22,9 @@ class Lying:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """All parts of the cell; `numbered` counts all parts so far, for their names."""
+    """The parts of the cell outside of grippers; `numbered` counts all parts so far, for their names."""
 
     lying: tuple[Lying, ...] = ()
-    held: str | None = None
     numbered: int = 0
 
     def in_place(self, place: str) -> list[Lying]:
@@ -42,18 +41,12 @@ class Contents:
         return min(near, key=lambda part: part.pose.distance_m(tool)).part if near else None
 
     def gripped(self, part: str) -> "Contents":
-        """Return the contents after the gripper gripped `part`."""
-        return replace(self, lying=tuple(lying for lying in self.lying if lying.part != part), held=part)
+        """Return the contents after a gripper gripped `part`."""
+        return replace(self, lying=tuple(lying for lying in self.lying if lying.part != part))
 
-    def freed(self) -> "Contents":
-        """Return the contents after a person removed the part from the gripper."""
-        return replace(self, held=None)
-
-    def released(self, place: str | None, pose: Pose) -> "Contents":
-        """Return the contents after the held part was released at `pose`."""
-        if self.held is None:
-            return self
-        return replace(self, lying=(*self.lying, Lying(self.held, place, pose)), held=None)
+    def released(self, part: str, place: str | None, pose: Pose) -> "Contents":
+        """Return the contents after a gripper released `part` at `pose`."""
+        return replace(self, lying=(*self.lying, Lying(part, place, pose)))
 
     def filled(self, scene: Scene, bin_name: str) -> "Contents":
         """Return the contents after a bin was filled with new parts."""

@@ -1,4 +1,4 @@
-"""The controller: the performer of the robot. It executes Tasks one after another."""
+"""The controllers: one performer for each robot of the cell. Each executes Tasks one after another."""
 
 import asyncio
 import time
@@ -13,6 +13,7 @@ from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.messages import message, text_of
 from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
+from handover.retry import Backoff
 from handover.task_life import type_of
 from handover.telemetry import get_logger
 from services.trajectory_tool import operations, parameters
@@ -22,27 +23,70 @@ from services.trajectory_tool.metrics import TASKS
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.work import Work
+from services.trajectory_tool.workcell import Workcell
 
 log = get_logger(__name__)
 
 PROGRESS_EVERY_S = 0.25
+SWITCH_ON_RETRY_S, MAX_SWITCH_ON_RETRY_S = 2.0, 30.0
 PICK_TARGETS = frozenset({"part", "pose", "bin"})
 """Parameters of which each says what a pick grips."""
 
 
-class Controller(Performer):
-    """The performer of one robot. Raises `UsageError` when robot, scene or stored state is invalid."""
+class Controllers:
+    """The performers of all robots in the cell; an asynchronous context manager while they are active.
+
+    Raises `UsageError` when a robot, the scene or the stored state is invalid.
+    """
 
     def __init__(self, settings: TrajectorySettings, broker: BrokerClient) -> None:
-        super().__init__(
-            f"trajectory-tool-{settings.robot_id}", settings, broker, notify_url=settings.notify_url
-        )
-        self.robot_name = settings.robot_id
-        self.cell = Cell(settings, broker=broker)
-        self.work: Work | None = None
-        self._speed = settings.robot_speed
+        self.workcell = Workcell(settings, broker=broker)
+        self.by_name = {
+            name: Controller(settings, cell, broker) for name, cell in self.workcell.cells.items()
+        }
         self._on = AsyncExitStack()
+
+    def mount(self, app: FastAPI) -> None:
+        """Add the routes for notifications."""
+        for controller in self.by_name.values():
+            controller.mount(app)
+
+    def of(self, robot: str) -> "Controller | None":
+        """Return the controller of a robot by its name or the id of its Device."""
+        found = (one for one in self.by_name.values() if robot in {one.robot_name, one.device.id})
+        return next(found, None)
+
+    async def probe(self) -> None:
+        """Raise `BrokerUnavailable` while a subscription to Tasks is missing."""
+        for controller in self.by_name.values():
+            await controller.probe()
+
+    async def __aenter__(self) -> Self:
+        for controller in self.by_name.values():
+            await self._on.enter_async_context(controller)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._on.aclose()
+
+
+class Controller(Performer):
+    """The performer of one robot.
+
+    A robot that cannot be switched on is tried again, and its Tasks fail meanwhile; other robots work.
+    """
+
+    def __init__(self, settings: TrajectorySettings, cell: Cell, broker: BrokerClient) -> None:
+        super().__init__(
+            f"trajectory-tool-{cell.name}", settings, broker, notify_url=f"{settings.notify_url}/{cell.name}"
+        )
+        self.robot_name = cell.name
+        self.cell = cell
+        self.work: Work | None = None
         self.device = RobotDevice(settings, self.cell, broker)
+        self._on = AsyncExitStack()
+        self._fault: RobotFault | None = None
+        self._switching_on: asyncio.Task[None] | None = None
 
     def mount(self, app: FastAPI) -> None:
         """Add the routes for notifications."""
@@ -50,23 +94,47 @@ class Controller(Performer):
         self.cell.robot.mount(app)
 
     async def __aenter__(self) -> Self:
-        await self._on.enter_async_context(self.cell)
         await self._on.enter_async_context(self.device)
+        await self._try_switch_on()
+        if self._fault is not None:
+            self._switching_on = asyncio.create_task(self._keep_switching_on())
         await self.act_for(self.device.id)
         return await super().__aenter__()
 
     async def __aexit__(self, *_: object) -> None:
         await super().__aexit__(*_)
+        if self._switching_on is not None:
+            self._switching_on.cancel()
+            await asyncio.wait([self._switching_on])
         await self._on.aclose()
+
+    async def _try_switch_on(self) -> None:
+        try:
+            await self._on.enter_async_context(self.cell)
+        except RobotFault as fault:
+            log.warning("robot not switched on", robot=self.robot_name, fault=str(fault))
+            self._fault = fault
+            self.device.set_state(DeviceState.ERROR)
+        else:
+            self._fault = None
+
+    async def _keep_switching_on(self) -> None:
+        backoff = Backoff(SWITCH_ON_RETRY_S, MAX_SWITCH_ON_RETRY_S)
+        while self._fault is not None:
+            await backoff.wait()
+            await self._try_switch_on()
+        self.device.set_state(DeviceState.IDLE)
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Execute the operation of the Task and return its result."""
         name = _operation_of(job)
         began_s = time.monotonic()
         with _counted(name), self._device_state():
+            if self._fault is not None:
+                raise self._fault
             operation = operations.known(name)
             values = parameters.read(operation.parameters, name, _parameters_of(job, name))
-            speed = self._speed * values.speed
+            speed = self.cell.entry.speed * values.speed
             self.work = work = Work(job.task.id, name, self.cell, _Steering(job, self.device), speed)
             log.info("robot starts", task=job.task.id, operation=name, again=job.resumed)
             async with self.cell.in_hand, _progress_reports(job, work):

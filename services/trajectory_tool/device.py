@@ -14,6 +14,7 @@ from handover.content_digest import with_digest
 from handover.latest_value_writer import LatestValueWriter
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.metrics import DEVICE_WRITES_REJECTED
+from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.settings import TrajectorySettings
 
 
@@ -21,9 +22,9 @@ class RobotDevice:
     """The Device of the robot; an asynchronous context manager while it is written."""
 
     def __init__(self, settings: TrajectorySettings, cell: Cell, broker: BrokerClient) -> None:
-        self.id = settings.entity_id("Device", settings.robot_id)
-        self.specification_id = settings.entity_id("ResourceSpecification", settings.robot_id)
-        self._urdf_url = f"{settings.service_url}/robots/{settings.robot_id}/urdf"
+        self.id = settings.entity_id("Device", cell.name)
+        self.specification_id = settings.entity_id("ResourceSpecification", cell.name)
+        self._urdf_url = f"{settings.service_url}/robots/{cell.name}/urdf"
         self.state = DeviceState.IDLE
         self._cell = cell
         self._broker = broker
@@ -118,6 +119,7 @@ def description(cell: Cell) -> dict[str, Any]:
     return {
         "model": model.name,
         "revision": model.revision,
+        "base": Pose.of(model.base).written(),
         "joints": described_joints(cell),
         "home": list(cell.home),
         "tip": model.tip,

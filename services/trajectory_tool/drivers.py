@@ -8,15 +8,21 @@ A driver moves the joints of any robot model. A package registers a factory, whi
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
 
 from handover.broker import BrokerClient
+from handover.errors import UsageError
 from handover.extensions import ExtensionPoint
 from services.trajectory_tool.robot import Joints, Robot
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.trajectory import Limits
+
+Form = TypeVar("Form", bound=BaseModel)
 
 DRIVERS = ExtensionPoint(
     "robot driver",
@@ -40,13 +46,16 @@ class Clock:
 class RobotContext:
     """What a robot is made from.
 
-    `limits` are those of the model, or of the settings. `joints` and `gripper_closed` are the state that was
+    `robot_id` is its name in the cell, `options` are the settings of its driver in the cell file. `limits`
+    are those of the model, or of the cell file. `joints` and `gripper_closed` are the state that was
     stored last, or home. `gripper_s` is how long the gripper of the scene takes. `is_between_fingers` says
     for joint positions whether a simulated gripper closes on a part. `broker` is None where a cell is tried
     without one.
     """
 
     settings: TrajectorySettings
+    robot_id: str
+    options: Mapping[str, Any]
     model: RobotModel
     limits: Limits
     joints: Joints
@@ -55,6 +64,17 @@ class RobotContext:
     is_between_fingers: Callable[[Joints], bool]
     broker: BrokerClient | None = None
     clock: Clock | None = None
+
+    def read_options(self, form: type[Form]) -> Form:
+        """Return the options as `form`. Raises `UsageError` that names each fault."""
+        try:
+            return form.model_validate(dict(self.options))
+        except ValidationError as error:
+            where = f"robots.{self.robot_id}.settings"
+            faults = (
+                ".".join([where, *map(str, fault["loc"])]) + f": {fault['msg']}" for fault in error.errors()
+            )
+            raise UsageError("\n".join(faults)) from None
 
 
 RobotFactory = Callable[[RobotContext], Robot]

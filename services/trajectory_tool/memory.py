@@ -1,11 +1,12 @@
-"""Memory: the state of the simulated robot and its cell that survives a power cut.
+"""Memory: the state of the cell that survives a power cut.
 
-One small file, replaced atomically at every action of the gripper and at the end of every motion. It includes
-the Task of the gripper's last action, so that no part is picked or placed twice.
+One small file, replaced atomically at every action of a gripper and at the end of every motion. It includes
+the Task of each gripper's last action, so that no part is picked or placed twice.
 """
 
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -32,15 +33,24 @@ class Act:
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
-    """The state of the cell, which `scene` identifies; `seen` is the part of the last successful scan."""
+class RobotMemory:
+    """The state of one robot; `seen` is the part of its last successful scan."""
 
-    scene: str
+    joint_names: tuple[str, ...]
     joints: Joints
     gripper_closed: bool
-    contents: Contents
+    held: str | None = None
     last_act: Act | None = None
     seen: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """The state of the cell, whose scene `scene` identifies."""
+
+    scene: str
+    contents: Contents
+    robots: Mapping[str, RobotMemory] = field(default_factory=dict)
 
 
 _FORM = TypeAdapter(Memory)
@@ -52,10 +62,11 @@ class MemoryFile:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def load(self, scene: str, joint_count: int) -> Memory | None:
-        """Return the memory of `scene`; None if there is none, or of another scene or robot.
+    def load(self, scene: str, robots: Mapping[str, Sequence[str]]) -> Memory | None:
+        """Return the memory of `scene` with the known of `robots`, which are given with their joint names.
 
-        Raises `UsageError` when the file cannot be read or is invalid.
+        None if there is no memory, or that of another scene. Raises `UsageError` when the file cannot be read
+        or is invalid.
         """
         try:
             written = self.path.read_bytes()
@@ -69,29 +80,38 @@ class MemoryFile:
             memory = _FORM.validate_json(written)
         except ValidationError:
             memory = None
-        is_of_this_cell = memory is not None and memory.scene == scene
-        if memory is None or (is_of_this_cell and len(memory.joints) != joint_count):
+        if memory is None or any(len(one.joints) != len(one.joint_names) for one in memory.robots.values()):
             raise UsageError(
                 f"the state of the cell, {self.path}, is damaged; delete it to start with the initial cell"
             )
-        if not is_of_this_cell:
-            log.warning(
-                "scene or robot changed, the cell starts with its initial contents", file=str(self.path)
-            )
+        if memory.scene != scene:
+            log.warning("scene changed, the cell starts with its initial contents", file=str(self.path))
             return None
-        return memory
+        known = {
+            name: one
+            for name, one in memory.robots.items()
+            if name in robots and one.joint_names == tuple(robots[name])
+        }
+        for name in robots.keys() - known.keys():
+            log.info("no stored state of the robot, it starts at home", robot=name)
+        return Memory(memory.scene, memory.contents, known)
 
     def save(self, memory: Memory) -> None:
         """Write the memory atomically and durably. Raises `OSError`."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        new = self.path.with_suffix(".new")
-        with new.open("wb") as file:
-            file.write(_FORM.dump_json(memory))
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(self.path)
-        folder = os.open(self.path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        replace_durably(self.path, _FORM.dump_json(memory))
+
+
+def replace_durably(path: Path, content: bytes) -> None:
+    """Replace a file such that after a power cut it has either content as a whole. Raises `OSError`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = path.with_suffix(".new")
+    with new.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    new.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

@@ -1,6 +1,12 @@
-"""The planner of a cell: its world is the scene and the part in the gripper, its limits those of the cell.
+"""The planner of a robot in its cell: its world is the scene, the other robots and the part in the gripper.
 
-A scene with obstacles is planned in, with the extra `motion`. Planning runs in a thread, one plan at a time.
+A scene with obstacles is planned in, with the extra `motion`, and so is every cell with several robots.
+Planning runs in a thread, one plan at a time in a cell.
+
+Each robot occupies a volume: its links where they are, or, during a motion, everything that they sweep on the
+way. A plan is made among the volumes of the others and its own volume is reserved before the next plan is
+made. So no two motions can meet, whatever their timing. A robot whose way is blocked by another one waits
+until that volume changes.
 """
 
 import asyncio
@@ -10,30 +16,78 @@ from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 from handover.errors import UsageError
+from handover.messages import text_of
 from services.trajectory_tool.obstacles import Attached, Box, Obstacle, World
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.scene import Scene
 from services.trajectory_tool.trajectory import Limits
 
 if TYPE_CHECKING:
-    from services.trajectory_tool.planning.planner import Planner
+    from services.trajectory_tool.planning.planner import Plan, Planner
 
 T = TypeVar("T")
 
 AT_TIP = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 INSTALL = 'install the extra "motion": pip install "handover[motion]"'
+CLEARANCE_M = 0.03
+"""The additional distance from another robot."""
+
+
+class BlockedByNeighbour(NoPath):
+    """Only another robot is in the way; a later attempt may succeed."""
+
+
+class SharedSpace:
+    """The planners of the robots in a cell: one plans at a time, among the volumes of the others."""
+
+    def __init__(self) -> None:
+        self.lock = asyncio.Lock()
+        self.planners: dict[str, MotionPlanning] = {}
+        self._changed = asyncio.Event()
+
+    def notify(self) -> None:
+        """Wake those that wait for a change of a volume."""
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    async def wait_for_change(self, timeout_s: float) -> None:
+        """Return after a change of a volume, or when the time is over."""
+        try:
+            await asyncio.wait_for(self._changed.wait(), timeout_s)
+        except TimeoutError:
+            return
 
 
 class MotionPlanning:
-    """Plans in a cell. Raises `UsageError` for a scene with obstacles where the extra is missing."""
+    """Plans for one robot. Raises `UsageError` where motion is to be planned and the extra is missing.
 
-    def __init__(self, model: RobotModel, limits: Limits, scene: Scene) -> None:
+    `name` is that of the robot in `space`, `joints` returns its present joints and `held` the part in its
+    gripper.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        limits: Limits,
+        scene: Scene,
+        *,
+        name: str = "robot",
+        space: SharedSpace | None = None,
+        joints: Callable[[], Joints] | None = None,
+        held: Callable[[], str | None] = lambda: None,
+    ) -> None:
         self._model = model
         self._limits = limits
         self._part_size_m = scene.gripper.part_size_m
-        self._one_at_a_time = asyncio.Lock()
+        self._name = name
+        self._joints = joints or (lambda: model.home)
+        self._held = held
+        self.space = space or SharedSpace()
+        self.space.planners[name] = self
+        self._reserved: tuple[Obstacle, ...] | None = None
         self.obstacles: tuple[Obstacle, ...] = scene.solids()
         self.revision = 0
         """It changes with the obstacles."""
@@ -43,23 +97,75 @@ class MotionPlanning:
     @property
     def avoids_obstacles(self) -> bool:
         """Return whether every motion is planned."""
-        return bool(self.obstacles)
+        return bool(self.obstacles) or len(self.space.planners) > 1
 
     def set_obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
         """Change the obstacles; a running motion stops and is planned again."""
         self.obstacles = obstacles
         self.revision += 1
 
-    async def plan(self, held: str | None, make: Callable[["Planner"], T]) -> T:
-        """Return what `make` plans, with `held` in the gripper. Raises `Unreachable` or `NoPath`."""
-        async with self._one_at_a_time:
-            return await asyncio.to_thread(self._plan, held, make)
+    async def plan(self, make: Callable[["Planner"], T]) -> T:
+        """Return what `make` plans. Raises `Unreachable` or `NoPath`; `BlockedByNeighbour` if others move."""
+        async with self.space.lock:
+            return await asyncio.to_thread(self._plan, make)
 
-    def _plan(self, held: str | None, make: Callable[["Planner"], T]) -> T:
+    async def plan_motion(self, make: Callable[["Planner"], "Plan"]) -> "Plan":
+        """Return a motion and reserve the volume that it sweeps, until `end_motion`; raises as `plan`."""
+        async with self.space.lock:
+            plan = await asyncio.to_thread(self._plan, make)
+            if len(self.space.planners) > 1:
+                self._reserved = await asyncio.to_thread(self._swept_by, plan)
+                self.space.notify()
+            return plan
+
+    def end_motion(self) -> None:
+        """Release the volume of a motion: the robot is at rest."""
+        if self._reserved is not None:
+            self._reserved = None
+            self.space.notify()
+
+    def neighbours(self) -> tuple[Obstacle, ...]:
+        """Return the volumes of the other robots; call it while `space.lock` is held."""
+        found: list[Obstacle] = []
+        for name, other in self.space.planners.items():
+            if name != self._name:
+                found += other.occupied()
+        return tuple(found)
+
+    def occupied(self) -> tuple[Obstacle, ...]:
+        """Return the volume of this robot: reserved by its motion, or that of its links at rest."""
+        if self._reserved is not None:
+            return self._reserved
+        volumes = importlib.import_module("services.trajectory_tool.planning.volumes")
+        return tuple(
+            volumes.occupied(self._name, self._planner.arm, self._joints(), self._attached(), CLEARANCE_M)
+        )
+
+    def _swept_by(self, plan: "Plan") -> tuple[Obstacle, ...]:
+        volumes = importlib.import_module("services.trajectory_tool.planning.volumes")
+        return tuple(
+            volumes.swept(self._name, self._planner.arm, plan.trajectory, self._attached(), CLEARANCE_M)
+        )
+
+    def _plan(self, make: Callable[["Planner"], T]) -> T:
         if not is_available():
             raise UsageError(f"motion planning is not installed; {INSTALL}")
-        self._planner.world = World(self.obstacles, self._attached(held))
-        return make(self._planner)
+        others = self.neighbours()
+        self._planner.world = World(self.obstacles + others, self._attached())
+        try:
+            return make(self._planner)
+        except (NoPath, Unreachable) as why:
+            if others and self._is_possible_alone(make):
+                raise BlockedByNeighbour(text_of(why)) from why
+            raise
+
+    def _is_possible_alone(self, make: Callable[["Planner"], object]) -> bool:
+        self._planner.world = World(self.obstacles, self._attached())
+        try:
+            make(self._planner)
+        except (NoPath, Unreachable):
+            return False
+        return True
 
     @cached_property
     def _planner(self) -> "Planner":
@@ -68,7 +174,8 @@ class MotionPlanning:
         made: Planner = planner.Planner(self._model, self._limits)
         return made
 
-    def _attached(self, held: str | None) -> tuple[Attached, ...]:
+    def _attached(self) -> tuple[Attached, ...]:
+        held = self._held()
         if held is None or self._part_size_m is None:
             return ()
         return (Attached(held, Box(self._part_size_m), AT_TIP),)

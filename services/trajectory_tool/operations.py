@@ -278,9 +278,7 @@ async def _from_above(work: Work, spot: Pose, what: str) -> tuple[Joints, Joints
         above = await _reach(work, _above(work, spot), cell.joints, f"above {what}")
         return above, await _reach(work, spot, above, what)
     try:
-        there, down = await cell.planning.plan(
-            cell.held, lambda planner: planner.approach(cell.joints, _above(work, spot), spot)
-        )
+        there, down = await work.plan(lambda planner: planner.approach(cell.joints, _above(work, spot), spot))
     except (Unreachable, NoPath) as why:
         raise TaskFailed(
             message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))
@@ -304,7 +302,7 @@ async def _reach(work: Work, pose: Pose, near: Joints, what: str) -> Joints:
     cell = work.cell
     try:
         if cell.planning.avoids_obstacles:
-            return await cell.planning.plan(cell.held, lambda planner: planner.nearest_free(pose, near))
+            return await work.plan(lambda planner: planner.nearest_free(pose, near))
         return cell.model.reach(pose, near)
     except (Unreachable, NoPath) as why:
         raise TaskFailed(

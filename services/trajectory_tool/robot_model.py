@@ -136,6 +136,11 @@ class RobotModel:
             solutions=solutions and (lambda flange, near: solutions(from_cell @ flange, near)),
         )
 
+    def with_home(self, home: Joints) -> "RobotModel":
+        """Return the model with another home position. Raises `Unreachable`."""
+        self.allow(home)
+        return replace(self, home=home, poses={**self.poses, "home": home})
+
     def flange(self, joints: Joints) -> Frame:
         """Return the frame of the flange, seen from the cell."""
         reached = IDENTITY

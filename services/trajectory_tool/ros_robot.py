@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from fastapi import FastAPI, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
 
 from handover.broker import BrokerClient, BrokerError, NotFound
 from handover.errors import UsageError
@@ -42,7 +43,6 @@ CHECK_EVERY_S = 0.02
 STILL_S, STILL_RAD, STILL_RAD_S = 0.3, 0.003, 0.02
 """An arm is at rest when its joints turn slower, or have turned no further for 0.3 s."""
 REST_TIMEOUT_S = 10.0
-NOTIFIED_AT = "/notifications/arm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,21 +58,28 @@ class _Motion:
         return max(self.planned_s * min(left, 1.0), 0.01)
 
 
+class RosOptions(BaseModel):
+    """The settings of the driver: the Device of the arm that the bridge moves."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    arm: str = Field("arm-1", pattern=r"^[A-Za-z0-9_.:-]+$")
+
+
 class RosRobot(Robot):
-    """The arm with the Device `settings.ros_arm`; the stored joints are used until the first report."""
+    """The arm with the Device `arm` of its options; the stored joints are used until the first report."""
 
     def __init__(self, context: RobotContext, broker: BrokerClient) -> None:
-        settings, joints = context.settings, context.joints
-        self.arm = settings.entity_id("Device", settings.ros_arm)
+        settings, joints, robot = context.settings, context.joints, context.robot_id
+        self.arm = settings.entity_id("Device", context.read_options(RosOptions).arm)
         self._joint_names = context.model.joint_names
         self._limits: Limits = context.limits
         self._broker = broker
-        self._notify_url = (
-            f"{settings.url_of(settings.trajectory_port, settings.trajectory_url)}{NOTIFIED_AT}"
-        )
-        self._subscription_id = settings.entity_id("Subscription", f"{settings.robot_id}-arm")
-        self._receiver = NotificationReceiver(f"trajectory-tool-{settings.robot_id}-arm", settings, broker)
-        self._orders = Orders(settings.robot_id, self.arm, settings, broker)
+        self._notify_path = f"/notifications/{robot}/arm"
+        self._notify_url = f"{settings.service_url}{self._notify_path}"
+        self._subscription_id = settings.entity_id("Subscription", f"{robot}-arm")
+        self._receiver = NotificationReceiver(f"trajectory-tool-{robot}-arm", settings, broker)
+        self._orders = Orders(robot, self.arm, settings, broker)
         self._state = JointState(time.time(), joints, (0.0,) * len(joints))
         self._stamp = ""
         self._reported_s: float | None = None
@@ -94,7 +101,7 @@ class RosRobot(Robot):
     def mount(self, app: FastAPI) -> None:
         """Add the route for notifications about the arm and orders."""
 
-        @app.post(NOTIFIED_AT, status_code=204, tags=["notifications"])
+        @app.post(self._notify_path, status_code=204, tags=["notifications"])
         async def notify(request: Request) -> Response:
             """Read changed joints from the broker, and check changed orders."""
             for notified in await self._receiver.receive(request):

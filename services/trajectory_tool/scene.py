@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 from handover.errors import UsageError
 from services.trajectory_tool.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from services.trajectory_tool.poses import Frame, Pose, Vector, pointing_down
-from services.trajectory_tool.robot import Joints, Unreachable
+from services.trajectory_tool.robot import Unreachable
 from services.trajectory_tool.robot_model import RobotModel
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
@@ -270,21 +270,18 @@ class Scene(_Written):
         """Return the zones."""
         return tuple(zone.zone(name) for name, zone in self.zones.items())
 
-    def home_of(self, model: RobotModel) -> Joints:
-        """Return the home position of a robot in this cell."""
-        return model.home if self.home is None else self.home
-
-    def digest(self, joint_names: Sequence[str]) -> str:
-        """Return a hash that identifies this scene with a robot."""
-        return hashlib.sha256(f"{self.model_dump_json()}{joint_names}".encode()).hexdigest()[:16]
+    @property
+    def digest(self) -> str:
+        """Return a hash that identifies this scene."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
 
 
-def load(file: Path | None, model: RobotModel) -> Scene:
-    """Return the scene of `file`, by default that of the robot, or an empty one without any.
+def load(file: Path | None, *models: RobotModel) -> Scene:
+    """Return the scene of `file`, by default that of the first robot, or an empty one without any.
 
-    Raises `UsageError` with one line for each fault; everything in a scene must be reachable.
+    Raises `UsageError` with one line for each fault; some robot must reach everything in a scene.
     """
-    path = file or model.scene
+    path = file or models[0].scene
     if path is None:
         return Scene(name="empty cell")
     try:
@@ -295,30 +292,59 @@ def load(file: Path | None, model: RobotModel) -> Scene:
         raise UsageError(f"the scene file {path} is not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(written, Mapping):
         raise UsageError(f"the scene file {path} must name the cell, its bins and fixtures")
+    return read_scene(written, path.parent, f"scene file {path}", *models)
+
+
+def read_scene(written: Mapping[str, Any], folder: Path, source: str, *models: RobotModel) -> Scene:
+    """Return the scene with a content; `source` is named in faults. Raises `UsageError`."""
     try:
-        scene = Scene.model_validate({**written, "folder": path.parent})
+        scene = Scene.model_validate({**written, "folder": folder})
     except ValidationError as error:
-        shown = (f"scene file {path}: {_place(fault['loc'])}: {fault['msg']}" for fault in error.errors())
+        shown = (f"{source}: {_place(fault['loc'])}: {fault['msg']}" for fault in error.errors())
         raise UsageError("\n".join(shown)) from None
-    faults = [f"scene file {path}: {fault}" for fault in _faults(scene, model)]
+    faults = [f"{source}: {fault}" for fault in _faults(scene, models)]
     if faults:
         raise UsageError("\n".join(faults))
     return scene
 
 
-def _faults(scene: Scene, model: RobotModel) -> Iterator[str]:
-    for name in scene.bins.keys() & scene.fixtures.keys():
-        yield f'"{name}" is a bin and a fixture; give one of them another name'
-    try:
-        home = model.allow(scene.home_of(model))
-    except Unreachable as why:
-        yield f"home: {why}"
-        return
-    for where, pose in _poses(scene):
+def _faults(scene: Scene, models: Sequence[RobotModel]) -> Iterator[str]:
+    yield from _repeated_names(scene)
+    if scene.home is not None:
+        if len(models) > 1:
+            yield "home: several robots are in the cell; give each its home in the cell file"
+            return
         try:
-            model.reach(pose, home)
+            models[0].allow(scene.home)
         except Unreachable as why:
-            yield f"{where}: {why}"
+            yield f"home: {why}"
+            return
+    for where, pose in _poses(scene):
+        reasons = []
+        for model in models:
+            try:
+                model.reach(pose, model.home if scene.home is None else scene.home)
+                break
+            except Unreachable as why:
+                reasons.append(str(why))
+        else:
+            yield f"{where}: {'; '.join(reasons)}"
+
+
+def _repeated_names(scene: Scene) -> Iterator[str]:
+    kinds: dict[str, str] = {}
+    for kind, names in (
+        ("bin", scene.bins),
+        ("fixture", scene.fixtures),
+        ("obstacle", scene.obstacles),
+        ("fence", scene.fences),
+        ("camera", scene.cameras),
+        ("zone", scene.zones),
+    ):
+        for name in names:
+            if name in kinds:
+                yield f'"{name}" is a {kinds[name]} and a {kind}; give one of them another name'
+            kinds[name] = kind
 
 
 def _poses(scene: Scene) -> Iterator[tuple[str, Pose]]:

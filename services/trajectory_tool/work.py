@@ -1,19 +1,25 @@
 """Work: the execution of one Task by the robot, with its progress and its pauses."""
 
 import asyncio
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Awaitable, Callable, Iterator
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from handover.errors import UsageError
 from handover.messages import message, text_of
 from handover.performer import TaskFailed
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.memory import Act
+from services.trajectory_tool.motion import BlockedByNeighbour
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 
 if TYPE_CHECKING:
     from services.trajectory_tool.planning.planner import Plan, Planner
+
+
+T = TypeVar("T")
+
+NEIGHBOUR_POLL_S = 0.2
 
 
 class Steering(Protocol):
@@ -35,6 +41,7 @@ class Work:
         self.cell = cell
         self._steering = steering
         self._speed = speed
+        self._neighbour_wait_s = cell.neighbour_wait_s
         self._planned: list[float] = []
         self._current_s = 0.0
         self._moving = False
@@ -100,6 +107,7 @@ class Work:
                     break
             finally:
                 self._moving = False
+                self.cell.planning.end_motion()
             await self.cell.remember()
             self._current_s = 0.0
         await self.cell.remember()
@@ -107,7 +115,9 @@ class Work:
     async def _plan_from_here(self, make: "Callable[[Planner, Joints], Plan]") -> "Plan":
         cell = self.cell
         try:
-            return await cell.planning.plan(cell.held, lambda planner: make(planner, cell.joints))
+            return await self._when_neighbours_permit(
+                lambda: cell.planning.plan_motion(lambda planner: make(planner, cell.joints))
+            )
         except (Unreachable, NoPath, UsageError) as why:
             raise TaskFailed(
                 message(
@@ -117,6 +127,25 @@ class Work:
                     why=text_of(why),
                 )
             ) from None
+
+    async def plan(self, make: "Callable[[Planner], T]") -> T:
+        """Return what `make` plans in the cell. Raises `Unreachable`, `NoPath`, and `UsageError`."""
+        return await self._when_neighbours_permit(lambda: self.cell.planning.plan(make))
+
+    async def _when_neighbours_permit(self, plan: Callable[[], Awaitable[T]]) -> T:
+        """Plan; while only another robot is in the way, wait for it and plan again."""
+        clock, space = asyncio.get_running_loop().time, self.cell.planning.space
+        ends_s = clock() + self._neighbour_wait_s
+        while True:
+            try:
+                return await plan()
+            except BlockedByNeighbour:
+                if clock() >= ends_s:
+                    raise
+            await space.wait_for_change(NEIGHBOUR_POLL_S)
+            while not self._steering.may_go():
+                await self._steering.rest()
+                ends_s = clock() + self._neighbour_wait_s
 
     def _may_follow(self) -> bool:
         """Return whether the motion may continue: it was planned among the present obstacles."""

@@ -230,7 +230,7 @@ async def test_a_motion_is_repeated_after_a_power_cut(shop: Shop) -> None:
 async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(new_shop: Shop) -> None:
     task = await new_shop.ask("pick", bin="bin-1", speed=0.5)
     await until(lambda: new_shop.robot()["gripper"]["holds"] is not None)
-    memory = new_shop.cell.data_dir / "trajectory_tool" / "ur10-1.json"
+    memory = new_shop.cell.data_dir / "trajectory_tool" / "cell.json"
     await until(lambda: '"held":"part-1"' in memory.read_text())
     new_shop.cell.kill("trajectory_tool")
     assert (await new_shop.broker.get(task, Task)).status.value is TaskStatus.IN_PROGRESS

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from services.trajectory_tool import operations, parameters
-from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.drivers import Clock
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.work import Work
+from services.trajectory_tool.workcell import Workcell
 from tests.kit.waiting import until
 
 
@@ -49,7 +49,7 @@ class Worker:
     def __init__(self, settings: TrajectorySettings, time: JumpingTime) -> None:
         self.settings = settings
         self.time = time
-        self.cell = Cell(settings, time.clock)
+        self.cell = Workcell(settings, time.clock).only
         self.work: Work | None = None
         self._tasks = 0
 

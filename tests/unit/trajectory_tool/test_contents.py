@@ -9,17 +9,14 @@ def test_the_parts_of_a_new_cell_lie_in_its_bin() -> None:
     contents = initial(SCENE)
     parts = [one.part for one in contents.in_place("bin-1")]
     assert parts == ["part-1", "part-2", "part-3", "part-4", "part-5", "part-6"]
-    assert contents.held is None
 
 
 def test_a_part_moves_from_the_bin_to_the_gripper_to_the_fixture() -> None:
     gripped = initial(SCENE).gripped("part-2")
-    assert gripped.held == "part-2"
     assert gripped.find("part-2") is None
     nest = gripped.free_nest(SCENE, "fixture-1")
     assert nest is not None
-    placed = gripped.released("fixture-1", nest)
-    assert placed.held is None
+    placed = gripped.released("part-2", "fixture-1", nest)
     assert [one.part for one in placed.in_place("fixture-1")] == ["part-2"]
     assert len(placed.lying) == 6
 
@@ -29,7 +26,7 @@ def test_a_nest_with_a_part_is_not_free() -> None:
     for number in range(1, 5):
         nest = contents.free_nest(SCENE, "fixture-1")
         assert nest is not None
-        contents = contents.gripped(f"part-{number}").released("fixture-1", nest)
+        contents = contents.gripped(f"part-{number}").released(f"part-{number}", "fixture-1", nest)
     assert contents.free_nest(SCENE, "fixture-1") is None
     assert contents.emptied("fixture-1").free_nest(SCENE, "fixture-1") is not None
 

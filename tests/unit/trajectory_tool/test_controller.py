@@ -10,7 +10,7 @@ from prometheus_client import REGISTRY
 from datamodels.entities import DeviceState, Task
 from handover.broker import BrokerClient
 from handover.performer import Job, TaskFailed
-from services.trajectory_tool.controller import Controller
+from services.trajectory_tool.controller import Controller, Controllers
 from services.trajectory_tool.settings import TrajectorySettings
 
 
@@ -20,7 +20,7 @@ async def controller(tmp_path: Path, free_port: Any) -> AsyncIterator[Controller
         data_dir=tmp_path, broker_url=f"http://127.0.0.1:{free_port()}", robot_speed=1.0
     )
     async with BrokerClient(settings) as broker:
-        made = Controller(settings, broker)
+        made = Controllers(settings, broker).by_name["ur10-1"]
         async with made.cell:
             yield made
 
@@ -86,7 +86,7 @@ async def test_a_fault_of_the_robot_fails_the_task_and_shows_on_the_device(contr
 async def test_a_full_disk_fails_the_task_with_the_reason(controller: Controller) -> None:
     in_the_way = controller.cell.file.path.with_suffix(".new")
     in_the_way.mkdir(parents=True)
-    with pytest.raises(TaskFailed, match=r"cannot be stored in .*ur10-1\.json: .*HANDOVER_DATA_DIR"):
+    with pytest.raises(TaskFailed, match=r"cannot be stored in .*cell\.json: .*HANDOVER_DATA_DIR"):
         await controller.perform(a_job(controller))
     assert controller.device.state is DeviceState.IDLE
     in_the_way.rmdir()
@@ -96,7 +96,7 @@ async def test_a_full_disk_fails_the_task_with_the_reason(controller: Controller
 async def test_the_joints_are_stored_when_the_robot_is_switched_off(tmp_path: Path) -> None:
     settings = TrajectorySettings.load(data_dir=tmp_path)
     async with BrokerClient(settings) as broker:
-        controller = Controller(settings, broker)
+        controller = Controllers(settings, broker).by_name["ur10-1"]
         async with controller.cell as cell:
             await cell.robot.move((0.1, -1.5, 1.5, -1.5, -1.5, 0.1), 1.0, lambda: True)
-        assert Controller(settings, broker).cell.joints == (0.1, -1.5, 1.5, -1.5, -1.5, 0.1)
+        assert Controllers(settings, broker).workcell.only.joints == (0.1, -1.5, 1.5, -1.5, -1.5, 0.1)

@@ -19,6 +19,7 @@ from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose, pointing_down
 from services.trajectory_tool.robots import ur10
 from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.workcell import Workcell
 from tests.kit.paths import REPOSITORY
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
@@ -46,7 +47,7 @@ async def touching(cell: Cell, path: list[tuple[float, ...]]) -> list[str]:
     def contacts(planner: Any) -> list[str]:
         return [str(why) for joints in path if (why := planner.why_not_free(joints)) is not None]
 
-    return await cell.planning.plan(None, contacts)
+    return await cell.planning.plan(contacts)
 
 
 async def test_a_part_is_picked_and_placed_without_a_contact(worker: Any, path: list[Any]) -> None:
@@ -148,9 +149,9 @@ def test_a_cell_without_obstacles_does_not_load_the_planner(settings: Trajectory
     program = (
         "import sys\n"
         "import services.trajectory_tool.app\n"
-        "from services.trajectory_tool.cell import Cell\n"
+        "from services.trajectory_tool.workcell import Workcell\n"
         "from services.trajectory_tool.settings import TrajectorySettings\n"
-        "cell = Cell(TrajectorySettings.load())\n"
+        "cell = Workcell(TrajectorySettings.load()).only\n"
         "assert not cell.planning.avoids_obstacles\n"
         "print(sorted({'pinocchio', 'coal', 'ompl', 'toppra'} & sys.modules.keys()))\n"
     )
@@ -164,18 +165,18 @@ def test_a_cell_without_obstacles_does_not_load_the_planner(settings: Trajectory
 def test_obstacles_need_the_extra(settings: TrajectorySettings, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion, "is_available", lambda: False)
     with pytest.raises(UsageError, match=r"has obstacles, which need motion planning; install the extra"):
-        Cell(settings)
+        Workcell(settings)
 
 
 def test_a_scene_names_faulty_obstacles(settings: TrajectorySettings, tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"
     file.write_text("name: cell\nobstacles:\n  post: {box: [1, 1, 1], sphere: 0.1, position: [0, 0, 9]}\n")
     with pytest.raises(UsageError, match=r"obstacles\.post: .* needs one of"):
-        Cell(settings.model_copy(update={"scene_file": file}))
+        Workcell(settings.model_copy(update={"scene_file": file}))
 
 
 def test_the_walls_of_a_bin_are_inside_its_size(settings: TrajectorySettings) -> None:
-    walls = [one for one in Cell(settings).scene.solids() if one.name == "bin-1"]
+    walls = [one for one in Workcell(settings).scene.solids() if one.name == "bin-1"]
     assert len(walls) == 5
     for wall in walls:
         assert isinstance(wall.shape, Box)

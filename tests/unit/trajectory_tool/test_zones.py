@@ -24,7 +24,7 @@ def scene(**written: object) -> Scene:
 def test_a_zone_contains_the_points_of_its_shape() -> None:
     zones = scene(
         zones={
-            "door": {"kind": "keepOut", "box": [2, 1, 1], "position": [1, 0, 0], "yaw_deg": 90},
+            "gap": {"kind": "keepOut", "box": [2, 1, 1], "position": [1, 0, 0], "yaw_deg": 90},
             "bench": {
                 "kind": "reducedSpeed",
                 "cylinder": {"radius": 0.5, "length": 2},
@@ -38,10 +38,10 @@ def test_a_zone_contains_the_points_of_its_shape() -> None:
             },
         }
     ).all_zones()
-    door, bench, head = zones
-    assert door.contains((1.4, 0.9, 0.0))
-    assert not door.contains((1.9, 0.4, 0.0))
-    assert door.distance_m((1.0, 1.5, 0.0)) == pytest.approx(0.5)
+    gap, bench, head = zones
+    assert gap.contains((1.4, 0.9, 0.0))
+    assert not gap.contains((1.9, 0.4, 0.0))
+    assert gap.distance_m((1.0, 1.5, 0.0)) == pytest.approx(0.5)
     assert bench.distance_m((1.0, 3.0, 0.0)) == pytest.approx(0.5)
     assert head.contains((0.1, 0.1, 1.9))
     assert [zone.max_tool_speed_mps for zone in zones] == [0.0, 0.25, 0.1]
@@ -50,14 +50,14 @@ def test_a_zone_contains_the_points_of_its_shape() -> None:
 def test_only_a_keep_out_zone_is_an_obstacle() -> None:
     written = {"box": [1, 1, 1], "position": [0, 0, 0]}
     solids = scene(
-        zones={"door": {"kind": "keepOut", **written}, "bench": {"kind": "reducedSpeed", **written}}
+        zones={"gap": {"kind": "keepOut", **written}, "bench": {"kind": "reducedSpeed", **written}}
     ).solids()
-    assert [one.name for one in solids] == ["door"]
+    assert [one.name for one in solids] == ["gap"]
 
 
 def test_a_zone_is_no_mesh() -> None:
     with pytest.raises(ValidationError, match='a zone is a "box"'):
-        scene(zones={"door": {"kind": "keepOut", "mesh": "door.stl", "position": [0, 0, 0]}})
+        scene(zones={"gap": {"kind": "keepOut", "mesh": "gap.stl", "position": [0, 0, 0]}})
 
 
 def test_a_fence_has_a_panel_between_each_two_points() -> None:
