@@ -3,6 +3,9 @@
 A finished Task is deleted from the broker after some time. It may reappear from an old backup or because a
 client posts it again, and must not be executed twice. So its end is recorded before it is reported, and
 reported again if the broker shows the Task as unfinished. Records outlive the Tasks in the broker.
+
+The file also records the acts of unfinished Tasks that must not be repeated, each before it begins and with
+its result. An act without a result has an unknown outcome after a crash.
 """
 
 import asyncio
@@ -35,6 +38,13 @@ class End:
 
     status: TaskStatus
     outputs: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class KnownAct:
+    """An act of a Task that was begun; `result` is None if no result was recorded."""
+
+    result: Mapping[str, Any] | None
 
 
 class FinishedTasks:
@@ -81,6 +91,24 @@ class FinishedTasks:
         except sqlite3.Error as error:
             raise OSError(f"{self.path}: {error}") from error
 
+    async def begin_act(self, task_id: str, name: str) -> KnownAct | None:
+        """Record durably that an act begins and return None; return it unchanged if it was begun before.
+
+        Raises `OSError` when it cannot be written.
+        """
+        try:
+            return await self._on_disk(self._begin_act, task_id, name)
+        except sqlite3.Error as error:
+            raise OSError(f"{self.path}: {error}") from error
+
+    async def end_act(self, task_id: str, name: str, result: Mapping[str, Any]) -> None:
+        """Record the result of an act durably. Raises `OSError` or `TypeError` as `record` does."""
+        written = orjson.dumps(dict(result)).decode()
+        try:
+            await self._on_disk(self._end_act, task_id, name, written)
+        except sqlite3.Error as error:
+            raise OSError(f"{self.path}: {error}") from error
+
     async def _on_disk(self, act: Callable[..., T], *arguments: Any) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._disk, act, *arguments)
 
@@ -95,6 +123,10 @@ class FinishedTasks:
             "outputs TEXT NOT NULL, recorded_s REAL NOT NULL) WITHOUT ROWID"
         )
         connection.execute("CREATE INDEX IF NOT EXISTS finished_recorded ON finished (recorded_s)")
+        connection.execute(
+            "CREATE TABLE IF NOT EXISTS acts (task TEXT NOT NULL, name TEXT NOT NULL, result TEXT, "
+            "begun_s REAL NOT NULL, PRIMARY KEY (task, name)) WITHOUT ROWID"
+        )
         self._connection = connection
         self._delete_old()
 
@@ -113,12 +145,29 @@ class FinishedTasks:
         self._opened.execute(
             "INSERT OR REPLACE INTO finished VALUES (?, ?, ?, ?)", (task_id, status, outputs, self._clock())
         )
+        self._opened.execute("DELETE FROM acts WHERE task = ?", (task_id,))
         self._recorded += 1
         if self._recorded % DELETE_OLD_EVERY == 0:
             self._delete_old()
 
+    def _begin_act(self, task_id: str, name: str) -> KnownAct | None:
+        row = self._opened.execute(
+            "SELECT result FROM acts WHERE task = ? AND name = ?", (task_id, name)
+        ).fetchone()
+        if row is not None:
+            return KnownAct(None if row[0] is None else orjson.loads(row[0]))
+        self._opened.execute("INSERT INTO acts VALUES (?, ?, NULL, ?)", (task_id, name, self._clock()))
+        return None
+
+    def _end_act(self, task_id: str, name: str, result: str) -> None:
+        self._opened.execute(
+            "UPDATE acts SET result = ? WHERE task = ? AND name = ?", (result, task_id, name)
+        )
+
     def _delete_old(self) -> None:
-        self._opened.execute("DELETE FROM finished WHERE recorded_s < ?", (self._clock() - self._keep_s,))
+        before_s = self._clock() - self._keep_s
+        self._opened.execute("DELETE FROM finished WHERE recorded_s < ?", (before_s,))
+        self._opened.execute("DELETE FROM acts WHERE begun_s < ?", (before_s,))
 
     @property
     def _opened(self) -> sqlite3.Connection:

@@ -7,7 +7,7 @@ to the broker.
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
 from enum import Enum
 from typing import Any
@@ -16,6 +16,9 @@ from datamodels.entities import RequestedStatus, Task, TaskStatus
 from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.errors import HandoverError
+from handover.finished_tasks import FinishedTasks
+from handover.messages import message
+from handover.outcomes import outcome_unknown
 from handover.retry import retry
 from handover.task_life import FINISHED, is_legal, is_news
 from handover.telemetry import get_logger
@@ -55,7 +58,7 @@ class TaskFailed(HandoverError):
 class Job:
     """A Task that is executed for `resource`; `requested_action` may change at any time."""
 
-    def __init__(self, task: Task, resource: str, broker: BrokerClient) -> None:
+    def __init__(self, task: Task, resource: str, broker: BrokerClient, records: FinishedTasks) -> None:
         self.task = task
         self.resource = resource
         self.requested_action = RequestedAction.RUN
@@ -63,6 +66,7 @@ class Job:
         self.resumed = task.status.value is not TaskStatus.PENDING
         """True when an earlier run of the performer had started the Task."""
         self._broker = broker
+        self._records = records
         self._requested: RequestedStatus | None = None
         self._requested_at: datetime | None = None
         self._holds: dict[str, None] = {}
@@ -127,6 +131,30 @@ class Job:
             raise TaskGone(f"{self.task.id} was finished or deleted by another client")
         if self.requested_action is RequestedAction.CANCEL:
             raise TaskCancelled("cancelled")
+
+    async def once(self, name: str, act: Callable[[], Awaitable[Mapping[str, Any]]]) -> dict[str, Any]:
+        """Do `act` at most once for this Task, also after a crash, and return its result (plain JSON).
+
+        A later run of the Task gets the recorded result. Raises `TaskFailed` with an unknown outcome if an
+        earlier run began the act and recorded no result.
+        """
+        known = await self._records.begin_act(self.task.id, name)
+        if known is None:
+            result = dict(await act())
+            await self._records.end_act(self.task.id, name, result)
+            return result
+        if known.result is None:
+            raise TaskFailed(
+                outcome_unknown(
+                    message(
+                        "task.act_interrupted",
+                        'its performer stopped during "{act}"; look whether that was done, '
+                        "then retry or skip it",
+                        act=name,
+                    )
+                )
+            )
+        return dict(known.result)
 
     def report_progress(self, fraction: float, **outputs: Any) -> None:
         """Report the progress, from 0 to 1, with other outputParameters that are known.

@@ -9,11 +9,15 @@ from handover.messages import Message, message
 OUTCOME_UNKNOWN = "outcome unknown"
 """How the reason of a failed Task begins if nobody knows whether the act was done."""
 
+OUTCOME_UNKNOWN_CODE = "outcomeUnknown"
+"""The error code of such a failure, unless its performer gives another one."""
+
 
 def outcome_unknown(why: str) -> Message:
     """Return the reason of a failed Task whose performer does not know whether the act was done.
 
-    Such a Task is never posted again without a decision of a person.
+    Such a Task is never posted again without a decision of a person. Only an error event that names the code
+    catches it.
     """
     return message("task.outcome_unknown", "outcome unknown: {why}", why=why)
 

@@ -8,12 +8,12 @@
 How it works:
 
 1. It learns of Tasks by a subscription and by querying the broker: at start, after a lost connection, and
-every
-   few seconds (`Resync`).
+   every few seconds (`Resync`).
 2. Each resource has a `ResourceQueue` with one worker, so a resource executes one Task at a time: first one
    that was started before a crash, then by priority, due date and arrival.
 3. After a crash, a Task that was started is executed again. A Task whose end was recorded
-   (`finished_tasks`) is not: the recorded end is reported again.
+   (`finished_tasks`) is not: the recorded end is reported again. What must not be repeated is done by
+   `Job.once`: a Task that a crash has interrupted within it fails with an unknown outcome.
 """
 
 import asyncio
@@ -288,7 +288,7 @@ class Performer(ABC):
         if end is not None:
             await self._report_again(task, end)
             return
-        job = Job(task, resource, self.broker)
+        job = Job(task, resource, self.broker, self._finished)
         self._jobs[task.id] = job
         log.debug("task accepted", task=task.id, resource=resource)
         queue = self._queues[resource]

@@ -271,8 +271,8 @@ class ActionGoal(RosRequestRule):
     """The parts of the feedback to write; `progress` ranges from 0 to 1."""
     result_timeout_s: float | None = Field(None, gt=0)
     """Maximum duration of a goal; no limit by default."""
-    again: bool = True
-    """Whether a goal is sent again after a restart of the bridge; otherwise its Task fails."""
+    again: bool = False
+    """Whether a goal is sent again after a restart of the bridge; otherwise its outcome is unknown."""
     success: PathText | None = None
     message: PathText | None = None
 

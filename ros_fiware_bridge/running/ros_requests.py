@@ -12,6 +12,7 @@ from handover.broker import BrokerClient
 from handover.errors import HandoverError
 from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed
 from handover.messages import message, text_of
+from handover.outcomes import outcome_unknown
 from handover.performer import Performer
 from handover.retry import Backoff
 from handover.settings import Settings
@@ -171,10 +172,12 @@ class RosTaskPerformer(Performer):
         rule = request.planned.rule
         if job.resumed and isinstance(rule, ActionGoal) and not rule.again:
             raise TaskFailed(
-                message(
-                    "ros.goal_interrupted",
-                    "the ROS bridge stopped while {action} was active; such a goal is not sent again",
-                    action=rule.action,
+                outcome_unknown(
+                    message(
+                        "ros.goal_interrupted",
+                        "the ROS bridge stopped while {action} was active; such a goal is not sent again",
+                        action=rule.action,
+                    )
                 )
             )
 

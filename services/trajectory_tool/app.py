@@ -61,7 +61,11 @@ def view_of(controller: Controller) -> RobotView:
         "revision": cell.model.revision,
         "joints": written(cell.robot.state(), cell.model.joint_names),
         "toolPose": cell.tool_pose.written(),
-        "gripper": {"closed": cell.robot.gripper_closed, "holds": cell.held},
+        "gripper": {
+            "closed": cell.robot.gripper_closed,
+            "holds": cell.held,
+            "interrupted": cell.begun.kind if cell.begun is not None and work is None else None,
+        },
         "task": None if work is None else work.task,
         "operation": None if work is None else work.operation,
         "progress": None if work is None else round(work.progress(), 3),

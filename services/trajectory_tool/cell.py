@@ -8,7 +8,7 @@ from handover.telemetry import get_logger
 from services.trajectory_tool.cell_file import RobotEntry
 from services.trajectory_tool.contents import Contents, Lying
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
-from services.trajectory_tool.memory import Act, RobotMemory
+from services.trajectory_tool.memory import Act, BegunAct, RobotMemory
 from services.trajectory_tool.motion import MotionPlanning
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, Robot
@@ -51,6 +51,8 @@ class Cell:
         self.held: str | None = known.held if known else None
         self.last_act: Act | None = known.last_act if known else None
         self.seen: str | None = known.seen if known else None
+        self.begun: BegunAct | None = known.begun if known else None
+        """The act of the gripper without a known outcome: while it is active, and after an interruption."""
         self.in_hand = asyncio.Lock()
         """Locked while a Task or a person uses the robot or its gripper."""
         self.planning = MotionPlanning(
@@ -108,6 +110,7 @@ class Cell:
             held=self.held,
             last_act=self.last_act,
             seen=self.seen,
+            begun=self.begun,
         )
 
     async def remember(self) -> None:
@@ -116,33 +119,50 @@ class Cell:
 
     async def grip(self, task: str) -> str | None:
         """Close the gripper for `task`; return the gripped part, None (and open again) without one."""
+        await self._begin(BegunAct(task, "grip"))
         pose = self.tool_pose
         part = self._between_fingers(pose) if await self.robot.close_gripper() else None
         if part is None:
             await self.robot.open_gripper()
-            return None
-        self.contents, self.held = self.contents.gripped(part), part
-        self.last_act = Act(task, "gripped", part, pose)
+        else:
+            self.contents, self.held = self.contents.gripped(part), part
+            self.last_act = Act(task, "gripped", part, pose)
+        self.begun = None
         await self.remember()
         return part
 
     async def release(self, task: str, place: str | None) -> None:
         """Open the gripper for `task`; the part stays at its pose, in the fixture `place` if given."""
+        await self._begin(BegunAct(task, "release"))
         pose, part = self.tool_pose, self.held
         await self.robot.open_gripper()
+        self.begun = None
         if part is not None:
             self.contents, self.held = self.contents.released(part, place, pose), None
             self.last_act = Act(task, "released", part, pose, place)
         await self.remember()
 
     async def free(self) -> str | None:
-        """Open the gripper so that a person can remove the part; return that part."""
+        """Open the gripper so that a person can remove the part; return that part.
+
+        The person also sees what the gripper held, so an unknown outcome is settled.
+        """
         async with self.in_hand:
             part = self.held
             await self.robot.open_gripper()
             self.held = None
+            self.begun = None
             await self.remember()
         return part
+
+    async def _begin(self, act: BegunAct) -> None:
+        """Record that an act begins. Raises `OSError` if that is impossible; it must not begin then."""
+        self.begun = act
+        try:
+            await self.remember()
+        except OSError:
+            self.begun = None
+            raise
 
     def done_for(self, task: str) -> Act | None:
         """Return the gripper's last act if it was for `task`."""

@@ -1,7 +1,8 @@
 """Memory: the state of the cell that survives a power cut.
 
-One small file, replaced atomically at every action of a gripper and at the end of every motion. It includes
-the Task of each gripper's last action, so that no part is picked or placed twice.
+One small file, replaced atomically before and after every action of a gripper and at the end of every motion.
+It includes the Task of each gripper's last action, so that no part is picked or placed twice, and an action
+that was begun, so that its unknown outcome is found after a crash.
 """
 
 import os
@@ -33,6 +34,14 @@ class Act:
 
 
 @dataclass(frozen=True, slots=True)
+class BegunAct:
+    """The gripper began to grip or to release for the Task `task`; no outcome was recorded."""
+
+    task: str
+    kind: Literal["grip", "release"]
+
+
+@dataclass(frozen=True, slots=True)
 class RobotMemory:
     """The state of one robot; `seen` is the part of its last successful scan."""
 
@@ -42,6 +51,7 @@ class RobotMemory:
     held: str | None = None
     last_act: Act | None = None
     seen: str | None = None
+    begun: BegunAct | None = None
 
 
 @dataclass(frozen=True, slots=True)

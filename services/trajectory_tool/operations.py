@@ -1,7 +1,7 @@
 """Operations: the Tasks of the robot as motions and actions of the gripper.
 
 Each can be restarted after a power cut: an action that the gripper has performed for the Task is not
-repeated.
+repeated. While the outcome of an action is unknown, nothing is picked or placed.
 """
 
 from collections.abc import Awaitable, Callable, Mapping
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handover.messages import Message, message, text_of
+from handover.outcomes import outcome_unknown
 from handover.performer import TaskFailed
 from services.trajectory_tool import parameters as given
 from services.trajectory_tool.metrics import SCANS
@@ -88,6 +89,7 @@ async def scan(work: Work, request: given.Scan) -> Result:
 
 async def pick(work: Work, request: given.Pick) -> Result:
     """Grip a part: approach from above, move down, close, move up."""
+    _require_known_outcome(work)
     cell = work.cell
     if cell.held is not None:
         return await _already_picked(work, request, cell.held)
@@ -128,6 +130,7 @@ async def pick(work: Work, request: given.Pick) -> Result:
 
 async def place(work: Work, request: given.Place) -> Result:
     """Put the held part down: approach from above, move down, open, move up."""
+    _require_known_outcome(work)
     cell = work.cell
     if cell.held is None:
         return await _already_placed(work)
@@ -170,6 +173,28 @@ async def _move(work: Work, target: Joints) -> Result:
     work.intend(target)
     await work.go(target)
     return {"joints": [round(angle, 6) for angle in work.cell.joints]}
+
+
+def _require_known_outcome(work: Work) -> None:
+    """Raise `TaskFailed` if nobody knows whether the gripper has gripped or released a part."""
+    begun = work.cell.begun
+    if begun is None:
+        return
+    if begun.kind == "grip":
+        why = message(
+            "robot.grip_interrupted",
+            "the trajectory tool stopped while the gripper closed for {task}; look what it holds, then free "
+            "it on the page System, Robots, and put the part back",
+            task=begun.task,
+        )
+    else:
+        why = message(
+            "robot.release_interrupted",
+            "the trajectory tool stopped while the gripper opened for {task}; look whether it holds the "
+            "part, then free it on the page System, Robots, and put the part in its place",
+            task=begun.task,
+        )
+    raise TaskFailed(outcome_unknown(why) if begun.task == work.task else why)
 
 
 async def _already_picked(work: Work, request: given.Pick, held_part: str) -> Result:

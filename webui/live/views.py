@@ -234,6 +234,8 @@ class Gripper(TypedDict):
 
     closed: bool
     holds: str | None
+    interrupted: Literal["grip", "release"] | None
+    """The act that a crash of the trajectory tool has interrupted: its outcome is unknown."""
 
 
 class RobotView(TypedDict):

@@ -26,12 +26,14 @@ class Catcher:
     subprocess: Node | None = None
 
 
-def throw_error(machine: Machine, token: Token, code: str | None, details: dict[str, Any]) -> bool:
+def throw_error(
+    machine: Machine, token: Token, code: str | None, details: dict[str, Any], *, only_named: bool = False
+) -> bool:
     """Continue at the event that catches the error `code`; return False without a change if none does.
 
-    The variable `error` gets `details`.
+    The variable `error` gets `details`. If `only_named`, events that catch every error do not count.
     """
-    catcher = _find_catcher(machine, token, ErrorEvent, code)
+    catcher = _find_catcher(machine, token, ErrorEvent, code, only_named=only_named)
     if catcher is None:
         return False
     event = catcher.event.event
@@ -66,10 +68,17 @@ def throw_escalation(machine: Machine, token: Token, code: str | None, details: 
 
 
 def _find_catcher(
-    machine: Machine, token: Token, type_: type[ErrorEvent] | type[EscalationEvent], code: str | None
+    machine: Machine,
+    token: Token,
+    type_: type[ErrorEvent] | type[EscalationEvent],
+    code: str | None,
+    *,
+    only_named: bool = False,
 ) -> Catcher | None:
+    codes = (code,) if only_named else (None, code)
+
     def matches(event: Event | None) -> bool:
-        return isinstance(event, type_) and event.code in (None, code)
+        return isinstance(event, type_) and event.code in codes
 
     while True:
         host = token if token.body is None else machine.state.tokens[token.body]

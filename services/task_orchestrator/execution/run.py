@@ -411,12 +411,20 @@ class Run:
         self._change(act, now, blame)
 
     def fail(
-        self, token: str, code: str | None, reason: str, now: datetime, *, task: str | None = None
+        self,
+        token: str,
+        code: str | None,
+        reason: str,
+        now: datetime,
+        *,
+        task: str | None = None,
+        only_named: bool = False,
     ) -> bool:
         """Continue at the event that catches the error `code` of an open activity, else raise an incident.
 
         The incident keeps the id of the failed `task`. Returns whether an event has caught the error. The
-        variable `error` then has `activity`, `code` and `reason`.
+        variable `error` then has `activity`, `code` and `reason`. If `only_named`, an event has to name the
+        code to catch it.
         """
         caught = False
 
@@ -424,7 +432,7 @@ class Run:
             nonlocal caught
             activity = self._working(token)
             details = {"activity": activity.node, "reason": str(reason), "code": code}
-            caught = throw_error(machine, activity, code, details)
+            caught = throw_error(machine, activity, code, details, only_named=only_named)
             if not caught:
                 machine.raise_incident(activity, reason, {"code": code, "task": task}, stage=TokenState.WORK)
 

@@ -16,6 +16,7 @@ from datamodels.entities import RequestedStatus, Task, TaskStatus
 from handover.errors import Problem
 from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
+from handover.outcomes import OUTCOME_UNKNOWN_CODE, is_outcome_unknown
 from handover.task_life import FINISHED, is_reachable
 from services.task_orchestrator.allocation.allocator import Allocator, Assignment, NoPerformer
 from services.task_orchestrator.entities import (
@@ -445,11 +446,14 @@ class Process:
         if "\0" in reason or not isinstance(reason, MessageText):
             reason = str(reason).replace("\0", "") or NO_REASON  # PostgreSQL does not accept it
         given = change.outputs.get("errorCode", change.outputs.get("outcome") if unhandled else None)
+        is_unknown = is_outcome_unknown(change.outputs)
+        if given is None and is_unknown:
+            given = OUTCOME_UNKNOWN_CODE
         code = None if given is None else str(given)
         failure = attempts.Failure(code, reason, change.outputs)
         postponed = attempts.postpone(self.record, run, task, failure, now)
         if postponed is None:
-            run.fail(task.token, code, reason, now, task=task.id)
+            run.fail(task.token, code, reason, now, task=task.id, only_named=is_unknown)
         else:
             self.record = postponed
 

@@ -13,6 +13,7 @@ import pytest
 
 from datamodels.entities import Task, TaskStatus
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.finished_tasks import FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled
 from handover.settings import Settings
 from handover.task_life import UNFINISHED_QUERY
@@ -150,8 +151,9 @@ async def test_a_cancellation_during_the_start_of_a_task_ends_it(
                 await ask(broker, job.task, "cancelled")
                 job.observe(await broker.get(entity_id, Task))
 
-    async with CancelledDuringWrite(Settings.load(broker_url=cell.url("context_broker"))) as client:
-        job = Job(Task.from_ngsild(task), nobody, client)
+    settings = Settings.load(broker_url=cell.url("context_broker"))
+    async with CancelledDuringWrite(settings) as client:
+        job = Job(Task.from_ngsild(task), nobody, client, FinishedTasks(settings, "nobody"))
         with pytest.raises(TaskCancelled):
             await job.accept()
     assert await job.changed() is RequestedAction.CANCEL

@@ -1,8 +1,8 @@
 """A performer that does what a script says and writes down what it did: a process of its own, that can die.
 
 It keeps each result in a file before it reports it, as a robot knows what it holds: performed again after a
-crash, the same Task gives the same result and is not done twice. A Task with `moves_s` is a motion: if the
-performer is killed during it, the outcome is unknown, and the Task is reported as failed.
+crash, the same Task gives the same result and is not done twice. A Task with `moves_s` is an act that must
+not be repeated: if the performer is killed during it, the outcome is unknown, and the Task fails.
 """
 
 import asyncio
@@ -39,13 +39,17 @@ class Scripted(Performer):
                 await job.changed()
         await job.checkpoint()
         done = _lines(DONE)
-        if "moves_s" in script and job.task.id not in done:
-            if job.task.id in _lines(BEGUN):
-                raise TaskFailed("interrupted in a motion, whose outcome is unknown")
+        moves_s = script.pop("moves_s", None)
+
+        async def move() -> Mapping[str, Any]:
             _append(BEGUN, job.task.id)
-            await asyncio.sleep(script["moves_s"])
-        script.pop("moves_s", None)
-        if not (job.resumed and job.task.id in done):
+            await asyncio.sleep(moves_s)
+            _append(DONE, job.task.id)
+            return {}
+
+        if moves_s is not None:
+            await job.once("the motion", move)
+        elif not (job.resumed and job.task.id in done):
             _append(DONE, job.task.id)
         if "fails" in script:
             raise TaskFailed(script.pop("fails"), **script)

@@ -268,4 +268,4 @@ async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(new_shop
         return freed if freed.status_code == 200 else None
 
     freed = await until(free, why="the gripper is not freed")
-    assert freed.json()["gripper"] == {"closed": False, "holds": None}
+    assert freed.json()["gripper"] == {"closed": False, "holds": None, "interrupted": None}

@@ -14,6 +14,7 @@ from datamodels.entities import Task
 from datamodels.states import Outcome
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.finished_tasks import FinishedTasks
 from handover.job import Job
 from services.gesture_controller.configuration.gestures_file import built_in
 from services.gesture_controller.gloves.glove import Glove
@@ -157,7 +158,9 @@ async def make_job() -> AsyncIterator[Callable[..., Job]]:
                     **attributes,
                 }
             )
-            return Job(task, "urn:ngsi-ld:Device:demo:glove-1", broker)
+            return Job(
+                task, "urn:ngsi-ld:Device:demo:glove-1", broker, FinishedTasks(ControllerSettings(), "glove")
+            )
 
         yield make
 

@@ -6,7 +6,7 @@ import pytest
 
 from datamodels.entities import TaskStatus
 from handover.errors import UsageError
-from handover.finished_tasks import DELETE_OLD_EVERY, MIN_KEEP_H, End, FinishedTasks
+from handover.finished_tasks import DELETE_OLD_EVERY, MIN_KEEP_H, End, FinishedTasks, KnownAct
 from handover.settings import Settings
 
 LIT = End(TaskStatus.COMPLETED, {"lit": True, "note": "größer"})
@@ -45,6 +45,23 @@ async def test_records_outlive_the_task_in_the_broker(
             await tasks.record(f"new-{n}", LIT)
         assert (await tasks.find("old") is not None) is is_kept
     await tasks.close()
+
+
+async def test_an_act_that_was_begun_is_known_after_a_restart_with_its_result(tmp_path: Path) -> None:
+    before = FinishedTasks(settings(tmp_path), "lamp")
+    await before.open()
+    assert await before.begin_act("urn:t", "grip") is None
+    assert await before.begin_act("urn:t", "release") is None
+    await before.end_act("urn:t", "grip", {"part": "größer"})
+    after = FinishedTasks(settings(tmp_path), "lamp")
+    await after.open()  # the first is still open, as after kill -9
+    assert await after.begin_act("urn:t", "grip") == KnownAct({"part": "größer"})
+    assert await after.begin_act("urn:t", "release") == KnownAct(None)
+    assert await after.begin_act("urn:other", "release") is None
+    await after.record("urn:t", LIT)
+    assert await after.begin_act("urn:t", "grip") is None, "the end of the Task counts now"
+    await after.close()
+    await before.close()
 
 
 async def test_a_file_that_is_no_database_is_refused_with_the_way_out(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient
+from handover.finished_tasks import FinishedTasks
 from handover.job import Job
 from handover.performer import ResourceQueue
 from handover.settings import Settings
@@ -25,7 +26,8 @@ def job(name: str, status: str = "pending", priority: int | None = None, due: st
         entity["priority"] = {"type": "Property", "value": priority}
     if due is not None:
         entity["dueDate"] = {"type": "Property", "value": {"@type": "DateTime", "@value": due}}
-    return Job(Task.from_ngsild(entity), LAMP, BrokerClient(Settings(_env_file=None)))
+    settings = Settings(_env_file=None)
+    return Job(Task.from_ngsild(entity), LAMP, BrokerClient(settings), FinishedTasks(settings, "lamp"))
 
 
 def order(*jobs: Job) -> list[str]:

@@ -106,6 +106,15 @@ def test_an_unknown_outcome_is_recognized_by_its_code() -> None:
     assert not is_outcome_unknown({})
 
 
+@pytest.mark.parametrize(("event", "is_caught"), [("<bpmn:errorEventDefinition/>", False), (CAUGHT, True)])
+def test_an_unknown_outcome_is_caught_only_by_an_event_that_names_it(event: str, is_caught: bool) -> None:
+    body = ONE_STEP + boundary("caught", "work", event) + path("caught", "end")
+    driver = ProcessDriver(body, beside=ERROR.replace("slipped", "outcomeUnknown"))
+    fail(driver, "work-1", **with_code("reason", outcome_unknown("power was lost")))
+    assert driver.process.over is is_caught
+    assert len(driver.process.record.incidents) == (0 if is_caught else 1)
+
+
 def test_a_caught_error_is_caught_at_once_and_others_are_retried() -> None:
     body = retrying() + boundary("caught", "work", CAUGHT) + path("caught", "end")
     driver = ProcessDriver(body, beside=ERROR)

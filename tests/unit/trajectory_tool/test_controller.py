@@ -9,6 +9,7 @@ from prometheus_client import REGISTRY
 
 from datamodels.entities import DeviceState, Task
 from handover.broker import BrokerClient
+from handover.finished_tasks import FinishedTasks
 from handover.performer import Job, TaskFailed
 from services.trajectory_tool.controller import Controller, Controllers
 from services.trajectory_tool.settings import TrajectorySettings
@@ -38,7 +39,9 @@ def a_job(
             "workParameters": {"type": "Property", "value": parameters},
         }
     )
-    return Job(task, controller.device.id, controller.broker)
+    return Job(
+        task, controller.device.id, controller.broker, FinishedTasks(controller.settings, controller.name)
+    )
 
 
 def counted(operation: str, outcome: str) -> float:

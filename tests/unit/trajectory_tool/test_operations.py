@@ -2,6 +2,7 @@ from typing import Any
 
 import pytest
 
+from handover.outcomes import is_outcome_unknown
 from handover.performer import TaskCancelled, TaskFailed
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.settings import TrajectorySettings
@@ -228,6 +229,44 @@ async def test_a_place_cut_short_after_the_release_is_not_done_twice(worker: Any
         assert [one.part for one in again.cell.parts_in("fixture-1")] == ["part-1"]
         with pytest.raises(TaskFailed, match="the gripper is empty"):
             await again.do("place", task="another", location="fixture-1")
+
+
+class PowerCut(BaseException):
+    """Ends the run of a Task where nothing can be recorded any more."""
+
+
+@pytest.mark.parametrize(
+    ("operation", "asked", "act", "why"),
+    [
+        ("pick", {"bin": "bin-1"}, "close_gripper", "while the gripper closed for t; look what it holds"),
+        ("place", {"location": "fixture-1"}, "open_gripper", "while the gripper opened for t; look whether"),
+    ],
+)
+async def test_an_act_of_the_gripper_without_a_record_has_an_unknown_outcome(
+    worker: Any, monkeypatch: pytest.MonkeyPatch, *, operation: str, asked: Any, act: str, why: str
+) -> None:
+    if operation == "place":
+        await picked(worker)
+
+    async def cut() -> bool:
+        raise PowerCut
+
+    monkeypatch.setattr(worker.cell.robot, act, cut)
+    with pytest.raises(PowerCut):
+        await worker.do(operation, task="t", **asked)
+    again = worker.after_a_power_cut()
+    async with again.cell:
+        here = again.cell.joints
+        with pytest.raises(TaskFailed, match=why) as failed:
+            await again.do(operation, task="t", **asked)
+        assert is_outcome_unknown({"reason": failed.value.reason})
+        with pytest.raises(TaskFailed, match=why) as failed:
+            await again.do("pick", task="another", bin="bin-1")
+        assert not is_outcome_unknown({"reason": failed.value.reason}), "nothing was begun for this Task"
+        assert again.cell.joints == here
+        await again.do("home")
+        await again.cell.free()
+        assert (await again.do("pick", bin="bin-1"))["gripped"]
 
 
 async def test_a_part_that_is_held_already_counts_as_picked(worker: Any) -> None:

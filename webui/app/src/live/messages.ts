@@ -190,6 +190,7 @@ export interface GloveView {
 export interface Gripper {
   closed: boolean;
   holds: string | null;
+  interrupted: "grip" | "release" | null;
 }
 
 /** Topic `robot/<id>/joints`, for subscribed pages, up to 30 times a second; rad, rad/s (or m, m/s). */

@@ -59,7 +59,7 @@ export const robot: RobotView = {
   deviceState: "idle",
   joints: { stamp: 0, name: [], position: [], velocity: [] },
   toolPose: { position: [0, 0, 0], orientation: [0, 0, 0, 1] },
-  gripper: { closed: false, holds: null },
+  gripper: { closed: false, holds: null, interrupted: null },
   task: null,
   operation: null,
   progress: null,

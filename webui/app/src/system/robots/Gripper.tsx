@@ -11,15 +11,16 @@ export function Gripper({ robot }: { robot: string }) {
   const [asks, setAsks] = useState(false);
   const isClosed = useTopicSelector(`robot/${robot}`, (view) => view?.gripper.closed) === true;
   const holds = useTopicSelector(`robot/${robot}`, (view) => view?.gripper.holds ?? null);
+  const interrupted = useTopicSelector(`robot/${robot}`, (view) => view?.gripper.interrupted ?? null);
   const works = useTopicSelector(`robot/${robot}`, (view) => view?.task != null);
   const free = () => requestService("trajectory-tool", `robots/${encodeURIComponent(robot)}/gripper/free`, { method: "POST" });
   return (
     <section className="gripper">
       <div>
         <h3>{t("gripper.title")}</h3>
-        <p>{holds !== null ? t("gripper.holds", { part: holds }) : isClosed ? t("gripper.closed") : t("gripper.open")}</p>
+        <p>{interrupted !== null ? t(`gripper.interrupted.${interrupted}`) : holds !== null ? t("gripper.holds", { part: holds }) : isClosed ? t("gripper.closed") : t("gripper.open")}</p>
       </div>
-      <Button isDisabled={works || !isClosed} onPress={() => setAsks(true)}>
+      <Button isDisabled={works || (!isClosed && interrupted === null)} onPress={() => setAsks(true)}>
         {t("gripper.free")}
       </Button>
       <p className="gripper__why quiet small">{works ? t("gripper.notNow") : ""}</p>
