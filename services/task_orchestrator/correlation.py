@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handover.telemetry import get_logger
-from services.task_orchestrator.execution.run import Subscription
+from services.task_orchestrator.execution.queries import Subscription
 from services.task_orchestrator.execution.state import WaitType
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import Definition, Kind, MessageEvent, SignalEvent

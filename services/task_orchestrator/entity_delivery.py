@@ -24,7 +24,7 @@ from services.task_orchestrator.entity_matching import (
     is_correlated,
 )
 from services.task_orchestrator.event_delivery import EventDelivery, ProcessStarter
-from services.task_orchestrator.execution.run import EntityWait
+from services.task_orchestrator.execution.queries import EntityWait
 from services.task_orchestrator.execution.state import RunFailed, WaitType
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import (

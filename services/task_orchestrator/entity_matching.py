@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import orjson
 
-from services.task_orchestrator.execution.run import EntityWait
+from services.task_orchestrator.execution.queries import EntityWait
 from services.task_orchestrator.execution.state import WaitType
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import KEY_LENGTH, EntityFilter

@@ -4,33 +4,30 @@ Every change happens at a moment that the caller gives. A step that fails unexpe
 incident at the token that caused it: the state before the step is restored from its snapshot.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 from handover.messages import message, text_of
 from handover.telemetry import get_logger
+from services.task_orchestrator.execution import queries, span_places, token_acts
 from services.task_orchestrator.execution.activities import (
-    cancel_instance,
-    finish,
-    leave,
     no_plain_start,
     open_work,
-    set_results,
 )
-from services.task_orchestrator.execution.compensation import continue_compensation
-from services.task_orchestrator.execution.events import enter, trigger
+from services.task_orchestrator.execution.advance import settle
+from services.task_orchestrator.execution.events import trigger
 from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.machine import ACTIVE, MAX_STEPS, Effect, Machine
+from services.task_orchestrator.execution.machine import MAX_STEPS, Effect, Machine
 from services.task_orchestrator.execution.migration import Finding, Migration
-from services.task_orchestrator.execution.navigation import arrive, check_joins, find_stalled
 from services.task_orchestrator.execution.propagation import (
     is_caught,
     register_event_subprocesses,
     throw_error,
     throw_escalation,
 )
+from services.task_orchestrator.execution.queries import EntityWait, OpenActivity, OpenIncident, Subscription
+from services.task_orchestrator.execution.span_places import ActiveSpan, SpanPlace
 from services.task_orchestrator.execution.state import (
     Frame,
     Incident,
@@ -41,18 +38,14 @@ from services.task_orchestrator.execution.state import (
     Token,
     TokenState,
     Wait,
-    WaitType,
     read_snapshot,
 )
 from services.task_orchestrator.execution.state_index import StateIndex, WorkChanges
-from services.task_orchestrator.execution.waits import conditions_that_became_true, event_of, holds_for
+from services.task_orchestrator.execution.waits import holds_for
 from services.task_orchestrator.languages.base import ExpressionError
-from services.task_orchestrator.model import Activity, EntityFilter, Kind, SpanKind, entity_filter
-from services.task_orchestrator.spans import SpanUnion, spans_at
+from services.task_orchestrator.model import Activity
 
 log = get_logger(__name__)
-
-STEP_FAILURES = (RunFailed, ExpressionError)
 
 
 class _HasObstacles(RunFailed):
@@ -61,89 +54,6 @@ class _HasObstacles(RunFailed):
 
 _NEVER = datetime.min.replace(tzinfo=UTC)
 """The moment of a machine that only reads."""
-
-
-@dataclass(frozen=True, slots=True)
-class OpenActivity:
-    """An activity that a performer works on: `visit` counts from 1, `variables` are those it sees."""
-
-    token: str
-    element: str
-    """The id of the element; within a called process after those of the call activities."""
-    visit: int
-    activity: Activity
-    variables: Mapping[str, Any] = field(repr=False)
-    data: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    """The data objects that are inputs of the activity, by parameter."""
-
-
-@dataclass(frozen=True, slots=True)
-class OpenIncident:
-    """A token that cannot continue."""
-
-    token: str
-    element: str
-    name: str
-    reason: str
-    since: datetime
-    stage: TokenState
-    details: Mapping[str, Any]
-    visit: int
-    """The visit of its activity, as in the Task; 0 if it has none."""
-
-
-@dataclass(frozen=True, slots=True)
-class Subscription:
-    """A message or signal that the process waits for; without `key`, whatever the correlation is."""
-
-    wait: int
-    type: WaitType
-    name: str
-    key: Any
-    element: str
-    business_key: str | None = None
-    """The key of the called process that waits; None: that of the process itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class EntityWait:
-    """An event that the process waits for and that is the creation or change of an entity.
-
-    `key` is that of a message that declares a correlation of its own.
-    """
-
-    wait: int
-    type: WaitType
-    name: str
-    key: Any
-    on: EntityFilter
-    element: str
-    holding: tuple[str, ...]
-    """The entities for which the condition was true when it was last evaluated."""
-
-
-@dataclass(frozen=True, slots=True)
-class ActiveSpan:
-    """Spans in which tokens are, and for which resources are reserved together."""
-
-    key: str
-    element: str
-    """The id of the outermost span; within a called process after those of the call activities."""
-    union: SpanUnion
-    is_entered: bool
-    """Whether a token is at a member; else one can still come to it."""
-    outer: tuple[str, ...]
-    """The keys of those that enclose it: of the calling processes, the innermost first."""
-
-
-@dataclass(frozen=True, slots=True)
-class SpanPlace:
-    """Where a token is within an `ActiveSpan`: the ids of its spans, the innermost first."""
-
-    key: str
-    is_member: bool
-    spans: tuple[str, ...]
-    lanes: tuple[str, ...]
 
 
 class Run:
@@ -242,7 +152,9 @@ class Run:
     def open(self) -> tuple[OpenActivity, ...]:
         """Return the activities that performers work on, in the order in which they were reached."""
         machine = self._machine(self._now)
-        return tuple(_open_activity(machine, self._state.tokens[token]) for token in self._index.working)
+        return tuple(
+            queries.open_activity(machine, self._state.tokens[token]) for token in self._index.working
+        )
 
     def open_visits(self) -> dict[str, int]:
         """Return the visit of each open activity by token, in the order in which they were reached."""
@@ -257,7 +169,7 @@ class Run:
 
         Raises `RunFailed` if it is not open.
         """
-        return _open_activity(self._machine(now or self._now), self._working(token))
+        return queries.open_activity(self._machine(now or self._now), self._working(token))
 
     def visit(self, token: str) -> int | None:
         """Return the visit of the activity of `token` that a performer works on; None if there is none."""
@@ -278,21 +190,7 @@ class Run:
 
     def incidents(self) -> tuple[OpenIncident, ...]:
         """Return the tokens that cannot continue."""
-        machine = self._machine(self._now)
-        return tuple(
-            OpenIncident(
-                str(token.id),
-                machine.element(token),
-                machine.node(token).name,
-                token.incident.reason,
-                token.incident.since,
-                token.incident.stage,
-                token.incident.details,
-                token.visit,
-            )
-            for token in map(self._state.tokens.__getitem__, self._index.incidents)
-            if token.incident is not None
-        )
+        return queries.incidents(self._machine(self._now), self._index.incidents)
 
     def waiting(self) -> tuple[str, ...]:
         """Return the ids of the elements at which tokens are, and of the events that are waited for."""
@@ -300,33 +198,11 @@ class Run:
 
     def subscriptions(self) -> tuple[Subscription, ...]:
         """Return the messages and signals that the process waits for."""
-        machine = self._machine(self._now)
-        return tuple(
-            Subscription(
-                wait.id,
-                wait.type,
-                wait.text or "",
-                wait.key,
-                self._state.frames[wait.frame].prefix + wait.node,
-                machine.business_key(self._state.frames[wait.frame]),
-            )
-            for wait in map(self._state.waits.__getitem__, self._index.subscribed)
-            if wait.type in {WaitType.MESSAGE, WaitType.SIGNAL}
-        )
+        return queries.subscriptions(self._machine(self._now), self._index.subscribed)
 
     def entity_waits(self) -> tuple[EntityWait, ...]:
         """Return the events with a filter of entities that the process waits for."""
-        machine, found = self._machine(self._now), []
-        for wait in map(self._state.waits.__getitem__, self._index.subscribed):
-            on = entity_filter(event_of(machine, wait))
-            if on is not None:
-                element = self._state.frames[wait.frame].prefix + wait.node
-                found.append(
-                    EntityWait(
-                        wait.id, wait.type, wait.text or "", wait.key, on, element, tuple(wait.holding)
-                    )
-                )
-        return tuple(found)
+        return queries.entity_waits(self._machine(self._now), self._index.subscribed)
 
     @property
     def has_spans(self) -> bool:
@@ -335,52 +211,15 @@ class Run:
 
     def active_spans(self) -> tuple[ActiveSpan, ...]:
         """Return the spans in which tokens are, those of calling processes first."""
-        found = []
-        for frame in self._state.frames.values():
-            if not frame.graph.unions:
-                continue
-            nodes = {token.node for token in frame.tokens.values()}
-            for union in frame.graph.unions:
-                if not union.held.isdisjoint(nodes):
-                    host = None if frame.host is None else self._state.tokens[frame.host]
-                    found.append(
-                        ActiveSpan(
-                            _span_key(frame, union),
-                            frame.prefix + union.id,
-                            union,
-                            not union.entry.isdisjoint(nodes),
-                            tuple(place.key for place in self._places(host) if place.is_member),
-                        )
-                    )
-        return tuple(found)
+        return span_places.active_spans(self._state)
 
     def span_variables(self, key: str) -> Mapping[str, Any]:
         """Return the variables that the scope of an `ActiveSpan` sees; the mapping must not be changed."""
-        frame = self._state.frames[int(key.partition(".")[0])]
-        return self._machine(self._now).frame_variables(frame)
+        return self._machine(self._now).frame_variables(span_places.frame_of_span(self._state, key))
 
     def places(self, token: str) -> tuple[SpanPlace, ...]:
         """Return the spans within which a token is, the innermost first."""
-        return tuple(self._places(self._find(token)))
-
-    def _places(self, token: Token | None) -> Iterator[SpanPlace]:
-        names: dict[str, None] = {}
-        while token is not None:
-            frame = self._state.frames[token.frame]
-            names[token.node] = None
-            for union in frame.graph.unions:
-                if token.node in union.extent:
-                    spans = spans_at(union, names)
-                    yield SpanPlace(
-                        _span_key(frame, union),
-                        token.node in union.entry,
-                        tuple(span.id for span in spans),
-                        tuple(span.id for span in spans if span.kind is SpanKind.LANE),
-                    )
-            if frame.process is not None:
-                names = {}
-            outer = token.compensates if token.compensates is not None else frame.host
-            token = None if outer is None else self._state.tokens[outer]
+        return tuple(span_places.places(self._state, self._find(token)))
 
     def next_due(self) -> datetime | None:
         """Return when the next timer is due; None without one."""
@@ -531,94 +370,19 @@ class Run:
 
     def retry(self, token: str, now: datetime) -> None:
         """Let a token with an incident try again where it stopped."""
-
-        def act(machine: Machine) -> None:
-            found = self._token(token)
-            incident = found.incident
-            if incident is None:
-                raise RunFailed(f"the token {token} has no incident")
-            found.incident = None
-            if found.state is TokenState.JOINED:
-                arrive(machine, found, machine.node(found))
-            elif found.state is not TokenState.INCIDENT:
-                self._retry_events(machine, found)
-            elif incident.stage is TokenState.WORK:
-                open_work(machine, found)
-            else:
-                machine.change_state(found, incident.stage)
-
-        self._change(act, now)
-
-    def _retry_events(self, machine: Machine, token: Token) -> None:
-        """Process the failed events of a token again, or wait again for those of its event subprocesses."""
-        owners: list[Token | Frame] = [token, machine.frame_of(token)]
-        child = None if token.child is None else self._state.frames[token.child]
-        if child is not None:
-            owners.append(child)
-        stopped = [
-            wait
-            for owner in owners
-            for wait in (self._state.waits[wait] for wait in owner.waits)
-            if wait.stopped is not None
-        ]
-        if not stopped and child is not None:
-            self._state.clear_waits(child)
-            with machine.failures(token):
-                register_event_subprocesses(machine, child)
-        for wait in stopped:
-            if wait.id in self._state.waits:
-                payload, wait.stopped = wait.stopped or {}, None
-                trigger(machine, wait, payload)
+        self._change(lambda machine: token_acts.retry(machine, self._token(token)), now)
 
     def skip(self, token: str, results: Mapping[str, Any], now: datetime) -> None:
         """Let a token leave its node without doing what the node asks for; `results` become variables."""
-
-        def act(machine: Machine) -> None:
-            found = self._token(token)
-            node = machine.node(found)
-            if node.kind is Kind.EVENT_BASED:
-                raise machine.failure(found, "an event-based gateway cannot be skipped, only moved")
-            machine.undo_entry(found)
-            found.results = None
-            set_results(machine, found, node, results)
-            machine.change_state(found, TokenState.LEAVING)
-
-        self._change(act, now)
+        self._change(lambda machine: token_acts.skip(machine, self._token(token), results), now)
 
     def move(self, token: str, node: str, now: datetime) -> None:
         """Move a token to another node of its scope; what it does in its present node is cancelled."""
-
-        def act(machine: Machine) -> None:
-            found = self._token(token)
-            while found.body is not None:
-                found = self._state.tokens[found.body]
-            frame = machine.frame_of(found)
-            target = frame.graph.nodes.get(node)
-            if target is None or target.kind is Kind.BOUNDARY_EVENT or target.triggered_by_event:
-                raise RunFailed(
-                    message(
-                        "process.cannot_move",
-                        '"{node}" is no element of "{scope}" at which a token can be',
-                        node=node,
-                        scope=frame.scope,
-                    )
-                )
-            machine.add_token(frame, node)
-            machine.remove(found)
-
-        self._change(act, now)
+        self._change(lambda machine: token_acts.move(machine, self._token(token), node), now)
 
     def cancel_token(self, token: str, now: datetime) -> None:
         """End a token where it is; its scope or loop ends if it was the last one."""
-
-        def act(machine: Machine) -> None:
-            found = self._token(token)
-            if found.body is None:
-                machine.remove(found)
-            else:
-                cancel_instance(machine, found)
-
-        self._change(act, now)
+        self._change(lambda machine: token_acts.cancel(machine, self._token(token)), now)
 
     def migrate(
         self, plan: Plan, mapping: Mapping[str, str], values: Mapping[str, Any], now: datetime
@@ -683,7 +447,7 @@ class Run:
         machine = self._machine(now)
         try:
             act(machine)
-            self._settle(machine)
+            settle(machine)
             self._saved = self._take_snapshot()
         except Exception as error:
             self._restore()
@@ -707,66 +471,6 @@ class Run:
         self._state = read_snapshot(self._saved, self._library)
         self._index = StateIndex(self._state)
         self._index.replace(before)
-
-    def _settle(self, machine: Machine) -> None:
-        """Advance every token as far as possible."""
-        while True:
-            while machine.queue:
-                self._process_token(machine, machine.queue.popleft())
-            if check_joins(machine):
-                continue
-            if not machine.variables_changed:
-                break
-            machine.variables_changed = False
-            for wait in conditions_that_became_true(machine):
-                if wait.id in self._state.waits:
-                    trigger(machine, wait, {})
-        if not self._state.completed:
-            find_stalled(machine)
-
-    def _process_token(self, machine: Machine, token_id: int) -> None:
-        token = self._state.tokens.get(token_id)
-        if token is None:
-            return
-        if token.state is TokenState.COMPENSATING:
-            continue_compensation(machine, token)
-            return
-        if token.state not in ACTIVE:
-            return
-        stage = token.state
-        node = machine.node(token)
-        try:
-            if stage is TokenState.READY:
-                machine.steps += 1
-                machine.check_steps(token)
-                enter(machine, token, node)
-                if token.state is not TokenState.FINISHING:
-                    return
-                stage = TokenState.FINISHING
-            if stage is TokenState.FINISHING:
-                finish(machine, token, node)
-            else:
-                leave(machine, token, node)
-        except STEP_FAILURES as failure:
-            if token.state is TokenState.LEAVING:
-                stage = TokenState.LEAVING
-            machine.raise_incident(token, text_of(failure), stage=stage)
-
-
-def _span_key(frame: Frame, union: SpanUnion) -> str:
-    return f"{frame.id}.{union.id}"
-
-
-def _open_activity(machine: Machine, token: Token) -> OpenActivity:
-    node = machine.node(token)
-    assert node.activity is not None  # noqa: S101 - only such a token works
-    frame = machine.frame_of(token)
-    data = {
-        each.name or each.data: machine.data_owner(frame, each.data).get(each.data)
-        for each in node.data_inputs
-    }
-    variables = machine.copy_variables(token)
-    return OpenActivity(str(token.id), machine.element(token), token.visit, node.activity, variables, data)
 
 
 def _reason(error: Exception) -> str:

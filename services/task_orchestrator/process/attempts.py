@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
-from services.task_orchestrator.execution.run import OpenActivity, Run
+from services.task_orchestrator.execution.queries import OpenActivity
+from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.records import ProcessRecord, Retry, TaskRecord
 from services.task_orchestrator.retries import attempts_of, is_retried, retry_at
 

@@ -29,7 +29,9 @@ from services.task_orchestrator.entities import (
 )
 from services.task_orchestrator.escalations import due_in, escalation_times, with_groups
 from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.execution.run import OpenActivity, OpenIncident, Run, SpanPlace
+from services.task_orchestrator.execution.queries import OpenActivity, OpenIncident
+from services.task_orchestrator.execution.run import Run
+from services.task_orchestrator.execution.span_places import SpanPlace
 from services.task_orchestrator.execution.state import Library, RunFailed
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.process import alerts, attempts

@@ -13,7 +13,8 @@ from handover.errors import Problem
 from handover.messages import message, text_of
 from services.task_orchestrator.allocation.allocator import Allocator, AskedReservation, Within
 from services.task_orchestrator.allocation.reservations import Hold
-from services.task_orchestrator.execution.run import ActiveSpan, Run, SpanPlace
+from services.task_orchestrator.execution.run import Run
+from services.task_orchestrator.execution.span_places import ActiveSpan, SpanPlace
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.records import ReservationRecord, ReservationState
 from services.task_orchestrator.spans import Need, evaluated_needs

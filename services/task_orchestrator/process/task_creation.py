@@ -7,7 +7,7 @@ from datamodels.entities import TaskStatus
 from services.task_orchestrator.allocation.allocator import Assignment
 from services.task_orchestrator.entities import task_entity
 from services.task_orchestrator.escalations import escalation_times
-from services.task_orchestrator.execution.run import OpenActivity
+from services.task_orchestrator.execution.queries import OpenActivity
 from services.task_orchestrator.execution.state import Library
 from services.task_orchestrator.forms.registry import FormRegistry
 from services.task_orchestrator.model import Activity, FormBinding, Value

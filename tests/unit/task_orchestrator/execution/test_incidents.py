@@ -7,7 +7,7 @@ import orjson
 import pytest
 
 from services.task_orchestrator.execution import events, propagation
-from services.task_orchestrator.execution import run as run_module
+from services.task_orchestrator.execution import advance
 from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.execution.state import RunFailed, TokenState
 from services.task_orchestrator.languages.native import read
@@ -343,7 +343,7 @@ def test_a_failure_of_the_engine_restores_the_state_and_can_be_retried(broken: p
     run = Driver(SEQUENCE)
     run.run.set_variables({"x": 1}, run.now)  # no snapshot was asked for after it
     token = run.token("a")
-    broken.setattr(run_module, "enter", breaks)
+    broken.setattr(advance, "enter", breaks)
     run.complete("a", n=1)
     (incident,) = run.run.incidents()
     assert (incident.token, incident.element, incident.stage) == (token, "a", TokenState.FINISHING)
@@ -357,7 +357,7 @@ def test_a_failure_of_the_engine_restores_the_state_and_can_be_retried(broken: p
 
 def test_a_retry_that_fails_again_keeps_the_incident(broken: pytest.MonkeyPatch) -> None:
     run = Driver(SEQUENCE)
-    broken.setattr(run_module, "enter", breaks)
+    broken.setattr(advance, "enter", breaks)
     run.complete("a", n=1)
     with pytest.raises(RunFailed, match="a bug"):
         run.run.retry(run.incident("a"), run.now)
@@ -368,7 +368,7 @@ def test_a_retry_that_fails_again_keeps_the_incident(broken: pytest.MonkeyPatch)
 
 
 def test_a_process_whose_start_fails_has_an_incident_at_its_start(broken: pytest.MonkeyPatch) -> None:
-    broken.setattr(run_module, "enter", breaks)
+    broken.setattr(advance, "enter", breaks)
     run = Driver(SEQUENCE)
     assert stages(run) == [("start", TokenState.READY)]
     broken.undo()
@@ -414,7 +414,7 @@ def test_an_activity_with_a_failed_event_can_complete(broken: pytest.MonkeyPatch
 
 def test_a_failed_message_is_processed_with_its_variables_by_a_retry(broken: pytest.MonkeyPatch) -> None:
     run = Driver(scope(start(), catch("m", message("go")), work("a"), ("start", "m", "a")))
-    broken.setattr(run_module, "enter", breaks)
+    broken.setattr(advance, "enter", breaks)
     run.deliver("go", n=1)
     assert stages(run) == [("m", TokenState.WAITING)]
     broken.undo()
@@ -434,7 +434,7 @@ def test_a_failed_start_of_an_event_subprocess_is_retried(broken: pytest.MonkeyP
         ),
     ):
         run = Driver(content)
-        broken.setattr(run_module, "enter", breaks)
+        broken.setattr(advance, "enter", breaks)
         run.deliver("go", n=1)
         broken.undo()
         (incident,) = run.run.incidents()
@@ -477,14 +477,14 @@ def test_effects_of_a_step_that_failed_are_not_sent(broken: pytest.MonkeyPatch) 
         ("start", "a", "send", "b"),
     )
     run = Driver(content)
-    original = run_module.enter
+    original = advance.enter
 
     def breaks_at_b(machine: Any, token: Any, found: Any) -> None:
         if found.id == "b":
             raise Broken
         original(machine, token, found)
 
-    broken.setattr(run_module, "enter", breaks_at_b)
+    broken.setattr(advance, "enter", breaks_at_b)
     run.complete("a")
     assert run.effects == []
     broken.undo()

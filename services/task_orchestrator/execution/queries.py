@@ -1,0 +1,130 @@
+"""Queries: what a process waits for and works on, as its callers see it; nothing is changed."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+from services.task_orchestrator.execution.machine import Machine
+from services.task_orchestrator.execution.state import Token, TokenState, WaitType
+from services.task_orchestrator.execution.waits import event_of
+from services.task_orchestrator.model import Activity, EntityFilter, entity_filter
+
+
+@dataclass(frozen=True, slots=True)
+class OpenActivity:
+    """An activity that a performer works on: `visit` counts from 1, `variables` are those it sees."""
+
+    token: str
+    element: str
+    """The id of the element; within a called process after those of the call activities."""
+    visit: int
+    activity: Activity
+    variables: Mapping[str, Any] = field(repr=False)
+    data: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    """The data objects that are inputs of the activity, by parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenIncident:
+    """A token that cannot continue."""
+
+    token: str
+    element: str
+    name: str
+    reason: str
+    since: datetime
+    stage: TokenState
+    details: Mapping[str, Any]
+    visit: int
+    """The visit of its activity, as in the Task; 0 if it has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Subscription:
+    """A message or signal that the process waits for; without `key`, whatever the correlation is."""
+
+    wait: int
+    type: WaitType
+    name: str
+    key: Any
+    element: str
+    business_key: str | None = None
+    """The key of the called process that waits; None: that of the process itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class EntityWait:
+    """An event that the process waits for and that is the creation or change of an entity.
+
+    `key` is that of a message that declares a correlation of its own.
+    """
+
+    wait: int
+    type: WaitType
+    name: str
+    key: Any
+    on: EntityFilter
+    element: str
+    holding: tuple[str, ...]
+    """The entities for which the condition was true when it was last evaluated."""
+
+
+def open_activity(machine: Machine, token: Token) -> OpenActivity:
+    """Return the activity of a token that a performer works on."""
+    node = machine.node(token)
+    assert node.activity is not None  # noqa: S101 - only such a token works
+    frame = machine.frame_of(token)
+    data = {
+        each.name or each.data: machine.data_owner(frame, each.data).get(each.data)
+        for each in node.data_inputs
+    }
+    variables = machine.copy_variables(token)
+    return OpenActivity(str(token.id), machine.element(token), token.visit, node.activity, variables, data)
+
+
+def incidents(machine: Machine, tokens: Iterable[int]) -> tuple[OpenIncident, ...]:
+    """Return the incidents of `tokens`."""
+    return tuple(
+        OpenIncident(
+            str(token.id),
+            machine.element(token),
+            machine.node(token).name,
+            token.incident.reason,
+            token.incident.since,
+            token.incident.stage,
+            token.incident.details,
+            token.visit,
+        )
+        for token in map(machine.state.tokens.__getitem__, tokens)
+        if token.incident is not None
+    )
+
+
+def subscriptions(machine: Machine, waits: Iterable[int]) -> tuple[Subscription, ...]:
+    """Return those of `waits` that are for messages and signals."""
+    return tuple(
+        Subscription(
+            wait.id,
+            wait.type,
+            wait.text or "",
+            wait.key,
+            machine.state.frames[wait.frame].prefix + wait.node,
+            machine.business_key(machine.state.frames[wait.frame]),
+        )
+        for wait in map(machine.state.waits.__getitem__, waits)
+        if wait.type in {WaitType.MESSAGE, WaitType.SIGNAL}
+    )
+
+
+def entity_waits(machine: Machine, waits: Iterable[int]) -> tuple[EntityWait, ...]:
+    """Return those of `waits` that have a filter of entities."""
+    found = []
+    for wait in map(machine.state.waits.__getitem__, waits):
+        on = entity_filter(event_of(machine, wait))
+        if on is not None:
+            element = machine.state.frames[wait.frame].prefix + wait.node
+            found.append(
+                EntityWait(wait.id, wait.type, wait.text or "", wait.key, on, element, tuple(wait.holding))
+            )
+    return tuple(found)
