@@ -10,8 +10,9 @@ from services.task_orchestrator.routes.definitions import add_definitions
 from services.task_orchestrator.routes.event_log import add_event_log
 from services.task_orchestrator.routes.events import add_events
 from services.task_orchestrator.routes.forms import add_forms
-from services.task_orchestrator.routes.interventions import add_interventions
+from services.task_orchestrator.routes.interventions import add_pausing, add_repairs
 from services.task_orchestrator.routes.mapping import add_mapping
+from services.task_orchestrator.routes.migration import add_migration
 from services.task_orchestrator.routes.offers import add_offers
 from services.task_orchestrator.routes.processes import add_processes
 from services.task_orchestrator.routes.statistics import add_statistics
@@ -51,7 +52,9 @@ def _app(at: Components) -> FastAPI:
     )
     add_definitions(app, at.orchestrator)
     add_processes(app, at)
-    add_interventions(app, at)
+    add_pausing(app, at)
+    add_migration(app, at)
+    add_repairs(app, at)
     add_tasklist(app, at)
     add_forms(app, at)
     add_mapping(app, at.orchestrator)

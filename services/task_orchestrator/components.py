@@ -55,7 +55,7 @@ class Components:
 
     async def _load_mapping(self, file: Path) -> None:
         """Store the mapping of a file if there is none yet."""
-        if self.orchestrator.state.allocator.mapping.version:
+        if self.orchestrator.state.allocator.rules.mapping.version:
             return
         try:
             read = read_mapping_file(await asyncio.to_thread(file.read_text, encoding="utf-8"))

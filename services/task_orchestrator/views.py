@@ -10,8 +10,10 @@ from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
 from services.task_orchestrator.allocation.agents import UNLIMITED
-from services.task_orchestrator.allocation.allocator import Allocator, performer_of
+from services.task_orchestrator.allocation.allocator import Allocator
+from services.task_orchestrator.allocation.assignment import performer_of
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
+from services.task_orchestrator.allocation.report import mapped_names, nobody_has
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.languages.native import ExpressionError
 from services.task_orchestrator.lookahead import upcoming_activities
@@ -116,7 +118,7 @@ def agent_views(allocator: Allocator, tasks: Iterable[TaskRecord], now: datetime
             if (hold := allocator.reservations.holding(agent.id)) is None
             else hold.holder[0],
         }
-        for agent in allocator.agents.by_id.values()
+        for agent in allocator.rules.agents.by_id.values()
     ]
 
 
@@ -135,8 +137,8 @@ def _agent_task(task: TaskRecord) -> AgentTask:
 def mapping_use(allocator: Allocator, definitions: Iterable[Definition]) -> MappingUse:
     """Return the names in definitions with their performers, and the entries that nobody can serve."""
     missing: list[MissingSkills] = []
-    for entry in allocator.mapping.entries:
-        warning = allocator.nobody_has(entry)
+    for entry in allocator.rules.mapping.entries:
+        warning = nobody_has(allocator.rules, entry)
         if warning is not None:
             view = {"kind": entry.kind, "name": entry.name, **with_code("warning", warning)}
             missing.append(cast("MissingSkills", view))
@@ -151,7 +153,7 @@ def mapping_use(allocator: Allocator, definitions: Iterable[Definition]) -> Mapp
                     for definition, element, name in used.activities
                 ],
             }
-            for used in allocator.mapped_names(definitions)
+            for used in mapped_names(allocator.rules, definitions)
         ],
         "missing": missing,
     }

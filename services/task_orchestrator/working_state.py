@@ -81,9 +81,9 @@ class WorkingState:
         self.allocator.forms.add(await self.on_disk(self.store.forms))
         table: MappingTable | None = await self.on_disk(self.store.mapping)
         if table is not None:
-            self.allocator.mapping = table
+            self.allocator.rules.mapping = table
         self.offers = Offers(await self.on_disk(self.store.offers))
-        self.allocator.task_kinds = self.offers.task_kinds()
+        self.allocator.rules.task_kinds = self.offers.task_kinds()
         for record in self.registry.latest():
             await self.registry.prepare(record)
             with suppress(HandoverError):  # such a version cannot be started
@@ -193,10 +193,10 @@ class WorkingState:
         """Take over what a step has written to the database."""
         self._add_definitions(step.definitions)
         for table in step.mappings:
-            self.allocator.mapping = table
+            self.allocator.rules.mapping = table
         if step.offers or step.offers_deleted:
             self.offers.apply(step)
-            self.allocator.task_kinds = self.offers.task_kinds()
+            self.allocator.rules.task_kinds = self.offers.task_kinds()
         self.allocator.forms.add(step.forms)
         self.active_processes.apply(step)
         self.events.apply(step)

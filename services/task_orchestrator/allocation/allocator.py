@@ -1,12 +1,10 @@
 """Allocator: decides who performs an activity when its Task is posted.
 
-The file decides if it names a resource, role or skills. Otherwise an entry of the mapping decides. Without
-one the activity goes to people: its Task involves nobody, and its `candidates` say who may claim it.
-
-For a role or skills an agent is chosen. If none can take the activity, or the named one is busy or reserved,
-it waits, and is tried again when agents, their Tasks or reservations change. The allocator knows the open
-Tasks of each agent, and the waiting activities and the reservations of all processes. The processes keep
-these up to date; nothing of this is stored here, since it follows from them.
+`AssignmentRules` say what its performer needs. For a role or skills an agent is chosen. If none can take the
+activity, or the named one is busy or reserved, it waits, and is tried again when agents, their Tasks or
+reservations change. The allocator knows the open Tasks of each agent, and the waiting activities and the
+reservations of all processes. The processes keep these up to date; nothing of this is stored here, since it
+follows from them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,11 +12,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from operator import itemgetter
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
-from handover.messages import Message, message, with_code
-from handover.task_life import performers_of
-from services.task_orchestrator.allocation.agents import UNLIMITED, Agent, Agents, Position
+from handover.messages import Message, message
+from services.task_orchestrator.allocation.agents import UNLIMITED, Agent
+from services.task_orchestrator.allocation.assignment import Assignment, AssignmentRules, named_request
 from services.task_orchestrator.allocation.choice import (
     DEFAULT_PRIORITY,
     ChooseByRules,
@@ -31,15 +29,6 @@ from services.task_orchestrator.allocation.choice import (
     order_of,
     rank,
 )
-from services.task_orchestrator.allocation.hints import (
-    CODE_HINTS,
-    HINT_KINDS,
-    candidates_of,
-    due_of,
-    hint_values,
-    priority_of,
-)
-from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable, NameKind
 from services.task_orchestrator.allocation.reservations import (
     Hold,
     Holder,
@@ -51,44 +40,12 @@ from services.task_orchestrator.allocation.reservations import (
     held_by,
     wanted_by,
 )
-from services.task_orchestrator.allocation.task_kinds import TaskKind
 from services.task_orchestrator.forms.registry import FormRegistry
 from services.task_orchestrator.languages.base import ExpressionError, Variables
-from services.task_orchestrator.model import Activity, Definition, Value
-from services.task_orchestrator.references import is_reference, resource_id
+from services.task_orchestrator.model import Activity, Value
+from services.task_orchestrator.references import resource_id
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.spans import Need
-
-
-@dataclass(frozen=True, slots=True)
-class Assignment:
-    """Who gets an activity: `activity` is changed as the mapping says."""
-
-    activity: Activity
-    reason: Message
-    performer: str | None = None
-    """The resource, role or skills, as text; None if people of the tasklist claim it."""
-    candidates: Mapping[str, Any] | None = None
-    """The groups and persons that a Task of people is offered to."""
-    warning: Message | None = None
-    request: Request | None = None
-    """What a performer needs, if one has to be chosen."""
-    kind: TaskKind | None = None
-    """The accepted TaskDefinition of another system that the activity names."""
-    performers: tuple[str, ...] = ()
-    """The URNs of the named ones, once the activity runs."""
-    priority: int = DEFAULT_PRIORITY
-    due: datetime | None = None
-
-    @property
-    def waiting_request(self) -> Request | None:
-        """Return what the activity waits for if it has to wait."""
-        return self.request or (_named_request(self, self.performers[0]) if self.performers else None)
-
-    @property
-    def has_no_performer(self) -> bool:
-        """Return whether the file says nothing of the performer but the lane."""
-        return self.candidates is not None and not set(self.candidates) - {"lane"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,27 +89,13 @@ class NoPerformer:
     is_final: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class UsedName:
-    """A name in definitions that an entry can map."""
-
-    kind: NameKind
-    name: str
-    entry: MappingEntry | None
-    activities: tuple[tuple[str, str, str], ...]
-    """Definition, element and drawn name of the activities that have it."""
-
-
 class Allocator:
-    """The decisions of one orchestrator; `mapping` is the present version of the table."""
+    """The decisions of one orchestrator."""
 
     def __init__(self, settings: OrchestratorSettings, chooser: Chooser | None = None) -> None:
         self._settings = settings
         self._chooser: Chooser = chooser or ChooseByRules()
-        self.mapping = MappingTable()
-        self.task_kinds: Mapping[str, TaskKind] = {}
-        """The accepted TaskDefinitions of other systems, by id."""
-        self.agents = Agents()
+        self.rules = AssignmentRules(settings)
         self.forms = FormRegistry()
         self.has_changed = False
         """Whether waiting activities should be tried again: an agent or its Tasks have changed."""
@@ -226,7 +169,7 @@ class Allocator:
             return needed.resource is None or self._load(needed.resource) < self._limit(needed.resource)
         if not all(map(self._is_idle, needed.named)):
             return False
-        agents = self.agents.by_id.values()
+        agents = self.rules.agents.by_id.values()
         return all(
             any(slot.suits(each) and self._is_idle(each.id) for each in agents) for slot in needed.slots
         )
@@ -291,7 +234,7 @@ class Allocator:
 
     def _decide(self, asked: AskedReservation, now: datetime) -> Hold | Refused:
         wanted = self._wanted(asked)
-        situation = Situation(self.agents.by_id, now, self.tasks_of, self._waits_before, self._rank)
+        situation = Situation(self.rules.agents.by_id, now, self.tasks_of, self._waits_before, self._rank)
         found = self.reservations.decide(asked.holder, wanted, asked.order, situation)
         if isinstance(found, Refused):
             self.reservations.waiting[asked.holder] = WaitingReservation(
@@ -317,7 +260,7 @@ class Allocator:
             return None
         wanted = waiting.wanted
         named = sorted(wanted.named)
-        suitable = [a for a in self.agents.by_id if any(self._suits(slot, a) for slot in wanted.slots)]
+        suitable = [a for a in self.rules.agents.by_id if any(self._suits(slot, a) for slot in wanted.slots)]
         holds = {agent: self.reservations.holding(agent) for agent in (*named, *suitable)}
         held = [held_by(agent, hold) for agent, hold in holds.items() if hold is not None]
         return joined(held) if held else waiting.reason
@@ -333,8 +276,8 @@ class Allocator:
         used_slots: list[Request] = []
         for activity in asked.activities:
             with suppress(ExpressionError):  # it is not known yet who performs it
-                assignment = self.assign(activity, asked.variables)
-                used |= set(self._named(assignment.activity, asked.variables))
+                assignment = self.rules.assign(activity, asked.variables)
+                used |= set(self.rules.named(assignment.activity, asked.variables))
                 request = assignment.request
                 if request is not None and not any(self._suits(request, agent) for agent in named):
                     used_slots.append(request)
@@ -347,7 +290,7 @@ class Allocator:
         return next((a for a, other in named.items() if other != span and self._suits(claim, a)), None)
 
     def _suits(self, request: Request, urn: str) -> bool:
-        agent = self.agents.by_id.get(urn)
+        agent = self.rules.agents.by_id.get(urn)
         return agent is not None and request.suits(agent)
 
     def _load(self, agent: str) -> int:
@@ -355,12 +298,12 @@ class Allocator:
 
     def _limit(self, agent: str) -> int:
         """Return how many Tasks that name an agent it gets at a time; one that is unknown gets all."""
-        known = self.agents.by_id.get(agent)
+        known = self.rules.agents.by_id.get(agent)
         return UNLIMITED if known is None else known.limit
 
     def _waits_before(self, agent: str, order: Order) -> bool:
         """Return whether an activity waits for an agent before `order`, or within a reservation."""
-        known = self.agents.by_id.get(agent)
+        known = self.rules.agents.by_id.get(agent)
         for each in self._waiting.values():
             is_before = bool(each.within) or each.order < order
             if is_before and (each.request.resource == agent or (known and each.request.suits(known))):
@@ -368,28 +311,6 @@ class Allocator:
         return False
 
     # Decisions
-
-    def request(
-        self, activity: Activity, variables: Variables, declined: frozenset[str] = frozenset()
-    ) -> Assignment:
-        """Return who gets an activity, with everything that the choice of an agent depends on.
-
-        Raises `ExpressionError` if a variable is missing that says who performs it.
-        """
-        assignment = self.assign(activity, variables)
-        priority, due = priority_of(activity, variables), due_of(activity, variables)
-        performers = tuple(self._named(assignment.activity, variables))
-        request = assignment.request
-        if request is not None:
-            place = self._place(activity, variables)
-            request = replace(request, declined=declined, place=place, priority=priority, due=due)
-        return replace(
-            assignment,
-            request=request,
-            performers=performers,
-            priority=priority,
-            due=due,
-        )
 
     def choose(
         self,
@@ -404,9 +325,7 @@ class Allocator:
         if agent is not None:
             declined = assignment.request.declined if assignment.request is not None else frozenset()
             if agent in declined:
-                return NoPerformer(
-                    _reserved_declined(agent), _named_request(assignment, agent), is_final=True
-                )
+                return NoPerformer(_reserved_declined(agent), named_request(assignment, agent), is_final=True)
             reason = message("reservation.performs", "{agent}, reserved for it", agent=name_of(agent))
             activity = replace(assignment.activity, involves=(Value(agent),))
             assignment = replace(assignment, activity=activity, reason=reason, candidates=None)
@@ -442,7 +361,7 @@ class Allocator:
         within: Within,
     ) -> Assignment | NoPerformer:
         """Let named agents perform an activity if nobody else holds them and the first has capacity."""
-        mine = WaitingRequest(_named_request(assignment, performers[0]), since, key, within.holders)
+        mine = WaitingRequest(named_request(assignment, performers[0]), since, key, within.holders)
         for agent in performers:
             why = self._reserved_by_others(agent, mine)
             if why is not None:
@@ -452,7 +371,7 @@ class Allocator:
         if free <= 0:
             busy = message("allocation.busy", "{agent} is busy", agent=name_of(first))
             return NoPerformer(busy, mine.request)
-        known = self.agents.by_id.get(first)
+        known = self.rules.agents.by_id.get(first)
         if known is not None and free < UNLIMITED and len(self._before(mine, known)) >= free:
             why = message("allocation.others_first", "others wait for {agent} before", agent=name_of(first))
             return NoPerformer(why, mine.request)
@@ -478,7 +397,7 @@ class Allocator:
         found: dict[Holder, set[str]] = {}
         for each in self._waiting.values():
             for holder in each.within:
-                agents = {agent for agent in self.agents.by_id if self._suits(each.request, agent)}
+                agents = {agent for agent in self.rules.agents.by_id if self._suits(each.request, agent)}
                 if each.request.resource is not None:
                     agents.add(each.request.resource)
                 found.setdefault(holder, set()).update(agents)
@@ -512,7 +431,7 @@ class Allocator:
         now: datetime,
     ) -> Assignment | NoPerformer:
         request = mine.request
-        agents = list(self.agents.by_id.values())
+        agents = list(self.rules.agents.by_id.values())
         loads = {agent: list(tasks) for agent, tasks in self._loads.items()}
         blocked: dict[str, Message] = {}
         for agent in agents if self.reservations.held or self.reservations.waiting else ():
@@ -521,7 +440,7 @@ class Allocator:
                 blocked[agent.id] = why
         chosen = self._chooser.choose(request, agents, loads, blocked, now)
         if chosen.agent is not None and self._waiting:
-            best = self.agents.by_id[chosen.agent]
+            best = self.rules.agents.by_id[chosen.agent]
             if self._before(mine, best):
                 for agent in agents:
                     free = agent.capacity - self._load(agent.id)
@@ -543,181 +462,6 @@ class Allocator:
         activity = replace(assignment.activity, involves=(Value(chosen.agent),))
         return replace(assignment, activity=activity, reason=chosen.reason)
 
-    def _named(self, activity: Activity, variables: Variables) -> list[str]:
-        """Return the URNs of those that an activity names as performers."""
-        given = [each.value(variables) for each in activity.involves]
-        return performers_of(resource_id(self._settings, str(each)) for each in given if is_reference(each))
-
-    def assign(self, activity: Activity, variables: Variables | None) -> Assignment:
-        """Return who gets an activity with the present `variables`; None: before it runs."""
-        found = self._assign(activity, variables)
-        kind = self._kind(found.activity)
-        return found if kind is None else replace(found, activity=kind.completed(found.activity), kind=kind)
-
-    def _kind(self, activity: Activity) -> TaskKind | None:
-        if not self.task_kinds:
-            return None
-        return self.task_kinds.get(self._settings.entity_id("TaskDefinition", activity.definition))
-
-    def _assign(self, activity: Activity, variables: Variables | None) -> Assignment:
-        if activity.involves:
-            named = ", ".join(_described(value) for value in activity.involves)
-            reason = message("allocation.by_file", "the file names {resource}", resource=named)
-            return Assignment(activity, reason, named)
-        if activity.role is not None or activity.skills:
-            request = Request(activity.role, activity.skills)
-            reason = message("allocation.needs", "the file asks for {needed}", needed=request.described)
-            return Assignment(
-                activity,
-                reason,
-                request.described,
-                candidates=None if activity.role is None else {"groups": [activity.role]},
-                request=request,
-                warning=self._nobody_has(request),
-            )
-        entry = self.mapping.find(_names(activity, variables))
-        if entry is None and (kind := self._kind(activity)) is not None and kind.skills:
-            request = Request(skills=kind.skills)
-            reason = message(
-                "allocation.by_definition",
-                "{definition} requires {needed}",
-                definition=kind.id,
-                needed=request.described,
-            )
-            return Assignment(
-                activity, reason, request.described, request=request, warning=self._nobody_has(request)
-            )
-        if entry is None:
-            reason = message("allocation.no_entry", "people, because the mapping has no entry for it")
-            return Assignment(activity, reason, candidates=candidates_of(activity, variables))
-        if not self._is_allowed(entry):
-            warning = message(
-                "allocation.unconfirmed",
-                'people, because nobody has confirmed the mapping of {kind} "{name}" to {performer}',
-                kind=entry.kind.value,
-                name=entry.name,
-                performer=performer_of(entry),
-            )
-            return Assignment(
-                activity, warning, candidates=candidates_of(activity, variables), warning=warning
-            )
-        return self._by_entry(activity, entry)
-
-    def _by_entry(self, activity: Activity, entry: MappingEntry) -> Assignment:
-        changed = replace(
-            activity,
-            definition=entry.definition or activity.definition,
-            parameters={
-                **activity.parameters,
-                **{name: Value(value) for name, value in entry.parameters.items()},
-            },
-            involves=() if entry.resource is None else (Value(entry.resource),),
-        )
-        request, candidates = None, None
-        if entry.role is not None:
-            candidates = {"groups": [entry.role]}
-        if entry.resource is None:
-            people_only = self.mapping.by is None
-            request = Request(entry.role, entry.skills or (), people_only=people_only)
-        return Assignment(
-            changed,
-            message(
-                "allocation.by_entry",
-                '{performer}, by the mapping of {kind} "{name}" (version {version})',
-                performer=performer_of(entry),
-                kind=entry.kind.value,
-                name=entry.name,
-                version=self.mapping.version,
-            ),
-            performer_of(entry),
-            candidates=candidates,
-            request=request,
-            warning=None if request is None else self._nobody_has(request),
-        )
-
-    def report(self, definition: Definition) -> list[dict[str, Any]]:
-        """Return for each activity of a definition who gets it and why, as JSON."""
-        found = []
-        for element, activity in definition.activities().items():
-            assignment = self.assign(activity, None)
-            view = {
-                "process": definition.name,
-                "element": element,
-                "name": activity.name,
-                "definition": assignment.activity.definition,
-                "performer": assignment.performer,
-                **with_code("reason", assignment.reason),
-                "warning": None,
-            }
-            warning = assignment.warning or self._form_warning(activity)
-            if warning is not None:
-                view |= with_code("warning", warning)
-            found.append(view)
-        return found
-
-    def mapped_names(self, definitions: Iterable[Definition]) -> list[UsedName]:
-        """Return the names in definitions that an entry can map, with the activities that have them.
-
-        Activities whose performer the file names have none. The name of the TaskDefinition is listed only if
-        it has an entry, or if the activity has no other name.
-        """
-        found: dict[tuple[NameKind, str], list[tuple[str, str, str]]] = {}
-        for definition in definitions:
-            for element, activity in definition.activities().items():
-                if activity.involves or activity.role is not None or activity.skills:
-                    continue
-                names = list(dict.fromkeys(_names(activity, None)))
-                others = [name for name in names if name[0] is not NameKind.DEFINITION]
-                for name in names:
-                    if name in others or not others or self.mapping.find([name]) is not None:
-                        place = definition.name, element, activity.name
-                        found.setdefault(name, []).append(place)
-        return [UsedName(*name, self.mapping.find([name]), tuple(places)) for name, places in found.items()]
-
-    def nobody_has(self, entry: MappingEntry) -> Message | None:
-        """Return that no agent has the role or skills of an entry; None if one has them."""
-        if entry.resource is not None:
-            return None
-        return self._nobody_has(Request(entry.role, entry.skills or ()))
-
-    def _form_warning(self, activity: Activity) -> Message | None:
-        reference = activity.form
-        if reference is None:
-            return None
-        name, version = reference.name, reference.version
-        if self.forms.find_file(name) if reference.is_file else self.forms.find(name, version):
-            return None
-        return message(
-            "form.not_deployed",
-            'the form "{form}" is not deployed; people complete the Task without it',
-            form=name,
-        )
-
-    def _nobody_has(self, request: Request) -> Message | None:
-        if any(request.suits(agent) for agent in self.agents.by_id.values()):
-            return None
-        return message("allocation.nobody", "nobody has {needed}", needed=request.described)
-
-    def _is_allowed(self, entry: MappingEntry) -> bool:
-        """Return whether work may be given to the performer: people always, others if confirmed."""
-        if self.mapping.by is not None:
-            return True
-        return entry.resource is None or entry.resource.startswith(("Person:", "urn:ngsi-ld:Person:"))
-
-    def _place(self, activity: Activity, variables: Variables) -> Position | None:
-        """Return the position of the first place of an activity that has one."""
-        for place in activity.happens_at:
-            reference = place.location.value(variables)
-            if is_reference(reference):
-                found = self.agents.places.get(resource_id(self._settings, str(reference)))
-                if found is not None:
-                    return found
-        return None
-
-
-def _named_request(assignment: Assignment, agent: str) -> Request:
-    return Request(priority=assignment.priority, due=assignment.due, resource=agent)
-
 
 def _reserved_declined(agent: str) -> Message:
     return message(
@@ -725,31 +469,3 @@ def _reserved_declined(agent: str) -> Message:
         "{agent}, which is reserved for it, declined; release the reservation to ask others",
         agent=name_of(agent),
     )
-
-
-def performer_of(entry: MappingEntry) -> str:
-    """Return the performer of an entry as text: `Device:ur10-1`, `role:operator`, `skill:grip`."""
-    if entry.resource is not None:
-        return entry.resource
-    if entry.role is not None:
-        return f"role:{entry.role}"
-    return " ".join(f"skill:{skill}" for skill in entry.skills or ())
-
-
-def _names(activity: Activity, variables: Variables | None) -> Iterator[tuple[NameKind, str]]:
-    """Yield the names of an activity that an entry can map, the most specific first."""
-    yield NameKind.DEFINITION, activity.definition
-    for kind, hints in HINT_KINDS.items():
-        for hint in hints:
-            for name in hint_values(activity, hint, variables):
-                yield kind, name
-                if hint in CODE_HINTS and name.startswith(("${", "#{")) and name.endswith("}"):
-                    yield kind, name[2:-1].strip()
-    if activity.lane:
-        yield NameKind.LANE, activity.lane
-
-
-def _described(value: Value) -> str:
-    if value.expression is not None:
-        return value.expression.text
-    return str(value.literal) if is_reference(value.literal) else repr(value.literal)

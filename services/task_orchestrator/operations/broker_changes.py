@@ -88,10 +88,10 @@ class BrokerChanges:
         allocator = self._state.allocator
 
         def act(_: Step) -> None:
-            allocator.agents = agents
+            allocator.rules.agents = agents
             allocator.has_changed = True
 
-        if agents != allocator.agents or allocator.has_waiting:
+        if agents != allocator.rules.agents or allocator.has_waiting:
             await self._writer.apply(act)
 
     def _changed_tasks(self, entities: Iterable[Mapping[str, Any]]) -> list[Task]:

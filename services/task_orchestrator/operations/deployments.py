@@ -10,6 +10,7 @@ from typing import Any
 from handover.errors import Problem
 from handover.messages import Message, message
 from services.task_orchestrator.allocation.mapping import MappingEntry, MappingTable
+from services.task_orchestrator.allocation.report import allocation_report
 from services.task_orchestrator.definition_registry import Deployed, Deployment
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.forms.form_js import FormFile, read_form
@@ -109,7 +110,11 @@ class Deployments:
             found.append(
                 {"name": record.name, "version": record.version, "title": record.title, "created": created}
             )
-        allocation = [line for each in file.definitions for line in self._state.allocator.report(each)]
+        allocation = [
+            line
+            for each in file.definitions
+            for line in allocation_report(self._state.allocator.rules, self._state.allocator.forms, each)
+        ]
         warnings = as_json(file.warnings)
         return {**found[0], "definitions": found, "warnings": warnings, "allocation": allocation}
 
@@ -127,7 +132,7 @@ class Deployments:
         """
 
         def act(step: Step) -> MappingTable:
-            present = step.mappings[-1] if step.mappings else self._state.allocator.mapping
+            present = step.mappings[-1] if step.mappings else self._state.allocator.rules.mapping
             if version not in {None, present.version}:
                 raise Problem(
                     409,

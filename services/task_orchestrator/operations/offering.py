@@ -6,6 +6,7 @@ from typing import cast
 
 from handover.errors import Problem
 from handover.messages import message
+from services.task_orchestrator.allocation.report import allocation_report
 from services.task_orchestrator.notation.comparison import changed_elements
 from services.task_orchestrator.notation.faults import BadBpmn
 from services.task_orchestrator.notation.file import BpmnFile, read_bpmn
@@ -144,7 +145,10 @@ class OfferReader:
             view["definitions"].append(
                 {"name": new.name, "version": new.version, "title": new.title, "created": is_created}
             )
-            view["allocation"] += cast("list[ActivityAllocation]", self._state.allocator.report(definition))
+            view["allocation"] += cast(
+                "list[ActivityAllocation]",
+                allocation_report(self._state.allocator.rules, self._state.allocator.forms, definition),
+            )
             if is_created and new.version > 1:
                 before = registry.record(new.name, new.version - 1).xml
                 found = await asyncio.to_thread(changed_elements, before, definition.xml, new.name)

@@ -18,7 +18,8 @@ from handover.messages import Message as MessageText
 from handover.messages import message, message_in, text_of, with_code
 from handover.outcomes import OUTCOME_UNKNOWN_CODE, is_outcome_unknown
 from handover.task_life import FINISHED, is_reachable
-from services.task_orchestrator.allocation.allocator import Allocator, Assignment, NoPerformer
+from services.task_orchestrator.allocation.allocator import Allocator, NoPerformer
+from services.task_orchestrator.allocation.assignment import Assignment
 from services.task_orchestrator.entities import (
     definition_id,
     entity_of,
@@ -568,7 +569,7 @@ class Process:
 
     def _request(self, open_: OpenActivity) -> Assignment:
         declined = attempts.declined_by(self.record, open_)
-        return self.allocator.request(open_.activity, open_.variables, declined)
+        return self.allocator.rules.request(open_.activity, open_.variables, declined)
 
     def _wait(
         self, open_: OpenActivity, places: Sequence[SpanPlace], found: NoPerformer, since: datetime

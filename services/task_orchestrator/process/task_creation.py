@@ -4,7 +4,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 
 from datamodels.entities import TaskStatus
-from services.task_orchestrator.allocation.allocator import Assignment
+from services.task_orchestrator.allocation.assignment import Assignment
 from services.task_orchestrator.entities import task_entity
 from services.task_orchestrator.escalations import escalation_times
 from services.task_orchestrator.execution.queries import OpenActivity

@@ -6,6 +6,7 @@ from starlette.responses import JSONResponse
 from handover.body_limit import max_body
 from handover.messages import message
 from handover.service import XML_TYPES, accepts
+from services.task_orchestrator.allocation.report import allocation_report
 from services.task_orchestrator.model import Fault
 from services.task_orchestrator.notation.document import MAX_BYTES
 from services.task_orchestrator.notation.faults import BadBpmn, as_json
@@ -53,8 +54,10 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         allocation = [
             line
             for each in deployed.deployments
-            for line in orchestrator.state.allocator.report(
-                registry.plan_of(registry.record(each.name, each.version)).definition
+            for line in allocation_report(
+                orchestrator.state.allocator.rules,
+                orchestrator.state.allocator.forms,
+                registry.plan_of(registry.record(each.name, each.version)).definition,
             )
         ]
         warnings = as_json(deployed.warnings)
@@ -77,7 +80,9 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         record = registry.record(name, version)
         await registry.prepare(record)
         read = registry.plan_of(record).definition
-        allocation = orchestrator.state.allocator.report(read)
+        allocation = allocation_report(
+            orchestrator.state.allocator.rules, orchestrator.state.allocator.forms, read
+        )
         view = {"activities": activity_views(read), "allocation": allocation}
         return json_response({**definition_view(registry, record), **view})
 

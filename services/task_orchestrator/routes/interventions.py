@@ -3,45 +3,25 @@
 from fastapi import FastAPI, Response
 
 from handover.body_limit import max_body
-from handover.errors import Problem
-from handover.messages import message
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.operations.process_control import check_variables
-from services.task_orchestrator.records import Act, ActKind
+from services.task_orchestrator.records import ActKind
 from services.task_orchestrator.requests import (
     MAX_PARAMETERS_BYTES,
     MendRequest,
-    MigrationOfAllRequest,
-    MigrationRequest,
     MoveRequest,
     PauseRequest,
 )
 from services.task_orchestrator.responses import (
-    MigrationOfAllView,
-    MigrationView,
     PausedProcesses,
     json_response,
 )
 from services.task_orchestrator.routes.process_response import PROCESS, process_response
-from services.task_orchestrator.views import migration_of_all_view, migration_view
 
 
-def add_interventions(app: FastAPI, at: Components) -> None:
-    """Add what people do with running processes: pause, resume, and mend what cannot continue."""
+def add_pausing(app: FastAPI, at: Components) -> None:
+    """Add pausing and resuming of processes."""
     orchestrator = at.orchestrator
-
-    async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> Response:
-        check_variables(body.variables)
-        await orchestrator.processes.mend(
-            at.plain_id(process_id),
-            kind,
-            token,
-            by=body.by.strip(),
-            why=body.why,
-            to=body.to if isinstance(body, MoveRequest) else None,
-            values=body.variables,
-        )
-        return await process_response(at, process_id)
 
     @app.post("/processes/{process_id}/pause", tags=["processes"], responses=PROCESS)
     async def pause(process_id: str, body: PauseRequest) -> Response:
@@ -75,65 +55,23 @@ def add_interventions(app: FastAPI, at: Components) -> None:
         )
         return json_response({"processes": resumed})
 
-    @app.post(
-        "/processes/{process_id}/migration",
-        tags=["migration"],
-        responses={200: {"model": MigrationView}},
-    )
-    @max_body(MAX_PARAMETERS_BYTES)
-    async def migrate(process_id: str, body: MigrationRequest, *, dry: bool = False) -> Response:
-        """Continue a process in another version of its definition: 409 with the obstacles if it cannot.
 
-        With `dry` nothing is changed: 200 with what differs, and the obstacles.
-        """
+def add_repairs(app: FastAPI, at: Components) -> None:
+    """Add what an engineer does with a process that cannot continue: each act names one token or none."""
+    orchestrator = at.orchestrator
+
+    async def mend(process_id: str, kind: ActKind, token: str | None, body: MendRequest) -> Response:
         check_variables(body.variables)
-        report = await orchestrator.processes.migrate(
-            at.plain_id(process_id), body.version, _migration(body), dry=dry
-        )
-        view = migration_view(report, dry=dry)
-        if dry or report.is_possible:
-            return json_response(view)
-        obstacles = [finding for finding in view["findings"] if finding["obstacle"]]
-        raise Problem(
-            409,
-            "Cannot be migrated",
-            message(
-                "process.cannot_migrate",
-                "{process} cannot continue in version {version}: at {element}: {reason}",
-                process=report.process,
-                version=report.target,
-                element=obstacles[0]["name"] or obstacles[0]["element"],
-                reason=obstacles[0]["reason"],
-            ),
-            extra={"findings": view["findings"]},
-        )
-
-    @app.post(
-        "/definitions/{name}/migration",
-        tags=["migration"],
-        responses={200: {"model": MigrationOfAllView}},
-    )
-    @max_body(MAX_PARAMETERS_BYTES)
-    async def migrate_all(name: str, body: MigrationOfAllRequest, *, dry: bool = False) -> Response:
-        """Continue all running processes of a version in another one, each if it can.
-
-        With `dry` nothing is changed.
-        """
-        check_variables(body.variables)
-        target, reports = await orchestrator.processes.migrate_all(
-            name, body.source, body.version, _migration(body), dry=dry
-        )
-        return json_response(migration_of_all_view(name, body.source, target, reports, dry=dry))
-
-    def _migration(body: MigrationRequest) -> Act:
-        return Act(
-            orchestrator.clock(),
-            ActKind.MIGRATE,
-            body.by.strip(),
+        await orchestrator.processes.mend(
+            at.plain_id(process_id),
+            kind,
+            token,
+            by=body.by.strip(),
             why=body.why,
-            values=body.variables or None,
-            mapping=body.mapping or None,
+            to=body.to if isinstance(body, MoveRequest) else None,
+            values=body.variables,
         )
+        return await process_response(at, process_id)
 
     @app.post("/processes/{process_id}/reservations/{key}/release", tags=["incidents"], responses=PROCESS)
     async def release(process_id: str, key: str, body: PauseRequest) -> Response:

@@ -37,7 +37,7 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
     ) -> Response:
         """Return the mapping from names in process files to performers, or an earlier version of it."""
         if version is None:
-            return json_response(mapping_view(orchestrator.state.allocator.mapping))
+            return json_response(mapping_view(orchestrator.state.allocator.rules.mapping))
         table = await orchestrator.on_disk(orchestrator.store.mapping, version)
         if table is None:
             raise Problem(
@@ -47,7 +47,7 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
                     "allocation.no_such_mapping",
                     "there is no version {version} of the mapping; the latest is {latest}",
                     version=version,
-                    latest=orchestrator.state.allocator.mapping.version,
+                    latest=orchestrator.state.allocator.rules.mapping.version,
                 ),
             )
         return json_response(mapping_view(table))

@@ -48,7 +48,7 @@ class SharedCell:
         self.settings = OrchestratorSettings(_env_file=None)
         self.library = Definitions(*files)
         self.allocator = Allocator(self.settings)
-        self.allocator.agents = Agents({urn(name): agent for name, agent in agents.items()})
+        self.allocator.rules.agents = Agents({urn(name): agent for name, agent in agents.items()})
         self.processes: dict[str, Process] = {}
         self.now = NOW
         self._numbers: Iterator[int] = count(1)
@@ -95,9 +95,9 @@ class SharedCell:
 
     def restart(self) -> None:
         """Load all processes from their records, as after kill -9."""
-        agents = self.allocator.agents
+        agents = self.allocator.rules.agents
         self.allocator = Allocator(self.settings)
-        self.allocator.agents = agents
+        self.allocator.rules.agents = agents
         for name, process in self.processes.items():
             self.processes[name] = Process.resume(
                 self.settings,

@@ -230,7 +230,7 @@ def test_a_fixed_robot_gets_one_task_at_a_time_and_a_person_all() -> None:
     sign = start() + work("sign", "Person:ada") + end() + path("start", "sign", "end")
     ada = Agent("urn:ngsi-ld:Person:demo:ada", is_person=True, limit=UNLIMITED)
     cell = SharedCell(drawing(body), drawing(sign, name="q"), a=agent("a"))
-    cell.allocator.agents = Agents({**cell.allocator.agents.by_id, ada.id: ada})
+    cell.allocator.rules.agents = Agents({**cell.allocator.rules.agents.by_id, ada.id: ada})
     first, second = cell.start("p"), cell.start("p")
     assert (cell.works(first), cell.works(second)) == ({"weld": "a"}, {})
     assert [each.reason for each in cell.processes[second].record.unallocated] == ["a is busy"]

@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from handover.errors import UsageError
-from services.task_orchestrator.allocation.allocator import Allocator
+from services.task_orchestrator.allocation.assignment import AssignmentRules
 from services.task_orchestrator.allocation.mapping import (
     MappingEntry,
     MappingRequest,
@@ -37,15 +37,15 @@ def activity(*, lane: str | None = None, involves: tuple[Value, ...] = (), **hin
     )
 
 
-def allocator(*entries: dict[str, Any], by: str | None = "Anna") -> Allocator:
-    made = Allocator(OrchestratorSettings(_env_file=None))
+def rules(*entries: dict[str, Any], by: str | None = "Anna") -> AssignmentRules:
+    made = AssignmentRules(OrchestratorSettings(_env_file=None))
     made.mapping = MappingTable(3, tuple(MappingEntry.model_validate(entry) for entry in entries), by)
     return made
 
 
 def test_an_activity_without_an_entry_goes_to_people() -> None:
     hints = {"candidateGroups": "welders, packers", "candidateUsers": "ada", "assignee": "bob"}
-    assignment = allocator(GRIP).assign(activity(lane="Assembly", **hints), {})
+    assignment = rules(GRIP).assign(activity(lane="Assembly", **hints), {})
     assert assignment.activity.involves == ()
     assert assignment.candidates == {
         "groups": ["welders", "packers"],
@@ -57,7 +57,7 @@ def test_an_activity_without_an_entry_goes_to_people() -> None:
 
 def test_a_confirmed_entry_gives_work_to_a_robot_with_definition_and_parameters() -> None:
     entry = {**GRIP, "definition": "pick", "parameters": {"operation": "pick", "force": 20}}
-    assignment = allocator(entry).assign(activity(**{"class": "com.example.Grip"}), {})
+    assignment = rules(entry).assign(activity(**{"class": "com.example.Grip"}), {})
     assert [value.literal for value in assignment.activity.involves] == ["Device:ur10-1"]
     assert assignment.activity.definition == "pick"
     assert {name: value.literal for name, value in assignment.activity.parameters.items()} == {
@@ -70,7 +70,7 @@ def test_a_confirmed_entry_gives_work_to_a_robot_with_definition_and_parameters(
 
 
 def test_an_entry_that_nobody_confirmed_gives_no_work_to_a_robot() -> None:
-    assignment = allocator(GRIP, by=None).assign(activity(**{"class": "com.example.Grip"}), {})
+    assignment = rules(GRIP, by=None).assign(activity(**{"class": "com.example.Grip"}), {})
     assert assignment.activity.involves == ()
     assert assignment.warning is not None
     assert assignment.warning.code == "allocation.unconfirmed"
@@ -78,7 +78,7 @@ def test_an_entry_that_nobody_confirmed_gives_no_work_to_a_robot() -> None:
 
 def test_an_entry_that_nobody_confirmed_gives_work_to_a_person() -> None:
     entry = {"kind": "lane", "name": "Quality", "resource": "Person:ada"}
-    assignment = allocator(entry, by=None).assign(activity(lane="Quality"), {})
+    assignment = rules(entry, by=None).assign(activity(lane="Quality"), {})
     assert [value.literal for value in assignment.activity.involves] == ["Person:ada"]
 
 
@@ -90,7 +90,7 @@ def test_the_most_specific_name_decides() -> None:
     )
     given = activity(lane="Robot", topic="grip")
     for left, expected in ((3, "Device:ur10-3"), (2, "Device:ur10-2"), (1, "Device:ur10-1")):
-        assignment = allocator(*entries[:left]).assign(given, {})
+        assignment = rules(*entries[:left]).assign(given, {})
         assert assignment.performer == expected
 
 
@@ -98,12 +98,12 @@ def test_a_resource_of_the_file_comes_before_the_mapping() -> None:
     named = (Value(expression=native.read("robot")),)
     given = activity(involves=named, topic="grip")
     entry = {"kind": "topic", "name": "grip", "resource": "Device:ur10-2"}
-    assert allocator(entry).assign(given, {"robot": "Device:ur10-1"}).activity is given
+    assert rules(entry).assign(given, {"robot": "Device:ur10-1"}).activity is given
 
 
 def test_a_role_that_nobody_has_is_a_warning() -> None:
     entry = {"kind": "candidateGroup", "name": "welders", "role": "welder"}
-    assignment = allocator(entry).assign(activity(candidateGroups="welders"), {})
+    assignment = rules(entry).assign(activity(candidateGroups="welders"), {})
     assert assignment.performer == "role:welder"
     assert assignment.warning == "nobody has role:welder"
 
@@ -118,13 +118,13 @@ def test_a_role_that_nobody_has_is_a_warning() -> None:
     ],
 )
 def test_hints_may_be_expressions(hint: str, text: str, names: list[str]) -> None:
-    assignment = allocator().assign(activity(**{hint: text}), {"team": "welders"})
+    assignment = rules().assign(activity(**{hint: text}), {"team": "welders"})
     assert assignment.candidates == {"groups": names}
 
 
 def test_a_delegate_expression_is_mapped_by_its_name() -> None:
     entry = {"kind": "class", "name": "gripDelegate", "resource": "Device:ur10-1"}
-    assignment = allocator(entry).assign(activity(delegateExpression="${gripDelegate}"), {})
+    assignment = rules(entry).assign(activity(delegateExpression="${gripDelegate}"), {})
     assert assignment.performer == "Device:ur10-1"
 
 

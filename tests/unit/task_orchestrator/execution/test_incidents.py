@@ -6,8 +6,7 @@ from typing import Any
 import orjson
 import pytest
 
-from services.task_orchestrator.execution import events, propagation
-from services.task_orchestrator.execution import advance
+from services.task_orchestrator.execution import advance, events, propagation
 from services.task_orchestrator.execution.run import Run
 from services.task_orchestrator.execution.state import RunFailed, TokenState
 from services.task_orchestrator.languages.native import read
