@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.execution.migration import Finding
 from services.task_orchestrator.execution.run import Run
-from services.task_orchestrator.execution.state import Library, RunFailed
+from services.task_orchestrator.execution.state import Library
 from services.task_orchestrator.model import (
     CompensateEvent,
     Kind,
@@ -44,7 +44,7 @@ from tests.unit.task_orchestrator.execution.build import (
     work,
     xor,
 )
-from tests.unit.task_orchestrator.execution.test_invariants import ACTS, CALLED, _act, check, content_of
+from tests.unit.task_orchestrator.execution.random_runs import CALLED, act_randomly, check, content_of
 from tests.unit.task_orchestrator.execution.test_oracle import SHAPES
 
 
@@ -361,14 +361,8 @@ def test_a_migrated_run_does_what_it_would_have_done(shape: Any, data: st.DataOb
 
 def _advanced(content: Scope, data: st.DataObject, variables: dict[str, Any]) -> Migrated:
     run = Migrated(content, CALLED, **variables)
-    for act in data.draw(st.lists(st.sampled_from(ACTS), max_size=15)):
-        if not run.run._state.tokens:
-            break
-        try:
-            _act(run, act, data.draw)
-        except RunFailed:
-            event(f"{act} refused")
-        run.restore()
+    for _ in act_randomly(run, data, max_acts=15):
+        pass
     return run
 
 
