@@ -59,6 +59,8 @@ _NEVER = datetime.min.replace(tzinfo=UTC)
 class Run:
     """The execution of one process. Not thread-safe."""
 
+    __slots__ = ("_identity", "_index", "_library", "_now", "_saved", "_state", "effects", "plan")
+
     def __init__(
         self, plan: Plan, state: State, library: Library, identity: Mapping[str, Any] | None = None
     ) -> None:

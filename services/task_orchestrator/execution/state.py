@@ -313,7 +313,8 @@ def _written(
         if record is None:
             written.pop(key, None)
         else:
-            written[key] = orjson.dumps(values(record))
+            # orjson leaves its buffer of 4 kB with the bytes that it returns; a copy takes what it needs
+            written[key] = bytes(memoryview(orjson.dumps(values(record))))
     records.touched.clear()
     return b'"%s":[%s]' % (name, b",".join(written.values()))
 

@@ -28,7 +28,7 @@ _ASKS_AGAIN = frozenset({ReservationState.IMPOSSIBLE, ReservationState.RELEASED}
 """States that end when an activity within needs a performer."""
 
 
-@dataclass
+@dataclass(slots=True)
 class SpanReservations:
     """The reservations of one process; `records` are stored with it."""
 
