@@ -109,6 +109,16 @@ class BrokerClient:
         """
         return [entity async for page in self._pages(selection) for entity in page]
 
+    async def count(self, **selection: Any) -> int | None:
+        """Return how many entities match; None if the broker does not say it.
+
+        `selection` is that of `query`.
+        """
+        params = {_parameter(name): _joined(value) for name, value in selection.items() if value is not None}
+        response = await self._call("GET", "/entities", params={**params, "count": "true", "limit": 0})
+        total = response.headers.get("ngsild-results-count", "")
+        return int(total) if total.isdecimal() else None
+
     async def evolution(self, since: str, **selection: Any) -> list[dict[str, Any]]:
         """Return the temporal evolution, normalized and with times, of entities that changed since a time.
 

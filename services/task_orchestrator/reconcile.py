@@ -1,7 +1,10 @@
 """Reconciliation of the Tasks with the broker, and the clock of timers and deadlines.
 
 Notifications are hints. So the broker is queried for the open Tasks at start, after a lost connection, and
-every few seconds.
+every `reconcile_s`. Many open Tasks are only counted by the broker, and compared one by one if their number is
+not the expected one, or at the latest every `MAX_UNCOMPARED_S`. So the end of a Task whose notification was
+lost is found within `reconcile_s`, any other change within `MAX_UNCOMPARED_S`. A broker that does not count
+is asked for all of them every `reconcile_s`.
 """
 
 import asyncio
@@ -26,6 +29,8 @@ log = get_logger(__name__)
 MAX_QUERIED_TASKS = 40
 MAX_READ_TASKS = 400
 """Up to this number, every open Task is read; beyond it, only those whose listed status has changed."""
+MAX_UNCOMPARED_S = 60.0
+"""The time between two comparisons of many Tasks while their number is the expected one."""
 MAX_TIMER_WAIT_S = 60.0
 """The system clock may be changed, so a longer wait is not exact."""
 
@@ -41,6 +46,9 @@ class Reconciler:
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
         self._agents_resync = Resync(self._try_read_agents, self._settings.reconcile_s)
         self._registered = self._was_unavailable = False
+        self._foreign: int | None = None
+        """The unfinished Tasks of others at the last comparison; None: compare at the next opportunity."""
+        self._compare_at_s = 0.0
         self._tasks = BackgroundTasks("reconciler")
 
     async def __aenter__(self) -> "Reconciler":
@@ -66,6 +74,8 @@ class Reconciler:
             await self._register()
         awaited = self._orchestrator.broker_changes.awaited()
         if len(awaited) > MAX_READ_TASKS:
+            if await self._has_expected_number(len(awaited)):
+                return
             awaited = await self._select_changed(awaited)
         for start in range(0, len(awaited), MAX_QUERIED_TASKS):
             ids = awaited[start : start + MAX_QUERIED_TASKS]
@@ -77,10 +87,18 @@ class Reconciler:
                 self._registered = False
                 await self._orchestrator.broker_changes.missing(gone)
 
+    async def _has_expected_number(self, awaited: int) -> bool:
+        """Return whether there are as many unfinished Tasks as the last comparison lets expect."""
+        if self._foreign is None or asyncio.get_running_loop().time() >= self._compare_at_s:
+            return False
+        return await self._broker.count(type="Task", q=UNFINISHED_QUERY) == awaited + self._foreign
+
     async def _select_changed(self, awaited: list[str]) -> list[str]:
         """Return those of the Tasks `awaited` that the broker does not list, or lists with another status."""
         unfinished = await self._broker.query(type="Task", q=UNFINISHED_QUERY, attrs="status")
         unchanged = {str(entity["id"]) for entity in unfinished}
+        self._foreign = len(unchanged.difference(awaited))
+        self._compare_at_s = asyncio.get_running_loop().time() + MAX_UNCOMPARED_S
         unchanged.difference_update(self._orchestrator.broker_changes.changed_ids(unfinished))
         return [task_id for task_id in awaited if task_id not in unchanged]
 
@@ -101,6 +119,7 @@ class Reconciler:
             entities = await self._receiver.read("Task", changed)
         except BrokerError as error:
             log.warning("changed tasks not read", error=str(error))
+            self._foreign = None
             self._resync.request()
             return
         await self._orchestrator.broker_changes.receive(entities)
@@ -127,10 +146,11 @@ class Reconciler:
             await self.reconcile()
         except BrokerError as error:
             log.warning("tasks not reconciled", error=str(error))
-            self._was_unavailable, self._registered = True, False
+            self._was_unavailable, self._registered, self._foreign = True, False, None
             return False
         except Problem as problem:
             log.warning("state of tasks not stored", error=str(problem))
+            self._foreign = None
             return False
         if self._was_unavailable:
             self._orchestrator.outbox.retry_now()

@@ -1,0 +1,144 @@
+"""Reconciliation finds what a lost notification would have brought, at a cost that does not grow with it."""
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from datamodels.times import iso
+from handover.broker import BrokerClient
+from services.task_orchestrator import reconcile
+from services.task_orchestrator.orchestrator import Orchestrator, utc_now
+from services.task_orchestrator.reconcile import Reconciler
+from tests.integration.task_orchestrator.rest import settings_in
+from tests.kit.waiting import until
+from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing
+
+
+class Recorder(httpx.AsyncBaseTransport):
+    """Records the queries of Tasks, without those that only count."""
+
+    def __init__(self) -> None:
+        self.queries: list[str] = []
+        self.can_count = True
+        self._transport = httpx.AsyncHTTPTransport(trust_env=False)
+
+    async def handle_async_request(self, request: httpx.Request) -> httpx.Response:
+        asked = request.url.params
+        counts = asked.get("count") == "true"
+        if request.method == "GET" and asked.get("type") == "Task" and not counts:
+            self.queries.append(str(request.url))
+        response = await self._transport.handle_async_request(request)
+        if counts and not self.can_count:
+            del response.headers["ngsild-results-count"]
+        return response
+
+    async def aclose(self) -> None:
+        await self._transport.aclose()
+
+
+class Bench:
+    """An orchestrator whose notifications nobody sends, with many open Tasks."""
+
+    def __init__(
+        self, broker: BrokerClient, orchestrator: Orchestrator, client: BrokerClient, recorder: Recorder
+    ) -> None:
+        self.broker = broker
+        self.recorder = recorder
+        self.orchestrator = orchestrator
+        self.reconciler = Reconciler(orchestrator, client)
+
+    async def start(self) -> str:
+        """Start a process; return its Task once the broker has it."""
+        process, _ = await self.orchestrator.processes.start("p", {})
+        task = f"urn:ngsi-ld:Task:demo:{process}-work-1"
+
+        async def is_delivered() -> bool:
+            return not self.orchestrator.outbox.is_pending(task)
+
+        await until(is_delivered, 30, f"{task} is not in the broker")
+        return task
+
+    async def queries(self) -> int:
+        """Reconcile; return how many queries of Tasks that took."""
+        self.recorder.queries.clear()
+        await self.reconciler.reconcile()
+        return len(self.recorder.queries)
+
+    async def report(self, task: str, status: str) -> None:
+        """Write a status as a performer does."""
+        reported = {"type": "Property", "value": status, "observedAt": iso(utc_now())}
+        await self.broker.append(task, {"status": reported})
+
+    def known(self, task: str) -> str | None:
+        """Return the status of an open Task that the orchestrator knows; None: it has ended."""
+        owner = self.orchestrator.state.active_processes.owner(task)
+        return None if owner is None else owner.tasks[task].status.value
+
+
+@pytest.fixture
+async def bench(
+    broker: BrokerClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> AsyncIterator[Bench]:
+    monkeypatch.setattr(reconcile, "MAX_READ_TASKS", 2)
+    recorder = Recorder()
+    settings = settings_in(tmp_path / "orchestrator", broker_url=broker.url.partition("/ngsi-ld")[0])
+    async with (
+        BrokerClient(settings, transport=recorder) as client,
+        Orchestrator(settings, client) as orchestrator,
+    ):
+        await orchestrator.deployments.deploy(drawing(ONE_STEP))
+        yield Bench(broker, orchestrator, client, recorder)
+
+
+async def test_many_tasks_are_compared_once_and_then_counted(bench: Bench) -> None:
+    for _ in range(4):
+        await bench.start()
+    assert await bench.queries() == 1
+    assert await bench.queries() == 0
+    bench.recorder.can_count = False
+    assert await bench.queries() == 1, "a broker that does not count is asked for all"
+
+
+async def test_the_end_of_a_task_without_a_notification_is_found_by_the_number(bench: Bench) -> None:
+    tasks = [await bench.start() for _ in range(4)]
+    await bench.queries()
+    await bench.report(tasks[1], "completed")
+    await bench.queries()
+    assert [bench.known(task) for task in tasks] == ["pending", None, "pending", "pending"]
+    assert await bench.queries() == 0
+
+
+async def test_a_task_that_the_broker_has_lost_is_found_by_the_number_and_posted_again(bench: Bench) -> None:
+    tasks = [await bench.start() for _ in range(4)]
+    await bench.queries()
+    await bench.broker.delete(tasks[2])
+    await bench.queries()
+
+    async def is_back() -> bool:
+        return len(await bench.broker.query(type="Task")) == 4
+
+    await until(is_back, 30, "the Task is not posted again")
+
+
+async def test_tasks_of_others_are_expected_once_they_were_seen(bench: Bench) -> None:
+    for _ in range(4):
+        await bench.start()
+    await bench.queries()
+    pending: dict[str, Any] = {"type": "Property", "value": "pending"}
+    await bench.broker.create({"id": "urn:ngsi-ld:Task:demo:foreign", "type": "Task", "status": pending})
+    assert await bench.queries() > 0
+    assert await bench.queries() == 0
+
+
+async def test_a_status_that_no_number_shows_is_found_by_the_next_comparison(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reconcile, "MAX_UNCOMPARED_S", 0.0)
+    tasks = [await bench.start() for _ in range(4)]
+    await bench.queries()
+    await bench.report(tasks[3], "inProgress")
+    await bench.queries()
+    assert bench.known(tasks[3]) == "inProgress"
