@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from handover.cli import bridge, broker, process, secrets, specification
+from handover.cli import bridge, broker, process, robot, secrets, specification
 from handover.cli.check import databases, faults_in
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
@@ -32,6 +32,7 @@ app.add_typer(bridge.app, name="bridge")
 app.add_typer(broker.app, name="broker")
 app.add_typer(specification.app, name="specification")
 app.add_typer(secrets.app, name="secrets")
+app.add_typer(robot.app, name="robot")
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 

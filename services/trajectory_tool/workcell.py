@@ -18,7 +18,7 @@ from services.trajectory_tool.motion import INSTALL, SharedSpace
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.robot import Unreachable
 from services.trajectory_tool.robot_model import RobotModel
-from services.trajectory_tool.robots import ROBOTS
+from services.trajectory_tool.robots.folder import load_robot
 from services.trajectory_tool.scene import Scene, load, read_scene
 from services.trajectory_tool.settings import TrajectorySettings
 
@@ -40,7 +40,7 @@ class Workcell:
         broker: BrokerClient | None = None,
     ) -> None:
         plan = cell_plan(settings)
-        models = {name: _model(plan, name, entry) for name, entry in plan.robots.items()}
+        models = {name: _model(plan, name, entry, settings.data_dir) for name, entry in plan.robots.items()}
         if len(models) > 1 and not is_available():
             raise UsageError(f"several robots in one cell need motion planning; {INSTALL}")
         self.settings = settings
@@ -83,8 +83,8 @@ class Workcell:
             await asyncio.to_thread(self.file.save, memory)
 
 
-def _model(plan: CellPlan, name: str, entry: RobotEntry) -> RobotModel:
-    model: RobotModel = entry.mounted(ROBOTS.load(entry.model))
+def _model(plan: CellPlan, name: str, entry: RobotEntry, data_dir: Path) -> RobotModel:
+    model = entry.mounted(load_robot(entry.model, data_dir, plan.folder))
     if entry.home is None:
         return model
     try:

@@ -65,12 +65,12 @@ class Collisions:
     def __init__(self, arm: Arm, world: World) -> None:
         self.arm = arm
         self.world = world
-        self._geometry, self._names = _joined(arm, world)
+        self.geometry, self._names = _joined(arm, world)
         self._checks: dict[tuple[float, float], _Checks] = {}
         self._exact: Any = None
         self.checked = 0
         """The number of checked configurations, for measurements."""
-        items = self._geometry.geometryObjects
+        items = self.geometry.geometryObjects
         reaches = np.array([arm.reach_of(item) for item in items]).reshape(-1, arm.n)
         self.reach = reaches.max(axis=0, initial=0.0)
         """How far any point moves at most for 1 rad (or 1 m) of each joint."""
@@ -79,7 +79,7 @@ class Collisions:
     @property
     def pairs(self) -> int:
         """Return the number of pairs that are checked."""
-        return len(self._geometry.collisionPairs)
+        return len(self.geometry.collisionPairs)
 
     def is_free(self, joints: Array, margin_m: float = 0.0) -> bool:
         """Return whether everything is farther apart than `margin_m`."""
@@ -94,7 +94,7 @@ class Collisions:
         checks = self._checks.get((travel_m, margin_m))
         if checks is None:
             margins = np.maximum(self._shares * travel_m, margin_m)
-            checks = _Checks(self.arm.pin_model, self._geometry, margins)
+            checks = _Checks(self.arm.pin_model, self.geometry, margins)
             self._checks[(travel_m, margin_m)] = checks
         self.checked += 1
         return not pin.computeCollisions(
@@ -112,18 +112,18 @@ class Collisions:
     def distances(self, joints: Array) -> list[Clearance]:
         """Return the distances of all pairs that are checked; empty without any."""
         data = self._distance_data()
-        pin.computeDistances(self.arm.pin_model, self.arm.data, self._geometry, data, joints)
+        pin.computeDistances(self.arm.pin_model, self.arm.data, self.geometry, data, joints)
         names = self._names
         found = [
             Clearance(names[pair.first], names[pair.second], result.min_distance)
-            for pair, result in zip(self._geometry.collisionPairs, data.distanceResults, strict=True)
+            for pair, result in zip(self.geometry.collisionPairs, data.distanceResults, strict=True)
         ]
         return found or [Clearance("robot", "nothing", math.inf)]
 
     def closest_index(self, joints: Array) -> int:
         """Compute the distances of all pairs, and return the number of the closest."""
         data = self._distance_data()
-        return int(pin.computeDistances(self.arm.pin_model, self.arm.data, self._geometry, data, joints))
+        return int(pin.computeDistances(self.arm.pin_model, self.arm.data, self.geometry, data, joints))
 
     def contacts(self, joints: Array, margin_m: float = 0.0) -> list[Clearance]:
         """Return the pairs within `margin_m`, the closest first, one for each two things."""
@@ -139,9 +139,9 @@ class Collisions:
         The travel is the sum of `reach` times the motion of each joint. Only the joints between the two
         geometries change their distance, each by the reach of the outer one.
         """
-        items = self._geometry.geometryObjects
+        items = self.geometry.geometryObjects
         shares = []
-        for pair in self._geometry.collisionPairs:
+        for pair in self.geometry.collisionPairs:
             inner, outer = sorted((pair.first, pair.second), key=lambda number: items[number].parentJoint)
             between = reaches[outer].copy()
             between[: items[inner].parentJoint] = 0.0
@@ -150,7 +150,7 @@ class Collisions:
 
     def _distance_data(self) -> Any:
         if self._exact is None:
-            self._exact = pin.GeometryData(self._geometry)
+            self._exact = pin.GeometryData(self.geometry)
         return self._exact
 
 

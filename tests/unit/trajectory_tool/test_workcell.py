@@ -17,7 +17,7 @@ from services.trajectory_tool import operations, parameters
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.controller import Controllers
 from services.trajectory_tool.drivers import DRIVERS, RobotContext
-from services.trajectory_tool.obstacles import Box, Capsule, Obstacle, World
+from services.trajectory_tool.obstacles import Box, Capsule, Cylinder, Obstacle, World
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Frame, pointing_down
 from services.trajectory_tool.robot import RobotFault
@@ -143,6 +143,13 @@ def is_inside(link: Obstacle, copy: Obstacle) -> bool:
         room, half = larger.radius - shape.radius, shape.length / 2
         ends = [(frame @ Frame(UNTURNED, (0.0, 0.0, side * half))).position for side in (1, -1)]
         return all(np.hypot(np.hypot(x, y), max(abs(z) - larger.length / 2, 0.0)) <= room for x, y, z in ends)
+    if isinstance(shape, Cylinder) and isinstance(larger, Cylinder):
+        rim = [
+            (frame @ Frame(UNTURNED, (x * shape.radius, y * shape.radius, side * shape.length / 2))).position
+            for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1))
+            for side in (1, -1)
+        ]
+        return all(np.hypot(x, y) <= larger.radius and abs(z) <= larger.length / 2 for x, y, z in rim)
     if not isinstance(shape, Box) or not isinstance(larger, Box):
         return False
     half_sizes = tuple(size / 2 for size in shape.size)

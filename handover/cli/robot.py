@@ -1,0 +1,71 @@
+"""`handover robot`: robots from URDFs, and checks of what they would do."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handover.errors import UsageError
+from handover.settings import Settings
+
+app = typer.Typer(help="Robots: add one from a URDF, list them, check a process.", no_args_is_help=True)
+
+DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
+
+
+@app.command()
+def add(  # noqa: PLR0917 - options of a command
+    source: Annotated[
+        str,
+        typer.Argument(help="A URDF file, package://PACKAGE/FILE of ROS, or example-robot-data:NAME."),
+    ],
+    name: Annotated[str, typer.Option("--name", help="The name of the robot.")],
+    into: Annotated[
+        Path | None,
+        typer.Option("--into", help="Where to make its folder; else in the data directory."),
+    ] = None,
+    tip: Annotated[
+        str | None,
+        typer.Option("--tip", help="The link that is the tip of the tool; else the last one."),
+    ] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace a robot of this name.")] = False,
+    data_dir: DataDir = None,
+) -> None:
+    """Make a robot folder from a URDF, with a report of what is missing or odd."""
+    if not name.isascii() or not all(sign.isalnum() or sign in "_.-" for sign in name):
+        raise UsageError(f'the name "{name}" may have letters, digits, "_", "." and "-" only')
+    _require_planning()
+    from services.trajectory_tool.onboarding.add import add_robot  # noqa: PLC0415 - needs the extra
+    from services.trajectory_tool.robots.folder import robots_folder  # noqa: PLC0415
+
+    added = add_robot(source, name, into or robots_folder(_data_dir(data_dir)), tip=tip, replaces=replace)
+    model = added.model
+    for finding in added.findings:
+        print(f"{finding.level:<8} {finding.about}: {finding.text}")
+    print(f"{name}: {len(model.joints)} joints from the base to {model.tip}: {', '.join(model.joint_names)}")
+    print(f"written to {added.folder}; correct its files there")
+    named = name if into is None else str(added.folder)
+    print(f"use it: HANDOVER_ROBOT_MODEL={named}, or in a cell file: model: {named}")
+
+
+@app.command("list")
+def list_robots(data_dir: DataDir = None) -> None:
+    """List the robots that HANDOVER_ROBOT_MODEL and cell files can name."""
+    from services.trajectory_tool.robots import ROBOTS  # noqa: PLC0415 - only this command needs it
+    from services.trajectory_tool.robots.folder import FILE, robots_folder  # noqa: PLC0415
+
+    for name in ROBOTS.names():
+        print(f"{name:<24} {'of Handover' if name in ROBOTS.own else 'of a package'}")
+    for path in sorted(robots_folder(_data_dir(data_dir)).glob(f"*/{FILE}")):
+        print(f"{path.parent.name:<24} {path.parent}")
+
+
+def _data_dir(data_dir: Path | None) -> Path:
+    return Settings.load(**({} if data_dir is None else {"data_dir": data_dir})).data_dir
+
+
+def _require_planning() -> None:
+    from services.trajectory_tool.planning import is_available  # noqa: PLC0415 - only this command needs it
+
+    if not is_available():
+        raise UsageError('this needs motion planning: pip install "handover[motion]"')

@@ -1,0 +1,297 @@
+"""The tree of a URDF: checked, completed where a default is safe, and refused where it is not.
+
+Refused is what has no unique meaning: loops, several roots, reversed limits, joints that no arm has, values
+that are no numbers. Completed, with a finding, is what a URDF may leave out.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from lxml import etree
+
+from handover.errors import UsageError
+
+Level = Literal["info", "warning", "error"]
+
+DEFAULT_SPEED = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.25}
+ACCELERATION_OF_SPEED, JERK_OF_SPEED = 4.0, 40.0
+"""Assumed limits as multiples of the limit of velocity."""
+MAX_PLAUSIBLE_SPEED = {"revolute": 12.0, "continuous": 12.0, "prismatic": 5.0}
+MOVABLE = frozenset(DEFAULT_SPEED)
+NOT_OF_AN_ARM = frozenset({"planar", "floating"})
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is missing or odd: where, what, and what was done or is to be done."""
+
+    level: Level
+    about: str
+    text: str
+
+
+@dataclass
+class Examined:
+    """A checked tree: `root` is the completed XML, `chain` the joints from the root link to `tip`."""
+
+    root: Any
+    tip: str
+    chain: list[Any]
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def movable(self) -> list[Any]:
+        """Return the movable joints of the chain."""
+        return [joint for joint in self.chain if joint.get("type") != "fixed"]
+
+
+def examine(text: str, tip: str | None = None) -> Examined:
+    """Return the checked tree of a URDF. Raises `UsageError` with a line for each fault."""
+    root = _parse(text)
+    findings: list[Finding] = []
+    _drop_foreign(root, findings)
+    faults = list(_tree_faults(root))
+    if faults:
+        raise UsageError("\n".join(faults))
+    joints = {joint.find("child").get("link"): joint for joint in root.findall("joint")}
+    tip = _tip(root, joints, tip, findings)
+    chain: list[Any] = []
+    link = tip
+    while link in joints:
+        chain.insert(0, joints[link])
+        link = joints[link].find("parent").get("link")
+    examined = Examined(root, tip, chain, findings)
+    faults = [fault for joint in chain for fault in _joint_faults(joint)]
+    if not faults and not examined.movable:
+        faults = [f'no joint moves between the root and "{tip}"; name another tip: --tip LINK']
+    if faults:
+        raise UsageError("\n".join(faults))
+    for joint in examined.movable:
+        findings += _completed(joint)
+    findings += _beside(root, chain)
+    findings += _inertias(root)
+    return examined
+
+
+def number_of(element: Any, attribute: str) -> float | None:
+    """Return an attribute as a number; None if it is missing, NaN if it is none."""
+    written = None if element is None else element.get(attribute)
+    if written is None:
+        return None
+    try:
+        return float(written)
+    except ValueError:
+        return math.nan
+
+
+def _parse(text: str) -> Any:
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True, huge_tree=False)
+    try:
+        root = etree.fromstring(text.encode(), parser)
+    except etree.XMLSyntaxError as error:
+        raise UsageError(f"not XML: {error}") from None
+    if any(each.prefix == "xacro" for each in root.iter()):
+        raise UsageError("this is a xacro file; expand it first: xacro FILE.xacro > FILE.urdf")
+    if root.tag != "robot":
+        hint = "; convert the SDF to a URDF first" if root.tag == "sdf" else ""
+        raise UsageError(f"the root element is <{root.tag}>, not <robot>{hint}")
+    return root
+
+
+def _drop_foreign(root: Any, findings: list[Finding]) -> None:
+    """Remove what belongs to other tools."""
+    known = {"link", "joint", "material"}
+    foreign = [each for each in root if each.tag not in known]
+    for each in foreign:
+        root.remove(each)
+    if foreign:
+        names = ", ".join(sorted({str(each.tag) for each in foreign}))
+        findings.append(Finding("info", "file", f"elements of other tools are left out: {names}"))
+
+
+def _tree_faults(root: Any) -> Iterator[str]:  # noqa: PLR0912 - one rule after another
+    links = [link.get("name") for link in root.findall("link")]
+    joints = root.findall("joint")
+    if not links:
+        yield "there is no link"
+        return
+    for kind, names in (("link", links), ("joint", [joint.get("name") for joint in joints])):
+        for name in sorted({str(name) for name in names if names.count(name) > 1}):
+            yield f'two {kind}s are called "{name}"'
+        if None in names or "" in names:
+            yield f"a {kind} has no name"
+    parents: dict[str, list[str]] = {}
+    for joint in joints:
+        name = joint.get("name")
+        ends = {end: joint.find(end) for end in ("parent", "child")}
+        missing = [end for end, element in ends.items() if element is None or not element.get("link")]
+        if missing:
+            yield f'the joint "{name}" has no {" and no ".join(missing)}'
+            continue
+        for end, element in ends.items():
+            if element.get("link") not in links:
+                yield f'the {end} "{element.get("link")}" of the joint "{name}" does not exist'
+        parents.setdefault(ends["child"].get("link"), []).append(ends["parent"].get("link"))
+    for child, above in parents.items():
+        if len(above) > 1:
+            yield f'the link "{child}" has {len(above)} parents, a closed loop; cut it: keep one joint'
+    roots = [link for link in links if link not in parents]
+    if not roots:
+        yield "the joints form a loop without a root link; a robot description is a tree"
+    if len(roots) > 1:
+        yield f"there are {len(roots)} root links: {', '.join(roots)}; connect them by fixed joints"
+    for start in parents:
+        seen, link = {start}, start
+        while link in parents:
+            link = parents[link][0]
+            if link in seen:
+                yield f'the joints form a loop at "{link}"; a robot description is a tree'
+                return
+            seen.add(link)
+
+
+def _tip(root: Any, joints: dict[str, Any], tip: str | None, findings: list[Finding]) -> str:
+    links = [link.get("name") for link in root.findall("link")]
+    if tip is not None:
+        if tip not in links:
+            raise UsageError(f'there is no link "{tip}"; the links are {", ".join(links)}')
+        return tip
+    inner = {joint.find("parent").get("link") for joint in joints.values()}
+    leaves = [link for link in links if link not in inner]
+
+    def reach(link: str) -> tuple[int, int]:
+        moving = total = 0
+        passes_mimic = False
+        while link in joints:
+            joint = joints[link]
+            total += 1
+            moving += joint.get("type") in MOVABLE
+            passes_mimic = passes_mimic or joint.find("mimic") is not None
+            link = joint.find("parent").get("link")
+        return (-1 if passes_mimic else moving, total)
+
+    ordered = sorted(leaves, key=reach, reverse=True)
+    named = [link for link in links if link in {"tool0", "tcp", "tip", "ee_link", "tool_link", "flange"}]
+    chosen = named[0] if named else ordered[0]
+    if len(leaves) > 1:
+        findings.append(
+            Finding(
+                "warning",
+                "tip",
+                f'there are {len(leaves)} tips ({", ".join(leaves)}); "{chosen}" is used; '
+                "choose another with --tip LINK",
+            )
+        )
+    return str(chosen)
+
+
+def _joint_faults(joint: Any) -> Iterator[str]:  # noqa: PLR0912 - one rule after another
+    name, kind, limit = joint.get("name"), joint.get("type"), joint.find("limit")
+    if kind in NOT_OF_AN_ARM:
+        yield f'the joint "{name}" is {kind}; between base and tip joints turn or slide'
+        return
+    if kind not in MOVABLE | {"fixed"}:
+        yield f'the joint "{name}" has the unknown type "{kind}"'
+        return
+    if joint.find("mimic") is not None:
+        yield (
+            f'the joint "{name}" mimics "{joint.find("mimic").get("joint")}" and is on the way to the tip; '
+            "name a tip before it: --tip LINK"
+        )
+    for element in joint.iter():
+        for attribute in ("xyz", "rpy"):
+            written = element.get(attribute)
+            if written is not None and not _is_vector(written):
+                yield f'the joint "{name}" has {attribute}="{written}", which is not three numbers'
+    axis = joint.find("axis")
+    written = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    if kind != "fixed" and _is_vector(written) and math.hypot(*map(float, written.split())) < 1e-6:
+        yield f'the joint "{name}" has an axis of length 0'
+    values = {one: number_of(limit, one) for one in ("lower", "upper", "velocity", "effort")}
+    for attribute, value in values.items():
+        if value is not None and not math.isfinite(value):
+            yield f'the joint "{name}" has {attribute}="{limit.get(attribute)}", which is not a number'
+    lower, upper = values["lower"], values["upper"]
+    if kind in {"revolute", "prismatic"}:
+        if lower is None and upper is None:
+            yield f'the joint "{name}" is {kind} without limits: give <limit lower="…" upper="…"/>'
+        elif (lower or 0.0) > (upper or 0.0):
+            yield f'the joint "{name}" has its limits reversed: lower {lower} is above upper {upper}'
+        elif (lower or 0.0) == (upper or 0.0):
+            yield f'the joint "{name}" cannot move: lower and upper are {lower}; make it fixed'
+    if (values["velocity"] or 0.0) < 0:
+        yield f'the joint "{name}" has a negative limit of velocity'
+
+
+def _is_vector(written: str) -> bool:
+    try:
+        values = [float(part) for part in written.split()]
+    except ValueError:
+        return False
+    return len(values) == 3 and all(map(math.isfinite, values))
+
+
+def _completed(joint: Any) -> Iterator[Finding]:
+    name, kind, limit = joint.get("name"), joint.get("type"), joint.find("limit")
+    unit = "m/s" if kind == "prismatic" else "rad/s"
+    if limit is None:
+        limit = etree.SubElement(joint, "limit")
+    velocity = number_of(limit, "velocity") or 0.0
+    if velocity == 0.0:
+        limit.set("velocity", str(DEFAULT_SPEED[kind]))
+        yield Finding(
+            "warning",
+            name,
+            f"no limit of velocity; {DEFAULT_SPEED[kind]} {unit} is assumed",
+        )
+    elif velocity > MAX_PLAUSIBLE_SPEED[kind]:
+        yield Finding("warning", name, f"the limit of velocity, {velocity:g} {unit}, is implausibly high")
+    if not number_of(limit, "effort"):
+        limit.set("effort", limit.get("effort") or "0")
+        yield Finding("warning", name, "no limit of effort; torques are not limited")
+    if kind == "continuous":
+        yield Finding("info", name, "continuous; it is planned within one full turn in both directions")
+    if kind == "prismatic":
+        yield Finding("info", name, "prismatic; positions are in m")
+    for attribute in ("lower", "upper"):
+        if kind in {"revolute", "prismatic"} and limit.get(attribute) is None:
+            limit.set(attribute, "0")
+            yield Finding("warning", name, f'no limit "{attribute}"; 0 is its default in a URDF')
+
+
+def _beside(root: Any, chain: list[Any]) -> Iterator[Finding]:
+    """Yield what moves beside the chain: it is held at 0."""
+    on_chain = {joint.get("name") for joint in chain}
+    for joint in root.findall("joint"):
+        if joint.get("name") in on_chain or joint.get("type") == "fixed":
+            continue
+        mimic = joint.find("mimic")
+        text = "is beside the way to the tip; it is held at 0, e.g. as a finger"
+        if mimic is not None:
+            text = f'mimics "{mimic.get("joint")}"; it {text}'
+        yield Finding("info", joint.get("name"), text)
+
+
+def _inertias(root: Any) -> Iterator[Finding]:
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        if inertial is None:
+            continue
+        mass = number_of(inertial.find("mass"), "value") or 0.0
+        moments = [number_of(inertial.find("inertia"), axis) or 0.0 for axis in ("ixx", "iyy", "izz")]
+        if mass <= 0 or not math.isfinite(mass) or not all(moment > 0 for moment in moments):
+            yield Finding("warning", link.get("name"), "zero or negative inertia; its torques are unknown")
+            continue
+        a, b, c = sorted(moments)
+        if a + b < c * (1 - 1e-3):
+            yield Finding("warning", link.get("name"), "no body has this inertia: ixx + iyy < izz")
+    without = [
+        link.get("name")
+        for link in root.findall("link")
+        if link.find("inertial") is None
+        and (link.find("visual") is not None or link.find("collision") is not None)
+    ]
+    if without:
+        yield Finding("warning", ", ".join(without), "no inertia; torques of the robot cannot be computed")

@@ -1,0 +1,273 @@
+"""Robots of strangers: their URDFs become folders that load, and each bad one gets its answer."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from handover.cli.main import app
+from handover.errors import UsageError
+from services.trajectory_tool.obstacles import World
+from services.trajectory_tool.planning import is_available
+from services.trajectory_tool.robots import ur5e
+from services.trajectory_tool.robots.folder import load_robot
+from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.workcell import Workcell
+
+if not is_available():
+    pytest.skip("the extra motion has no wheels here", allow_module_level=True)
+
+from services.trajectory_tool.onboarding.add import Added, add_robot
+from services.trajectory_tool.onboarding.shapes import fit
+from services.trajectory_tool.planning.arm import Arm
+from services.trajectory_tool.planning.collision import Collisions, link_of
+from services.trajectory_tool.planning.planner import Planner
+
+UR5E = Path(ur5e.__file__).parent / "ur5e.urdf"
+
+INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+CYLINDER = '<origin xyz="0 0 0.15"/><geometry><cylinder radius="0.04" length="0.2"/></geometry>'
+TUBE = f"<collision>{CYLINDER}</collision>"
+LIMIT = '<limit lower="-3" upper="3" velocity="2" effort="50"/>'
+
+
+def link(name: str, shape: str = TUBE) -> str:
+    return f'<link name="{name}">{INERTIA}{shape}</link>'
+
+
+def joint(
+    name: str, parent: str, child: str, *, kind: str = "revolute", axis: str = "0 1 0", inner: str = LIMIT
+) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0 0 0.3"/><axis xyz="{axis}"/>{inner}</joint>'
+    )
+
+
+def robot(*elements: str) -> str:
+    return f'<robot name="arm">{"".join(elements)}</robot>'
+
+
+def arm(**changed: str) -> str:
+    """Return an arm with six joints, some of its elements changed by name."""
+    elements: dict[str, str] = {}
+    for number in range(7):
+        elements[f"l{number}"] = link(f"l{number}")
+    for number in range(1, 7):
+        axis = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1")[number - 1]
+        elements[f"j{number}"] = joint(f"j{number}", f"l{number - 1}", f"l{number}", axis=axis)
+    return robot(*{**elements, **changed}.values())
+
+
+@pytest.fixture
+def added(tmp_path: Path) -> Any:
+    def add(text: str, **options: Any) -> Added:
+        file = tmp_path / "given" / "arm.urdf"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(text)
+        return add_robot(str(file), "arm-1", tmp_path / "robots", samples=200, **options)
+
+    return add
+
+
+def texts(found: Added) -> str:
+    return "\n".join(f"{one.level} {one.about}: {one.text}" for one in found.findings)
+
+
+def test_an_added_robot_is_found_by_name_and_moves(added: Any, tmp_path: Path) -> None:
+    found = added(arm())
+    assert found.model.joint_names == ("j1", "j2", "j3", "j4", "j5", "j6")
+    model = load_robot("arm-1", tmp_path, tmp_path)
+    assert model.revision == found.model.revision
+    plan = Planner(model).to_joints(model.home, (0.5, 0.4, 0.3, 0.2, 0.5, 0.1))
+    assert plan.trajectory.duration_s > 0
+    settings = TrajectorySettings.load(data_dir=tmp_path, robot_model="arm-1")
+    assert Workcell(settings).only.name == "arm-1-1"
+
+
+def test_neighbours_in_the_tree_and_pairs_that_never_touch_are_not_checked(added: Any) -> None:
+    disabled = added(arm()).model.disabled_pairs
+    assert frozenset(("l0", "l1")) in disabled
+    assert frozenset(("l0", "l3")) not in disabled
+
+
+def test_the_pairs_of_a_known_robot_are_found_again(tmp_path: Path) -> None:
+    found = add_robot(str(UR5E), "mine", tmp_path, tip="tip", samples=2000)
+    assert checked_pairs(found.model) == checked_pairs(ur5e.ROBOT)
+
+
+def checked_pairs(model: Any) -> set[tuple[str, str]]:
+    geometry = Collisions(Arm(model), World()).geometry
+    names = [link_of(item.name) for item in geometry.geometryObjects]
+    return {(names[pair.first], names[pair.second]) for pair in geometry.collisionPairs}
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (
+            {"j2": joint("j2", "l1", "l2", inner='<limit lower="-1" upper="1"/>')},
+            "warning j2: no limit of vel",
+        ),
+        ({"j2": joint("j2", "l1", "l2", inner='<limit lower="-1" upper="1" velocity="99"/>')}, "implausibly"),
+        ({"j2": joint("j2", "l1", "l2", inner='<limit upper="1" velocity="1"/>')}, 'j2: no limit "lower"'),
+        ({"j1": joint("j1", "l0", "l1", kind="continuous", inner="")}, "info j1: continuous"),
+        ({"j1": joint("j1", "l0", "l1", kind="prismatic")}, "info j1: prismatic; positions are in m"),
+        ({"l3": '<link name="l3"/>'}, "l3: no geometry; a capsule of radius"),
+        ({"l3": link("l3").replace('value="1"', 'value="0"')}, "l3: zero or negative inertia"),
+        ({"l3": link("l3").replace('izz="1"', 'izz="5"')}, "l3: no body has this inertia"),
+        ({"l3": f'<link name="l3">{TUBE}</link>'}, "l3: no inertia"),
+        ({"l3": link("l3", TUBE.replace("collision>", "visual>"))}, "l3: no collision geometry; its visual"),
+        (
+            {"l3": link("l3", TUBE.replace("<cylinder", '<mesh filename="x.stl"/><c'))},
+            "mesh x.stl was not found",
+        ),
+        ({"plugin": "<gazebo/><transmission/>"}, "other tools are left out: gazebo, transmission"),
+        (
+            {"l9": link("l9"), "j9": joint("j9", "l5", "l9")},
+            'there are 2 tips (l6, l9); "l6" is used',
+        ),
+        (
+            {"l9": link("l9"), "j9": joint("j9", "l6", "l9", inner=LIMIT + '<mimic joint="j1"/>')},
+            'info j9: mimics "j1"; it is beside the way to the tip; it is held at 0',
+        ),
+    ],
+)
+def test_what_is_missing_or_odd_is_reported_and_the_robot_can_be_used(
+    added: Any, changed: dict[str, str], said: str
+) -> None:
+    options = {"tip": "l6"} if "mimics" in said else {}
+    assert said in texts(added(arm(**changed), **options))
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "not XML"),
+        ("<robot", "not XML"),
+        ("<sdf/>", "not <robot>; convert the SDF"),
+        ('<robot xmlns:xacro="x"><xacro:include/></robot>', "this is a xacro file; expand it first"),
+        (robot(), "there is no link"),
+        (robot(link("a"), link("a")), 'two links are called "a"'),
+        (robot(link("a"), link("b")), "there are 2 root links: a, b"),
+        (robot(link("a")), 'no joint moves between the root and "a"'),
+        (robot(link("a"), '<joint name="j" type="fixed"/>'), 'the joint "j" has no parent and no child'),
+        (robot(link("a"), joint("j", "a", "b")), 'the child "b" of the joint "j" does not exist'),
+        (robot(link("a"), link("b"), joint("j", "a", "b"), joint("k", "b", "a")), "loop without a root link"),
+        (arm(k=joint("k", "l6", "l2")), 'the link "l2" has 2 parents, a closed loop'),
+        (
+            arm(j3=joint("j3", "l2", "l3", inner='<limit lower="2" upper="-2" velocity="1"/>')),
+            "limits reversed: lower 2.0 is above upper -2.0",
+        ),
+        (arm(j3=joint("j3", "l2", "l3", inner="")), "is revolute without limits"),
+        (
+            arm(j3=joint("j3", "l2", "l3", inner='<limit lower="1" upper="1"/>')),
+            "cannot move: lower and upper",
+        ),
+        (
+            arm(j3=joint("j3", "l2", "l3", inner='<limit lower="x" upper="1"/>')),
+            'lower="x", which is not a n',
+        ),
+        (arm(j3=joint("j3", "l2", "l3", inner='<limit lower="nan" upper="1"/>')), 'lower="nan"'),
+        (arm(j3=joint("j3", "l2", "l3", axis="0 0 0")), "an axis of length 0"),
+        (arm(j3=joint("j3", "l2", "l3", axis="0 1")), 'xyz="0 1", which is not three numbers'),
+        (arm(j3=joint("j3", "l2", "l3", kind="floating")), "is floating; between base and tip"),
+        (arm(j3=joint("j3", "l2", "l3", kind="bendy")), 'the unknown type "bendy"'),
+        (
+            arm(j3=joint("j3", "l2", "l3", inner=LIMIT + '<mimic joint="j1"/>')),
+            'mimics "j1" and is on the way',
+        ),
+        (arm(l3=link("l3", TUBE.replace('radius="0.04"', 'radius="-1"'))), 'radius="-1"; sizes are in m'),
+        (arm(l3=link("l3", TUBE.replace('radius="0.04"', 'radius="40"'))), "at most 20"),
+    ],
+)
+def test_a_urdf_without_a_unique_meaning_is_refused_by_name_and_nothing_is_written(
+    added: Any, tmp_path: Path, text: str, fault: str
+) -> None:
+    with pytest.raises(UsageError) as refused:
+        added(text)
+    assert fault in str(refused.value)
+    assert all("arm.urdf: " in line for line in str(refused.value).splitlines())
+    assert not (tmp_path / "robots" / "arm-1").exists()
+
+
+def test_a_mesh_of_400_mb_is_refused(added: Any, tmp_path: Path) -> None:
+    mesh = tmp_path / "given" / "huge.stl"
+    mesh.parent.mkdir()
+    with mesh.open("wb") as file:
+        file.truncate(400 << 20)
+    shape = '<collision><geometry><mesh filename="huge.stl"/></geometry></collision>'
+    with pytest.raises(UsageError, match="has 400 MB; reduce it to 20 MB at most"):
+        added(arm(l3=link("l3", shape)))
+
+
+def stl(points: Any) -> bytes:
+    triangles = [points[number : number + 3] for number in range(0, len(points) - 2, 3)]
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *np.ravel(one), 0) for one in triangles)
+    return b"\0" * 80 + struct.pack("<I", len(triangles)) + body
+
+
+def test_meshes_of_a_ros_package_become_capsules_that_contain_them(
+    added: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    share = tmp_path / "ros" / "share" / "arm_description"
+    share.mkdir(parents=True)
+    random = np.random.default_rng(1)
+    points = random.normal(size=(300, 3)) * (0.01, 0.01, 0.08)
+    (share / "link.stl").write_bytes(stl(points))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ros"))
+    shape = (
+        '<collision><geometry><mesh filename="package://arm_description/link.stl"/></geometry></collision>'
+    )
+    found = added(arm(l3=link("l3", shape)))
+    assert "info l3: capsules and boxes replace its meshes" in texts(found)
+    assert "mesh" not in found.model.urdf
+
+
+def test_a_fitted_shape_contains_every_point() -> None:
+    random = np.random.default_rng(2)
+    for scale in ((0.02, 0.02, 0.2), (0.1, 0.1, 0.1), (0.2, 0.01, 0.1)):
+        points = random.uniform(-1, 1, (200, 3)) * scale + (0.3, -0.2, 0.1)
+        found = fit(points)
+        local = np.array([found.placement.actInv(point) for point in points])
+        if len(found.size) == 3:
+            assert (np.abs(local) <= np.array(found.size) / 2 + 1e-9).all()
+        else:
+            radius, length = found.size
+            beyond = np.maximum(np.abs(local[:, 2]) - length / 2, 0.0)
+            assert (np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2 + beyond**2) <= radius + 1e-9).all()
+
+
+def test_an_existing_robot_is_replaced_only_on_request(added: Any) -> None:
+    added(arm())
+    with pytest.raises(UsageError, match="exists; choose another name, or replace it"):
+        added(arm())
+    assert added(arm(), replaces=True).model.joint_names[0] == "j1"
+
+
+def test_the_command_prints_the_report_and_how_to_use_the_robot(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(arm())
+    options = ["robot", "add", str(file), "--name", "arm-1", "--data-dir", str(tmp_path)]
+    done = CliRunner().invoke(app, options)
+    assert done.exit_code == 0, done.output
+    assert "6 joints from the base to l6" in done.output
+    assert "HANDOVER_ROBOT_MODEL=arm-1" in done.output
+    listed = CliRunner().invoke(app, ["robot", "list", "--data-dir", str(tmp_path)])
+    assert [line.split()[0] for line in listed.output.splitlines()] == ["ur10", "ur5e", "panda", "arm-1"]
+
+
+@pytest.mark.parametrize(
+    ("source", "fault"),
+    [
+        ("nowhere.urdf", "cannot be read"),
+        ("package://nowhere/arm.urdf", "was not found; source the setup file"),
+        ("example-robot-data:no_such_robot", "example-robot-data"),
+    ],
+)
+def test_a_source_that_is_not_there_is_named(tmp_path: Path, source: str, fault: str) -> None:
+    with pytest.raises(UsageError, match=fault):
+        add_robot(source, "arm-1", tmp_path)
