@@ -7,7 +7,7 @@ another motion to the same target.
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from handover.errors import HandoverError
 from handover.messages import message
@@ -19,6 +19,18 @@ if TYPE_CHECKING:  # the settings import this module, and with them each command
 
 Joints = tuple[float, ...]
 """The joint positions of a robot from its base to its flange: rad, for prismatic joints m."""
+
+Pace = Callable[[], float]
+"""Returns the allowed fraction of the speed of a motion, from 0 (stop) to 1.
+
+Each control cycle calls it, possibly from another thread; it is cheap.
+"""
+
+Velocity = Callable[[], Joints]
+"""Returns the commanded velocities of the joints: rad/s, for prismatic joints m/s; called like `Pace`."""
+
+StopCategory = Literal[1, 2]
+"""A controlled stop after IEC 60204-1: 1 removes the power of the drives at rest, 2 keeps it."""
 
 
 class RobotFault(HandoverError):
@@ -65,15 +77,14 @@ class Robot(ABC):
         """Return the duration of a motion from rest at `start` to rest at `target` at `speed`."""
 
     @abstractmethod
-    async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
-        """Move to `target` at `speed`, a fraction from 0 to 1 of the joint limits.
+    async def move(self, target: Joints, speed: float, pace: Pace) -> bool:
+        """Move to `target` at `speed`, a fraction from 0 to 1 of the joint limits, slowed down by `pace`.
 
-        Returns True at rest at the target. Each control cycle calls `may_go`, possibly from another thread.
-        Once it returns False, the joints stop within their limits and False is returned; call again to
-        continue. Raises `RobotFault`.
+        Returns True at rest at the target. After the first pace of 0, the joints stop within their limits and
+        False is returned; call again to continue. Raises `RobotFault`, also while another motion runs.
         """
 
-    async def follow(self, trajectory: "JointTrajectory", may_go: Callable[[], bool]) -> bool:  # noqa: ARG002
+    async def follow(self, trajectory: "JointTrajectory", pace: Pace) -> bool:  # noqa: ARG002
         """Follow a planned trajectory from the present joints, with pauses as for `move`.
 
         A stop stays on the path of the trajectory. Raises `RobotFault`, also if the driver only moves on
@@ -84,6 +95,33 @@ class Robot(ABC):
                 "robot.driver_cannot_follow",
                 "the driver {driver} cannot follow planned motions; use another driver, or a scene "
                 "without obstacles",
+                driver=type(self).__name__,
+            )
+        )
+
+    async def servo(self, velocity: Velocity, until: Callable[[], bool], pace: Pace) -> bool:  # noqa: ARG002
+        """Move with the latest commanded joint velocities until `until` returns True.
+
+        The limiter changes velocities that lead beyond a limit. Returns True at rest, and False after a stop
+        because of a pace of 0. Raises `RobotFault`, also if the driver has no velocity commands.
+        """
+        raise RobotFault(
+            message(
+                "robot.driver_has_no_servo",
+                "the driver {driver} follows no velocity commands; use another driver",
+                driver=type(self).__name__,
+            )
+        )
+
+    async def stop(self, category: StopCategory) -> None:  # noqa: ARG002
+        """Bring a motion to rest within the limits, and return at rest; the motion returns False.
+
+        Raises `RobotFault`, also if the driver cannot stop a motion of another caller.
+        """
+        raise RobotFault(
+            message(
+                "robot.driver_has_no_stop",
+                "the driver {driver} has no stop command; pause or cancel the Task",
                 driver=type(self).__name__,
             )
         )

@@ -27,7 +27,7 @@ from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.metrics import MOTION_SECONDS
 from services.trajectory_tool.orders import Ended, Orders
-from services.trajectory_tool.robot import Joints, JointState, Robot, RobotFault
+from services.trajectory_tool.robot import Joints, JointState, Pace, Robot, RobotFault
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
 log = get_logger(__name__)
@@ -137,14 +137,14 @@ class RosRobot(Robot):
         """Return the duration of a motion from rest to rest."""
         return duration_s(start, target, self._limits.slowed(speed))
 
-    async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
+    async def move(self, target: Joints, speed: float, pace: Pace) -> bool:
         """Have the arm follow a trajectory to `target`; see `Robot.move`."""
         start = await self._current_joints()
         cruise = self._limits.slowed(speed)
         course = Course(start, target, cruise, self._limits, began_s=0.0)
-        return await self._execute(start, target, course.at, course.remaining_s(0.0), may_go)
+        return await self._execute(start, target, course.at, course.remaining_s(0.0), pace)
 
-    async def follow(self, trajectory: JointTrajectory, may_go: Callable[[], bool]) -> bool:
+    async def follow(self, trajectory: JointTrajectory, pace: Pace) -> bool:
         """Have the arm follow a planned trajectory; see `Robot.follow`."""
         start = await self._current_joints()
         away_rad = max(abs(a - b) for a, b in zip(start, trajectory.start, strict=True))
@@ -157,7 +157,7 @@ class RosRobot(Robot):
                     angle=f"{away_rad:.3f}",
                 )
             )
-        return await self._execute(start, trajectory.target, trajectory.at, trajectory.duration_s, may_go)
+        return await self._execute(start, trajectory.target, trajectory.at, trajectory.duration_s, pace)
 
     async def _execute(
         self,
@@ -165,11 +165,11 @@ class RosRobot(Robot):
         target: Joints,
         at: Callable[[float], Setpoint],
         planned_s: float,
-        may_go: Callable[[], bool],
+        pace: Pace,
     ) -> bool:
         if planned_s == 0.0 or start == target:
             return True
-        if not may_go():
+        if not pace() > 0:
             return False
         order = await self._orders.give(
             "followTrajectory",
@@ -180,7 +180,7 @@ class RosRobot(Robot):
         began_s = time.monotonic()
         self._motion = _Motion(start, target, planned_s)
         try:
-            ended = await self._supervise(order, may_go, 2 * planned_s + 10)
+            ended = await self._supervise(order, pace, 2 * planned_s + 10)
             if not ended.completed and not ended.cancelled:
                 raise RobotFault(
                     message(
@@ -239,8 +239,8 @@ class RosRobot(Robot):
         order = await self._orders.give(operation)
         return await self._orders.end_of(order, self._gripper_s + 20)
 
-    async def _supervise(self, order: str, may_go: Callable[[], bool], within_s: float) -> Ended:
-        """Wait for the end of a motion, and cancel it once `may_go` returns False."""
+    async def _supervise(self, order: str, pace: Pace, within_s: float) -> Ended:
+        """Wait for the end of a motion, and cancel it once the pace is 0."""
         end = asyncio.ensure_future(self._orders.end_of(order, within_s))
         stopping = False
         began_s = time.monotonic()
@@ -256,7 +256,7 @@ class RosRobot(Robot):
                         "bridge"
                     )
                 await asyncio.wait({end}, timeout=CHECK_EVERY_S if not stopping else 1.0)
-                if not stopping and not end.done() and not may_go():
+                if not stopping and not end.done() and not pace() > 0:
                     stopping = True
                     await self._orders.cancel(order)
             return end.result()

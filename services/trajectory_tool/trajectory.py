@@ -49,6 +49,16 @@ class Setpoint:
         still = (0.0,) * len(positions)
         return cls(positions, still, still)
 
+    @property
+    def derivatives(self) -> tuple[Joints, Joints, Joints]:
+        """Return positions, velocities and accelerations."""
+        return self.positions, self.velocities, self.accelerations
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Return whether no joint moves or accelerates."""
+        return all(abs(value) < NOTHING_RAD for value in (*self.velocities, *self.accelerations))
+
 
 @dataclass(frozen=True, slots=True)
 class _Line:
@@ -79,10 +89,10 @@ class _Line:
 
 
 class Course:
-    """A motion to its target or, after `may_go` was False, to rest. The time is an argument.
+    """A motion to its target or, after a pace of 0, to rest. The time is an argument.
 
-    `cruise` are the limits of the motion, `limits` those of the robot, which apply to a stop. Raises
-    `RobotFault` when there is no such motion.
+    `cruise` are the limits of the motion, `limits` those of the robot, which apply to a stop and to a lower
+    pace. Raises `RobotFault` when there is no such motion.
     """
 
     def __init__(self, start: Joints, target: Joints, cruise: Limits, limits: Limits, began_s: float) -> None:
@@ -97,25 +107,30 @@ class Course:
                     target=str(target),
                 )
             )
+        self._cruise = cruise
         self._limits = limits
         self._began_s = began_s
+        self._pace = 1.0
+        self._is_slowing = False
         self._profile: Any = None
         self._duration_s = 0.0
         if any(abs(distance) > NOTHING_RAD for distance in self._line.way):
             self._follow(_to_the_end(self._line.along(cruise)))
 
-    def at(self, now_s: float, *, may_go: bool = True) -> Setpoint:
-        """Return the setpoint at a time; the stop starts when `may_go` is False for the first time."""
+    def at(self, now_s: float, *, pace: float = 1.0) -> Setpoint:
+        """Return the setpoint at a time, and continue with `pace`, the allowed fraction of the cruise speed.
+
+        The first pace of 0 starts the stop, which later paces do not change. The joints slow down to a lower
+        pace within the limits of the robot.
+        """
         since_s = min(max(now_s - self._began_s, 0.0), self._duration_s)
         if self.is_over(now_s) and not self.stopping:
             return Setpoint.at_rest(self._line.target)
         place, velocity, acceleration = (values[0] for values in self._profile.at_time(since_s))
         if self.is_over(now_s):
             return Setpoint.at_rest(self._line.at(place, 0.0, 0.0).positions)
-        if not may_go and not self.stopping:
-            self.stopping = True
-            self._began_s = now_s
-            self._follow(_to_rest(place, velocity, acceleration, self._line.along(self._limits)))
+        if not self.stopping:
+            self._change_pace(now_s, (place, velocity, acceleration), rounded_pace(pace))
         return self._line.at(place, velocity, acceleration)
 
     def remaining_s(self, now_s: float) -> float:
@@ -125,6 +140,35 @@ class Course:
     def is_over(self, now_s: float) -> bool:
         """Return whether the joints are at rest: at the target or, after a stop, on the way."""
         return now_s - self._began_s >= self._duration_s
+
+    def _change_pace(self, now_s: float, state: tuple[float, float, float], pace: float) -> None:
+        if pace == 0.0:
+            self.stopping = True
+            self._began_s = now_s
+            self._follow(_to_rest(state, self._line.along(self._limits)))
+        elif pace != self._pace:
+            self._is_slowing = pace < self._pace
+            self._pace = pace
+            self._continue(now_s, state, self._limits if self._is_slowing else self._cruise)
+        elif self._is_slowing and self._has_slowed(state):
+            self._is_slowing = False
+            self._continue(now_s, state, self._cruise)
+
+    def _has_slowed(self, state: tuple[float, float, float]) -> bool:
+        velocity, acceleration, _ = self._line.along(self._cruise)
+        return state[1] <= self._pace * velocity * 1.001 and abs(state[2]) <= acceleration
+
+    def _continue(self, now_s: float, state: tuple[float, float, float], limits: Limits) -> None:
+        """Follow a profile to the end at the present pace; one that overshoots the target is not used."""
+        velocity = self._line.along(self._cruise)[0]
+        _, acceleration, jerk = self._line.along(limits)
+        before, before_s = self._profile, self._duration_s
+        self._follow(_to_the_end((self._pace * velocity, acceleration, jerk), state))
+        reached = self._profile.position_extrema[0]
+        if reached.max > 1.0 + 1e-9 or reached.min < state[0] - 1e-9:
+            self._profile, self._duration_s = before, before_s
+        else:
+            self._began_s = now_s
 
     def _follow(self, inputs: Any) -> None:
         profile = RuckigProfile(1)
@@ -151,6 +195,11 @@ class Course:
         self._profile, self._duration_s = profile, float(profile.duration)
 
 
+def rounded_pace(pace: float) -> float:
+    """Return a pace rounded down to 2 %, so that small changes cause no new profile; 0 for no number."""
+    return math.floor(min(pace, 1.0) * 50 + 1e-9) / 50 if pace > 0 else 0.0
+
+
 def duration_s(start: Joints, target: Joints, cruise: Limits) -> float:
     """Return the duration of the motion from rest to rest. Raises `RobotFault`."""
     return Course(start, target, cruise, cruise, began_s=0.0).remaining_s(0.0)
@@ -161,14 +210,16 @@ def _allowed(limits: Joints, way: Joints) -> list[float]:
     return [limit / distance for limit, distance in moved if distance > NOTHING_RAD]
 
 
-def _to_the_end(along: tuple[float, float, float]) -> Any:
-    inputs = _given((0.0, 0.0, 0.0), along)
+def _to_the_end(
+    along: tuple[float, float, float], state: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Any:
+    inputs = _given(state, along)
     inputs.target_position = [1.0]
     return inputs
 
 
-def _to_rest(place: float, velocity: float, acceleration: float, along: tuple[float, float, float]) -> Any:
-    inputs = _given((place, velocity, acceleration), along)
+def _to_rest(state: tuple[float, float, float], along: tuple[float, float, float]) -> Any:
+    inputs = _given(state, along)
     inputs.control_interface = ControlInterface.Velocity
     inputs.target_velocity = [0.0]
     return inputs

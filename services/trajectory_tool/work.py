@@ -103,7 +103,7 @@ class Work:
             trajectory = plan.trajectory.slowed(self._speed)
             self._moving = True
             try:
-                if await self.cell.robot.follow(trajectory, self._may_follow):
+                if await self.cell.robot.follow(trajectory, self._pace_of_plan):
                     break
             finally:
                 self._moving = False
@@ -147,26 +147,26 @@ class Work:
                 await self._steering.rest()
                 ends_s = clock() + self._neighbour_wait_s
 
-    def _may_follow(self) -> bool:
-        """Return whether the motion may continue: it was planned among the present obstacles."""
-        return self.cell.planning.revision == self._planned_in and self._may_go()
+    def _pace_of_plan(self) -> float:
+        """Return the pace of a planned motion: 0 when the obstacles have changed since."""
+        return self._pace() if self.cell.planning.revision == self._planned_in else 0.0
 
     async def _move(self, target: Joints) -> bool:
         self._moving = True
         try:
-            arrived = await self.cell.robot.move(target, self._speed, self._may_go)
+            arrived = await self.cell.robot.move(target, self._speed, self._pace)
             if not arrived:
                 self._current_s = self.cell.robot.estimate_s(self.cell.joints, target, self._speed)
             return arrived
         finally:
             self._moving = False
 
-    def _may_go(self) -> bool:
-        """Return whether the motion may continue; after a stop the rest of the motion is still planned."""
+    def _pace(self) -> float:
+        """Return the allowed fraction of the speed; after a stop the rest of the motion is still planned."""
         may_go = self._steering.may_go()
         if not may_go and self._current_s == 0.0:
             self._current_s = self.cell.robot.remaining_s()
-        return may_go
+        return 1.0 if may_go else 0.0
 
     async def grip(self) -> str | None:
         """Close the gripper; return the gripped part, None (and open again) without one."""

@@ -2,11 +2,10 @@
 
 import asyncio
 import time
-from collections.abc import Callable
 from typing import Self
 
 from services.trajectory_tool.drivers import RobotContext
-from services.trajectory_tool.robot import Joints, JointState, Robot
+from services.trajectory_tool.robot import Joints, JointState, Pace, Robot
 
 CYCLE_S = 0.02
 
@@ -40,11 +39,12 @@ class SteadyRobot(Robot):
             for here, there, limit in zip(start, target, self._max_speeds, strict=True)
         )
 
-    async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
+    async def move(self, target: Joints, speed: float, pace: Pace) -> bool:
         while (remaining_s := self.estimate_s(self._positions, target, speed)) > 0:
-            if not may_go():
+            allowed = min(pace(), 1.0)
+            if not allowed > 0:
                 break
-            self._step(target, min(CYCLE_S / remaining_s, 1.0))
+            self._step(target, min(allowed * CYCLE_S / remaining_s, 1.0))
             self._remaining_s = remaining_s
             await asyncio.sleep(CYCLE_S)
         self._velocities = (0.0,) * len(self._positions)

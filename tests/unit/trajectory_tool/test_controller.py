@@ -101,5 +101,5 @@ async def test_the_joints_are_stored_when_the_robot_is_switched_off(tmp_path: Pa
     async with BrokerClient(settings) as broker:
         controller = Controllers(settings, broker).by_name["ur10-1"]
         async with controller.cell as cell:
-            await cell.robot.move((0.1, -1.5, 1.5, -1.5, -1.5, 0.1), 1.0, lambda: True)
+            await cell.robot.move((0.1, -1.5, 1.5, -1.5, -1.5, 0.1), 1.0, lambda: 1.0)
         assert Controllers(settings, broker).workcell.only.joints == (0.1, -1.5, 1.5, -1.5, -1.5, 0.1)

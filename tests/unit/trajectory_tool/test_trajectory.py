@@ -23,11 +23,11 @@ def a_course(start: Joints, target: Joints, speed: float = 1.0) -> Course:
     return Course(start, target, UR10.slowed(speed), UR10, began_s=10.0)
 
 
-def sampled(course: Course, may_go_until_s: float = math.inf) -> Iterator[tuple[float, Setpoint]]:
+def sampled(course: Course, until_s: float = math.inf) -> Iterator[tuple[float, Setpoint]]:
     """Follow a course cycle by cycle until it is over; the time counts from its beginning."""
     for cycle in itertools.count():
         since_s = cycle * CYCLE_S
-        yield since_s, course.at(10.0 + since_s, may_go=since_s < may_go_until_s)
+        yield since_s, course.at(10.0 + since_s, pace=1.0 if since_s < until_s else 0.0)
         if course.is_over(10.0 + since_s):
             return
 
@@ -36,9 +36,9 @@ def within(values: Joints, limits: Joints) -> bool:
     return all(abs(value) <= limit * (1 + 1e-6) for value, limit in zip(values, limits, strict=True))
 
 
-def require_limits(course: Course, limits: Limits, may_go_until_s: float = math.inf) -> list[Setpoint]:
+def require_limits(course: Course, limits: Limits, until_s: float = math.inf) -> list[Setpoint]:
     """Follow a course to its end and require every limit, also between the cycles, of every setpoint."""
-    setpoints = [setpoint for _, setpoint in sampled(course, may_go_until_s)]
+    setpoints = [setpoint for _, setpoint in sampled(course, until_s)]
     for setpoint in setpoints:
         assert within(setpoint.velocities, limits.velocity)
         assert within(setpoint.accelerations, limits.acceleration)
@@ -69,7 +69,7 @@ def test_a_stop_at_any_moment_stays_within_the_limits_and_on_the_way(
 ) -> None:
     course = a_course(start, target, speed)
     asked_s = share * duration_s(start, target, UR10.slowed(speed))
-    setpoints = require_limits(course, UR10, may_go_until_s=asked_s)
+    setpoints = require_limits(course, UR10, until_s=asked_s)
     rest = setpoints[-1]
     assert rest.velocities == (0.0,) * 6
     ways = [there - here for here, there in zip(start, target, strict=True)]
@@ -84,7 +84,7 @@ def test_a_stop_at_any_moment_stays_within_the_limits_and_on_the_way(
 @given(joints, joints, st.floats(0.05, 0.95))
 def test_after_a_stop_the_target_is_reached(start: Joints, target: Joints, share: float) -> None:
     course = a_course(start, target)
-    *_, (_, rest) = sampled(course, may_go_until_s=share * duration_s(start, target, UR10))
+    *_, (_, rest) = sampled(course, until_s=share * duration_s(start, target, UR10))
     onward = require_limits(a_course(rest.positions, target), UR10)
     assert onward[-1] == Setpoint.at_rest(target)
 
@@ -92,7 +92,7 @@ def test_after_a_stop_the_target_is_reached(start: Joints, target: Joints, share
 def test_velocity_begins_to_fall_within_100_ms_and_the_stop_takes_half_a_second() -> None:
     course = a_course((0.0,) * 6, (6.0,) * 6)
     asked_s = 1.5
-    followed = list(sampled(course, may_go_until_s=asked_s))
+    followed = list(sampled(course, until_s=asked_s))
     speeds = {since_s: max(map(abs, setpoint.velocities)) for since_s, setpoint in followed}
     full = max(speed for since_s, speed in speeds.items() if since_s < asked_s)
     assert full == pytest.approx(2.09)
@@ -106,14 +106,14 @@ def test_velocity_begins_to_fall_within_100_ms_and_the_stop_takes_half_a_second(
 
 def test_a_stop_from_the_fastest_joint_at_full_speed_takes_half_a_second() -> None:
     course = a_course((0.0,) * 6, (0.0, 0.0, 6.0, 0.0, 0.0, 0.0))
-    followed = list(sampled(course, may_go_until_s=1.2))
+    followed = list(sampled(course, until_s=1.2))
     assert max(setpoint.velocities[2] for _, setpoint in followed) == pytest.approx(3.14)
     assert followed[-1][0] - 1.2 == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_stop_asked_for_before_the_motion_begins_moves_nothing() -> None:
     course = a_course((0.0,) * 6, (1.0,) * 6)
-    assert course.at(10.0, may_go=False) == Setpoint.at_rest((0.0,) * 6)
+    assert course.at(10.0, pace=0.0) == Setpoint.at_rest((0.0,) * 6)
     assert course.is_over(10.0)
     assert course.stopping
 

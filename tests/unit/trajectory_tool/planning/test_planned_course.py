@@ -31,7 +31,7 @@ def until_rest(course: PlannedCourse, stop_at_s: float) -> Any:
     """Return the setpoints of every millisecond until the end of the motion."""
     now_s, found = BEGAN_S, []
     while True:
-        found.append(course.at(now_s, may_go=now_s < stop_at_s))
+        found.append(course.at(now_s, pace=1.0 if now_s < stop_at_s else 0.0))
         if course.is_over(now_s):
             return found
         now_s += EVERY_S

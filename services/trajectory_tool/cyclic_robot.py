@@ -1,0 +1,245 @@
+"""A robot that is commanded in cycles: the base of drivers whose joints follow a setpoint in each cycle.
+
+The cycles run in a separate thread, so that HTTP requests do not delay them. In each cycle the setpoint of
+the motion at this time passes the limiter and is given to `command`. A motion is one of three: a straight
+line in joint space (`Course`), a planned trajectory (`PlannedCourse`), or commanded velocities (`Jog`).
+"""
+
+import asyncio
+from abc import abstractmethod
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+from typing import Protocol, Self, TypeVar
+
+from handover.messages import message
+from services.trajectory_tool.drivers import Clock
+from services.trajectory_tool.joint_trajectory import JointTrajectory
+from services.trajectory_tool.limits.jog import Jog
+from services.trajectory_tool.limits.limiter import START_TOLERANCE_RAD, JointLimiter, Limiter
+from services.trajectory_tool.metrics import MOTION_SECONDS, OVERRUNS
+from services.trajectory_tool.planned_course import PlannedCourse
+from services.trajectory_tool.robot import (
+    Joints,
+    JointState,
+    Pace,
+    Robot,
+    RobotFault,
+    StopCategory,
+    Velocity,
+)
+from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
+
+T = TypeVar("T")
+
+
+class Motion(Protocol):
+    """A motion as a function of time."""
+
+    @property
+    def stopping(self) -> bool:
+        """Return whether it ends before its target."""
+
+    def at(self, now_s: float, *, pace: float = 1.0) -> Setpoint:
+        """Return the setpoint at a time, and continue at `pace`; a pace of 0 stops."""
+
+    def remaining_s(self, now_s: float) -> float:
+        """Return the time until the joints are at rest."""
+
+    def is_over(self, now_s: float) -> bool:
+        """Return whether the joints are at rest."""
+
+
+class CyclicRobot(Robot):
+    """Joints that follow the setpoint of each cycle; a driver has `command`, `measured` and the gripper.
+
+    `joints` are the joints at rest before the first motion. Every setpoint passes `limiter` before `command`;
+    by default it has the joint limits.
+    """
+
+    def __init__(
+        self,
+        joints: Joints,
+        limits: Limits,
+        *,
+        limiter: Limiter | None = None,
+        control_hz: float = 125.0,
+        clock: Clock | None = None,
+    ) -> None:
+        self.limits = limits
+        self.limiter = limiter or JointLimiter(limits)
+        self.clock = clock or Clock()
+        self.setpoint = Setpoint.at_rest(joints)
+        """The last setpoint that was commanded."""
+        self.switched_off = Event()
+        self._cycle_s = 1.0 / control_hz
+        self._motion: Motion | None = None
+        self._stopping: Event | None = None
+        self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="robot-control")
+
+    @abstractmethod
+    def command(self, setpoint: Setpoint) -> None:
+        """Command a setpoint; called in the control thread in each cycle of a motion. Raises `RobotFault`."""
+
+    @abstractmethod
+    def measured(self) -> JointState:
+        """Return the measured joints; cheap and thread-safe. Raises `RobotFault` when they are unknown."""
+
+    async def power_off(self) -> None:
+        """Remove the power of the drives after a stop of category 1."""
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.switched_off.set()
+        await asyncio.to_thread(self._control.shutdown)
+
+    def state(self) -> JointState:
+        """Return the present joints."""
+        return self.measured()
+
+    def remaining_s(self) -> float:
+        """Return the remaining time of the motion."""
+        motion = self._motion
+        return 0.0 if motion is None else motion.remaining_s(self.clock.now_s())
+
+    def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
+        """Return the duration of a motion from rest to rest."""
+        return duration_s(start, target, self.limits.slowed(speed))
+
+    async def move(self, target: Joints, speed: float, pace: Pace) -> bool:
+        """Move to `target`; return False if it stopped on the way."""
+        cruise = self.limits.slowed(speed)
+
+        def course(start: Joints, now_s: float) -> Course:
+            return Course(start, target, cruise, self.limits, now_s)
+
+        return await self._run(course, pace)
+
+    async def follow(self, trajectory: JointTrajectory, pace: Pace) -> bool:
+        """Follow a trajectory; return False if it stopped on the way."""
+
+        def course(start: Joints, now_s: float) -> PlannedCourse:
+            away_rad = _distance_rad(start, trajectory.start)
+            if away_rad > START_TOLERANCE_RAD:
+                raise RobotFault(
+                    message(
+                        "robot.not_at_the_start",
+                        "the joints are {angle} rad away from the start of the planned motion; plan again",
+                        angle=f"{away_rad:.3f}",
+                    )
+                )
+            return PlannedCourse(trajectory, self.limits, now_s)
+
+        return await self._run(course, pace)
+
+    async def servo(self, velocity: Velocity, until: Callable[[], bool], pace: Pace) -> bool:
+        """Move with the latest joint velocities; return False if it was stopped."""
+
+        def jog(start: Joints, _: float) -> Jog:
+            return Jog(start, velocity, until, self.limiter)
+
+        return await self._run(jog, pace)
+
+    async def stop(self, category: StopCategory) -> None:
+        """Bring the motion to rest; see `Robot.stop`."""
+        running = self._stopping
+        if running is not None:
+            running.set()
+        await self.in_control(lambda: None)
+        if category == 1:
+            await self.power_off()
+
+    async def in_control(self, work: Callable[[], T], give_up: Callable[[], None] | None = None) -> T:
+        """Run `work` in the control thread, after what runs there.
+
+        A cancelled caller calls `give_up` and waits for the end of the work. Raises `RobotFault` when the
+        robot is switched off.
+        """
+        if self.switched_off.is_set():
+            raise RobotFault(
+                message(
+                    "robot.switched_off",
+                    "the robot is switched off; start the trajectory tool again",
+                )
+            )
+        doing = asyncio.get_running_loop().run_in_executor(self._control, work)
+        try:
+            return await asyncio.shield(doing)
+        except asyncio.CancelledError:
+            if give_up is not None:
+                give_up()
+            await asyncio.wait([doing])
+            raise
+
+    async def _run(self, make: Callable[[Joints, float], Motion], pace: Pace) -> bool:
+        if self._stopping is not None:
+            raise RobotFault(
+                message(
+                    "robot.in_motion",
+                    "the robot is in motion; wait for its end or stop it before another motion",
+                )
+            )
+        stopping = self._stopping = Event()
+
+        def allowed() -> float:
+            return 0.0 if stopping.is_set() or self.switched_off.is_set() else pace()
+
+        try:
+            return await self.in_control(lambda: self._drive(make, allowed), stopping.set)
+        finally:
+            self._stopping = None
+
+    def _drive(self, make: Callable[[Joints, float], Motion], pace: Pace) -> bool:
+        started_s = self.clock.now_s()
+        start = self._start()
+        self._motion = motion = make(start, started_s)
+        self.limiter.start(start, started_s)
+        try:
+            self._follow(motion, pace, started_s)
+        finally:
+            self._motion = None
+            MOTION_SECONDS.inc(self.clock.now_s() - started_s)
+        return not motion.stopping
+
+    def _start(self) -> Joints:
+        """Return where a motion starts: at the last setpoint, unless the arm has been moved since."""
+        measured = self.measured().positions
+        commanded = self.setpoint.positions
+        return commanded if _distance_rad(measured, commanded) <= START_TOLERANCE_RAD else measured
+
+    def _follow(self, motion: Motion, pace: Pace, now_s: float) -> None:
+        """Command the setpoints of a motion; after a fault of the limiter, come to rest, then raise it."""
+        due_s = now_s
+        fault: RobotFault | None = None
+        while True:
+            if fault is None:
+                try:
+                    setpoint = self.limiter.limit(motion.at(now_s, pace=pace()), now_s)
+                except RobotFault as why:
+                    fault = why
+            if fault is not None:
+                setpoint = self.limiter.brake(now_s)
+            self.setpoint = setpoint
+            self.command(setpoint)
+            if fault is not None and setpoint.is_at_rest:
+                raise fault
+            if fault is None and motion.is_over(now_s):
+                return
+            due_s = self._next_cycle(due_s)
+            self.clock.wait_s(max(due_s - self.clock.now_s(), 0.0))
+            now_s = self.clock.now_s()
+
+    def _next_cycle(self, due_s: float) -> float:
+        """Return when the next cycle is due; late cycles are counted and skipped."""
+        due_s += self._cycle_s
+        missed = int((self.clock.now_s() - due_s) / self._cycle_s)
+        if missed > 0:
+            OVERRUNS.inc(missed)
+            due_s += missed * self._cycle_s
+        return due_s
+
+
+def _distance_rad(one: Joints, other: Joints) -> float:
+    return max((abs(a - b) for a, b in zip(one, other, strict=True)), default=0.0)

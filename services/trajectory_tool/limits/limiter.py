@@ -1,0 +1,171 @@
+"""The limiter: every setpoint passes it before it is commanded, whatever the source of the motion.
+
+A setpoint is permitted when it can be reached from the one before within the limits. A trajectory that
+violates a limit is a fault; the joints then come to rest on the brake motion of the last permitted setpoint.
+
+Commanded velocities (`step`) keep one invariant: from every setpoint that was returned, the brake motion
+stays within all limits. A candidate for the next setpoint is taken only if its own brake motion does; else
+the next setpoint is the one on the brake motion of the last. By induction, the joints can always come to rest
+within the limits. Example: a joint that is jogged towards its end brakes in time to stop there.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from ruckig import ControlInterface, InputParameter, Ruckig, Synchronization
+from ruckig import Trajectory as RuckigProfile
+
+from handover.messages import message
+from services.trajectory_tool.robot import Joints, RobotFault
+from services.trajectory_tool.trajectory import NOTHING_RAD, Limits, Setpoint
+
+TOLERANCE = 1.01
+EPSILON = 1e-6
+START_TOLERANCE_RAD = 0.02
+"""The first setpoint of a motion is this near to the joints."""
+SHARES = (1.0, 0.5, 0.2)
+"""The fractions of a commanded velocity that are tried."""
+
+Ranges = Sequence[tuple[float | None, float | None]]
+"""The lower and the upper limit of each joint; None for a joint without."""
+
+
+class Limiter(Protocol):
+    """Passes or changes what is commanded; used by one thread."""
+
+    def start(self, joints: Joints, now_s: float) -> None:
+        """Begin a motion at rest at `joints`."""
+
+    def limit(self, setpoint: Setpoint, now_s: float) -> Setpoint:
+        """Return the setpoint to command. Raises `RobotFault` for one that violates a limit."""
+
+    def step(self, velocity: Joints, now_s: float) -> Setpoint:
+        """Return the next setpoint towards joint velocities, within all limits."""
+
+    def brake(self, now_s: float) -> Setpoint:
+        """Return the setpoint of the stop from the last permitted setpoint."""
+
+
+class JointLimiter:
+    """The limits of position, velocity, acceleration and jerk of each joint."""
+
+    def __init__(self, limits: Limits, ranges: Ranges | None = None) -> None:
+        self.limits = limits
+        self._limits = list(zip(limits.velocity, limits.acceleration, limits.jerk, strict=True))
+        self._ranges = [
+            (-math.inf if lower is None else lower, math.inf if upper is None else upper)
+            for lower, upper in ranges or [(None, None)] * len(limits.velocity)
+        ]
+        self._last = Setpoint.at_rest((0.0,) * len(limits.velocity))
+        self._last_s = 0.0
+        self._is_first = True
+        self._braking: tuple[Any, float] | None = None
+        self._ruckig = Ruckig(len(limits.velocity))
+
+    def start(self, joints: Joints, now_s: float) -> None:
+        """Begin a motion at rest at `joints`."""
+        self._last, self._last_s = Setpoint.at_rest(joints), now_s
+        self._is_first = True
+        self._braking = None
+
+    def limit(self, setpoint: Setpoint, now_s: float) -> Setpoint:
+        """Return the setpoint. Raises `RobotFault` for one that violates a limit."""
+        reason = self._violation(setpoint, now_s)
+        if reason is not None:
+            raise RobotFault(
+                message(
+                    "robot.limit_violated",
+                    "the motion was stopped by the limiter: {reason}",
+                    reason=reason,
+                )
+            )
+        self._permit(setpoint, now_s)
+        return setpoint
+
+    def step(self, velocity: Joints, now_s: float) -> Setpoint:
+        """Return the next setpoint towards joint velocities, within all limits."""
+        dt_s = max(now_s - self._last_s, 0.0)
+        for share in SHARES:
+            wanted = [
+                min(max(share * one, -limit), limit)
+                for one, limit in zip(velocity, self.limits.velocity, strict=True)
+            ]
+            candidate = _setpoint(self._to_velocity(self._last, wanted), dt_s)
+            if self._can_stop(candidate):
+                return candidate
+        return _setpoint(self._to_velocity(self._last), dt_s)
+
+    def brake(self, now_s: float) -> Setpoint:
+        """Return the setpoint of the stop from the last permitted setpoint."""
+        if self._braking is None:
+            self._braking = self._to_velocity(self._last), self._last_s
+        profile, since_s = self._braking
+        self._last, self._last_s = _setpoint(profile, now_s - since_s), now_s
+        return self._last
+
+    def _permit(self, setpoint: Setpoint, now_s: float) -> None:
+        self._last, self._last_s, self._is_first = setpoint, now_s, False
+
+    def _violation(self, setpoint: Setpoint, now_s: float) -> str | None:
+        """Return which limit a setpoint violates; None for none."""
+        last, dt_s = self._last, max(now_s - self._last_s, 0.0) * TOLERANCE
+        for number, (lower, upper) in enumerate(self._ranges):
+            position, velocity, acceleration = (values[number] for values in setpoint.derivatives)
+            before, velocity_before, acceleration_before = (values[number] for values in last.derivatives)
+            fastest, strongest, jerk = self._limits[number]
+            reach = START_TOLERANCE_RAD if self._is_first else fastest * dt_s
+            if not (
+                abs(velocity) <= fastest * TOLERANCE
+                and abs(acceleration) <= strongest * TOLERANCE
+                and abs(position - before) <= reach + EPSILON
+                and abs(velocity - velocity_before) <= strongest * dt_s + EPSILON
+                and abs(acceleration - acceleration_before) <= jerk * dt_s + EPSILON
+            ):
+                return (
+                    f"joint {number + 1} from {before:.4f}, {velocity_before:.3f}, {acceleration_before:.2f} "
+                    f"to {position:.4f}, {velocity:.3f}, {acceleration:.2f} (position, velocity, "
+                    f"acceleration) in {now_s - self._last_s:.4f} s exceeds {fastest:.3f}, {strongest:.2f}, "
+                    f"{jerk:.1f} (velocity, acceleration, jerk)"
+                )
+            if position < min(lower - EPSILON, before) or position > max(upper + EPSILON, before):
+                return f"joint {number + 1} would be at {position:.4f}, outside {lower:.4f} to {upper:.4f}"
+        return None
+
+    def _can_stop(self, setpoint: Setpoint) -> bool:
+        """Return whether the stop from a setpoint is within the limits."""
+        for velocity, acceleration, (fastest, _, jerk) in zip(
+            setpoint.velocities, setpoint.accelerations, self._limits, strict=True
+        ):
+            peak = velocity + math.copysign(acceleration * acceleration / (2 * jerk), acceleration)
+            if max(abs(velocity), abs(peak)) > fastest * (1 + EPSILON):
+                return False
+        extremes = self._to_velocity(setpoint).position_extrema
+        for extreme, (lower, upper), here in zip(extremes, self._ranges, self._last.positions, strict=True):
+            if extreme.max > max(upper, here) or extreme.min < min(lower, here):
+                return False
+        return True
+
+    def _to_velocity(self, start: Setpoint, velocity: Sequence[float] | None = None) -> Any:
+        """Return the quickest motion of each joint to a velocity; to rest by default."""
+        count = len(start.positions)
+        inputs = InputParameter(count)
+        inputs.control_interface = ControlInterface.Velocity
+        inputs.synchronization = Synchronization.No
+        inputs.current_position = start.positions
+        inputs.current_velocity = start.velocities
+        inputs.current_acceleration = start.accelerations
+        inputs.target_velocity = velocity if velocity is not None else [0.0] * count
+        inputs.max_acceleration = self.limits.acceleration
+        inputs.max_jerk = self.limits.jerk
+        profile = RuckigProfile(count)
+        self._ruckig.calculate(inputs, profile)
+        return profile
+
+
+def _setpoint(profile: Any, since_s: float) -> Setpoint:
+    positions, velocities, accelerations = profile.at_time(since_s)
+    if since_s >= profile.duration:
+        velocities = [value if abs(value) > NOTHING_RAD else 0.0 for value in velocities]
+        accelerations = [0.0] * len(positions)
+    return Setpoint(tuple(positions), tuple(velocities), tuple(accelerations))
