@@ -190,8 +190,10 @@ def test_a_connection_that_is_used_stays(cell: Cell) -> None:
     cell.start("context_broker", "gesture_controller")
     for service in ("context_broker", "gesture_controller"):
         with ExitStack() as stack:
+            never = httpx.Limits(keepalive_expiry=None)  # else the client closes after 5 s without a request
             clients = [
-                stack.enter_context(httpx.Client(base_url=cell.url(service), timeout=120)) for _ in range(20)
+                stack.enter_context(httpx.Client(base_url=cell.url(service), timeout=120, limits=never))
+                for _ in range(20)
             ]
             ports = set()
             for _ in range(3):
