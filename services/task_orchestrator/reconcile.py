@@ -1,7 +1,7 @@
 """Reconciliation of the Tasks with the broker, and the clock of timers and deadlines.
 
 Notifications are hints. So the broker is queried for the open Tasks at start, after a lost connection, and
-every `reconcile_s`. Many open Tasks are only counted by the broker, and compared one by one if their number is
+every `reconcile_s`. Many open Tasks are only counted by the broker, and compared if their number is
 not the expected one, or at the latest every `MAX_UNCOMPARED_S`. So the end of a Task whose notification was
 lost is found within `reconcile_s`, any other change within `MAX_UNCOMPARED_S`. A broker that does not count
 is asked for all of them every `reconcile_s`.
