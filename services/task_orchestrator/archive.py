@@ -30,6 +30,8 @@ from handover.resync import Resync
 from handover.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
+from services.task_orchestrator.storage.store import EndedProcess, EndedTask
+from services.task_orchestrator.unfinished_count import UnfinishedCount
 
 log = get_logger(__name__)
 
@@ -39,6 +41,8 @@ PAUSE_S = 0.5
 MAX_ARCHIVE_EVERY_S = 60.0
 CHECK_EVERY_ROUNDS = 6
 """The unfinished Tasks of the broker are compared with the database once in so many `reconcile_s`."""
+MAX_UNLISTED_S = 300.0
+"""The time between two such comparisons while the broker counts as many as are expected."""
 CHECK_ALL_EVERY_S = 3600.0
 MIN_CHECK_PAUSE_S = 0.5
 
@@ -59,6 +63,8 @@ class Archiver:
         self._settings = orchestrator.settings
         self._retention = timedelta(hours=self._settings.retention_h)
         self._checks = Resync(self._try_check, CHECK_EVERY_ROUNDS * self._settings.reconcile_s)
+        self._unfinished_tasks = UnfinishedCount(broker, "Task", MAX_UNLISTED_S)
+        self._unfinished_processes = UnfinishedCount(broker, "Process", MAX_UNLISTED_S)
         self._check_all_at = 0.0
         self._tasks = BackgroundTasks("archiver")
 
@@ -93,17 +99,9 @@ class Archiver:
 
     async def check_unfinished(self) -> int:
         """Report the end of what the broker shows as unfinished though it has ended; return how many were."""
-        orchestrator, store = self._orchestrator, self._orchestrator.store
-        shown = await self._broker.query(type="Task", q=UNFINISHED_QUERY)
-        tasks = [str(entity["id"]) for entity in shown]
-        unowned = [task for task in tasks if orchestrator.state.active_processes.owner(task) is None]
-        processes = [
-            process
-            for entity in await self._broker.query(type="Process", q=UNFINISHED_QUERY)
-            if (process := self._process(entity)) not in orchestrator.state.active_processes.processes
-        ]
-        ended_tasks = await orchestrator.on_disk(store.ended_tasks, unowned)
-        ended_processes = await orchestrator.on_disk(store.ended_processes, processes)
+        orchestrator = self._orchestrator
+        ended_tasks = await self._ended_tasks()
+        ended_processes = await self._ended_processes()
         if not ended_tasks and not ended_processes:
             return 0
         count = await orchestrator.archiving.restate(ended_tasks, ended_processes)
@@ -115,6 +113,29 @@ class Archiver:
                 processes=sorted(each.process.id for each in ended_processes),
             )
         return count
+
+    async def _ended_tasks(self) -> list[EndedTask]:
+        """Return the ended Tasks that the broker shows as unfinished."""
+        orchestrator, active = self._orchestrator, self._orchestrator.state.active_processes
+        if await self._unfinished_tasks.is_as_expected(len(active.task_ids())):
+            return []
+        shown = await self._broker.query(type="Task", q=UNFINISHED_QUERY, attrs="status")
+        unowned = [task for task in (str(entity["id"]) for entity in shown) if active.owner(task) is None]
+        ended: list[EndedTask] = await orchestrator.on_disk(orchestrator.store.ended_tasks, unowned)
+        self._unfinished_tasks.note(len(unowned) - len(ended))
+        return ended
+
+    async def _ended_processes(self) -> list[EndedProcess]:
+        """Return the ended processes that the broker shows as unfinished."""
+        orchestrator, active = self._orchestrator, self._orchestrator.state.active_processes.processes
+        running = sum(process.run is not None for process in active.values())
+        if await self._unfinished_processes.is_as_expected(running):
+            return []
+        shown = await self._broker.query(type="Process", q=UNFINISHED_QUERY, attrs="status")
+        unknown = [process for process in map(self._process, shown) if process not in active]
+        ended: list[EndedProcess] = await orchestrator.on_disk(orchestrator.store.ended_processes, unknown)
+        self._unfinished_processes.note(len(unknown) - len(ended))
+        return ended
 
     async def check_all(self) -> int:
         """Delete entities of archived processes that the broker shows all the same; return how many."""
@@ -162,6 +183,8 @@ class Archiver:
                 self._check_all_at = clock() + CHECK_ALL_EVERY_S
         except BrokerError as error:
             log.info("the broker cannot be compared with the database yet", error=str(error))
+            self._unfinished_tasks.forget()
+            self._unfinished_processes.forget()
             self._check_all_at = 0.0  # it may come back with other entities
             return False
         except (Problem, SQLAlchemyError) as error:

@@ -23,6 +23,7 @@ from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.agents import TYPES, WATCHED, read_agents
 from services.task_orchestrator.orchestrator import Orchestrator
 from services.task_orchestrator.own_definitions import write_definitions
+from services.task_orchestrator.unfinished_count import UnfinishedCount
 
 log = get_logger(__name__)
 
@@ -46,9 +47,7 @@ class Reconciler:
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
         self._agents_resync = Resync(self._try_read_agents, self._settings.reconcile_s)
         self._registered = self._was_unavailable = False
-        self._foreign: int | None = None
-        """The unfinished Tasks of others at the last comparison; None: compare at the next opportunity."""
-        self._compare_at_s = 0.0
+        self._unfinished = UnfinishedCount(broker, "Task", MAX_UNCOMPARED_S)
         self._tasks = BackgroundTasks("reconciler")
 
     async def __aenter__(self) -> "Reconciler":
@@ -74,7 +73,7 @@ class Reconciler:
             await self._register()
         awaited = self._orchestrator.broker_changes.awaited()
         if len(awaited) > MAX_READ_TASKS:
-            if await self._has_expected_number(len(awaited)):
+            if await self._unfinished.is_as_expected(len(awaited)):
                 return
             awaited = await self._select_changed(awaited)
         for start in range(0, len(awaited), MAX_QUERIED_TASKS):
@@ -87,18 +86,11 @@ class Reconciler:
                 self._registered = False
                 await self._orchestrator.broker_changes.missing(gone)
 
-    async def _has_expected_number(self, awaited: int) -> bool:
-        """Return whether there are as many unfinished Tasks as the last comparison lets expect."""
-        if self._foreign is None or asyncio.get_running_loop().time() >= self._compare_at_s:
-            return False
-        return await self._broker.count(type="Task", q=UNFINISHED_QUERY) == awaited + self._foreign
-
     async def _select_changed(self, awaited: list[str]) -> list[str]:
         """Return those of the Tasks `awaited` that the broker does not list, or lists with another status."""
         unfinished = await self._broker.query(type="Task", q=UNFINISHED_QUERY, attrs="status")
         unchanged = {str(entity["id"]) for entity in unfinished}
-        self._foreign = len(unchanged.difference(awaited))
-        self._compare_at_s = asyncio.get_running_loop().time() + MAX_UNCOMPARED_S
+        self._unfinished.note(len(unchanged.difference(awaited)))
         unchanged.difference_update(self._orchestrator.broker_changes.changed_ids(unfinished))
         return [task_id for task_id in awaited if task_id not in unchanged]
 
@@ -119,7 +111,7 @@ class Reconciler:
             entities = await self._receiver.read("Task", changed)
         except BrokerError as error:
             log.warning("changed tasks not read", error=str(error))
-            self._foreign = None
+            self._unfinished.forget()
             self._resync.request()
             return
         await self._orchestrator.broker_changes.receive(entities)
@@ -146,11 +138,12 @@ class Reconciler:
             await self.reconcile()
         except BrokerError as error:
             log.warning("tasks not reconciled", error=str(error))
-            self._was_unavailable, self._registered, self._foreign = True, False, None
+            self._was_unavailable, self._registered = True, False
+            self._unfinished.forget()
             return False
         except Problem as problem:
             log.warning("state of tasks not stored", error=str(problem))
-            self._foreign = None
+            self._unfinished.forget()
             return False
         if self._was_unavailable:
             self._orchestrator.outbox.retry_now()

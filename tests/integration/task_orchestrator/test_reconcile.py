@@ -136,7 +136,7 @@ async def test_tasks_of_others_are_expected_once_they_were_seen(bench: Bench) ->
 async def test_a_status_that_no_number_shows_is_found_by_the_next_comparison(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reconcile, "MAX_UNCOMPARED_S", 0.0)
+    monkeypatch.setattr(bench.reconciler._unfinished, "_max_age_s", 0.0)
     tasks = [await bench.start() for _ in range(4)]
     await bench.queries()
     await bench.report(tasks[3], "inProgress")
