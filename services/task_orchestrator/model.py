@@ -478,7 +478,7 @@ class Fault:
 
     def __str__(self) -> str:
         drawn = f' ("{self.name}")' if self.name and self.name != self.element else ""
-        where = f'"{self.element}"{drawn}' if self.element else "the file"
+        where = f'"{self.element}"{drawn}' if self.element else drawn[2:-1] or "the file"
         return f"line {self.line}, {where}: {self.message}" if self.line else f"{where}: {self.message}"
 
 

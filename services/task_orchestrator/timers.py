@@ -53,7 +53,10 @@ _MACROS = {
 def read_moment(text: str) -> datetime:
     """Return the moment `text` in UTC; raise `ValueError` if it is none or has no time zone."""
     # Camunda may add the region: 2026-05-01T08:00:00+02:00[Europe/Berlin]
-    moment = datetime.fromisoformat(text.strip().partition("[")[0])
+    try:
+        moment = datetime.fromisoformat(text.strip().partition("[")[0])
+    except ValueError:
+        raise ValueError(f'"{text}" is no moment; write it like 2026-05-01T08:00:00Z') from None
     if moment.tzinfo is None:
         raise ValueError(f'"{text}" has no time zone; end it with Z or an offset such as +02:00')
     try:

@@ -341,7 +341,15 @@ def _finish_instance(machine: Machine, body: Token, instance: Token, node: Node)
     completed = loop.completed + 1
     output, is_enough = None, False
     if node.loop.output_item is not None or node.loop.completion is not None:
-        counts = {"nrOfActiveInstances": len(body.inner) - 1, "nrOfCompletedInstances": completed}
+        active = len(body.inner) - 1
+        counts = {
+            "nrOfActiveInstances": active,
+            "nrOfCompletedInstances": completed,
+            "numberOfInstances": loop.total,
+            "numberOfActiveInstances": active,
+            "numberOfCompletedInstances": completed,
+            "numberOfTerminatedInstances": 0,
+        }  # both of BPMN 2.0 (Table 10.30) and of Camunda 7
         with machine.failures(instance):
             variables = machine.variables(instance)
             if node.loop.output_item is not None:

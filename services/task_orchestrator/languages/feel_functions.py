@@ -1,12 +1,16 @@
 """Functions of FEEL; an argument of the wrong type makes the result null."""
 
+import calendar
 import json
 import math
+import statistics
+from base64 import b64encode
 from collections.abc import Callable, Mapping
 from datetime import date
 from typing import Any, NamedTuple
 
 from handover.durations import Duration
+from services.task_orchestrator.languages.base import ExpressionError, within_limits
 from services.task_orchestrator.languages.feel_values import (
     MAX_STRING,
     Budget,
@@ -121,12 +125,18 @@ def _string(budget: Budget, value: FeelValue) -> FeelValue:
     return text(plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False), budget)
 
 
-def _number(_: Budget, value: FeelValue) -> FeelValue:
-    if is_number(value):
+def _number(_: Budget, value: FeelValue, *separators: FeelValue) -> FeelValue:
+    """Return the number that a text spells; `separators` are those of groups and of decimals."""
+    if is_number(value) and not separators:
         return value
     if not isinstance(value, str) or len(value) > 64:
         return None
     digits = value.strip()
+    for separator, meant in zip(separators, ("", "."), strict=False):
+        if isinstance(separator, str) and len(separator) == 1:
+            digits = digits.replace(separator, meant)
+        elif separator is not None:
+            return None
     if not digits.isascii() or "_" in digits or digits.strip("+-.eE0123456789"):
         return None
     try:
@@ -265,7 +275,6 @@ def _context_put(_: Budget, context: dict[str, FeelValue], key: str, value: Feel
     return {**context, key: value}
 
 
-@_typed(list)
 def _context_merge(budget: Budget, contexts: list[FeelValue]) -> FeelValue:
     merged: dict[str, FeelValue] = {}
     for context in contexts:
@@ -276,7 +285,78 @@ def _context_merge(budget: Budget, contexts: list[FeelValue]) -> FeelValue:
     return merged
 
 
+def _context(budget: Budget, entries: list[FeelValue]) -> FeelValue:
+    made: dict[str, FeelValue] = {}
+    for entry in entries:
+        budget.spend(1)
+        if (
+            not isinstance(entry, dict)
+            or not isinstance(key := entry.get("key"), str)
+            or "value" not in entry
+        ):
+            return None
+        made[key] = entry["value"]
+    return made
+
+
+def _duplicates(budget: Budget, items: list[FeelValue]) -> FeelValue:
+    found: list[FeelValue] = []
+    for index, item in enumerate(items):
+        budget.spend(len(items))
+        if any(is_same(item, other, budget) is True for other in items[index + 1 :]) and not any(
+            is_same(item, other, budget) is True for other in found
+        ):
+            found.append(item)
+    return found
+
+
+@_typed(list, int)
+def _partition(_: Budget, items: list[FeelValue], size: int) -> FeelValue:
+    return [items[first : first + size] for first in range(0, len(items), size)] if size > 0 else None
+
+
+@_typed(list, int, _Any)
+def _list_replace(_: Budget, items: list[FeelValue], position: int, value: FeelValue) -> FeelValue:
+    index = position - 1 if position > 0 else len(items) + position
+    return [*items[:index], value, *items[index + 1 :]] if position and 0 <= index < len(items) else None
+
+
+def _to_json(budget: Budget, value: FeelValue) -> FeelValue:
+    return text(json.dumps(to_json(value, budget), ensure_ascii=False), budget)
+
+
+@_typed(str)
+def _from_json(budget: Budget, value: str) -> FeelValue:
+    budget.spend(len(value))
+    try:
+        return within_limits(json.loads(value, parse_constant=lambda _: None))
+    except (ValueError, RecursionError, ExpressionError):
+        return None
+
+
 # Numbers
+
+
+def _numbers(calculate: Callable[[list[float]], float]) -> Function:
+    """Return a function of numbers; of anything else its value is null."""
+
+    def calculated(_: Budget, items: list[FeelValue]) -> FeelValue:
+        values = [float(item) for item in items if is_number(item)]
+        if len(values) < len(items) or not values:
+            return None
+        try:
+            found = calculate(values)
+            return number(int(found) if found.is_integer() else found) if math.isfinite(found) else None
+        except (statistics.StatisticsError, OverflowError):
+            return None
+
+    return _over_list(calculated)
+
+
+def _mode(_: Budget, items: list[FeelValue]) -> FeelValue:
+    if not all(is_number(item) for item in items):
+        return None
+    return sorted(statistics.multimode(items))
 
 
 def _rounded(choose: Callable[[float], float]) -> Function:
@@ -344,6 +424,30 @@ def _month_of_year(_: Budget, value: date) -> FeelValue:
     return _MONTHS[value.month - 1]
 
 
+@_typed(date)
+def _last_day_of_month(_: Budget, value: date) -> FeelValue:
+    return date(value.year, value.month, calendar.monthrange(value.year, value.month)[1])
+
+
+@_typed(date, date)
+def _months_between(_: Budget, start: date, end: date) -> FeelValue:
+    first, last = min(start, end), max(start, end)
+    months = (last.year - first.year) * 12 + last.month - first.month - (last.day < first.day)
+    return Duration(months if start <= end else -months, 0)
+
+
+def _cycle(budget: Budget, *parts: FeelValue) -> FeelValue:
+    """Return the text of a timer that repeats, as the function of Zeebe does."""
+    *counts, interval = parts
+    if not isinstance(interval, Duration):
+        return None
+    every = to_json(interval, budget)
+    if not counts or counts[0] is None:
+        return f"R/{every}"
+    count = counts[0]
+    return f"R{count}/{every}" if isinstance(count, int) and not isinstance(count, bool) else None
+
+
 def _negate(_: Budget, value: FeelValue) -> FeelValue:
     return not value if isinstance(value, bool) else None
 
@@ -367,12 +471,20 @@ FUNCTIONS: Mapping[str, Function] = {
     "split": _split,
     "string join": _string_join,
     "string": Function(_string, 1, 1),
-    "number": Function(_number, 1, 1),
+    "number": Function(_number, 1, 3),
+    "is blank": _typed(str)(lambda _, value: not value.strip()),
+    "to base64": _typed(str)(lambda budget, value: text(b64encode(value.encode()).decode(), budget)),
+    "to json": Function(_to_json, 1, 1),
+    "from json": _from_json,
     "count": Function(_count, 1, 1),
     "sum": _over_list(_sum),
     "min": _over_list(_extreme(-1)),
     "max": _over_list(_extreme(1)),
     "mean": _over_list(_mean),
+    "median": _numbers(statistics.median),
+    "stddev": _numbers(statistics.stdev),
+    "mode": _over_list(_mode),
+    "product": _numbers(math.prod),
     "all": _over_list(_all),
     "any": _over_list(_some),
     "append": Function(_append, 1, 100),
@@ -386,13 +498,17 @@ FUNCTIONS: Mapping[str, Function] = {
     "sublist": _sublist,
     "remove": _remove,
     "insert before": _insert_before,
+    "list replace": _list_replace,
+    "partition": _partition,
+    "duplicate values": _typed(list)(_duplicates),
     "is empty": _typed(list)(lambda _, items: not items),
     "get value": _typed(dict, str)(lambda _, context, key: context.get(key)),
     "get entries": _typed(dict)(
         lambda _, context: [{"key": key, "value": value} for key, value in context.items()]
     ),
     "context put": _context_put,
-    "context merge": _context_merge,
+    "context merge": _over_list(_context_merge),
+    "context": _typed(list)(_context),
     "is defined": Function(lambda _, value: value is not None, 1, 1),
     "get or else": Function(lambda _, value, default: default if value is None else value, 2, 2),
     "floor": _rounded(math.floor),
@@ -405,6 +521,8 @@ FUNCTIONS: Mapping[str, Function] = {
     "abs": Function(_absolute, 1, 1),
     "modulo": _modulo,
     "sqrt": _typed(_NUMBER)(lambda _, value: number(math.sqrt(value)) if value >= 0 else None),
+    "log": _typed(_NUMBER)(lambda _, value: number(math.log(value)) if value > 0 else None),
+    "exp": _typed(_NUMBER)(lambda _, value: number(math.exp(value)) if value < 700 else None),
     "odd": _typed(_NUMBER)(lambda _, value: value % 2 == 1),
     "even": _typed(_NUMBER)(lambda _, value: value % 2 == 0),
     "date": Function(_date, 1, 3),
@@ -412,6 +530,11 @@ FUNCTIONS: Mapping[str, Function] = {
     "duration": Function(lambda _, value: to_duration(value), 1, 1),
     "day of week": _day_of_week,
     "month of year": _month_of_year,
+    "day of year": _typed(date)(lambda _, value: value.timetuple().tm_yday),
+    "week of year": _typed(date)(lambda _, value: value.isocalendar().week),
+    "last day of month": _last_day_of_month,
+    "years and months duration": _months_between,
+    "cycle": Function(_cycle, 1, 2),
 }
 """The functions by name; `now` and `today` depend on the variables and are part of the parser."""
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 from services.task_orchestrator.languages.base import (
     MAX_NUMBER,
@@ -23,6 +23,7 @@ from services.task_orchestrator.languages.base import (
 from services.task_orchestrator.languages.juel_methods import (
     EXECUTION_PROPERTIES,
     FUNCTIONS,
+    VARIABLE_FUNCTIONS,
     bind_method,
 )
 from services.task_orchestrator.languages.juel_values import (
@@ -53,8 +54,12 @@ _PATTERN = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 _START = re.compile(r"\\?[$#]\{")
+VARIABLE_PREFIXES = frozenset({"variables", "vars", "var"})
+_PREFIXED = re.compile(rf":\s*(?:{'|'.join(VARIABLE_FUNCTIONS)})\s*\(")
 
-_BINARY: tuple[dict[str, Callable[[Json, Json], Json]], ...] = (
+Operators: TypeAlias = tuple[dict[str, Callable[[Json, Json], Json]], ...]
+
+BINARY: Operators = (
     {
         "==": is_equal,
         "eq": is_equal,
@@ -112,7 +117,7 @@ def read_juel(text: str) -> JuelExpression:
     Raises `ExpressionError` if it is invalid.
     """
     stripped = text.strip()
-    expression = _read(stripped)
+    expression = parse(stripped)
     if expression is None:
         raise ExpressionError(
             f"{excerpt(stripped)} is no JUEL expression; write it between ${{ and }}, as in ${{approved}}"
@@ -123,14 +128,14 @@ def read_juel(text: str) -> JuelExpression:
 @lru_cache(maxsize=4096)
 def read_template(text: str) -> JuelExpression:
     """Return `text` as `read_juel`; a text without `${…}` and `#{…}` yields itself."""
-    expression = _read(text.strip())
+    expression = parse(text.strip())
     if expression is None:
         literal = text.replace("\\${", "${").replace("\\#{", "#{")
         return JuelExpression(text, lambda _: literal, frozenset())
     return expression
 
 
-def read_set_variable(text: str) -> tuple[str, JuelExpression] | None:
+def read_set_variable(text: str, parsing: type["Parser"] | None = None) -> tuple[str, JuelExpression] | None:
     """Return name and value of `${execution.setVariable('name', value)}`; None if `text` is something else.
 
     This is the one call with a side effect that files often have; it equals a script `name = value`.
@@ -139,7 +144,7 @@ def read_set_variable(text: str) -> tuple[str, JuelExpression] | None:
     if _SET_VARIABLE.match(text) is None:
         return None
     try:
-        parser = _Parser(text, 2)
+        parser = (parsing or Parser)(text, 2)
         for part in ("execution", ".", "setVariable", "("):
             parser.tokens.expect(part)
         name = parser.string()
@@ -156,7 +161,7 @@ def read_set_variable(text: str) -> tuple[str, JuelExpression] | None:
 _SET_VARIABLE = re.compile(r"[$#]\{\s*execution\s*\.\s*setVariable\s*\(")
 
 
-def _read(text: str) -> JuelExpression | None:
+def parse(text: str, parsing: type["Parser"] | None = None) -> JuelExpression | None:
     """Return the expression or mixed text; None if `text` has no `${` or `#{`."""
     parts: list[str | Node] = []
     names: set[str] = set()
@@ -169,7 +174,7 @@ def _read(text: str) -> JuelExpression | None:
                 parts.append(match.group()[1:])
                 position = match.end()
                 continue
-            parser = _Parser(text, match.end())
+            parser = (parsing or Parser)(text, match.end())
             parts.append(parser.expression())
             names |= parser.names
             position = parser.close()
@@ -201,8 +206,10 @@ def _mix(parts: list[str | Node]) -> Node:
     return mixed
 
 
-class _Parser:
+class Parser:
     """Recursive descent over one `${…}`; each method returns the function that evaluates what it read."""
+
+    operators: ClassVar[Operators] = BINARY
 
     def __init__(self, text: str, position: int) -> None:
         self.tokens = Tokens(text, _PATTERN, position)
@@ -249,10 +256,10 @@ class _Parser:
         return operands[0] if len(operands) == 1 else _connect(tuple(operands), until=False)
 
     def _binary(self, level: int) -> Node:
-        if level == len(_BINARY):
+        if level == len(self.operators):
             return self._unary()
         first = self._binary(level + 1)
-        operators = _BINARY[level]
+        operators = self.operators[level]
         rest: list[tuple[Callable[[Json, Json], Json], Node]] = []
         while (sign := self.tokens.accept(*operators)) is not None:
             rest.append((operators[sign], self._binary(level + 1)))
@@ -287,8 +294,11 @@ class _Parser:
             if self.tokens.accept("("):
                 steps.append(self._method(name, start))
             else:
-                steps.append(_property(name))
+                steps.append(self._property(name))
         return _path(node, steps)
+
+    def _property(self, name: str) -> Callable[[Json, Variables], Json]:
+        return _property(name)
 
     def _name(self) -> str:
         if self.tokens.kind != "name":
@@ -345,8 +355,29 @@ class _Parser:
             return self._function(name, start)
         if name == "execution":
             return self._execution(start)
+        if name in VARIABLE_PREFIXES and _PREFIXED.match(tokens.source, tokens.start):
+            return self._variable_function(start)
         self.names.add(name)
         return _variable(name, is_lenient)
+
+    def _variable_function(self, start: int) -> Node:
+        """Read a function of Flowable: `vars:eq(name, value)`; the variable may be missing."""
+        self.tokens.advance()
+        function = self._name()
+        self.tokens.expect("(")
+        name = self.string() if self.tokens.kind == "string" else self._name()
+        values: list[Node] = []
+        while self.tokens.accept(","):
+            values.append(self.expression())
+        self.tokens.expect(")")
+        call, counts = VARIABLE_FUNCTIONS[function]
+        if len(values) not in counts:
+            raise self.tokens.error(f"{function}() has {counts.start} values, not {len(values)}", start)
+        self.names.add(name)
+        arguments = tuple(values)
+        return lambda variables: call(
+            name in variables, variables.get(name), *(argument(variables) for argument in arguments)
+        )
 
     def _number(self) -> Json:
         text = self.tokens.text
@@ -376,7 +407,9 @@ class _Parser:
         """Read a property or method of `execution`."""
         if not self.tokens.accept("."):
             raise self.tokens.error(
-                "`execution` itself is no value; use a property or execution.getVariable('name')", start
+                "`execution` itself is no value, and beans that take it cannot be called; "
+                "use a property or execution.getVariable('name')",
+                start,
             )
         start, name = self.tokens.start, self._name()
         if self.tokens.accept("("):

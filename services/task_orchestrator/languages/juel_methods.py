@@ -5,7 +5,8 @@ A date is its ISO 8601 text, so the methods of dates are methods of texts that a
 
 import json
 import math
-from collections.abc import Callable, Mapping
+import operator
+from collections.abc import Callable, Iterable, Mapping
 from datetime import timedelta
 from typing import Any, NamedTuple
 
@@ -23,6 +24,9 @@ from services.task_orchestrator.languages.juel_values import (
     check_string,
     coerce_to_number,
     coerce_to_string,
+    compare,
+    is_empty,
+    is_equal,
     read_property,
 )
 from services.task_orchestrator.languages.patterns import is_match
@@ -53,6 +57,44 @@ FUNCTIONS: Mapping[str, Callable[[Any], Json]] = {
     "JSON": _read_json,
 }
 """`S` and `JSON` have one argument; the others get the variables."""
+
+
+def _is_comparison(sign: str, holds: Callable[[Any, Any], bool]) -> Callable[..., Json]:
+    return lambda _, value, other: compare(sign, holds, value, other)
+
+
+def _has_parts(quantifier: Callable[[Iterable[bool]], bool]) -> Callable[..., Json]:
+    def contains(_: bool, value: Json, *parts: Json) -> bool:
+        if isinstance(value, str):
+            return quantifier(coerce_to_string(part) in value for part in parts)
+        return isinstance(value, list) and quantifier(_index_of(value, part) >= 0 for part in parts)
+
+    return contains
+
+
+_ONE, _NONE, _ANY = range(1, 2), range(1), range(1, 100)
+
+VARIABLE_FUNCTIONS: Mapping[str, tuple[Callable[..., Json], range]] = {
+    "get": (lambda _, value: value, _NONE),
+    "getOrDefault": (lambda _, value, default: default if value is None else value, _ONE),
+    "exists": (lambda is_set, value: is_set and value is not None, _NONE),
+    **dict.fromkeys(("isEmpty", "empty"), (lambda _, value: is_empty(value), _NONE)),
+    **dict.fromkeys(("isNotEmpty", "notEmpty"), (lambda _, value: not is_empty(value), _NONE)),
+    **dict.fromkeys(("equals", "eq"), (lambda _, value, other: is_equal(value, other), _ONE)),
+    **dict.fromkeys(("notEquals", "ne"), (lambda _, value, other: not is_equal(value, other), _ONE)),
+    **dict.fromkeys(("lowerThan", "lessThan", "lt"), (_is_comparison("<", operator.lt), _ONE)),
+    **dict.fromkeys(
+        ("lowerThanOrEquals", "lessThanOrEquals", "lte"), (_is_comparison("<=", operator.le), _ONE)
+    ),
+    **dict.fromkeys(("greaterThan", "gt"), (_is_comparison(">", operator.gt), _ONE)),
+    **dict.fromkeys(("greaterThanOrEquals", "gte"), (_is_comparison(">=", operator.ge), _ONE)),
+    "contains": (_has_parts(all), _ANY),
+    "containsAny": (_has_parts(any), _ANY),
+}
+"""The functions of Flowable with the prefix `variables`, `vars` or `var`, and how many values they compare.
+
+They get whether the variable is set, and its value.
+"""
 
 
 class _Method(NamedTuple):

@@ -23,11 +23,21 @@ from services.task_orchestrator.languages.base import (
 from services.task_orchestrator.languages.native_grammar import (
     CONSTANTS,
     in_words,
+    is_name,
     is_variable_name,
     parse,
 )
 
-__all__ = ["Expression", "ExpressionError", "Json", "Variables", "is_variable_name", "read", "read_script"]
+__all__ = [
+    "Expression",
+    "ExpressionError",
+    "Json",
+    "Variables",
+    "is_name",
+    "is_variable_name",
+    "read",
+    "read_script",
+]
 
 
 @dataclass(frozen=True, slots=True)

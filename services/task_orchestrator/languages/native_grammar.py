@@ -4,6 +4,7 @@ The text is parsed, but never compiled to Python code.
 """
 
 import ast
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 
@@ -28,6 +29,8 @@ ARGUMENTS: Mapping[str, range] = {
 
 _RESERVED = frozenset({*CONSTANTS, *ARGUMENTS, "True", "False", "None", "and", "or", "not", "in", "is", "if"})
 _RESERVED |= frozenset({"else", "defined", "lambda", "for", "while", "import", "from", "def", "class", "del"})
+
+_NAME = re.compile(r"[^\W\d][\w-]*")
 
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.FloorDiv, ast.Mod)
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq, ast.In, ast.NotIn, ast.Is, ast.IsNot)
@@ -62,6 +65,14 @@ def parse(text: str) -> ast.expr:
 def is_variable_name(name: str) -> bool:
     """Return whether `name` can be the name of a process variable."""
     return name.isidentifier() and name.isascii() and len(name) <= 100 and name not in _RESERVED
+
+
+def is_name(name: str) -> bool:
+    """Return whether `name` can be the name of a variable in files of others, with their own languages.
+
+    It may be a word that our language reserves, such as `from`, have hyphens, and letters of every script.
+    """
+    return len(name) <= 100 and _NAME.fullmatch(name) is not None
 
 
 def _check(tree: ast.expr) -> None:

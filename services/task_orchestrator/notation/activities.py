@@ -5,6 +5,7 @@ from dataclasses import replace
 from lxml import etree
 
 from handover.messages import message
+from services.task_orchestrator.languages.juel import read_juel
 from services.task_orchestrator.languages.native_grammar import is_variable_name
 from services.task_orchestrator.model import (
     Activity,
@@ -14,6 +15,7 @@ from services.task_orchestrator.model import (
     StandardLoop,
     Value,
 )
+from services.task_orchestrator.notation.conditions import read_condition
 from services.task_orchestrator.notation.context import Context
 from services.task_orchestrator.notation.dialects.base import Script, Work, attempt, native_variable
 from services.task_orchestrator.notation.dialects.handover import has_task
@@ -141,9 +143,8 @@ def _standard_loop(element: etree._Element, loop: etree._Element, context: Conte
         context.found.fault(
             element, message("bpmn.endless_loop", "a loop needs a loopCondition or loopMaximum")
         )
-    main = context.dialects.main
     return StandardLoop(
-        attempt(element, lambda: main.expression(condition), None, context.found) if condition else None,
+        read_condition(element, child(loop, "loopCondition"), context) if condition else None,
         flag(loop, "testBefore", default=False),
         int(maximum) if maximum else None,
     )
@@ -158,7 +159,9 @@ def _multi_instance(element: etree._Element, loop: etree._Element, context: Cont
     collection = items.collection
     if collection is None:
         name = _data_name(element, child_text(loop, "loopDataInputRef"), context)
-        if name:
+        if "${" in name or "#{" in name:
+            collection = attempt(element, lambda: main.value(name), None, found)
+        elif name:
             collection = attempt(element, lambda: native_variable(name), None, found)
     if collection is None and not cardinality and element.get("id") not in found.broken:
         found.fault(
@@ -174,7 +177,9 @@ def _multi_instance(element: etree._Element, loop: etree._Element, context: Cont
     output_item = items.output_item
     if output_item is None:
         item_name = _item_name(element, child(loop, "outputDataItem"), context)
-        if item_name:
+        if item_name and main.lenient:  # an instance need not set it
+            output_item = Value(expression=read_juel(f"${{vars:get({item_name})}}"))
+        elif item_name:
             output_item = attempt(element, lambda: native_variable(item_name), None, found)
     return MultiInstance(
         sequential=flag(loop, "isSequential", default=False),
@@ -183,7 +188,9 @@ def _multi_instance(element: etree._Element, loop: etree._Element, context: Cont
         else None,
         collection=collection,
         item_variable=items.item_variable or _item_name(element, child(loop, "inputDataItem"), context),
-        completion=attempt(element, lambda: main.expression(completion), None, found) if completion else None,
+        completion=read_condition(element, child(loop, "completionCondition"), context)
+        if completion
+        else None,
         output_collection=output,
         output_item=output_item,
     )
@@ -211,6 +218,8 @@ def _item_name(element: etree._Element, item: etree._Element | None, context: Co
 def _data_name(element: etree._Element, reference: str, context: Context) -> str:
     """Return the name of the data object, data input or variable that a loop refers to."""
     reference = referenced(reference)
+    if not reference:
+        return ""
     data = context.data.get(reference, reference)
     if data in context.data_names:
         return context.data_names[data]

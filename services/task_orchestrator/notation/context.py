@@ -39,7 +39,9 @@ class Context:
     def id(self, element: etree._Element) -> str:
         """Return the id of an element; report it if it is invalid or used twice."""
         found = element.get("id") or ""
-        if local(element) == "process" and not is_process_id(found):
+        if local(element) == "process" and not (
+            is_process_id(found) or (is_node_id(found) and not self.dialects.is_ours)
+        ):
             self.found.fault(
                 element,
                 message(

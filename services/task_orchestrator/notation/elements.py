@@ -203,12 +203,16 @@ def lanes(process: etree._Element) -> dict[str, str]:
     return found
 
 
-def executable_processes(root: etree._Element, found: Findings) -> list[etree._Element]:
-    """Return the processes that are to be run; a file with one process need not say that it is executable."""
+def executable_processes(
+    root: etree._Element, found: Findings, *, unless_denied: bool = False
+) -> list[etree._Element]:
+    """Return the processes that are to be run; the only process of a file need not say so.
+
+    With `unless_denied` none of them needs to, as in Activiti, Flowable and jBPM.
+    """
     processes = list(children(root, "process"))
-    executable = [
-        process for process in processes if flag(process, "isExecutable", default=len(processes) == 1)
-    ]
+    default = len(processes) == 1 or unless_denied
+    executable = [process for process in processes if flag(process, "isExecutable", default=default)]
     if not executable:
         found.fault(
             processes[0] if processes else root,

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from lxml import etree
 
 from handover.messages import message, text_of
+from services.task_orchestrator.languages import native
 from services.task_orchestrator.languages.base import ExpressionError
 from services.task_orchestrator.model import (
     CompensateEvent,
@@ -24,10 +25,11 @@ from services.task_orchestrator.model import (
     TimerType,
     Value,
 )
+from services.task_orchestrator.notation.conditions import read_condition
 from services.task_orchestrator.notation.context import Context
 from services.task_orchestrator.notation.dialects.base import Dialect, Occurrence, attempt
 from services.task_orchestrator.notation.document import (
-    child_text,
+    child,
     children,
     flag,
     is_bpmn,
@@ -59,6 +61,7 @@ _ALLOWED: Mapping[Kind, frozenset[str]] = {
     Kind.BOUNDARY_EVENT: _SUBPROCESS_START,
 }
 _ZONELESS = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d([.,]\d+)?)?", re.ASCII)
+_DAY = re.compile(r"\d{4}-\d\d-\d\d", re.ASCII)
 _EXAMPLES: Mapping[TimerType, str] = {
     TimerType.DATE: "2026-05-01T08:00:00Z",
     TimerType.DURATION: "PT5M",
@@ -167,11 +170,13 @@ def _escalation(source: _Source) -> EscalationEvent:
 
 
 def _conditional(source: _Source) -> ConditionalEvent | None:
-    given, dialect = child_text(source.definition, "condition"), source.dialect
-    on = source.occurrence.on
-    if not given and on is not None:
-        given, dialect = "true", source.context.dialects.handover
-    expression = attempt(source.element, lambda: dialect.expression(given), None, source.context.found)
+    condition, on = child(source.definition, "condition"), source.occurrence.on
+    if on is not None and not text(condition):
+        return ConditionalEvent(native.read("true"), on)
+    if not text(condition):
+        source.context.found.fault(source.element, "an expression is empty")
+        return None
+    expression = read_condition(source.element, condition, source.context)
     return None if expression is None else ConditionalEvent(expression, on)
 
 
@@ -304,6 +309,8 @@ def _timer(source: _Source) -> TimerEvent | None:
         return None
     type_ = TimerType(local(times[0]))
     given = source.dialect.time(given)
+    if source.dialect.lenient and type_ is TimerType.DATE and _DAY.fullmatch(given):
+        given += "T00:00:00"
     if source.dialect.lenient and _ZONELESS.fullmatch(given):
         found.warn(
             source.element,

@@ -93,6 +93,7 @@ def _drawn(element: etree._Element) -> etree._Element:
         parent = owner.getparent()
         if parent is None or etree.QName(owner).localname == "process":
             return owner
-        if etree.QName(parent).localname in _CONTAINERS and owner.get("id") is not None:
+        is_named = owner.get("id") is not None or owner.get("name") is not None
+        if etree.QName(parent).localname in _CONTAINERS and is_named:
             return owner
         owner = parent

@@ -18,6 +18,7 @@ from services.task_orchestrator.notation.elements import (
     lanes,
 )
 from services.task_orchestrator.notation.faults import BadBpmn, Findings
+from services.task_orchestrator.notation.names import process_name
 from services.task_orchestrator.notation.rules import check_process, fault_of_size
 from services.task_orchestrator.notation.scopes import collect_data, read_scope
 from services.task_orchestrator.notation.spans import check_spans
@@ -38,7 +39,7 @@ def read_bpmn(xml: bytes) -> BpmnFile:
     found = Findings()
     declared = Declarations.of(root, found)
     dialects = Dialects(root)
-    executable = executable_processes(root, found)
+    executable = executable_processes(root, found, unless_denied=dialects.runs_undeclared)
     collaboration = Collaboration.of(root, executable, declared, found)
     ids: set[str] = set()
     definitions = []
@@ -56,7 +57,7 @@ def read_bpmn(xml: bytes) -> BpmnFile:
 
 def _definition(process: etree._Element, context: Context, xml: bytes) -> Definition:
     found = context.found
-    name = context.id(process)
+    id_ = context.id(process)
     if process.get("processType") not in {None, "", "None", "Public", "Private"}:
         found.fault(process, message("bpmn.wrong_process_type", "processType is None, Public or Private"))
     context.lanes = lanes(process)
@@ -66,7 +67,7 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
     ours = context.dialects.handover.process(process, found)
     label = ours.label or context.dialects.main.process(process, found).label
     too_large = _fault_of_size(process)
-    scope = Scope(name, {}, {}) if too_large is not None else read_scope(process, context)
+    scope = Scope(id_, {}, {}) if too_large is not None else read_scope(process, context)
     if too_large is not None:
         found.add([too_large])
     else:
@@ -75,14 +76,14 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
         check_spans(process, scope, found)
     if context.dialects.main.spreads_outputs and _mentions(scope, "outcome"):
         scope = _handling_outcomes(scope)
-    title = process.get("name") or context.collaboration.titles.get(name) or name
+    title = process.get("name") or context.collaboration.titles.get(id_) or id_
     return Definition(
-        name=name,
+        name=process_name(id_),
         title=" ".join(title.split()),
         label=label,
         description=documentation(process),
         parameters=ours.parameters,
-        scope=scope,
+        scope=replace(scope, id=process_name(id_)),
         xml=xml,
     )
 

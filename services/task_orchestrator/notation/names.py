@@ -26,6 +26,14 @@ def is_process_id(text: str) -> bool:
     return _PROCESS_ID.fullmatch(text) is not None
 
 
+def process_name(id_: str) -> str:
+    """Return the name of the definition of a process: its id, or one like it that can be part of URNs."""
+    if is_process_id(id_) or not id_:
+        return id_
+    slug = re.sub(r"[^A-Za-z0-9_.-]+", "-", _plain(id_)).strip("-.")[:40] or "process"
+    return f"{slug if slug[0].isalpha() or slug[0] == '_' else 'process-' + slug}-{_digest(id_)}"
+
+
 def is_node_id(text: str) -> bool:
     """Return whether a text can be the id of another element: a name of XML, of `MAX_NODE_ID` characters."""
     return _NODE_ID.fullmatch(text) is not None

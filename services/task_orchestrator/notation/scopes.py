@@ -1,27 +1,23 @@
 """Scopes: the nodes and flows of a process or subprocess, read into the model."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 
 from lxml import etree
 
 from handover.messages import message
-from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import Expression, ExpressionError
-from services.task_orchestrator.languages.feel import read_feel
-from services.task_orchestrator.languages.juel import read_juel
 from services.task_orchestrator.model import (
     ACTIVITIES,
     EVENTS,
     GATEWAYS,
     Activity,
     Assignment,
+    Call,
     CompensateEvent,
     Flow,
     Kind,
     Node,
     Scope,
+    Value,
 )
 from services.task_orchestrator.notation.activities import (
     ACTIVITY_PARTS,
@@ -32,14 +28,9 @@ from services.task_orchestrator.notation.activities import (
     read_loop,
     warn_foreign_script,
 )
+from services.task_orchestrator.notation.conditions import read_condition
 from services.task_orchestrator.notation.context import Context
-from services.task_orchestrator.notation.dialects.base import attempt
 from services.task_orchestrator.notation.dialects.handover import has_task
-from services.task_orchestrator.notation.dialects.scripts import (
-    SIMILAR_TO_JUEL,
-    SIMILAR_URIS,
-    similar_condition,
-)
 from services.task_orchestrator.notation.document import (
     BPMN,
     child,
@@ -47,7 +38,6 @@ from services.task_orchestrator.notation.document import (
     flag,
     is_bpmn,
     local,
-    text,
 )
 from services.task_orchestrator.notation.elements import (
     Contents,
@@ -58,6 +48,7 @@ from services.task_orchestrator.notation.elements import (
 )
 from services.task_orchestrator.notation.events import definitions_of, read_event, read_message
 from services.task_orchestrator.notation.listeners import with_listeners
+from services.task_orchestrator.notation.names import process_name
 from services.task_orchestrator.notation.spans import read_spans
 
 MAX_SCOPE_DEPTH = 20
@@ -68,13 +59,6 @@ _EVENT_PARTS = frozenset(
         *("dataInput", "dataOutput", "inputSet", "outputSet"),
     }
 )
-_LANGUAGES: Mapping[str, Callable[[str], Expression]] = {
-    "handover": native.read,
-    "juel": read_juel,
-    "feel": read_feel,
-}
-"""The languages that a condition may name; a URI names that of the file."""
-
 _GATEWAY_PARTS = frozenset({"incoming", "outgoing"})
 _PLACEHOLDER = Kind.MANUAL_TASK
 """The kind that stands for an element with faults, so that its flows have two ends."""
@@ -266,7 +250,7 @@ def _activity(element: etree._Element, node: Node, context: Context, depth: int)
         data_outputs=data_outputs,
     )
     if node.kind in TASKS:
-        return replace(node, activity=read_activity(element, context))
+        return _task(element, node, context)
     if node.kind is Kind.SCRIPT_TASK:
         return _script_task(element, node, context)
     if node.kind in {Kind.SEND_TASK, Kind.RECEIVE_TASK}:
@@ -274,8 +258,22 @@ def _activity(element: etree._Element, node: Node, context: Context, depth: int)
     if node.kind is Kind.CALL_ACTIVITY:
         if referenced(element.get("calledElement") or "") in context.declared.global_tasks:
             return replace(node, activity=read_activity(element, context))
-        return replace(node, call=main.call(element, found))
+        return replace(node, call=_named_process(main.call(element, found)))
     return _subprocess(element, node, context, depth)
+
+
+def _task(element: etree._Element, node: Node, context: Context) -> Node:
+    evaluated = None if has_task(element) else context.dialects.main.evaluated(element, context.found)
+    if evaluated is not None:
+        return replace(node, kind=Kind.SCRIPT_TASK, script=evaluated)
+    return replace(node, activity=read_activity(element, context))
+
+
+def _named_process(call: Call | None) -> Call | None:
+    """Return a call with the name that the definition of the called process has here."""
+    if call is None or not isinstance(call.process.literal, str):
+        return call
+    return replace(call, process=Value(process_name(call.process.literal)))
 
 
 def _script_task(element: etree._Element, node: Node, context: Context) -> Node:
@@ -350,7 +348,7 @@ def _flow(element: etree._Element, context: Context) -> Flow:
         id=id_,
         source=source,
         target=target,
-        condition=_condition(element, context),
+        condition=read_condition(element, child(element, "conditionExpression"), context),
         name=" ".join((element.get("name") or "").split()),
         line=element.sourceline or 0,
     )
@@ -361,53 +359,6 @@ def _flow_id(element: etree._Element, id_: str, context: Context) -> str:
         context.found.fault(element, message("bpmn.id_twice", 'the id "{id}" is used twice', id=id_))
     context.ids.add(id_)
     return id_
-
-
-def _condition(element: etree._Element, context: Context) -> Expression | None:
-    condition = child(element, "conditionExpression")
-    if condition is None:
-        return None
-    language = (condition.get("language") or "").strip()
-    given = text(condition)
-    if _is_foreign(language):
-        similar = _similar_condition(language, given)
-        if similar is not None:
-            context.found.warn(
-                element,
-                message(
-                    "bpmn.condition_read_as_juel",
-                    "the condition in {language} is read as JUEL; check that it means the same",
-                    language=language,
-                ),
-            )
-            return similar
-        refuse(
-            element,
-            f"a condition in {language}",
-            "write an expression without a language attribute",
-            context.found,
-        )
-        return None
-    if not given and context.dialects.main.lenient:
-        return None
-    reading = partial(_LANGUAGES.get(language.lower(), context.dialects.main.expression), given)
-    return attempt(element, reading, None, context.found)
-
-
-def _similar_condition(language: str, given: str) -> Expression | None:
-    """Return a condition of Java, JavaScript or Groovy in JUEL; None for those without the same form."""
-    if language.lower() not in SIMILAR_TO_JUEL | SIMILAR_URIS:
-        return None
-    try:
-        return similar_condition(given)
-    except ExpressionError:
-        return None
-
-
-def _is_foreign(language: str) -> bool:
-    name = language.lower()
-    is_uri = name.startswith(("http:", "https:"))
-    return bool(name) and name not in _LANGUAGES and (not is_uri or name in SIMILAR_URIS)
 
 
 def _with_defaults(nodes: dict[str, Node], flows: dict[str, Flow], context: Context) -> dict[str, Node]:

@@ -22,7 +22,7 @@ from services.task_orchestrator.notation.document import (
     local,
     own_data,
 )
-from services.task_orchestrator.notation.elements import referenced
+from services.task_orchestrator.notation.elements import referenced, warn_without_effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ def collect_properties(process: etree._Element, context: Context) -> None:
 def _declare(element: etree._Element, context: Context) -> None:
     id_, name = element.get("id") or "", element.get("name") or ""
     variable = name if is_variable_name(name) else id_
-    if is_variable_name(variable):
+    if id_ and is_variable_name(variable):
         context.properties[id_] = variable
 
 
@@ -68,6 +68,8 @@ def read_task_data(element: etree._Element, context: Context) -> TaskData:
             source = referenced(child_text(association, "sourceRef"))
             variable = context.properties[referenced(child_text(association, "targetRef"))]
             outputs[names.get(source) or source or variable] = variable
+            if "#{" in assigned_text(association):
+                warn_without_effect(association, context.found, "the assignment of a data output")
     return TaskData(parameters, outputs)
 
 

@@ -10,7 +10,7 @@ import orjson
 from handover.errors import Problem
 from handover.messages import message, text_of
 from services.task_orchestrator.execution.graph import Plan
-from services.task_orchestrator.languages.native import is_variable_name
+from services.task_orchestrator.languages.native import is_name
 from services.task_orchestrator.process import interventions
 from services.task_orchestrator.process.interventions import MigrationReport
 from services.task_orchestrator.process.process import Process
@@ -219,7 +219,7 @@ class ProcessControl:
 def check_variables(variables: Mapping[str, Any]) -> None:
     """Raise `Problem` 422 for names or values that process variables cannot have."""
     for name in variables:
-        if not is_variable_name(name):
+        if not is_name(name):
             raise Problem(
                 422,
                 "Bad parameter",

@@ -116,7 +116,7 @@ def test_a_monthly_cycle_with_a_start_keeps_the_day_of_the_month() -> None:
         ("R/PT0.001S", "less than 10 ms"),
         ("R3/2024-01-31T12:00:00/PT1M", "time zone"),
         ("R3/2024-02-01T12:00:00Z/2024-01-01T12:00:00Z", "less than 10 ms"),
-        ("R3/PT1M/PT1M", "isoformat"),
+        ("R3/PT1M/PT1M", "is no moment"),
         ("R3/a/b/c", "no cycle"),
         ("* * * *", "5 to 7 fields"),
         ("* * * * * * * *", "5 to 7 fields"),

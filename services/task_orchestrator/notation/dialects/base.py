@@ -12,7 +12,8 @@ from handover.messages import message, text_of
 from services.task_orchestrator.forms.form import form_fault
 from services.task_orchestrator.languages import native
 from services.task_orchestrator.languages.base import Expression, ExpressionError, Json, Variables
-from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.languages.juel import read_juel
+from services.task_orchestrator.languages.native_grammar import is_name, is_variable_name
 from services.task_orchestrator.model import (
     Assignment,
     Call,
@@ -140,6 +141,10 @@ class Dialect(Protocol):
         """Return the process that a call activity runs; None, with a fault, if it names none."""
         ...
 
+    def evaluated(self, element: etree._Element, found: Findings) -> tuple[Assignment, ...] | None:
+        """Return what the expression of a task sets; None if the task is work for somebody."""
+        ...
+
     def items(self, loop: etree._Element, found: Findings) -> Items:
         """Return what a multi-instance loop runs over."""
         ...
@@ -213,6 +218,15 @@ def native_variable(name: str) -> Value:
     return Value(expression=native.read(name))
 
 
+def variable_named(name: str) -> Value:
+    """Return the value of a variable of another language; raise `ExpressionError` if `name` cannot be one."""
+    if is_variable_name(name):
+        return native_variable(name)
+    if not is_name(name):
+        raise ExpressionError(f'"{name}" cannot be the name of a variable')
+    return Value(expression=read_juel(f"${{execution.getVariable('{name}')}}"))
+
+
 def native_script(element: etree._Element, text: str, found: Findings) -> tuple[Assignment, ...]:
     """Return the assignments of a script in our language; none, with a fault, if it is invalid."""
     if not text.strip():
@@ -220,6 +234,17 @@ def native_script(element: etree._Element, text: str, found: Findings) -> tuple[
     nothing: tuple[tuple[str, Expression], ...] = ()
     steps = attempt(element, lambda: native.read_script(text), nothing, found)
     return tuple(Assignment(name, Value(expression=expression)) for name, expression in steps)
+
+
+def script_or_work(source: str) -> Script:
+    """Return a script of no declared language: assignments of ours, else work for somebody."""
+    try:
+        steps = native.read_script(source)
+    except ExpressionError:
+        return Script(text=source)
+    if not steps:
+        return Script(text=source)
+    return Script(tuple(Assignment(name, Value(expression=expression)) for name, expression in steps))
 
 
 @dataclass(frozen=True, slots=True)

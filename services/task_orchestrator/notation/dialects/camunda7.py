@@ -4,6 +4,8 @@ Where its engine calls Java code (`class`, `delegateExpression`, a topic, script
 Task is created; its hints and the parameter `operation` name the code.
 """
 
+import json
+import re
 from collections.abc import Iterator, Mapping
 from functools import partial
 
@@ -11,9 +13,9 @@ from lxml import etree
 
 from handover.messages import message
 from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import MAX_NUMBER, Expression, Json
+from services.task_orchestrator.languages.base import MAX_NUMBER, Expression, ExpressionError, Json
 from services.task_orchestrator.languages.juel import read_juel, read_template
-from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.languages.native_grammar import is_name
 from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, Value
 from services.task_orchestrator.notation.dialects.base import (
     Items,
@@ -26,12 +28,14 @@ from services.task_orchestrator.notation.dialects.base import (
     composed,
     named_form,
     native_script,
-    native_variable,
+    script_or_work,
+    variable_named,
 )
-from services.task_orchestrator.notation.dialects.scripts import SIMILAR_TO_JUEL, assigned_by, set_variables
+from services.task_orchestrator.notation.dialects.scripts import JAVA_LIKE, assigned_by, set_variables
 from services.task_orchestrator.notation.document import (
     attributes_of,
     child_text,
+    children,
     extensions,
     local,
     namespace,
@@ -56,9 +60,17 @@ _HARMLESS = frozenset(
     {
         *("historyTimeToLive", "isStartableInTasklist", "modelerTemplate", "modelerTemplateVersion"),
         *("modelerTemplateIcon", "diagramRelationId", "versionTag", "formRefBinding", "formRefVersion"),
-        *("elementVariable", "collection", "resultVariable", "resource", "errorCodeVariable"),
+        *(
+            "elementVariable",
+            "collection",
+            "resultVariable",
+            "resultVariableName",
+            "resource",
+            "errorCodeVariable",
+        ),
         *("errorMessageVariable", "escalationCodeVariable", "calledElementBinding", "calledElementVersion"),
-        *("calledElementVersionTag", "decisionRef", "errorCodeMessage", *_HINTS),
+        *("calledElementVersionTag", "decisionRef", "errorCodeMessage", "inheritVariables"),
+        *("autoStoreVariables", "calledElementType", *_HINTS),
     }
 )
 """Attributes that are read, or that say nothing of the execution."""
@@ -77,6 +89,15 @@ _FORM_TYPES: Mapping[str, Mapping[str, Json]] = {
     "date": {"type": "string", "format": "date"},
 }
 _LENGTHS = {"minlength": "minLength", "maxlength": "maxLength", "min": "minimum", "max": "maximum"}
+_QUOTED = re.compile(r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*\"""")
+_PART = re.compile(r"(?<!\bexecution)\.(?!\d)")
+"""A part of a variable, which may be a bean."""
+_DATA_TYPES = {
+    **dict.fromkeys(("int", "integer", "long", "short"), "integer"),
+    **dict.fromkeys(("double", "float", "decimal"), "number"),
+    "boolean": "boolean",
+}
+"""The types of XML Schema that data objects have, as those of JSON Schema."""
 _DECISION = "businessRuleTask with decisionRef (a DMN decision)"
 
 
@@ -97,7 +118,7 @@ class Camunda7:
 
     def collection(self, text: str) -> Value:
         """Return a JUEL expression or the variable of this name."""
-        return Value(expression=read_juel(text)) if _has_expression(text) else native_variable(text)
+        return Value(expression=read_juel(text)) if _has_expression(text) else variable_named(text)
 
     def time(self, text: str) -> str:
         """Return the text unchanged: times are those of ISO 8601 and cron."""
@@ -237,6 +258,8 @@ class Camunda7:
             called = referenced(called)
         inputs, all_inputs, key = self._passed(element, "in", found)
         outputs, all_outputs, _ = self._passed(element, "out", found)
+        if attributes.get("inheritVariables") == "true":  # of Activiti and Flowable
+            all_inputs = True
         return Call(
             attempt(element, lambda: self.value(called), Value(), found),
             version=self._bound(element, "version", "calledElementVersion", found),
@@ -277,20 +300,35 @@ class Camunda7:
                 key = attempt(part, partial(self.value, business_key), None, found)
                 continue
             target = part.get("target") or ""
-            if not is_variable_name(target):
+            if not is_name(target):
                 found.fault(part, f'target="{target}" cannot be the name of a variable')
                 continue
-            reading = (
-                partial(self.value, expression) if expression else partial(native_variable, source or "")
-            )
+            reading = partial(self.value, expression) if expression else partial(variable_named, source or "")
             passed.append(Assignment(target, attempt(part, reading, Value(), found)))
         return tuple(passed), everything, key
+
+    def evaluated(self, element: etree._Element, found: Findings) -> tuple[Assignment, ...] | None:
+        """Return what an `expression` sets that calls no bean: a variable, or the result variable."""
+        attributes = attributes_of(element, NAMESPACES)
+        given = (attributes.get("expression") or "").strip()
+        if not given or attributes.keys() & {"class", "delegateExpression", "type", "topic"}:
+            return None
+        variable = self._result_variable(element, found)
+        assigned = assigned_by(given)
+        if assigned and not variable:
+            return assigned
+        if variable is None or not _has_expression(given) or _PART.search(_QUOTED.sub("", given)):
+            return None
+        try:
+            return (Assignment(variable, self.value(given)),)
+        except ExpressionError:
+            return None
 
     def items(self, loop: etree._Element, found: Findings) -> Items:
         """Return `collection` and `elementVariable`."""
         attributes = attributes_of(loop, NAMESPACES)
         collection, variable = attributes.get("collection"), attributes.get("elementVariable")
-        if variable is not None and not is_variable_name(variable):
+        if variable is not None and not is_name(variable):
             found.fault(loop, f'elementVariable="{variable}" cannot be the name of a variable')
         return Items(
             None
@@ -304,12 +342,13 @@ class Camunda7:
         format_ = (element.get("scriptFormat") or "").strip()
         source = child_text(element, "script")
         variable = self._result_variable(element, found)
-        if format_.lower() == "juel" and source:
-            value = attempt(element, lambda: self.value(source), Value(), found)
-            return Script((Assignment(variable, value),) if variable else ())
         resource = attributes_of(element, NAMESPACES).get("resource")
-        if format_.lower() in {"", "handover"} and not resource:
+        if format_.lower() == "juel" or (not format_ and _has_expression(source)):
+            return self._juel_script(element, source, variable, found)
+        if format_.lower() == "handover":
             return Script(native_script(element, source, found))
+        if not format_ and source and not resource:
+            return script_or_work(source)
         assignments = () if variable or resource else _set_variables(format_, source)
         if assignments:
             found.warn(
@@ -324,9 +363,20 @@ class Camunda7:
             return Script(assignments)
         return Script(format=format_, text=source or resource or "", variable=variable)
 
+    def _juel_script(
+        self, element: etree._Element, source: str, variable: str | None, found: Findings
+    ) -> Script:
+        """Return a script of JUEL, the default language of scripts."""
+        assigned = assigned_by(source)
+        if assigned and not variable:
+            return Script(assigned)
+        value = attempt(element, lambda: self.value(source), Value(), found)
+        return Script((Assignment(variable, value),) if variable else ())
+
     def _result_variable(self, element: etree._Element, found: Findings) -> str | None:
-        name = attributes_of(element, NAMESPACES).get("resultVariable")
-        if name and not is_variable_name(name):
+        attributes = attributes_of(element, NAMESPACES)
+        name = attributes.get("resultVariable") or attributes.get("resultVariableName")
+        if name and not is_name(name):
             found.fault(element, f'resultVariable="{name}" cannot be the name of a variable')
         return name or None
 
@@ -338,7 +388,7 @@ class Camunda7:
         code = attributes.get("errorCodeVariable") or attributes.get("escalationCodeVariable")
         text_ = attributes.get("errorMessageVariable")
         for name in (code, text_):
-            if name and not is_variable_name(name):
+            if name and not is_name(name):
                 found.fault(element, f'"{name}" cannot be the name of a variable')
         return Occurrence(code_variable=code or None, message_variable=text_ or None)
 
@@ -363,6 +413,16 @@ class Camunda7:
                     way_out="let a Task decide instead, with a topic or without any extension",
                 ),
             )
+        if local(element) == "serviceTask" and attributes.get("type") == "dmn":
+            found.fault(
+                element,
+                message(
+                    "bpmn.not_supported",
+                    "{what} is not supported yet; {way_out}",
+                    what="serviceTask of the type dmn (a DMN decision)",
+                    way_out="let a Task decide instead, with a topic or without any extension",
+                ),
+            )
         for name in sorted(attributes.keys() - _HARMLESS):
             warn_without_effect(element, found, f"camunda:{name}")
         if attributes.get("calledElementBinding") == "deployment":
@@ -379,8 +439,8 @@ class Camunda7:
                 warn_without_effect(extension, found, f"camunda:{name}")
 
     def listeners(self, element: etree._Element) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
-        """Return the variables that listeners set before and after an element."""
-        before: list[Assignment] = []
+        """Return the variables that listeners, and the data of a process, set before and after an element."""
+        before = list(_initial_values(element)) if local(element) == "process" else []
         after: list[Assignment] = []
         for extension in _ours(element):
             if local(extension) not in {"executionListener", "taskListener"}:
@@ -388,6 +448,19 @@ class Camunda7:
             is_start = extension.get("event", "start") in {"start", "create", "assignment"}
             (before if is_start else after).extend(listener_assignments(extension))
         return tuple(before), tuple(after)
+
+
+def _initial_values(process: etree._Element) -> Iterator[Assignment]:
+    """Yield the values of data objects, which are defaults of variables in Activiti and Flowable."""
+    for data in children(process, "dataObject"):
+        name = data.get("name") or data.get("id") or ""
+        for extension in _ours(data):
+            if local(extension) != "value" or not is_name(name):
+                continue
+            type_ = referenced(data.get("itemSubjectRef") or "").lower()
+            default = _default(_DATA_TYPES.get(type_, "string"), text(extension))
+            given = f"${{vars:getOrDefault({name}, {json.dumps(default)})}}"
+            yield Assignment(name, Value(expression=read_juel(given)))
 
 
 def listener_assignments(listener: etree._Element) -> tuple[Assignment, ...]:
@@ -401,7 +474,7 @@ def listener_assignments(listener: etree._Element) -> tuple[Assignment, ...]:
 
 
 def _set_variables(format_: str, source: str) -> tuple[Assignment, ...]:
-    return (set_variables(source) or ()) if format_.lower() in SIMILAR_TO_JUEL else ()
+    return (set_variables(source) or ()) if format_.lower() in JAVA_LIKE else ()
 
 
 def _has_expression(text: str) -> bool:
@@ -448,7 +521,7 @@ def _connector_io(connector: etree._Element, name: str, found: Findings) -> Iter
 def _assignments(group: etree._Element, name: str, found: Findings) -> Iterator[Assignment]:
     for part in _named(group, name):
         target = part.get("name") or ""
-        if not is_variable_name(target):
+        if not is_name(target):
             found.fault(part, f'{name} "{target}" cannot be the name of a variable')
             continue
         value = _content(part, f"{name} {target}", found)

@@ -20,6 +20,12 @@ _DIALECTS: tuple[tuple[tuple[str, ...], str, Callable[[], Dialect]], ...] = (
 The first one that a file uses has its expression language.
 """
 
+_LANGUAGES = ("expressionLanguage", "typeLanguage")
+_LANGUAGES_OF_JBPM = ("http://www.mvel.org", "http://www.java.com")
+"""The languages that jBPM declares for a file, also if it uses none of its extensions."""
+
+_EXECUTABLE_BY_DEFAULT = ("http://activiti.org/bpmn", "http://flowable.org/bpmn")
+
 _PLATFORM = "{http://camunda.org/schema/modeler/1.0}executionPlatform"
 _KNOWN = frozenset({handover.NAMESPACE, *(each for namespaces, _, _ in _DIALECTS for each in namespaces)})
 
@@ -29,13 +35,23 @@ class Dialects:
 
     def __init__(self, root: etree._Element) -> None:
         used = _used_namespaces(root)
-        self.handover = handover.Handover()
+        declared = self._declared = used.union(root.nsmap.values())
+        self.is_ours = handover.NAMESPACE in declared
+        """Whether the file was drawn for us: what cannot be read in our language is then a fault."""
+        self.handover = handover.Handover(is_strict=self.is_ours)
         self.main: Dialect = self.handover
         platform = root.get(_PLATFORM)
         for namespaces, name, dialect in _DIALECTS:
             if platform == name or (platform is None and used.intersection(namespaces)):
                 self.main = dialect()
-                break
+                return
+        if not self.is_ours:
+            self.main = _declared(root, declared) or self.handover
+
+    @property
+    def runs_undeclared(self) -> bool:
+        """Whether processes run that do not say whether they are executable."""
+        return isinstance(self.main, jbpm.Jbpm) or not self._declared.isdisjoint(_EXECUTABLE_BY_DEFAULT)
 
     def of(self, element: etree._Element) -> Dialect:
         """Return the dialect of an event: ours if it has our extension elements."""
@@ -57,9 +73,22 @@ class Dialects:
                 warn_unknown_extension(extension, found)
 
 
-def _used_namespaces(root: etree._Element) -> set[str]:
+def _declared(root: etree._Element, namespaces: set[str | None]) -> Dialect | None:
+    """Return the dialect of a file that declares a vendor without using any extension of it."""
+    languages = [root.get(name) or "" for name in _LANGUAGES]
+    if any(language.startswith(_LANGUAGES_OF_JBPM) for language in languages):
+        return jbpm.Jbpm()
+    found = [
+        dialect
+        for known, _, dialect in _DIALECTS
+        if dialect is not jbpm.Jbpm and namespaces.intersection(known)
+    ]
+    return found[0]() if len(found) == 1 else None
+
+
+def _used_namespaces(root: etree._Element) -> set[str | None]:
     """Return the namespaces of all elements and attributes of a file."""
-    names: set[str] = set()
+    names: set[str | None] = set()
     for element in root.iter("{*}*"):
         names.add(namespace(element))
         for name in element.attrib:

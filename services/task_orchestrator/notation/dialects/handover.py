@@ -31,6 +31,7 @@ an `expression`: the resources are reserved as long as a token is in the process
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Set
+from contextlib import suppress
 
 import orjson
 from lxml import etree
@@ -40,7 +41,9 @@ from handover.messages import message
 from handover.task_life import PASSIVE_TYPES, type_of
 from services.task_orchestrator.forms.form import form_fault
 from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import Expression, Json
+from services.task_orchestrator.languages.base import Expression, ExpressionError, Json
+from services.task_orchestrator.languages.feel import read_feel
+from services.task_orchestrator.languages.java import read_java
 from services.task_orchestrator.languages.juel import read_juel
 from services.task_orchestrator.languages.native_grammar import is_variable_name
 from services.task_orchestrator.model import (
@@ -62,6 +65,7 @@ from services.task_orchestrator.notation.dialects.base import (
     Work,
     attempt,
     native_script,
+    script_or_work,
 )
 from services.task_orchestrator.notation.document import child_text, extensions, local, namespace, text
 from services.task_orchestrator.notation.elements import referenced, warn_without_effect
@@ -126,15 +130,28 @@ def check_reserve(extension: etree._Element, found: Findings) -> None:
 
 
 class Handover:
-    """The dialect of this project."""
+    """The dialect of this project, and of files of no known vendor, which are read leniently."""
 
     spreads_outputs = False
-    lenient = False
     potential_owner = "candidateGroups"
 
+    def __init__(self, *, is_strict: bool = True) -> None:
+        self.lenient = not is_strict
+
     def expression(self, text: str) -> Expression:
-        """Return an expression of our language, or of JUEL if it is written as `${…}`."""
-        return read_juel(text) if text.strip().startswith(("${", "#{")) else native.read(text)
+        """Return an expression of our language, or of JUEL if it is written as `${…}`.
+
+        Files of no known vendor may also have Java, JavaScript or FEEL.
+        """
+        if text.strip().startswith(("${", "#{")):
+            return read_juel(text)
+        try:
+            return native.read(text)
+        except ExpressionError:
+            for read in (read_java, read_feel) if self.lenient else ():
+                with suppress(ExpressionError):
+                    return read(text)
+            raise
 
     def value(self, text: str) -> Value:
         """Return the text, which is literal unless it is written as `${…}`."""
@@ -211,6 +228,14 @@ class Handover:
             return None
         return Call(Value(called), all_inputs=True, all_outputs=True)
 
+    def evaluated(
+        self,
+        element: etree._Element,  # noqa: ARG002 - of the interface
+        found: Findings,  # noqa: ARG002
+    ) -> tuple[Assignment, ...] | None:
+        """Return None: tasks have no expressions."""
+        return None
+
     def items(self, loop: etree._Element, found: Findings) -> Items:  # noqa: ARG002 - of the interface
         """Return nothing: BPMN's own elements name the collection."""
         return Items()
@@ -219,9 +244,9 @@ class Handover:
         """Return the assignments of a script in our language, or the text of another one."""
         source = child_text(element, "script")
         format_ = (element.get("scriptFormat") or "").strip()
-        if format_.lower() not in {"", "handover"}:
-            return Script(format=format_, text=source)
-        return Script(native_script(element, source, found))
+        if format_.lower() == "handover" or (not format_ and not self.lenient):
+            return Script(native_script(element, source, found))
+        return Script(format=format_, text=source) if format_ else script_or_work(source)
 
     def occurrence(
         self, element: etree._Element, definition: etree._Element | None, found: Findings

@@ -11,10 +11,10 @@ from functools import partial
 from lxml import etree
 
 from handover.messages import message
-from services.task_orchestrator.languages import native
 from services.task_orchestrator.languages.base import Expression
+from services.task_orchestrator.languages.java import read_java
 from services.task_orchestrator.languages.juel import read_template
-from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.languages.native_grammar import is_name
 from services.task_orchestrator.model import Assignment, Call, Value
 from services.task_orchestrator.notation.dialects.base import (
     Items,
@@ -25,14 +25,9 @@ from services.task_orchestrator.notation.dialects.base import (
     Work,
     attempt,
     native_script,
-    native_variable,
+    variable_named,
 )
-from services.task_orchestrator.notation.dialects.scripts import (
-    SIMILAR_TO_JUEL,
-    SIMILAR_URIS,
-    set_variables,
-    similar_condition,
-)
+from services.task_orchestrator.notation.dialects.scripts import JAVA_LIKE, set_variables
 from services.task_orchestrator.notation.document import (
     assigned_text,
     attributes_of,
@@ -43,7 +38,7 @@ from services.task_orchestrator.notation.document import (
     namespace,
     own_data,
 )
-from services.task_orchestrator.notation.elements import referenced, warn_without_effect
+from services.task_orchestrator.notation.elements import referenced, refuse, warn_without_effect
 from services.task_orchestrator.notation.faults import Findings
 
 NAMESPACES = ("http://www.jboss.org/drools", "http://www.jboss.org/drools/flow/gpd")
@@ -53,7 +48,8 @@ _HARMLESS = frozenset(
         *("packageName", "version", "adHoc", "taskName", "ruleFlowGroup", "dtype", "priority", "selectable"),
         *("serviceimplementation", "serviceinterface", "serviceoperation", "boundaryca", "dockerinfo"),
         *("displayName", "icon", "bgcolor", "color_bgcolor", "msgref", "signalref", "uniqueId", "msgtype"),
-        *("itemType", "x", "y", "width", "height"),
+        *("itemType", "x", "y", "width", "height", "calledElementByName", "bordercolor", "erefname"),
+        *("waitForCompletion", "independent", "import", "global", "customDescription", "customSLADueDate"),
     }
 )
 _HINTS: Mapping[str, str] = {
@@ -69,7 +65,6 @@ _DURATION = re.compile(
     r"\s*(?:(\d{1,6})d)?\s*(?:(\d{1,6})h)?\s*(?:(\d{1,6})m(?!s))?\s*(?:(\d{1,6})s)?\s*(?:(\d{1,3})ms)?\s*",
     re.ASCII,
 )
-_VARIABLE = re.compile(r"#\{\s*(\w+)\s*\}", re.ASCII)
 
 
 class Jbpm:
@@ -81,10 +76,7 @@ class Jbpm:
 
     def expression(self, text: str) -> Expression:
         """Return an expression of Java or MVEL that has the form of JUEL; `#{x}` stands for a variable."""
-        given = text.strip()
-        if given in {"true", "false"}:
-            return native.read(given)
-        return similar_condition(_VARIABLE.sub(r"\1", given))
+        return read_java(text)
 
     def value(self, text: str) -> Value:
         """Return a text, which may contain `#{…}`."""
@@ -131,7 +123,8 @@ class Jbpm:
 
     def call(self, element: etree._Element, found: Findings) -> Call | None:
         """Return the called process, with the variables of its data associations."""
-        called = (element.get("calledElement") or "").strip()
+        attributes = attributes_of(element, NAMESPACES)
+        called = (element.get("calledElement") or attributes.get("calledElementByName") or "").strip()
         if not called:
             found.fault(
                 element,
@@ -158,16 +151,24 @@ class Jbpm:
             target = referenced(child_text(association, "targetRef"))
             is_input = local(association) == "dataInputAssociation"
             variable = names.get(target, target) if is_input else target
-            if not is_variable_name(variable):
+            if not is_name(variable):
                 found.fault(association, f'"{variable}" cannot be the name of a variable')
                 continue
             if is_input and not source:
                 reading = partial(self.value, assigned_text(association))
             else:
-                reading = partial(native_variable, source if is_input else names.get(source, source))
+                reading = partial(variable_named, source if is_input else names.get(source, source))
             value = attempt(association, reading, Value(), found)
             (inputs if is_input else outputs).append(Assignment(variable, value))
         return tuple(inputs), tuple(outputs)
+
+    def evaluated(
+        self,
+        element: etree._Element,  # noqa: ARG002 - of the interface
+        found: Findings,  # noqa: ARG002
+    ) -> tuple[Assignment, ...] | None:
+        """Return None: tasks have no expressions."""
+        return None
 
     def items(self, loop: etree._Element, found: Findings) -> Items:  # noqa: ARG002 - of the interface
         """Return nothing: BPMN's own elements name the collection."""
@@ -179,7 +180,7 @@ class Jbpm:
         source = child_text(element, "script")
         if format_.lower() == "handover":
             return Script(native_script(element, source, found))
-        similar = format_.lower() in {"", *SIMILAR_TO_JUEL, *SIMILAR_URIS}
+        similar = format_.lower() in {"", *JAVA_LIKE}
         assignments = set_variables(source) if similar and source else None
         if assignments is None:
             return Script(format=format_ or "java", text=source)
@@ -220,7 +221,14 @@ class Jbpm:
         return tuple(before), tuple(after)
 
     def check(self, element: etree._Element, found: Findings) -> None:
-        """Report what has no effect."""
+        """Report what has no effect, and decisions."""
+        if local(element) == "businessRuleTask" and (element.get("implementation") or "").endswith("/dmn"):
+            refuse(
+                element,
+                "businessRuleTask with a DMN decision",
+                "let a Task decide instead, with a ruleFlowGroup or without any extension",
+                found,
+            )
         for name in sorted(attributes_of(element, NAMESPACES).keys() - _HARMLESS):
             warn_without_effect(element, found, f"drools:{name}")
         for extension in extensions(element):

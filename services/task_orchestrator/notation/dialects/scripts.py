@@ -1,51 +1,41 @@
-"""Scripts: what of other languages can be read as JUEL, since its simple expressions have the same form."""
+"""Scripts: what of other languages can be read, since it only sets variables."""
 
 import re
 
-from services.task_orchestrator.languages.base import Expression, ExpressionError
-from services.task_orchestrator.languages.juel import read_juel, read_set_variable
+from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.languages.java import read_java_assignment
+from services.task_orchestrator.languages.juel import read_set_variable
 from services.task_orchestrator.model import Assignment, Value
 
-SIMILAR_TO_JUEL = frozenset({"javascript", "js", "ecmascript", "graal.js", "groovy"})
-"""Languages whose simple expressions are those of JUEL."""
-
-SIMILAR_URIS = frozenset(
+JAVA_LIKE = frozenset(
     {
+        *("javascript", "js", "ecmascript", "graal.js", "groovy", "java", "mvel"),
         *("http://www.java.com/java", "http://www.mvel.org/2.0", "http://www.javascript.com/javascript"),
-        *("java", "mvel"),
     }
 )
-"""The names that jBPM gives to such languages."""
+"""Languages whose simple expressions are those of JUEL, by the names that Camunda and jBPM give them."""
 
-_RETURN = re.compile(r"return\b\s*(.*?);?\s*", re.DOTALL)
-_PRINT = re.compile(r"(?:java\.lang\.)?System\.(?:out|err)\.print(?:ln|f)?\s*\(.*\)", re.DOTALL)
-
-
-def similar_condition(given: str) -> Expression:
-    """Return a condition of Java, MVEL, JavaScript or Groovy, read as JUEL; raise `ExpressionError`."""
-    inner = given.strip().rstrip(";")
-    returned = _RETURN.fullmatch(inner)
-    if returned is not None:
-        inner = returned[1]
-    inner = re.sub(r"(?<![\w'\"$])\$(\w+)", r"\1", inner)  # an older form of variables
-    inner = inner.replace("!==", "!=").replace("===", "==").replace("kcontext.", "execution.")
-    return read_juel("${" + inner + "}")
+_PRINT = re.compile(r"(?:(?:java\.lang\.)?System\.(?:out|err)\.print(?:ln|f)?)\s*\(.*\)", re.DOTALL)
+_STATEMENTS = re.compile(r"""((?:"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'|[^;\n"'])*)[;\n]?""")
+"""Statements up to a semicolon or the end of the line, which are none within a text."""
 
 
 def set_variables(source: str) -> tuple[Assignment, ...] | None:
     """Return the variables that a script sets; None if it does anything else.
 
-    Its lines are `execution.setVariable('name', value)`. Lines that only print are left out.
+    Its statements are `execution.setVariable('name', value)`. Statements that only print are left out.
     """
     found: list[Assignment] = []
-    for line in re.split(r"[;\n]", source):
-        statement = line.strip().replace("kcontext.", "execution.")
+    for statement in (each.strip() for each in _STATEMENTS.findall(source)):
         if not statement or statement.startswith("//") or _PRINT.fullmatch(statement):
             continue
-        assigned = assigned_by("${" + statement + "}")
-        if not assigned:
+        try:
+            assigned = read_java_assignment(statement)
+        except ExpressionError:
             return None
-        found += assigned
+        if assigned is None:
+            return None
+        found.append(Assignment(assigned[0], Value(expression=assigned[1])))
     return tuple(found)
 
 

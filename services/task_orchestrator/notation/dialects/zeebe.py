@@ -1,14 +1,16 @@
 """Camunda 8: the extension elements of Zeebe, and FEEL expressions, which begin with `=`."""
 
+import re
 from collections.abc import Iterator, Mapping
 from functools import partial
 
 from lxml import etree
 
 from handover.messages import message
-from services.task_orchestrator.languages.base import Expression
+from services.task_orchestrator.languages.base import Expression, ExpressionError
 from services.task_orchestrator.languages.feel import read_feel
-from services.task_orchestrator.languages.native_grammar import is_variable_name
+from services.task_orchestrator.languages.java import read_java
+from services.task_orchestrator.languages.native_grammar import is_name
 from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, Value
 from services.task_orchestrator.notation.dialects.base import (
     WRITTEN_FORM,
@@ -37,6 +39,8 @@ from services.task_orchestrator.notation.faults import Findings
 
 NAMESPACE = "http://camunda.org/schema/zeebe/1.0"
 
+_ROOT = re.compile(r"\$\.(?=\w)")
+"""The root of the variables in JSONPath."""
 MAX_PATH = 10
 """Steps of the target of a mapping, such as `a.b`."""
 
@@ -68,8 +72,20 @@ class Zeebe:
     potential_owner = "candidateGroups"
 
     def expression(self, text: str) -> Expression:
-        """Return a FEEL expression; `=` before it may be left out where only an expression can stand."""
-        return read_feel(text)
+        """Return a FEEL expression; `=` before it may be left out where only an expression can stand.
+
+        Conditions of releases before FEEL (`$.total >= 5 && approved == true`) are read too.
+        """
+        try:
+            return read_feel(text)
+        except ExpressionError:
+            if text.strip().startswith("="):
+                raise
+            try:
+                return read_java(_ROOT.sub("", text))
+            except ExpressionError:
+                pass
+            raise
 
     def value(self, text: str) -> Value:
         """Return the value of a FEEL expression if the text begins with `=`, else the text."""
@@ -136,7 +152,7 @@ class Zeebe:
             for part in _parts(group, name):
                 source, target = part.get("source") or "", (part.get("target") or "").strip()
                 path = target.split(".")
-                if len(path) > MAX_PATH or not all(is_variable_name(step) for step in path):
+                if len(path) > MAX_PATH or not all(is_name(step) for step in path):
                     found.fault(part, f'target="{target[:100]}" cannot be the name of a variable')
                     continue
                 value = attempt(part, partial(self.value, source), Value(), found)
@@ -167,6 +183,14 @@ class Zeebe:
             all_outputs=flag(called, "propagateAllChildVariables", default=True) and not outputs,
         )
 
+    def evaluated(
+        self,
+        element: etree._Element,  # noqa: ARG002 - of the interface
+        found: Findings,  # noqa: ARG002
+    ) -> tuple[Assignment, ...] | None:
+        """Return None: tasks have no expressions."""
+        return None
+
     def items(self, loop: etree._Element, found: Findings) -> Items:
         """Return what `loopCharacteristics` names."""
         extension = next(_named(loop, "loopCharacteristics"), None)
@@ -175,7 +199,7 @@ class Zeebe:
         collection, item = extension.get("inputCollection"), extension.get("inputElement")
         output, output_item = extension.get("outputCollection"), extension.get("outputElement")
         for name in (item, output):
-            if name and not is_variable_name(name):
+            if name and not is_name(name):
                 found.fault(loop, f'"{name}" cannot be the name of a variable')
         return Items(
             attempt(loop, lambda: self.collection(collection), None, found) if collection else None,
@@ -191,7 +215,7 @@ class Zeebe:
             format_ = element.get("scriptFormat") or ""
             return Script(format=format_, text=child_text(element, "script"))
         variable = extension.get("resultVariable") or ""
-        if not is_variable_name(variable):
+        if not is_name(variable):
             found.fault(element, f'resultVariable="{variable}" cannot be the name of a variable')
         source = extension.get("expression") or ""
         value = attempt(element, lambda: self.collection(source), Value(), found)

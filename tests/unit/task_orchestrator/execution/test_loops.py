@@ -184,6 +184,21 @@ def test_a_completion_condition_cancels_the_other_instances(*, sequential: bool)
     assert run.variables["found"] == [False, False, None]
 
 
+@pytest.mark.parametrize(
+    "condition",
+    [
+        "numberOfCompletedInstances == 2",
+        "numberOfInstances - numberOfActiveInstances - numberOfTerminatedInstances == 2",
+    ],
+)
+def test_a_completion_condition_may_use_the_names_of_bpmn(condition: str) -> None:
+    run = Driver(around(work("a", loop=each(completion=read(condition)))), items=[1, 2, 3])
+    run.complete("a")
+    assert run.open == ["a", "a"]
+    run.complete("a")
+    assert run.open == ["after"]
+
+
 def test_a_completion_condition_that_fails_is_an_incident_of_the_instance() -> None:
     run = Driver(around(work("a", loop=each(completion=read("enough")))), items=[1, 2])
     run.complete("a", x=1)

@@ -332,3 +332,50 @@ def test_any_expression_yields_json_or_an_expression_error(text: str, variables:
     except ExpressionError:
         return
     assert within_limits(value) is value
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ('cycle(3, duration("PT1H"))', "R3/PT1H"),
+        ('cycle(duration("P1D"))', "R/P1D"),
+        ('cycle("x", duration("P1D"))', None),
+        ("cycle(3, 4)", None),
+        ('is blank("  ") and not(is blank("a"))', True),
+        ('to base64("gear")', "Z2Vhcg=="),
+        ('from json(to json({a: [1, "x"]}))', {"a": [1, "x"]}),
+        ('from json("{")', None),
+        ('number("1.000,5", ".", ",")', 1000.5),
+        ('number("1 000", " ")', 1000),
+        ('number("1,5", ",,")', None),
+        ("median([3, 1, 2])", 2),
+        ("median(1, 2)", 1.5),
+        ('median(["a"])', None),
+        ("median([])", None),
+        ("stddev([2, 4, 7, 5]) > 2.08", True),
+        ("stddev([1])", None),
+        ("mode([6, 3, 9, 6, 6])", [6]),
+        ('mode(["a"])', None),
+        ("product([2, 3, 4])", 24),
+        ("product([1e200, 1e200])", None),
+        ("log(1)", 0),
+        ("log(0)", None),
+        ("exp(0)", 1),
+        ("exp(1e9)", None),
+        ("partition([1, 2, 3], 2)", [[1, 2], [3]]),
+        ("partition([1], 0)", None),
+        ("duplicate values([1, 2, 1, 2, 1])", [1, 2]),
+        ("list replace([1, 2], -1, 5)", [1, 5]),
+        ("list replace([1, 2], 3, 5)", None),
+        ('context([{key: "a", value: 1}])', {"a": 1}),
+        ('context([{key: "a"}])', None),
+        ("context merge({a: 1}, {b: 2})", {"a": 1, "b": 2}),
+        ('day of year(date("2026-02-01"))', 32),
+        ('week of year(date("2026-02-01"))', 5),
+        ('last day of month(date("2028-02-03"))', "2028-02-29"),
+        ('years and months duration(date("2024-01-31"), date("2026-03-01"))', "P2Y1M"),
+        ('years and months duration(date("2026-03-01"), date("2024-03-01"))', "-P2Y"),
+    ],
+)
+def test_a_function_of_camunda_8_has_its_value(text: str, value: object) -> None:
+    assert read_feel(text).value({}) == value

@@ -318,3 +318,33 @@ def test_any_expression_yields_json_or_an_expression_error(text: str, variables:
     except ExpressionError:
         return
     assert within_limits(value) is value
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("${variables:get(name)}", "Ada"),
+        ("${vars:get(missing)}", None),
+        ("${vars:getOrDefault('missing', 3)}", 3),
+        ("${var:exists(nothing) || vars:exists(missing)}", False),
+        ("${vars:isEmpty(nothing) && variables:isNotEmpty(items)}", True),
+        ("${variables:equals(name, 'Ada') && vars:notEquals(missing, 1)}", True),
+        ("${vars:eq(text, 17) && vars:ne(score, 5)}", True),
+        ("${vars:lt(score, 5) && vars:lowerThanOrEquals(score, 4)}", True),
+        ("${vars:gte(score, 4) && vars:greaterThan(score, 3)}", True),
+        ("${vars:gt(missing, 3)}", False),
+        ("${vars:contains(items, 'gear', 'shaft') && !vars:contains(items, 'nut', 'gear')}", True),
+        ("${vars:containsAny(name, 'x', 'd')}", True),
+        ("${approved ? vars : name}", 1),
+    ],
+)
+def test_functions_of_flowable_read_variables_that_may_be_missing(text: str, value: object) -> None:
+    assert read_juel(text).value({**ORDER, "vars": 1}) == value
+
+
+@pytest.mark.parametrize(
+    "text", ["${vars:eq(name)}", "${vars:get(name, 1)}", "${vars:get(1)}", "${vars:other(x)}"]
+)
+def test_a_wrong_function_of_flowable_is_an_error(text: str) -> None:
+    with pytest.raises(ExpressionError):
+        read_juel(text)

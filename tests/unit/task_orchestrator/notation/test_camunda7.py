@@ -517,3 +517,114 @@ def test_a_user_task_names_a_deployed_form(attributes: str, reference: FormRefer
     work = node(f'<bpmn:userTask id="x" {attributes}/>').activity
     assert work is not None
     assert work.form == reference
+
+
+@pytest.mark.parametrize(
+    ("attributes", "script"),
+    [
+        ("camunda:expression=\"${execution.setVariable('a', n + 1)}\"", ("a", 3)),
+        ('camunda:expression="#{n + 1}" camunda:resultVariable="a"', ("a", 3)),
+        ('camunda:expression="${n}" camunda:resultVariableName="a"', ("a", 2)),
+        ('camunda:expression="${bean.total}" camunda:resultVariable="a"', None),
+        ('camunda:expression="${bean.total(n)}" camunda:resultVariable="a"', None),
+        ('camunda:expression="${n}"', None),
+    ],
+)
+def test_an_expression_of_a_service_task_is_evaluated_unless_it_may_call_a_bean(
+    attributes: str, script: tuple[str, int] | None
+) -> None:
+    found = node(f'<bpmn:serviceTask id="x" {attributes}/>')
+    if script is None:
+        assert found.activity is not None
+        return
+    assert found.script is not None
+    (assignment,) = found.script
+    assert (assignment.target, assignment.value.value({"n": 2})) == script
+
+
+@pytest.mark.parametrize(
+    ("source", "assigned"),
+    [
+        ("${execution.setVariable('a', 1)}", ["a"]),
+        ("a = 1", ["a"]),
+        ("${now()}", []),
+        ("println(1)", None),
+    ],
+)
+def test_a_script_without_a_language_is_juel_or_ours_or_work(source: str, assigned: list[str] | None) -> None:
+    found = node(f'<bpmn:scriptTask id="x" {CAMUNDA}><bpmn:script>{source}</bpmn:script></bpmn:scriptTask>')
+    if assigned is None:
+        assert found.activity is not None
+        assert found.activity.parameters["script"].literal == source
+    else:
+        assert found.script is not None
+        assert [each.target for each in found.script] == assigned
+
+
+def test_the_values_of_data_objects_are_defaults_of_variables() -> None:
+    data = (
+        '<bpmn:dataObject id="d1" name="count" itemSubjectRef="xsd:int"><bpmn:extensionElements>'
+        "<camunda:value>5</camunda:value></bpmn:extensionElements></bpmn:dataObject>"
+        '<bpmn:dataObject id="word"><bpmn:extensionElements><camunda:value>a"b</camunda:value>'
+        '</bpmn:extensionElements></bpmn:dataObject><bpmn:dataObject id="plain"/>'
+    )
+    script = read(data + between('<bpmn:task id="x"/>')).scope.nodes["start.after"].script
+    assert script is not None
+    assert {each.target: each.value.value({}) for each in script} == {"count": 5, "word": 'a"b'}
+    assert {each.target: each.value.value({"count": 7, "word": "w"}) for each in script} == {
+        "count": 7,
+        "word": "w",
+    }
+
+
+def test_a_called_process_may_inherit_all_variables() -> None:
+    call = '<bpmn:callActivity id="x" calledElement="q" camunda:inheritVariables="{}"/>'
+    for given, inherits in (("true", True), ("false", False)):
+        found = node(call.format(given)).call
+        assert found is not None
+        assert found.all_inputs is inherits
+
+
+def test_a_decision_of_flowable_is_refused_by_name() -> None:
+    (fault,) = faults(between('<bpmn:serviceTask id="x" name="Rate" camunda:type="dmn"/>'))
+    assert fault.startswith(
+        'line 1, "x" ("Rate"): serviceTask of the type dmn (a DMN decision) is not supported'
+    )
+
+
+@pytest.mark.parametrize("name", ["from", "class", "content-type", "größe", "max"])
+def test_a_variable_may_have_a_name_that_our_language_reserves(name: str) -> None:
+    io = (
+        f'<camunda:inputOutput><camunda:inputParameter name="{name}">1</camunda:inputParameter>'
+        f'<camunda:outputParameter name="{name}">2</camunda:outputParameter></camunda:inputOutput>'
+    )
+    found = node(extended("serviceTask", io, attributes='camunda:topic="t"'))
+    assert [each.target for each in (*found.inputs, *found.outputs)] == [name, name]
+    passed = extended(
+        "callActivity", f'<camunda:in source="{name}" target="{name}"/>', attributes='calledElement="q"'
+    )
+    call = node(passed).call
+    assert call is not None
+    assert call.inputs[0].value.value({name: 3}) == 3
+
+
+@pytest.mark.parametrize("reference", ["assignees", "${assignees}"])
+def test_a_loop_may_name_its_collection_as_bpmn_does(reference: str) -> None:
+    loop = (
+        f"<bpmn:multiInstanceLoopCharacteristics><bpmn:loopDataInputRef>{reference}</bpmn:loopDataInputRef>"
+        '<bpmn:inputDataItem name="assignee"/></bpmn:multiInstanceLoopCharacteristics>'
+    )
+    found = node(f'<bpmn:userTask id="x" {CAMUNDA}>{loop}</bpmn:userTask>').loop
+    assert isinstance(found, MultiInstance)
+    assert found.collection is not None
+    assert found.collection.value({"assignees": ["a"]}) == ["a"]
+    assert (found.item_variable, found.output_collection) == ("assignee", None)
+
+
+def test_a_date_without_a_time_is_midnight_in_utc() -> None:
+    event = timer("2026-05-01")
+    body = between(f'<bpmn:intermediateCatchEvent id="x" {CAMUNDA}>{event}</bpmn:intermediateCatchEvent>')
+    found = read(body).scope.nodes["x"].event
+    assert isinstance(found, TimerEvent)
+    assert found.value.literal == "2026-05-01T00:00:00Z"
+    assert "is read as UTC" in warnings(body)[0]

@@ -5,9 +5,11 @@ import pytest
 from services.task_orchestrator.notation.dialects.camunda7 import Camunda7
 from services.task_orchestrator.notation.dialects.choice import Dialects
 from services.task_orchestrator.notation.dialects.handover import Handover
+from services.task_orchestrator.notation.dialects.jbpm import Jbpm
 from services.task_orchestrator.notation.dialects.zeebe import Zeebe
 from services.task_orchestrator.notation.document import parse
-from tests.unit.task_orchestrator.drawing import activity, end, gateway, path, start
+from services.task_orchestrator.notation.file import read_bpmn
+from tests.unit.task_orchestrator.drawing import activity, end, flow, gateway, path, start
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, file, read, warnings
 
 MODELER = 'xmlns:modeler="http://camunda.org/schema/modeler/1.0" modeler:executionPlatform'
@@ -64,3 +66,94 @@ def choice(language: str, condition: str) -> str:
     expression = f'<bpmn:conditionExpression language="{language}">{condition}</bpmn:conditionExpression>'
     body = start() + gateway("g", default="g_end") + end() + end("o") + path("start", "g", "end")
     return body + f'<bpmn:sequenceFlow id="f" sourceRef="g" targetRef="o">{expression}</bpmn:sequenceFlow>'
+
+
+def _declaring(body: str, declarations: str) -> bytes:
+    """Return a file of no dialect that declares namespaces or languages, and uses none of them."""
+    return (
+        f'<bpmn:definitions xmlns:bpmn="http://www.omg.org/spec/BPMN/20100524/MODEL" {declarations}>'
+        f'<bpmn:process id="p">{body}</bpmn:process></bpmn:definitions>'
+    ).encode()
+
+
+@pytest.mark.parametrize(
+    ("declarations", "dialect"),
+    [
+        ('xmlns:activiti="http://activiti.org/bpmn"', Camunda7),
+        ('xmlns:z="http://camunda.org/schema/zeebe/1.0"', Zeebe),
+        ('expressionLanguage="http://www.mvel.org/2.0"', Jbpm),
+        ('xmlns:tns="http://www.jboss.org/drools" typeLanguage="http://www.java.com/javaTypes"', Jbpm),
+        ('xmlns:tns="http://www.jboss.org/drools"', Handover),
+        ('xmlns:c="http://activiti.org/bpmn" xmlns:z="http://camunda.org/schema/zeebe/1.0"', Handover),
+        ('xmlns:c="http://activiti.org/bpmn" xmlns:h="urn:handover:bpmn"', Handover),
+    ],
+)
+def test_a_file_that_uses_no_extension_has_the_dialect_that_it_declares(
+    declarations: str, dialect: type
+) -> None:
+    assert isinstance(Dialects(parse(_declaring("", declarations))).main, dialect)
+
+
+@pytest.mark.parametrize(
+    ("declarations", "names"),
+    [
+        ('xmlns:activiti="http://activiti.org/bpmn"', ["p", "q"]),
+        ('expressionLanguage="http://www.mvel.org/2.0"', ["p", "q"]),
+    ],
+)
+def test_processes_of_activiti_and_jbpm_need_not_be_executable(declarations: str, names: list[str]) -> None:
+    other = '</bpmn:process><bpmn:process id="q"><bpmn:task id="y"/>'
+    refused = '</bpmn:process><bpmn:process id="r" isExecutable="false"><bpmn:task id="z"/>'
+    xml = _declaring('<bpmn:task id="x"/>' + other + refused, declarations)
+    assert [each.name for each in read_bpmn(xml).definitions] == names
+
+
+@pytest.mark.parametrize(
+    "condition", ["n &gt; 1", "n &gt; 1 &amp;&amp; !off", 'n = 2 and word = "a"', "n == 2 and not off"]
+)
+def test_conditions_of_a_file_of_no_dialect_may_be_those_of_several_languages(condition: str) -> None:
+    body = start() + gateway("g", default="g_e") + end("e") + end("f") + path("start", "g", "e")
+    (found,) = read_bpmn(_declaring(body + flow("g", "f", condition), "")).definitions
+    read_condition = found.scope.flows["g_f"].condition
+    assert read_condition is not None
+    assert read_condition.value({"n": 2, "off": False, "word": "a"}) is True
+
+
+def test_a_script_of_a_file_of_no_dialect_is_work_if_it_is_not_in_our_language() -> None:
+    body = between(
+        '<bpmn:scriptTask id="a"><bpmn:script>x = 1</bpmn:script></bpmn:scriptTask>'
+        '<bpmn:scriptTask id="b"><bpmn:script>import os</bpmn:script></bpmn:scriptTask>'
+        '<bpmn:scriptTask id="c"/>',
+        "a",
+    )
+    found = read_bpmn(_declaring(body + path("a", "b", "c", "end"), ""))
+    nodes = found.definitions[0].scope.nodes
+    assert nodes["a"].script is not None
+    assert nodes["b"].activity is not None
+    assert nodes["b"].activity.parameters["script"].literal == "import os"
+    assert nodes["c"].activity is not None
+    assert ["script is not run here" in str(each) for each in found.warnings].count(True) == 1
+
+
+def test_a_process_with_a_long_or_foreign_id_has_a_derived_name() -> None:
+    called = '<bpmn:callActivity id="x" calledElement="Prüfung"/>'
+    for id_, name in (("Prüfung", "Prufung-"), ("P" * 80, "P" * 40 + "-"), ("请假", "process-")):
+        xml = _declaring(between(called), "").replace(b'process id="p"', f'process id="{id_}"'.encode())
+        (found,) = read_bpmn(xml).definitions
+        assert found.name.startswith(name)
+        assert len(found.name) <= 64
+        assert (found.title, found.scope.id) == (id_, found.name)
+        call = found.scope.nodes["x"].call
+        assert call is not None
+        assert str(call.process.literal).startswith("Prufung-")
+
+
+def test_a_condition_in_a_uri_of_feel_is_feel() -> None:
+    uri = "https://www.omg.org/spec/DMN/20191111/FEEL/"
+    body = start() + gateway("g", default="g_e") + end("e") + end("f") + path("start", "g", "e")
+    condition = flow("g", "f", 'word = "a"').replace(
+        "<bpmn:conditionExpression>", f'<bpmn:conditionExpression language="{uri}">'
+    )
+    found = read(body + condition).scope.flows["g_f"].condition
+    assert found is not None
+    assert found.value({"word": "a"}) is True

@@ -210,3 +210,53 @@ def test_a_reference_to_no_signal_is_the_name_of_one() -> None:
     assert [warning.message for warning in file.warnings] == [
         'signalRef "Halt" names no bpmn:signal of this file; it is read as its name'
     ]
+
+
+def test_a_process_may_be_called_by_its_name() -> None:
+    found = _read(between('<bpmn:callActivity id="x" tns:calledElementByName="other"/>')).scope.nodes["x"]
+    assert found.call is not None
+    assert found.call.process.literal == "other"
+
+
+def test_an_item_that_an_instance_does_not_set_is_null() -> None:
+    loop = (
+        "<bpmn:multiInstanceLoopCharacteristics><bpmn:loopDataInputRef>list</bpmn:loopDataInputRef>"
+        '<bpmn:loopDataOutputRef>found</bpmn:loopDataOutputRef><bpmn:outputDataItem id="made"/>'
+        "</bpmn:multiInstanceLoopCharacteristics>"
+    )
+    found = _read(between(f'<bpmn:userTask id="x">{loop}</bpmn:userTask>')).scope.nodes["x"].loop
+    assert isinstance(found, MultiInstance)
+    assert found.output_item is not None
+    assert found.output_item.value({}) is None
+    assert found.output_item.value({"made": 3}) == 3
+
+
+@pytest.mark.parametrize(
+    ("element", "reason"),
+    [
+        (
+            '<bpmn:businessRuleTask id="x" implementation="http://www.jboss.org/drools/dmn"/>',
+            "businessRuleTask with a DMN decision is not supported yet",
+        ),
+        (
+            '<bpmn:intermediateCatchEvent id="x"><bpmn:conditionalEventDefinition>'
+            '<bpmn:condition language="http://www.jboss.org/drools/rule">Person(age > 3)</bpmn:condition>'
+            "</bpmn:conditionalEventDefinition></bpmn:intermediateCatchEvent>",
+            "a condition in http://www.jboss.org/drools/rule is not supported yet",
+        ),
+    ],
+)
+def test_decisions_and_rules_are_refused_by_name(element: str, reason: str) -> None:
+    with pytest.raises(BadBpmn) as bad:
+        _read(between(element))
+    assert len(bad.value.faults) == 1
+    assert reason in str(bad.value.faults[0])
+
+
+def test_an_assignment_of_a_data_output_is_a_warning() -> None:
+    body = between(f'<bpmn:userTask id="x">{_data({}, {"result": "found"})}</bpmn:userTask>').replace(
+        "<bpmn:targetRef>found</bpmn:targetRef>",
+        "<bpmn:targetRef>found</bpmn:targetRef><bpmn:assignment><bpmn:from>#{result.part}</bpmn:from>"
+        "<bpmn:to>found</bpmn:to></bpmn:assignment>",
+    )
+    assert "the assignment of a data output has no effect" in str(_file(body).warnings[0])

@@ -237,3 +237,26 @@ def test_a_form_may_stand_in_the_process() -> None:
     assert work.parameters["form"].literal == {"components": [{"type": "textfield", "key": "serial"}]}
     broken = f"<bpmn:extensionElements>{written.format('no')}</bpmn:extensionElements>{task}"
     assert any("the form is no JSON" in fault for fault in faults(broken))
+
+
+@pytest.mark.parametrize(
+    "condition", ["$.total &gt;= 5 &amp;&amp; approved == true", "total &gt;= 5 || !approved"]
+)
+def test_a_condition_of_an_old_release_is_read(condition: str) -> None:
+    body = start() + gateway("g", default="g_e") + end("e") + end("f") + path("start", "g", "e")
+    body += extended("task", "<zeebe:userTask/>") + flow("g", "x", condition)
+    found = read(body + path("x", "f")).scope.flows["g_x"].condition
+    assert found is not None
+    assert found.value({"total": 5, "approved": True}) is True
+
+
+def test_a_mapping_may_use_words_that_our_language_reserves() -> None:
+    mapping = (
+        '<zeebe:taskDefinition type="mail"/><zeebe:ioMapping><zeebe:input source="=a" target="from.class"/>'
+        '<zeebe:input source="=a" target="to-address"/></zeebe:ioMapping>'
+    )
+    found = node(extended("serviceTask", mapping)).inputs
+    assert {each.target: each.value.value({"a": 1}) for each in found} == {
+        "from": {"class": 1},
+        "to-address": 1,
+    }
