@@ -119,7 +119,8 @@ def task_entity(
     """Return the `pending` Task of `activity` with the present process variables and data objects.
 
     `candidates` describe the people that a Task of people is offered to. Such a Task has the attributes that
-    a tasklist shows; `part_of` are the URN of its Process and the element.
+    a tasklist shows, and a deadline only if the file gives one; `part_of` are the URN of its Process and the
+    element.
 
     Raises `ExpressionError` when a variable is missing, `ValueError` when a reference is invalid.
     """
@@ -140,6 +141,8 @@ def task_entity(
         entity["workParameters"]["value"]["candidates"] = dict(candidates)
     if part_of is not None and is_for_people(link["object"] for link in entity["involves"]["value"]):
         entity |= _tasklist_attributes(activity, *part_of)
+        if activity.deadline is None:
+            del entity["deadline"]  # it waits in the tasklist until a person claims it
     places = [
         _place(settings, place.location.value(variables), place.function, activity)
         for place in activity.happens_at

@@ -21,8 +21,8 @@ class OrchestratorSettings(Settings):
     task_deadline_s: float = Field(
         300.0,
         gt=0,
-        description="an Alert is raised for a Task that is not accepted within this time; "
-        "a deadline in the BPMN file replaces it",
+        description="an Alert is raised for a Task of a device that is not accepted within this time; a "
+        "deadline in the BPMN file replaces it, and applies to Tasks of people as well",
     )
     cancel_grace_s: float = Field(
         5.0, ge=0, description="a cancelled Task that no performer has accepted is closed after this time"

@@ -196,7 +196,8 @@ def test_a_process_shows_who_holds_the_robot_and_an_engineer_releases_it(
     )
     page = open_page(f"/processes/{waiting}", who="")
     reservations = page.get_by_role("list", name="Reservations")
-    expect(reservations).to_contain_text(re.compile(f"waits: ur10-1 is held by {holder} since .*[0-9]:[0-9]"))
+    name = f"Bin picking · {holder.rpartition('-')[2]}"
+    expect(reservations).to_contain_text(re.compile(f"waits: ur10-1 is held by {name} since .*[0-9]:[0-9]"))
     has_look(page, "confirm_clear", "token")
     accessible(page)
     keep(page, "processes-reservation-waits")

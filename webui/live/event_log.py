@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any, Literal, Self
 
 import orjson
@@ -29,6 +29,10 @@ MAX_EVENTS_PER_REQUEST = 1_000
 MAX_SEQ = 2**53 - 1
 """The largest `seq` that a browser can state exactly; the database holds more."""
 TRIM_INTERVAL_EVENTS = 200
+CURRENT_PREFIX = "alert."
+"""The keys of events that may be older than the log; they do not say since when it is complete."""
+MAX_CLOCK_DIFFERENCE = timedelta(minutes=5)
+"""A new log records events from this time before it, since the clocks of components differ."""
 
 Level = Literal["info", "attention", "stop"]
 OnEvent = Callable[[int, LiveEvent], None]
@@ -95,7 +99,7 @@ class EventLog:
         self._engine = engine
         self._on_event = on_event
         self._next_seq = 1
-        self._oldest_at = timestamp()
+        self._oldest_at = iso(datetime.now(UTC) - MAX_CLOCK_DIFFERENCE, "milliseconds")
         self._recorded: OrderedDict[tuple[str, str], None] = OrderedDict()
         self._last_marks: OrderedDict[str, str] = OrderedDict()
         self._pending: list[tuple[int, Event]] = []
@@ -105,7 +109,7 @@ class EventLog:
 
     @property
     def oldest_at(self) -> str:
-        """The time of the oldest event. Events from before it are not recorded."""
+        """The time from which the log is complete; older events are recorded only if they are current."""
         return self._oldest_at
 
     def last_mark(self, subject: str) -> str | None:
@@ -116,10 +120,13 @@ class EventLog:
         """Return the last mark of each subject."""
         return self._last_marks
 
-    def record(self, event: Event) -> bool:
-        """Record an event; return False if it is recorded already, or older than the log."""
+    def record(self, event: Event, *, is_current: bool = False) -> bool:
+        """Record an event; return False if it is recorded already, or older than the log.
+
+        An event that says what is still the case (`is_current`) is recorded however old it is.
+        """
         key = (event.subject, event.mark)
-        if key in self._recorded or event.at < self._oldest_at:
+        if key in self._recorded or (event.at < self._oldest_at and not is_current):
             return False
         self._remember(*key)
         EVENTS.labels(event.key).inc()
@@ -158,7 +165,7 @@ class EventLog:
         _meta.create_all(self._engine)
         with self._engine.connect() as connection:
             rows = connection.execute(
-                select(_events.c.seq, _events.c.at, _events.c.subject, _events.c.mark)
+                select(_events.c.seq, _events.c.at, _events.c.key, _events.c.subject, _events.c.mark)
                 .order_by(_events.c.seq.desc())
                 .limit(MAX_EVENTS)
             ).all()
@@ -166,7 +173,8 @@ class EventLog:
             self._remember(row.subject, row.mark)
         if rows:
             self._next_seq = rows[0].seq + 1
-            self._oldest_at = min(row.at for row in rows)
+            complete_from = [row.at for row in rows if not row.key.startswith(CURRENT_PREFIX)]
+            self._oldest_at = min(complete_from, default=self._oldest_at)
 
     def _remember(self, subject: str, mark: str) -> None:
         self._recorded[subject, mark] = None

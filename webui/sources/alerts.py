@@ -295,7 +295,9 @@ class Alerts(EntityHandler, Source):
                     "by": "",
                     **values,
                 },
-            )
+            ),
+            # An Alert that is older than the log, but has not returned to normal, concerns the reader now.
+            is_current=view["state"] != "returnedToNormal",
         )
 
 

@@ -191,7 +191,7 @@ class Processes(Source):
 
     def _log(self, view: ProcessView) -> None:
         status, ended = str(view["status"]), view.get("endedAt")
-        title = _title(view)
+        title = _full_name(view)
         self._log_incidents(view, title)
         if self._logged.get(view["id"]) == (status, str(ended)):
             return
@@ -227,20 +227,19 @@ class Processes(Source):
         token: str = "",
         more: Mapping[str, Any] | None = None,
     ) -> None:
-        title = _title(view)
         if self._events.record(
             Event(
                 subject=str(view["entity"]),
                 mark=f"{act}@{at}" + (f"@{token}" if token else ""),
                 key=f"process.{act}",
-                source=title,
+                source=_title(view),
                 text=text,
                 at=at,
                 level=LEVELS.get(act, "info"),
                 values={
                     "process": view["id"],
                     "definition": view["definition"],
-                    "title": title,
+                    "title": _full_name(view),
                     **(more or {}),
                     **with_code("reason", reason),
                 },
@@ -284,3 +283,8 @@ class ProcessEntities(EntityHandler):
 
 def _title(view: ProcessView) -> str:
     return str(view.get("title") or view["definition"])
+
+
+def _full_name(view: ProcessView) -> str:
+    """Return the title with the business key, as "Bin picking · order 7"."""
+    return " · ".join(filter(None, (_title(view), view.get("key"))))

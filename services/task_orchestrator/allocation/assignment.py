@@ -111,7 +111,7 @@ class AssignmentRules:
     def _assign(self, activity: Activity, variables: Variables | None) -> Assignment:
         if activity.involves:
             named = ", ".join(_described(value) for value in activity.involves)
-            reason = message("allocation.by_file", "the file names {resource}", resource=named)
+            reason = message("allocation.by_file", "named in the process file: {resource}", resource=named)
             return Assignment(activity, reason, named)
         if activity.role is not None or activity.skills:
             request = Request(activity.role, activity.skills)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, TypeAlias
 
-from handover.messages import message, text_of
+from handover.messages import Message, message, text_of
 from services.task_orchestrator.execution.graph import Graph, Plan
 from services.task_orchestrator.execution.state import (
     Frame,
@@ -382,10 +382,9 @@ class Machine:
     def failure(self, token: Token, why: str) -> RunFailed:
         """Return the error that the token cannot continue; it names the node as it is drawn."""
         node = self.node(token)
-        drawn = f'"{node.name}"' if node.name and node.name != node.id else f'"{self.element(token)}"'
-        return RunFailed(
-            message("process.failed_at", "at {element}: {why}", element=drawn, why=why.strip(" ."))
-        )
+        drawn = node.name if node.name and node.name != node.id else self.element(token)
+        reason = why if isinstance(why, Message) else why.strip(" .")
+        return RunFailed(message("process.failed_at", 'at "{element}": {why}', element=drawn, why=reason))
 
 
 def has_output_collection(node: Node) -> bool:

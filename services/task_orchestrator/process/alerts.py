@@ -17,19 +17,25 @@ from services.task_orchestrator.records import IncidentRecord, MessageKind, Proc
 
 def raise_overdue(step: Step, task: TaskRecord) -> None:
     """Raise the Alert that no performer accepted the Task in time."""
-    involved = ", ".join(link["object"] for link in task.entity["involves"]["value"])
+    involved = ", ".join(link["object"].rpartition(":")[2] for link in task.entity["involves"]["value"])
+    if involved:
+        description = message(
+            "alert.task_overdue",
+            'No performer has accepted the Task "{task}" ({involved})',
+            task=_name(task),
+            involved=involved,
+        )
+    else:
+        description = message(
+            "alert.task_unclaimed", 'Nobody has claimed the Task "{task}" in time', task=_name(task)
+        )
     _raise(
         step,
         task.process,
         TASK_NOT_ACCEPTED,
         key=_overdue_key(task),
         source=task.id,
-        description=message(
-            "alert.task_overdue",
-            "No performer has accepted the Task {task}; it involves {involved}",
-            task=task.id,
-            involved=involved,
-        ),
+        description=description,
     )
 
 
@@ -43,19 +49,21 @@ def raise_past_due(step: Step, task: TaskRecord, level: int, escalation: Escalat
     if escalation is not None and escalation.group is not None:
         description = message(
             "alert.task_escalated_to",
-            "The Task {task} has not ended in time; it was escalated to {group}",
-            task=task.id,
+            'The Task "{task}" has not ended in time; it was escalated to {group}',
+            task=_name(task),
             group=escalation.group,
         )
     elif escalation is not None:
         description = message(
             "alert.task_escalated",
-            'The Task {task} has not ended in time; the escalation "{code}" was thrown',
-            task=task.id,
+            'The Task "{task}" has not ended in time; the escalation "{code}" was thrown',
+            task=_name(task),
             code=escalation.code,
         )
     else:
-        description = message("alert.task_past_due", "The Task {task} has not ended in time", task=task.id)
+        description = message(
+            "alert.task_past_due", 'The Task "{task}" has not ended in time', task=_name(task)
+        )
     key = _past_due_key(task, level)
     _raise(step, task.process, TASK_PAST_DUE, key=key, source=task.id, description=description)
 
@@ -76,9 +84,9 @@ def raise_lost(step: Step, task: TaskRecord) -> None:
         source=task.id,
         description=message(
             "alert.task_lost",
-            "The broker no longer has the Task {task}, which was {status}. Check the state of the work, then "
-            "cancel the process {process}",
-            task=task.id,
+            'The broker no longer has the Task "{task}", which was {status}. Check the state of the work, '
+            "then cancel the process {process}",
+            task=_name(task),
             status=task.status.value,
             process=task.process,
         ),
@@ -138,6 +146,10 @@ def _raise(
         **with_code("description", description),
     }
     step.enqueue(stream, MessageKind.RAISE, source, body)
+
+
+def _name(task: TaskRecord) -> str:
+    return task.name or task.element
 
 
 def _short(task: TaskRecord) -> str:

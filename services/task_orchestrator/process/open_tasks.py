@@ -77,7 +77,7 @@ class OpenTasks:
         if task.cancelled_at is not None:
             grace = timedelta(seconds=0 if task.claims else self._settings.cancel_grace_s)
             yield Timer(TimerKind.GRACE, task.id, task.cancelled_at + grace)
-        elif not task.alerted and task.status is TaskStatus.PENDING:
+        elif not task.alerted and task.status is TaskStatus.PENDING and "deadline" in task.entity:
             yield Timer(TimerKind.DEADLINE, task.id, task.deadline)
 
     def next_due(self) -> datetime | None:

@@ -281,6 +281,19 @@ def test_a_task_taken_away_by_a_timer_is_called_back_and_its_late_end_changes_no
     assert driver.process.run is not None
 
 
+@pytest.mark.parametrize(("attributes", "raised"), [("", 0), ('deadline="PT2H"', 1)])
+def test_a_task_of_people_waits_without_an_alert_unless_the_file_gives_a_deadline(
+    attributes: str, raised: int
+) -> None:
+    task = f'<handover:task definition="work" {attributes}/>'
+    body = f'<bpmn:userTask id="work"><bpmn:extensionElements>{task}</bpmn:extensionElements></bpmn:userTask>'
+    driver = ProcessDriver(start() + body + end() + path("start", "work", "end"))
+    driver.after(hours=3)
+    driver.tick()
+    found = [alert["description"] for alert in alerts(driver.step)]
+    assert found == ['Nobody has claimed the Task "work" in time'] * raised
+
+
 def test_a_task_nobody_takes_up_raises_one_alert_which_is_cleared_when_it_is() -> None:
     driver = ProcessDriver(ONE_STEP)
     driver.after(seconds=299)
@@ -290,7 +303,7 @@ def test_a_task_nobody_takes_up_raises_one_alert_which_is_cleared_when_it_is() -
     driver.tick()
     (alert,) = alerts(driver.step)
     assert alert["sub_category"] == "taskNotAccepted"
-    assert "Device:demo:glove-1" in alert["description"]
+    assert alert["description"] == 'No performer has accepted the Task "work" (glove-1)'
     driver.after(hours=1)
     driver.tick()
     assert alerts(driver.step) == []

@@ -1,11 +1,13 @@
 """The event log: each event once, in order, across restarts, and a limited number."""
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 from sqlalchemy import text
 
+from datamodels.times import iso
 from handover.database import connect
 from webui.live import event_log as event_log_module
 from webui.live.event_log import Event, EventLog
@@ -61,6 +63,24 @@ async def test_events_older_than_the_log_are_not_recorded(tmp_path: Path) -> Non
         assert log.record(event(2))
     async with log_in(tmp_path) as log:  # the oldest stored event
         assert log.oldest_at == event(2).at
+
+
+async def test_current_events_are_recorded_although_they_are_older_than_the_log(tmp_path: Path) -> None:
+    old = Event("alert-1", "raised", "alert.raised", "conveyor-1", "alert: blocked", BEGAN)
+    async with log_in(tmp_path) as log:
+        assert not log.record(old)
+        assert log.record(old, is_current=True)
+        assert not log.record(old, is_current=True)
+        assert log.record(event(2))
+    async with log_in(tmp_path) as log:
+        assert not log.record(old, is_current=True)
+        assert log.oldest_at == event(2).at, "an old Alert does not make the log older"
+
+
+async def test_a_new_log_accepts_clocks_that_are_minutes_slow(tmp_path: Path) -> None:
+    slow = iso(datetime.now(UTC) - timedelta(minutes=2), "milliseconds")
+    async with log_in(tmp_path) as log:
+        assert log.record(event(1, at=slow))
 
 
 async def test_events_are_read_after_and_before_a_sequence_number(tmp_path: Path) -> None:

@@ -3,14 +3,14 @@ import { OctagonAlert, TriangleAlert } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import { useFamily } from "~/live/hooks";
-import { shortName } from "~/live/urn";
 import { attentionOf, isUrgent } from "./attention";
-import { useAlertTitle } from "./titles";
+import { useAlertTitle, useSourceName } from "./titles";
 import "./AttentionBanner.css";
 
 export function AttentionBanner({ large }: { large: boolean }) {
   const { t } = useTranslation("common");
   const titleOf = useAlertTitle();
+  const sourceOf = useSourceName();
   const { byPriority, worst } = attentionOf(useFamily("alert").filter(isUrgent));
   if (worst === null) return null;
   const Icon = byPriority.critical > 0 ? OctagonAlert : TriangleAlert;
@@ -23,7 +23,7 @@ export function AttentionBanner({ large }: { large: boolean }) {
       <p className="attention__words">
         <strong>{counts.join(", ")}</strong>
         <span className="attention__worst">
-          {titleOf(worst)} · {shortName(worst.source)}
+          {titleOf(worst)} · {sourceOf(worst.source)}
         </span>
       </p>
       <Link href="/system?tab=alerts" className="attention__link">

@@ -1,8 +1,11 @@
-/** The title of an Alert, in the language of the page if its kind is known. */
-import { useCallback } from "react";
+/** The title of an Alert in the language of the page if its kind is known, and the name of its source. */
+import { useCallback, useMemo } from "react";
 import { useTranslation } from "react-i18next";
 import { localizedText } from "~/i18n/server";
+import { useFamily } from "~/live/hooks";
 import type { AlertView } from "~/live/messages";
+import { shortName } from "~/live/urn";
+import { fullName, nameOf } from "~/processes/names";
 import { kindOf } from "./attention";
 
 export function useAlertTitle(): (alert: AlertView) => string {
@@ -14,4 +17,18 @@ export function useAlertTitle(): (alert: AlertView) => string {
     },
     [t],
   );
+}
+
+/** The name of a process by its id, or of the source of an Alert by its URN: "Bin picking · order 7", not a hash. */
+export function useSourceName(): (source: string) => string {
+  const processes = useFamily("process");
+  const names = useMemo(() => {
+    const found = new Map<string, string>();
+    for (const process of processes) {
+      found.set(process.id, fullName(process));
+      for (const task of process.tasks) found.set(shortName(task.id), `${nameOf(task)} · ${fullName(process)}`);
+    }
+    return found;
+  }, [processes]);
+  return useCallback((source: string) => names.get(shortName(source)) ?? shortName(source), [names]);
 }

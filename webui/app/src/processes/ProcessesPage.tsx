@@ -1,5 +1,5 @@
 /** Processes: what can run, what runs and what has run, for those who set a cell up or look for a cause. */
-import { FileUp, Workflow } from "lucide-react";
+import { ArrowLeft, FileUp, Workflow } from "lucide-react";
 import { useState } from "react";
 import { DropZone } from "react-aria-components";
 import { useTranslation } from "react-i18next";
@@ -46,6 +46,7 @@ export default function ProcessesPage() {
   return (
     <DropZone
       className="processes"
+      data-open={place.kind === "nothing" ? undefined : true}
       aria-label={t("upload.dropHere")}
       getDropOperation={(types) => (types.has("application/json") ? "cancel" : "copy")}
       onDrop={(event) => {
@@ -61,6 +62,13 @@ export default function ProcessesPage() {
         onOffers={() => open({ kind: "offers" })}
       />
       <div className="processes__place">
+        {place.kind !== "nothing" && (
+          <div className="processes__back">
+            <Button kind="quiet" icon={<ArrowLeft aria-hidden size={18} />} onPress={() => open({ kind: "nothing" })}>
+              {t("back")}
+            </Button>
+          </div>
+        )}
         {place.kind === "process" && <ProcessPanel key={place.id} id={place.id} />}
         {place.kind === "definition" && (
           <DefinitionPanel

@@ -3,15 +3,29 @@ import type { ProcessView, TaskView } from "~/live/messages";
 import { exactTime } from "~/design/times";
 import { shortName } from "~/live/urn";
 
-/** The performer of a Task: the first that it involves but for Materials and Assets, "" without one. */
-export function performerOf(task: Pick<TaskView, "involves">): string {
+/** The performer of a Task: the first that it involves but for Materials and Assets, else who claimed it, else "". */
+export function performerOf(task: Pick<TaskView, "involves"> & Partial<Pick<TaskView, "outputParameters">>): string {
   const first = task.involves.find((one) => !/^urn:ngsi-ld:(Material|Asset):/.test(one));
-  return first === undefined ? "" : shortName(first);
+  if (first !== undefined) return shortName(first);
+  const operator = task.outputParameters?.["operator"];
+  return typeof operator === "string" ? operator : "";
+}
+
+const MAX_TITLE = 32;
+
+/** A title that fits a button. */
+export function shortTitle(title: string): string {
+  return title.length > MAX_TITLE ? `${title.slice(0, MAX_TITLE - 1).trimEnd()}…` : title;
 }
 
 /** The name of a Task: that of its activity, or the id of the activity if it has no name. */
 export function nameOf(task: Pick<TaskView, "name" | "element">): string {
   return task.name === "" ? task.element : task.name;
+}
+
+/** The title of a process with its business key: "Bin picking · order 7"; without a key, with its id. */
+export function fullName(process: Pick<ProcessView, "id" | "key" | "title">): string {
+  return process.key === null ? `${process.title} · ${process.id.slice(process.id.lastIndexOf("-") + 1)}` : `${process.title} · ${process.key}`;
 }
 
 /** Identifies a process of its definition: the business key, else the time of its start. */

@@ -4,7 +4,7 @@ import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import { attentionOf } from "~/alerts/attention";
-import { useAlertTitle } from "~/alerts/titles";
+import { useAlertTitle, useSourceName } from "~/alerts/titles";
 import type { PeriodStatistics } from "~/api/generated/task-orchestrator";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { RelativeTime } from "~/design/RelativeTime";
@@ -19,7 +19,6 @@ import { useNow } from "~/live/clock";
 import { useFamily, useTopic } from "~/live/hooks";
 import type { ProcessView } from "~/live/messages";
 import { processState } from "~/live/processState";
-import { shortName } from "~/live/urn";
 import { pathOf } from "~/processes/address";
 import { FirstSteps } from "./FirstSteps";
 import { byPerformer, failedSince, startOfDay, waitingTasks, withIncidents } from "./overview";
@@ -155,6 +154,7 @@ function WaitingFor() {
 function Wrong() {
   const { t } = useTranslation("common");
   const titleOf = useAlertTitle();
+  const sourceOf = useSourceName();
   const { count, byPriority, worst } = attentionOf(useFamily("alert"));
   const services = (useTopic("services") ?? []).filter((service) => service.state !== "up");
   const failed = failedSince(useFamily("process"), startOfDay(useNow()));
@@ -172,7 +172,7 @@ function Wrong() {
           <li>
             <Link href={`/system?tab=alerts&alert=${encodeURIComponent(worst.id)}`}>{titleOf(worst)}</Link>
             <StatusBadge tone={priorityTone[worst.priority]}>{t(`severity.${worst.severity}`)}</StatusBadge>
-            <span>{shortName(worst.source)}</span>
+            <span>{sourceOf(worst.source)}</span>
             <span className="quiet small">
               <RelativeTime at={worst.dateIssued} />
             </span>

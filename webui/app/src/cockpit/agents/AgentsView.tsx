@@ -68,11 +68,11 @@ function useColumns(): readonly Column<AgentView>[] {
         ),
       },
       {
-        id: "state", name: t("agents.state"), width: "minmax(130px, 1.1fr)", sortBy: standingOf,
+        id: "state", name: t("agents.state"), width: "minmax(164px, 1.1fr)", sortBy: standingOf,
         cell: (agent) => (
           <>
             <StatusBadge tone={STANDING_TONES[standingOf(agent)]}>{t(`agents.standing.${standingOf(agent)}`)}</StatusBadge>
-            {agent.unavailable !== null && <p className="cell__detail">{agent.unavailable}</p>}
+            {agent.unavailable !== null && <p className="cell__detail">{t(`agents.reason.${agent.unavailable}`, { defaultValue: agent.unavailable })}</p>}
           </>
         ),
       },

@@ -20,6 +20,9 @@ test("days in a row with the same times are one span", () => {
   const shift = (weekday: number, begins = "06:00") => ({ weekday, begins, ends: "14:00", zone: "UTC" });
   expect(shiftsOf({ shifts: [shift(1), shift(3), shift(2), shift(5), shift(6, "08:00")] }, "en-GB")).toBe("Mon–Wed, Fri 06:00–14:00; Sat 08:00–14:00");
   expect(shiftsOf({ shifts: [] }, "en")).toBe("");
+  const whole = (weekday: number) => ({ weekday, begins: "00:00", ends: "00:00", zone: "UTC" });
+  expect(shiftsOf({ shifts: [1, 2].map(whole) }, "en-GB")).toBe("Mon–Tue 00:00–24:00");
+  expect(shiftsOf({ shifts: [1, 2, 3, 4, 5, 6, 7].map(whole) }, "en-GB")).toBe("");
 });
 
 test("agents are found by name, role and skill", () => {

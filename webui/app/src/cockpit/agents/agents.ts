@@ -25,8 +25,9 @@ export function isFound(agent: Pick<AgentView, "id" | "roles" | "skills">, text:
   return [shortName(agent.id), ...agent.roles, ...Object.keys(agent.skills)].some((word) => word.toLowerCase().includes(wanted));
 }
 
-/** "Mon–Fri 06:00–14:00": days in a row with the same times are one span. */
+/** "Mon–Fri 06:00–14:00": days in a row with the same times are one span; "" if there is no time without a shift. */
 export function shiftsOf({ shifts }: Pick<AgentView, "shifts">, language: string): string {
+  if (isAlways(shifts)) return "";
   const byTimes = new Map<string, number[]>();
   for (const shift of shifts) {
     const days = byTimes.get(timesOf(shift)) ?? [];
@@ -35,8 +36,13 @@ export function shiftsOf({ shifts }: Pick<AgentView, "shifts">, language: string
   return [...byTimes].map(([times, days]) => `${spansOf(days).map((span) => span.map((day) => dayName(day, language)).join("–")).join(", ")} ${times}`).join("; ");
 }
 
+/** Whether the shifts are whole days, one for each day of the week. */
+function isAlways(shifts: readonly ShiftView[]): boolean {
+  return new Set(shifts.map((shift) => shift.weekday)).size === 7 && shifts.every(({ begins, ends }) => begins === ends);
+}
+
 function timesOf({ begins, ends }: ShiftView): string {
-  return `${begins}–${ends}`;
+  return `${begins}–${begins === ends && begins === "00:00" ? "24:00" : ends}`;
 }
 
 function spansOf(days: readonly number[]): number[][] {

@@ -81,7 +81,7 @@ export function MappingView() {
           <Entries entries={entries} use={use.value} onOpen={(entry) => open(draftOf(entry), entry)} onRemove={(entry) => change(entry, null)} />
         </Card>
         <Card title={t("mapping.unmapped")}>
-          <p className="quiet small">{t("mapping.unmappedMeans")}</p>
+          <p className="quiet small cockpit__note">{t("mapping.unmappedMeans")}</p>
           <Unmapped
             names={unmapped(use.value?.names ?? [], entries)}
             isLoaded={use.value !== null}
@@ -222,7 +222,7 @@ function Entries({ entries, use, onOpen, onRemove }: EntriesProps) {
     ];
   }, [t, use, onOpen, onRemove]);
   if (entries.length === 0) return <EmptyState title={t("mapping.none")}>{t("mapping.noneMeans")}</EmptyState>;
-  return <DataTable label={t("mapping.entries")} rows={entries} columns={columns} keyOf={keyOf} nameOf={(entry) => entry.name} rowHeight={48} isLabelled sorting={sorting} onSort={setSorting} onOpen={onOpen} />;
+  return <DataTable label={t("mapping.entries")} rows={entries} columns={columns} keyOf={keyOf} nameOf={(entry) => entry.name} rowHeight={48} isLabelled isCompact sorting={sorting} onSort={setSorting} onOpen={onOpen} />;
 }
 
 function Unmapped({ names, isLoaded, onMap }: { names: readonly UsedNameView[]; isLoaded: boolean; onMap: (used: UsedNameView) => void }) {
@@ -246,5 +246,5 @@ function Unmapped({ names, isLoaded, onMap }: { names: readonly UsedNameView[]; 
     [t, onMap],
   );
   if (isLoaded && names.length === 0) return <p className="quiet">{t("mapping.allMapped")}</p>;
-  return <DataTable label={t("mapping.unmapped")} rows={names} columns={columns} keyOf={keyOf} nameOf={(used) => used.name} rowHeight={48} isLabelled sorting={sorting} onSort={setSorting} onOpen={onMap} />;
+  return <DataTable label={t("mapping.unmapped")} rows={names} columns={columns} keyOf={keyOf} nameOf={(used) => used.name} rowHeight={48} isLabelled isCompact sorting={sorting} onSort={setSorting} onOpen={onMap} />;
 }

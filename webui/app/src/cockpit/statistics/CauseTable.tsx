@@ -48,6 +48,7 @@ export function CauseTable({ rows, isLoaded, onPick }: CauseTableProps) {
       nameOf={(row) => `${nameOf(row)}: ${row.count}`}
       rowHeight={56}
       isLabelled
+      isCompact
       sorting={sorting}
       onSort={setSorting}
       onOpen={(row) => onPick(row.element.split(".")[0] ?? row.element)}

@@ -32,6 +32,7 @@ export function DefinitionTable({ rows, onOpen }: { rows: readonly DefinitionTim
       nameOf={(row) => row.title}
       rowHeight={40}
       isLabelled
+      isCompact
       sorting={sorting}
       onSort={setSorting}
       onOpen={(row) => onOpen(row.definition)}

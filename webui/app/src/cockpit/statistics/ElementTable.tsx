@@ -63,6 +63,7 @@ export function ElementTable({ rows, picked, onPick }: ElementTableProps) {
         nameOf={(row) => row.name}
         rowHeight={40}
         isLabelled
+        isCompact
         sorting={sorting}
         onSort={setSorting}
         openKey={picked === "" ? null : picked}

@@ -47,6 +47,7 @@ export function ResourceTable({ rows, isLoaded }: { rows: readonly ResourceTimes
       nameOf={(row) => shortName(row.resource)}
       rowHeight={40}
       isLabelled
+      isCompact
       sorting={sorting}
       onSort={setSorting}
     />

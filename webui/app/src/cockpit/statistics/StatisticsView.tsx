@@ -45,18 +45,18 @@ export function StatisticsView({ scope, onDefinition }: StatisticsViewProps) {
       )}
       <div className="cockpit__columns">
         {!isOne && (
-          <Card title={t("definitions.title")} aside={<Export path={`statistics/definitions?${query}`} name="definitions" />}>
+          <Card className="cockpit__wide" title={t("definitions.title")} aside={<Export path={`statistics/definitions?${query}`} name="definitions" />}>
             <DefinitionTable rows={definitions.value ?? []} onOpen={onDefinition} />
+          </Card>
+        )}
+        {isOne && (
+          <Card className="cockpit__wide" title={t("elements.title")} aside={<Export path={`statistics/elements?${query}`} name="elements" />}>
+            <ElementTable rows={elements.value?.elements ?? []} picked={element} onPick={setElement} />
           </Card>
         )}
         <Card title={t("throughput.title")} aside={<Export path={`statistics/throughput?${query}`} name="throughput" />}>
           {throughput.value !== null && <ThroughputChart points={throughput.value.points} period={scope.period} />}
         </Card>
-        {isOne && (
-          <Card title={t("elements.title")} aside={<Export path={`statistics/elements?${query}`} name="elements" />}>
-            <ElementTable rows={elements.value?.elements ?? []} picked={element} onPick={setElement} />
-          </Card>
-        )}
         <Card title={t("causes.title")} aside={<Export path={`statistics/incidents?${incidentQuery(scope)}`} name="incidents" />}>
           <CauseTable rows={causes.value ?? []} isLoaded={causes.value !== null} onPick={setElement} />
         </Card>

@@ -38,7 +38,7 @@ export interface Grouping<T> {
   nameOf: (key: string, count: number) => ReactNode;
 }
 
-type Inherited = "label" | "rowHeight" | "isLabelled" | "selected" | "onSelect" | "nameOf" | "openKey" | "onOpen" | "onEnd" | "children";
+type Inherited = "label" | "rowHeight" | "isLabelled" | "isCompact" | "selected" | "onSelect" | "nameOf" | "openKey" | "onOpen" | "onEnd" | "children";
 
 export interface DataTableProps<T> extends Pick<VirtualGridProps<T>, Inherited> {
   /** Rows with equal sorting values keep the order they have here. */

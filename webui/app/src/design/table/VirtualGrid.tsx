@@ -30,6 +30,8 @@ export interface VirtualGridProps<T> {
   head?: ReactNode;
   /** On a narrow screen the cells of a card show the names of their columns. */
   isLabelled?: boolean;
+  /** Few, narrow columns: rows become cards when the section around the grid is narrow, not the grid itself. */
+  isCompact?: boolean;
   selected?: ReadonlySet<string>;
   onSelect?: (selected: ReadonlySet<string>) => void;
   /** The name of a row for screen readers and for its checkbox. */
@@ -47,7 +49,7 @@ export interface VirtualGridProps<T> {
 const PAGE_ROWS = 10;
 
 export function VirtualGrid<T>(props: VirtualGridProps<T>) {
-  const { label, lines, columns, rowHeight, head, isLabelled = false, selected, onSelect, openKey, onOpen, nameOf, onEnd, frameRef, children } = props;
+  const { label, lines, columns, rowHeight, head, isLabelled = false, isCompact = false, selected, onSelect, openKey, onOpen, nameOf, onEnd, frameRef, children } = props;
   const { t } = useTranslation("common");
   const frame = useRef<HTMLDivElement>(null);
   const [activeKey, setActiveKey] = useState<string | null>(null);
@@ -143,7 +145,7 @@ export function VirtualGrid<T>(props: VirtualGridProps<T>) {
   const style: CSSProperties & Record<"--columns", string> = { "--columns": template };
   const hasHead = head !== undefined;
   return (
-    <div className="vgrid" data-labelled={isLabelled || undefined} role="grid" aria-label={label} aria-rowcount={lines.length + (hasHead ? 1 : 0)} aria-multiselectable={selected === undefined ? undefined : true} style={style}>
+    <div className="vgrid" data-labelled={isLabelled || undefined} data-compact={isCompact || undefined} role="grid" aria-label={label} aria-rowcount={lines.length + (hasHead ? 1 : 0)} aria-multiselectable={selected === undefined ? undefined : true} style={style}>
       {hasHead && (
         <div role="rowgroup" className="vgrid__head">
           <div role="row" aria-rowindex={1} className="vgrid__row">

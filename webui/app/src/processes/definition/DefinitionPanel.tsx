@@ -17,6 +17,7 @@ import type { DefinitionView } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
 import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
+import { shortTitle } from "../names";
 import { MigrateAllDialog } from "../migration/MigrateAllDialog";
 import { PaceButton } from "../pause/PaceButton";
 import { bpmnPath, SERVICE, useBpmn } from "../records";
@@ -78,7 +79,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
             isDisabled={definition.unusable !== undefined}
             onPress={() => onStart(definition, definition.version)}
           >
-            {t("start.act", { title: definition.title })}
+            {t("start.act", { title: shortTitle(definition.title) })}
           </Button>
         </div>
         {definition.unusable !== undefined && <ErrorMessage>{t("definition.unusable", { why: definition.unusable })}</ErrorMessage>}

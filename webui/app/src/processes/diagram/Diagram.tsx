@@ -79,7 +79,7 @@ export default function Diagram({ xml, label, marks, centred = null, onPick }: D
   };
 
   return (
-    <figure className="diagram">
+    <figure className="diagram" data-noted={(ready && state.laidOut) || undefined}>
       {state?.xml === xml && state.failure !== null ? (
         <ErrorMessage>{t("diagram.unreadable", { why: state.failure })}</ErrorMessage>
       ) : null}

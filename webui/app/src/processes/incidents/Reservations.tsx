@@ -5,7 +5,8 @@ import { useTranslation } from "react-i18next";
 import { releaseReservation } from "~/api/actions";
 import { Button } from "~/design/Button";
 import { RelativeTime } from "~/design/RelativeTime";
-import { localizedText } from "~/i18n/server";
+import { useSourceName } from "~/alerts/titles";
+import { eventText, inWords } from "~/i18n/server";
 import type { ProcessView, Reservation } from "~/live/messages";
 import { elementName, type BpmnElements } from "../diagram/elements";
 import { MendDialog } from "./MendDialog";
@@ -20,10 +21,17 @@ export interface ReservationsProps {
 
 export function Reservations({ process, elements, onPick }: ReservationsProps) {
   const { t } = useTranslation("processes");
+  const sourceOf = useSourceName();
   const [asking, setAsking] = useState<Reservation | null>(null);
   const reservations = liveReservations(process);
   const waiting = waitingActivities(process);
   if (reservations.length + waiting.length === 0) return null;
+  const reasonOf = (each: { reason: string | null }) => {
+    const said = eventText(each, "reason");
+    if (said === null) return null;
+    const { process: holder } = said.parameters;
+    return inWords(typeof holder === "string" ? { ...said, parameters: { ...said.parameters, process: sourceOf(holder) } } : said);
+  };
   const nameAt = ({ element, name }: { element: string; name: string }) => {
     if (element === process.definition) return process.title;
     return name === "" ? elementName(elements, element) : name;
@@ -37,7 +45,7 @@ export function Reservations({ process, elements, onPick }: ReservationsProps) {
             <button type="button" className="reservation__where" onClick={() => onPick(each.element)}>
               {nameAt(each)}
             </button>{" "}
-            {t("reservation.waits", { why: localizedText(each, "reason") })} <Since at={each.since} />
+            {t("reservation.waits", { why: reasonOf(each) })} <Since at={each.since} />
           </p>
         </li>
       ))}
@@ -50,7 +58,7 @@ export function Reservations({ process, elements, onPick }: ReservationsProps) {
             </button>{" "}
             {each.state === "held"
               ? t("reservation.held", { agents: each.agents.map(lastPart).join(", ") })
-              : t(each.state === "waiting" ? "reservation.waits" : "reservation.stopped", { why: localizedText(each, "reason") })}{" "}
+              : t(each.state === "waiting" ? "reservation.waits" : "reservation.stopped", { why: reasonOf(each) })}{" "}
             <Since at={each.since} />
             {each.state === "held" && process.incidents.length > 0 && (
               <span className="reservation__note"> {t("reservation.keeps")}</span>

@@ -93,7 +93,10 @@ function Offer({ offer, onAct }: { offer: OfferView; onAct: (act: Act) => void }
       <Listed title={t("offers.changes")} lines={offer.changes.map((change) => changeText(change, (kind) => t(`offers.change.${kind}`)))} />
       <Listed
         title={t("offers.allocation")}
-        lines={offer.allocation.map((line) => `${line.name}: ${line.performer ?? t("offers.people")} (${localizedText(line, "warning") ?? localizedText(line, "reason") ?? ""})`)}
+        lines={offer.allocation.map((line) => {
+          const why = localizedText(line, "warning") ?? localizedText(line, "reason") ?? t("offers.people");
+          return line.performer === null ? `${line.name}: ${why}` : `${line.name}: ${line.performer} (${why})`;
+        })}
       />
       <div className="offer__acts">
         <Button kind="main" icon={<Check aria-hidden size={18} />} isDisabled={faults.length > 0} onPress={() => onAct("accept")}>

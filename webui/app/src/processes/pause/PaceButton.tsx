@@ -4,6 +4,7 @@ import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { changePace, changePaceOfAll, type Pace } from "~/api/actions";
 import { Button } from "~/design/Button";
+import { shortTitle } from "../names";
 import { MendDialog } from "../incidents/MendDialog";
 
 export interface PaceButtonProps {
@@ -16,7 +17,7 @@ export function PaceButton({ pace, of }: PaceButtonProps) {
   const { t } = useTranslation("processes");
   const [asks, setAsks] = useState(false);
   const scope = of === "everything" ? of : "process" in of ? "process" : "definition";
-  const title = of === "everything" ? "" : of.title;
+  const title = of === "everything" ? "" : shortTitle(of.title);
   const act = t(`pace.${pace}.${scope}`, { title });
   return (
     <>

@@ -19,7 +19,7 @@ import { shortName } from "~/live/urn";
 import { useUserName } from "~/shell/userName";
 import { pathOf } from "../address";
 import { MigrateDialog } from "../migration/MigrateDialog";
-import { markOf, nameOf } from "../names";
+import { markOf, nameOf, shortTitle } from "../names";
 import { PaceButton } from "../pause/PaceButton";
 
 export function ProcessHead({ process }: { process: ProcessView }) {
@@ -79,14 +79,14 @@ function Acts({ process }: { process: ProcessView }) {
       {process.endedAt === null && <PaceButton pace={process.status === "paused" ? "resume" : "pause"} of={{ process: process.id, title: process.title }} />}
       {process.endedAt === null && (
         <Button icon={<Ban aria-hidden size={18} />} onPress={() => setAsks(true)}>
-          {t("cancel.act", { title: process.title })}
+          {t("cancel.act", { title: shortTitle(process.title) })}
         </Button>
       )}
       <ConfirmDialog
         isOpen={asks}
         onClose={() => setAsks(false)}
         title={t("cancel.ask", { title: process.title })}
-        act={t("cancel.act", { title: process.title })}
+        act={t("cancel.act", { title: shortTitle(process.title) })}
         dismiss={t("cancel.keep")}
         kind="stop"
         onAct={() => cancelProcess(process.id, name)}

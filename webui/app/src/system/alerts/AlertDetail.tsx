@@ -3,6 +3,7 @@ import { UserCheck, X } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import { kindOf } from "~/alerts/attention";
+import { useSourceName } from "~/alerts/titles";
 import { RelativeTime } from "~/design/RelativeTime";
 import { Button } from "~/design/Button";
 import { StatusBadge } from "~/design/StatusBadge";
@@ -18,6 +19,7 @@ import { severityIcons } from "./icons";
 export function AlertDetail({ alert, title, onClose }: { alert: AlertView; title: string; onClose: () => void }) {
   const { t, i18n } = useTranslation(["system", "common"]);
   const acts = useAlertActions(() => undefined);
+  const sourceOf = useSourceName();
   const Icon = severityIcons[alert.severity];
   const kind = kindOf(alert);
   return (
@@ -39,7 +41,7 @@ export function AlertDetail({ alert, title, onClose }: { alert: AlertView; title
         </>
       )}
       <dl className="alert__facts">
-        <Fact name={t("alert.column.source")}>{shortName(alert.source)}</Fact>
+        <Fact name={t("alert.column.source")}>{sourceOf(alert.source)}</Fact>
         <Fact name={t("alert.column.category")}>{[alert.category, alert.subCategory].filter(Boolean).join(" · ")}</Fact>
         <Fact name={t("alert.column.raised")}>
           <RelativeTime at={alert.dateIssued} isStop />

@@ -3,7 +3,7 @@ import { CircleCheck, SearchX } from "lucide-react";
 import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { compareUrgency } from "~/alerts/attention";
-import { useAlertTitle } from "~/alerts/titles";
+import { useAlertTitle, useSourceName } from "~/alerts/titles";
 import { setSound, useSound } from "~/alerts/sound";
 import { RelativeTime } from "~/design/RelativeTime";
 import { EmptyState } from "~/design/EmptyState";
@@ -16,7 +16,6 @@ import { DataTable, type Column, type Grouping } from "~/design/table/DataTable"
 import { useSorting } from "~/design/table/useSorting";
 import { useFamily } from "~/live/hooks";
 import type { AlertView } from "~/live/messages";
-import { shortName } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
 import { GROUPINGS, passes, SEVERITIES, STATES, valuesOf, type AlertFilter, type AlertGrouping } from "./alert_list";
 import { AlertActions } from "./AlertActions";
@@ -28,6 +27,7 @@ export function AlertsPanel() {
   const { t } = useTranslation(["system", "common"]);
   const alerts = useFamily("alert");
   const titleOf = useAlertTitle();
+  const sourceOf = useSourceName();
   const { filter, grouping, bar } = useView(alerts);
   const [sorting, setSorting] = useSorting("-severity");
   const [openId, setOpenId] = useQueryParameter("alert");
@@ -35,17 +35,17 @@ export function AlertsPanel() {
 
   const byId = useMemo(() => new Map(alerts.map((alert) => [alert.id, alert])), [alerts]);
   const matching = useMemo(
-    () => alerts.filter((alert) => passes(alert, filter, titleOf(alert))).sort(compareUrgency),
-    [alerts, filter, titleOf],
+    () => alerts.filter((alert) => passes(alert, filter, `${titleOf(alert)} ${sourceOf(alert.source)}`)).sort(compareUrgency),
+    [alerts, filter, titleOf, sourceOf],
   );
-  const columns = useColumns(titleOf);
+  const columns = useColumns(titleOf, sourceOf);
   const groups: Grouping<AlertView> | undefined =
     grouping === ""
       ? undefined
       : {
           keyOf: (alert) => alert[grouping],
           nameOf: (group, count) => {
-            const name = grouping === "severity" ? t(`common:severity.${group}`) : grouping === "source" ? shortName(group) : group;
+            const name = grouping === "severity" ? t(`common:severity.${group}`) : grouping === "source" ? sourceOf(group) : group;
             return t("alert.group", { name, count });
           },
         };
@@ -97,7 +97,7 @@ function idOf(alert: AlertView): string {
   return alert.id;
 }
 
-function useColumns(titleOf: (alert: AlertView) => string): readonly Column<AlertView>[] {
+function useColumns(titleOf: (alert: AlertView) => string, sourceOf: (source: string) => string): readonly Column<AlertView>[] {
   const { t } = useTranslation(["system", "common"]);
   return useMemo(
     () => [
@@ -112,8 +112,8 @@ function useColumns(titleOf: (alert: AlertView) => string): readonly Column<Aler
       },
       {
         id: "source", name: t("alert.column.source"), width: "minmax(100px, 1.2fr)",
-        sortBy: (alert) => shortName(alert.source),
-        cell: (alert) => shortName(alert.source),
+        sortBy: (alert) => sourceOf(alert.source),
+        cell: (alert) => sourceOf(alert.source),
       },
       {
         id: "state", name: t("alert.column.state"), width: "minmax(150px, 1fr)",
@@ -126,7 +126,7 @@ function useColumns(titleOf: (alert: AlertView) => string): readonly Column<Aler
         cell: (alert) => <RelativeTime at={alert.dateIssued} />,
       },
     ],
-    [t, titleOf],
+    [t, titleOf, sourceOf],
   );
 }
 
@@ -143,6 +143,7 @@ function Severity({ alert }: { alert: AlertView }) {
 
 /** The filter and the grouping, stored in the URL, and the bar that sets them. */
 function useView(alerts: readonly AlertView[]) {
+  const sourceOf = useSourceName();
   const { t } = useTranslation(["system", "common"]);
   const [state, setState] = useQueryParameter("state");
   const [severity, setSeverity] = useQueryParameter("severity");
@@ -181,7 +182,7 @@ function useView(alerts: readonly AlertView[]) {
       <Select
         label={t("alert.filter.source")}
         value={source}
-        options={[all, ...offered(valuesOf(alerts, "source"), source).map((value) => ({ value, name: shortName(value) }))]}
+        options={[all, ...offered(valuesOf(alerts, "source"), source).map((value) => ({ value, name: sourceOf(value) }))]}
         onChange={setSource}
       />
       <Select

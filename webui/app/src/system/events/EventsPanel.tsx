@@ -82,7 +82,7 @@ function useColumns(textOf: (event: LiveEvent) => string): readonly Column<LiveE
   return useMemo(() => {
     const sourceOf = (event: LiveEvent) => t(`common:services.${event.source}`, { defaultValue: event.source });
     return [
-      { id: "at", name: t("events.column.at"), width: "148px", isDescendingFirst: true, sortBy: (event) => event.seq, cell: (event) => <EventTime at={event.at} language={i18n.language} /> },
+      { id: "at", name: t("events.column.at"), width: "148px", isDescendingFirst: true, sortBy: (event) => Date.parse(event.at), cell: (event) => <EventTime at={event.at} language={i18n.language} /> },
       {
         id: "level", name: t("events.levels"), width: "112px", isDescendingFirst: true, sortBy: (event) => LEVELS.indexOf(event.level),
         cell: (event) => {
