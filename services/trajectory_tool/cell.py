@@ -8,8 +8,11 @@ from handover.telemetry import get_logger
 from services.trajectory_tool.cell_file import RobotEntry
 from services.trajectory_tool.contents import Contents, Lying
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
+from services.trajectory_tool.limits.guards import CollisionGuard, Guard
+from services.trajectory_tool.limits.limiter import JointLimiter, Limiter
 from services.trajectory_tool.memory import Act, BegunAct, RobotMemory
 from services.trajectory_tool.motion import MotionPlanning
+from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, Robot
 from services.trajectory_tool.robot_model import RobotModel
@@ -204,9 +207,18 @@ class Cell:
             is_between_fingers=lambda joints: self._between_fingers(self.model.tool_pose(joints)) is not None,
             broker=broker,
             clock=clock,
+            limiter=self._limiter(),
         )
         factory: RobotFactory = DRIVERS.load(self.entry.driver)
         return factory(context)
+
+    def _limiter(self) -> Limiter:
+        """Return the limiter: joint limits, and collisions where the motion is planned."""
+        ranges = [(joint.lower, joint.upper) for joint in self.model.joints]
+        guards: list[Guard] = []
+        if self.planning.avoids_obstacles and is_available():
+            guards.append(CollisionGuard(self.model, self.planning.world))
+        return JointLimiter(self.limits, ranges, guards)
 
     def _between_fingers(self, tool: Pose) -> str | None:
         return self.contents.between_fingers(tool, self.scene.gripper.opening_m)

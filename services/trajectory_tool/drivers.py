@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint
+from services.trajectory_tool.limits.limiter import Limiter
 from services.trajectory_tool.robot import Joints, Robot
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.settings import TrajectorySettings
@@ -64,6 +65,8 @@ class RobotContext:
     is_between_fingers: Callable[[Joints], bool]
     broker: BrokerClient | None = None
     clock: Clock | None = None
+    limiter: Limiter | None = None
+    """Every setpoint passes it before it is commanded."""
 
     def read_options(self, form: type[Form]) -> Form:
         """Return the options as `form`. Raises `UsageError` that names each fault."""

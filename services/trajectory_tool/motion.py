@@ -104,6 +104,10 @@ class MotionPlanning:
         self.obstacles = obstacles
         self.revision += 1
 
+    def world(self) -> World:
+        """Return the obstacles and the part in the gripper, without other robots; thread-safe."""
+        return World(self.obstacles, self._attached())
+
     async def plan(self, make: Callable[["Planner"], T]) -> T:
         """Return what `make` plans. Raises `Unreachable` or `NoPath`; `BlockedByNeighbour` if others move."""
         async with self.space.lock:

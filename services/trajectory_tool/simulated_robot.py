@@ -6,7 +6,7 @@ from typing import Self
 
 from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.drivers import Clock, RobotContext
-from services.trajectory_tool.limits.limiter import JointLimiter, Limiter
+from services.trajectory_tool.limits.limiter import Limiter
 from services.trajectory_tool.robot import Joints, JointState
 from services.trajectory_tool.trajectory import Limits, Setpoint
 
@@ -45,7 +45,7 @@ class SimulatedRobot(CyclicRobot):
             gripper_s=context.gripper_s,
             control_hz=context.settings.control_hz,
             clock=context.clock,
-            limiter=JointLimiter(context.limits, [(each.lower, each.upper) for each in context.model.joints]),
+            limiter=context.limiter,
         )
 
     def command(self, setpoint: Setpoint) -> None:

@@ -17,6 +17,7 @@ from ruckig import ControlInterface, InputParameter, Ruckig, Synchronization
 from ruckig import Trajectory as RuckigProfile
 
 from handover.messages import message
+from services.trajectory_tool.limits.guards import Guard
 from services.trajectory_tool.robot import Joints, RobotFault
 from services.trajectory_tool.trajectory import NOTHING_RAD, Limits, Setpoint
 
@@ -26,6 +27,8 @@ START_TOLERANCE_RAD = 0.02
 """The first setpoint of a motion is this near to the joints."""
 SHARES = (1.0, 0.5, 0.2)
 """The fractions of a commanded velocity that are tried."""
+STOP_SAMPLES = 6
+"""A way to rest is divided into this many parts for the guards."""
 
 Ranges = Sequence[tuple[float | None, float | None]]
 """The lower and the upper limit of each joint; None for a joint without."""
@@ -48,10 +51,11 @@ class Limiter(Protocol):
 
 
 class JointLimiter:
-    """The limits of position, velocity, acceleration and jerk of each joint."""
+    """The limits of position, velocity, acceleration and jerk of each joint, and the rules of guards."""
 
-    def __init__(self, limits: Limits, ranges: Ranges | None = None) -> None:
+    def __init__(self, limits: Limits, ranges: Ranges | None = None, guards: Sequence[Guard] = ()) -> None:
         self.limits = limits
+        self.guards = guards
         self._limits = list(zip(limits.velocity, limits.acceleration, limits.jerk, strict=True))
         self._ranges = [
             (-math.inf if lower is None else lower, math.inf if upper is None else upper)
@@ -62,16 +66,25 @@ class JointLimiter:
         self._is_first = True
         self._braking: tuple[Any, float] | None = None
         self._ruckig = Ruckig(len(limits.velocity))
+        self._inputs = InputParameter(len(limits.velocity))
+        self._inputs.control_interface = ControlInterface.Velocity
+        self._inputs.synchronization = Synchronization.No
+        self._inputs.max_acceleration = limits.acceleration
+        self._inputs.max_jerk = limits.jerk
 
     def start(self, joints: Joints, now_s: float) -> None:
         """Begin a motion at rest at `joints`."""
         self._last, self._last_s = Setpoint.at_rest(joints), now_s
         self._is_first = True
         self._braking = None
+        for guard in self.guards:
+            guard.start(joints)
 
     def limit(self, setpoint: Setpoint, now_s: float) -> Setpoint:
         """Return the setpoint. Raises `RobotFault` for one that violates a limit."""
         reason = self._violation(setpoint, now_s)
+        for guard in self.guards:
+            reason = reason or guard.violation(setpoint)
         if reason is not None:
             raise RobotFault(
                 message(
@@ -140,24 +153,26 @@ class JointLimiter:
             peak = velocity + math.copysign(acceleration * acceleration / (2 * jerk), acceleration)
             if max(abs(velocity), abs(peak)) > fastest * (1 + EPSILON):
                 return False
-        extremes = self._to_velocity(setpoint).position_extrema
-        for extreme, (lower, upper), here in zip(extremes, self._ranges, self._last.positions, strict=True):
+        profile = self._to_velocity(setpoint)
+        for extreme, (lower, upper), here in zip(
+            profile.position_extrema, self._ranges, self._last.positions, strict=True
+        ):
             if extreme.max > max(upper, here) or extreme.min < min(lower, here):
                 return False
-        return True
+        if not self.guards:
+            return True
+        step_s = profile.duration / STOP_SAMPLES
+        stop = [setpoint, *(_setpoint(profile, number * step_s) for number in range(1, STOP_SAMPLES + 1))]
+        return all(guard.permits_stop(stop) for guard in self.guards)
 
     def _to_velocity(self, start: Setpoint, velocity: Sequence[float] | None = None) -> Any:
         """Return the quickest motion of each joint to a velocity; to rest by default."""
         count = len(start.positions)
-        inputs = InputParameter(count)
-        inputs.control_interface = ControlInterface.Velocity
-        inputs.synchronization = Synchronization.No
+        inputs = self._inputs
         inputs.current_position = start.positions
         inputs.current_velocity = start.velocities
         inputs.current_acceleration = start.accelerations
         inputs.target_velocity = velocity if velocity is not None else [0.0] * count
-        inputs.max_acceleration = self.limits.acceleration
-        inputs.max_jerk = self.limits.jerk
         profile = RuckigProfile(count)
         self._ruckig.calculate(inputs, profile)
         return profile

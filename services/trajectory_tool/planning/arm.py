@@ -57,6 +57,12 @@ class Arm:
         """Return the pose of the tool's tip."""
         return pose_of(self.tool(joints))
 
+    def tool_speed_mps(self, joints: Array, velocities: Array) -> float:
+        """Return the speed of the tool's tip."""
+        pin.forwardKinematics(self.pin_model, self.data, joints, velocities)
+        frame = pin.getFrameVelocity(self.pin_model, self.data, self.tip, pin.LOCAL)
+        return float(np.linalg.norm(frame.linear))
+
     def tool_positions(self, path: Array) -> Array:
         """Return the positions of the tool's tip along a path, one row for each."""
         return np.array([self.tool(joints).translation for joints in path])

@@ -1,0 +1,184 @@
+"""The limiter under random commands: every limit holds at each sample of 1 ms."""
+
+import math
+import random
+from itertools import pairwise
+
+import pytest
+
+from services.trajectory_tool.limits.guards import CollisionGuard, ToolSpeedGuard, tool_speed_mps
+from services.trajectory_tool.limits.jog import Jog
+from services.trajectory_tool.limits.limiter import JointLimiter
+from services.trajectory_tool.obstacles import Box, Obstacle, World
+from services.trajectory_tool.planning import is_available
+from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.robot import Joints, RobotFault
+from services.trajectory_tool.robots import ROBOTS
+from services.trajectory_tool.trajectory import Course, Setpoint
+
+CYCLE_S = 0.001
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+UR10 = ROBOTS.load("ur10")
+RANGES = [(each.lower, each.upper) for each in UR10.joints]
+
+
+def limiter_of(*guards: object) -> JointLimiter:
+    return JointLimiter(UR10.limits, RANGES, guards)  # type: ignore[arg-type]
+
+
+def require_limits(setpoints: list[Setpoint], exact: float = 1 + 1e-6) -> None:
+    """Require the limits of each setpoint, and those of the change from one to the next."""
+    limits = UR10.limits
+    for one in setpoints:
+        for number, (lower, upper) in enumerate(RANGES):
+            assert lower is None or one.positions[number] >= lower - 1e-6
+            assert upper is None or one.positions[number] <= upper + 1e-6
+            assert abs(one.velocities[number]) <= limits.velocity[number] * exact
+            assert abs(one.accelerations[number]) <= limits.acceleration[number] * exact
+    for one, following in pairwise(setpoints):
+        for limit, before, after in (
+            (limits.velocity, one.positions, following.positions),
+            (limits.acceleration, one.velocities, following.velocities),
+            (limits.jerk, one.accelerations, following.accelerations),
+        ):
+            for most, a, b in zip(limit, before, after, strict=True):
+                assert abs(b - a) <= most * CYCLE_S * exact + 1e-9
+
+
+def random_velocity(chance: random.Random) -> Joints:
+    """Return a command: moderate, beyond every limit, zero, or along one joint."""
+    match chance.randrange(4):
+        case 0:
+            return (0.0,) * 6
+        case 1:
+            return tuple(chance.uniform(-20, 20) for _ in range(6))
+        case 2:
+            return tuple(chance.uniform(-1, 1) for _ in range(6))
+        case _:
+            number = chance.randrange(6)
+            return tuple(chance.choice([-3.0, 3.0]) if joint == number else 0.0 for joint in range(6))
+
+
+def jogged(limiter: JointLimiter, chance: random.Random, seconds: float) -> list[Setpoint]:
+    """Return the setpoints of random commands with changes of the pace, to rest at the end."""
+    command: list[Joints] = [(0.0,) * 6]
+    now_s, ends_s, changes_s, pace = 5.0, 5.0 + seconds, 0.0, 1.0
+    jog = Jog(UR10.home, lambda: command[0], lambda: now_s >= ends_s, limiter)
+    limiter.start(UR10.home, now_s)
+    found = []
+    while True:
+        if now_s >= changes_s:
+            command[0], changes_s = random_velocity(chance), now_s + chance.uniform(0.001, 0.8)
+            pace = chance.choice([1.0, 1.0, 0.5, 0.02])
+        found.append(limiter.limit(jog.at(now_s, pace=pace), now_s))
+        if jog.is_over(now_s):
+            return found
+        now_s += CYCLE_S
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_jogging_never_violates_a_limit(seed: int) -> None:
+    found = jogged(limiter_of(), random.Random(seed), 4.0)
+    require_limits(found)
+    assert found[-1].is_at_rest
+    assert max(abs(a - b) for a, b in zip(found[-1].positions, UR10.home, strict=True)) > 0.01
+
+
+def test_a_joint_that_is_jogged_to_its_end_stops_there() -> None:
+    limiter = limiter_of()
+    limiter.start(UR10.home, 0.0)
+    found = []
+    for cycle in range(8000):
+        now_s = cycle * CYCLE_S
+        found.append(limiter.limit(limiter.step((0.0, 0.0, 3.0, 0.0, 0.0, 0.0), now_s), now_s))
+    require_limits(found)
+    upper = RANGES[2][1]
+    assert upper is not None
+    assert upper - 0.05 < found[-1].positions[2] <= upper + 1e-6
+    assert abs(found[-1].velocities[2]) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_tool_is_slow_in_reduced_mode(seed: int) -> None:
+    limiter = limiter_of(ToolSpeedGuard(UR10, lambda: 0.25))
+    found = jogged(limiter, random.Random(seed), 1.5)
+    require_limits(found)
+    assert 0.02 < max(tool_speed_mps(UR10, each) for each in found) <= 0.25
+
+
+@pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+@pytest.mark.parametrize("seed", range(4))
+def test_jogging_never_touches_the_table_or_the_robot(seed: int) -> None:
+    import numpy as np
+
+    from services.trajectory_tool.planning.arm import Arm
+    from services.trajectory_tool.planning.collision import Collisions
+
+    world = World(
+        (
+            Obstacle("table", Box((3.0, 3.0, 0.05)), Pose((0.0, 0.0, -0.03), UPRIGHT)),
+            Obstacle("wall", Box((0.05, 3.0, 2.0)), Pose((-0.9, 0.0, 1.0), UPRIGHT)),
+        ),
+    )
+    found = jogged(limiter_of(CollisionGuard(UR10, lambda: world)), random.Random(seed), 3.0)
+    require_limits(found)
+    collisions = Collisions(Arm(UR10), world)
+    assert all(collisions.is_free(np.array(each.positions)) for each in found)
+
+
+@pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+def test_a_motion_into_the_table_is_a_fault_that_names_both() -> None:
+    table = Obstacle("table", Box((3.0, 3.0, 0.05)), Pose((0.0, 0.0, -0.03), UPRIGHT))
+    limiter = limiter_of(CollisionGuard(UR10, lambda: World((table,))))
+    limiter.start(UR10.home, 0.0)
+    course = Course(UR10.home, (0.0, 0.3, 0.0, -1.5, -1.5, 0.0), UR10.limits, UR10.limits, 0.0)
+
+    def follow() -> None:
+        for cycle in range(int(course.remaining_s(0.0) / CYCLE_S)):
+            limiter.limit(course.at(cycle * CYCLE_S), cycle * CYCLE_S)
+
+    with pytest.raises(RobotFault, match="would touch table"):
+        follow()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_motion_with_random_paces_and_a_stop_never_violates_a_limit(seed: int) -> None:
+    chance = random.Random(seed)
+    target = tuple(here + chance.uniform(-1.5, 1.5) for here in UR10.home)
+    cruise = UR10.limits.slowed(chance.choice([0.3, 0.6, 1.0]))
+    limiter = limiter_of()
+    limiter.start(UR10.home, 0.0)
+    course = Course(UR10.home, target, cruise, UR10.limits, 0.0)
+    stops_s, now_s, changes_s, pace = chance.uniform(0.2, 4.0), 0.0, 0.0, 1.0
+    found = []
+    while not found or not course.is_over(now_s):
+        if now_s >= changes_s:
+            pace, changes_s = chance.uniform(0.05, 1.0), now_s + chance.uniform(0.001, 0.5)
+        found.append(limiter.limit(course.at(now_s, pace=0.0 if now_s > stops_s else pace), now_s))
+        now_s += CYCLE_S
+    require_limits(found, exact=1.001)
+
+
+@pytest.mark.parametrize(
+    "setpoint",
+    [
+        Setpoint((math.nan, *UR10.home[1:]), (0.0,) * 6, (0.0,) * 6),
+        Setpoint.at_rest((UR10.home[0] + 0.5, *UR10.home[1:])),
+        Setpoint(UR10.home, (9.0, *(0.0,) * 5), (0.0,) * 6),
+        Setpoint(UR10.home, (math.inf, *(0.0,) * 5), (0.0,) * 6),
+        Setpoint(UR10.home, (0.0,) * 6, (90.0, *(0.0,) * 5)),
+    ],
+)
+def test_a_setpoint_beyond_a_limit_is_a_fault_and_the_joints_brake(setpoint: Setpoint) -> None:
+    limiter = limiter_of()
+    limiter.start(UR10.home, 0.0)
+    course = Course(UR10.home, (1.0, *UR10.home[1:]), UR10.limits, UR10.limits, 0.0)
+    found = [limiter.limit(course.at(cycle * CYCLE_S), cycle * CYCLE_S) for cycle in range(300)]
+    with pytest.raises(RobotFault, match="joint 1"):
+        limiter.limit(setpoint, 0.3)
+    now_s = 0.3
+    while not found[-1].is_at_rest:
+        found.append(limiter.brake(now_s))
+        now_s += CYCLE_S
+    require_limits(found)
+    assert now_s < 1.0
