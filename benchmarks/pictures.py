@@ -55,7 +55,7 @@ PAGES = {
     "robots": "/system?tab=robots",
     "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
 }  # fmt: skip
-FIRST_ORDER = 4711
+INITIAL_ORDER = 4711
 ONE_TASK = """<bpmn:definitions xmlns:bpmn="http://www.omg.org/spec/BPMN/20100524/MODEL"
     xmlns:camunda="http://camunda.org/schema/1.0/bpmn" targetNamespace="urn:pictures">
   <bpmn:process id="{name}" name="{title}" isExecutable="true">
@@ -195,7 +195,7 @@ class Product:
     def next_order(self) -> str:
         """Return an unused business key."""
         self._orders += 1
-        return f"order {FIRST_ORDER + self._orders - 1}"
+        return f"order {INITIAL_ORDER + self._orders - 1}"
 
     def prompted_code(self) -> str:
         """Return the code of the gesture that the glove is prompted for, as soon as there is a Task."""

@@ -23,7 +23,7 @@ Loader: TypeAlias = Callable[[str], Mapping[str, Any] | None]
 
 DEFAULT_VOCAB: Final = "https://uri.etsi.org/ngsi-ld/default-context/"
 
-_REMEMBERED, _LONGEST_REMEMBERED = 4096, 256
+_MAX_REMEMBERED, _MAX_REMEMBERED_CHARACTERS = 4096, 256
 """Cached names (and their maximum length) in addition to those of the context; bounds the memory."""
 _MOST_DOCUMENTS = 100
 _DELIMITERS = (":", "/", "?", "#", "[", "]", "@")
@@ -47,7 +47,7 @@ class TermMap:
     `ContextNotAvailable` with the URL that `load` did not find, `DataModelError` for an invalid context.
     """
 
-    __slots__ = ("_iris", "_most", "_prefixes", "_terms", "vocab")
+    __slots__ = ("_iris", "_max_terms", "_prefixes", "_terms", "vocab")
 
     def __init__(self, context: Context, load: Loader = resolve) -> None:
         reading = _Reading(load)
@@ -60,7 +60,7 @@ class TermMap:
         self.vocab: str = reading.vocab or DEFAULT_VOCAB
         self._iris: dict[str, str] = own | core
         self._terms = _shortest_terms(self._iris)
-        self._most = len(self._iris) + _REMEMBERED
+        self._max_terms = len(self._iris) + _MAX_REMEMBERED
         self._prefixes = sorted(
             ((iri, term) for term, iri in self._iris.items() if iri.endswith(_DELIMITERS)),
             key=lambda prefix: (-len(prefix[0]), len(prefix[1]), prefix[1]),
@@ -81,7 +81,7 @@ class TermMap:
 
     def _learn(self, term: str) -> str:
         iri = self._work_out(term)
-        if len(self._iris) < self._most and len(term) <= _LONGEST_REMEMBERED:
+        if len(self._iris) < self._max_terms and len(term) <= _MAX_REMEMBERED_CHARACTERS:
             self._iris[term] = iri
         return iri
 
@@ -96,7 +96,7 @@ class TermMap:
 
     def _learn_back(self, iri: str) -> str:
         name = self._shorten(iri)
-        if len(self._terms) < self._most and len(iri) <= _LONGEST_REMEMBERED:
+        if len(self._terms) < self._max_terms and len(iri) <= _MAX_REMEMBERED_CHARACTERS:
             self._terms[iri] = name
         return name
 

@@ -34,17 +34,17 @@ _FROM_THE_BROKER: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"}) | 
 """Members that only the broker writes; a subscriber may send them back."""
 
 
-def kept_document(given: Any, context: Context, besides: frozenset[str] = frozenset()) -> dict[str, Any]:
+def kept_document(given: Any, context: Context, extra: frozenset[str] = frozenset()) -> dict[str, Any]:
     """Return the document to store for a subscription, or a part of one: its names are expanded.
 
-    `besides` are additional members that are allowed.
+    `extra` are additional members that are allowed.
     """
     if not isinstance(given, dict):
         raise bad_request_data(f"a subscription is a JSON object, not {shown(given)}")
     if given.get("type", "Subscription") != "Subscription":
         raise bad_request_data(f'the type of a subscription is "Subscription", not {shown(given["type"])}')
-    known = _KNOWN | besides
-    if "temporalQ" in given and "temporalQ" not in besides:
+    known = _KNOWN | extra
+    if "temporalQ" in given and "temporalQ" not in extra:
         raise bad_request_data(
             '"temporalQ" chooses context sources and has its place in their subscriptions only; leave it out'
         )

@@ -55,7 +55,7 @@ class SubscriptionOperations:
     """
 
     KIND = DocumentKind.SUBSCRIPTION
-    BESIDES: frozenset[str] = frozenset()
+    EXTRA_MEMBERS: frozenset[str] = frozenset()
     """Additional members of a subclass's subscriptions."""
 
     def __init__(self, contexts: ContextResolver) -> None:
@@ -120,7 +120,7 @@ class SubscriptionOperations:
     async def create(self, request: RequestContext) -> Response:
         """POST subscriptions."""
         given, context = await request.body()
-        document = kept_document(given, context, self.BESIDES)
+        document = kept_document(given, context, self.EXTRA_MEMBERS)
         document["id"] = require_uri(
             document.get("id", f"urn:ngsi-ld:Subscription:{uuid4()}"), "the subscription id"
         )
@@ -145,7 +145,7 @@ class SubscriptionOperations:
     async def update(self, request: RequestContext) -> Response:
         """PATCH subscriptions/{id}."""
         given, context = await request.body()
-        change = kept_document(given, context, self.BESIDES)
+        change = kept_document(given, context, self.EXTRA_MEMBERS)
         async with self._one_at_a_time:
             before = self._existing(request)
             names = context if names_things(change) else before.names

@@ -49,7 +49,7 @@ _ANSWERED_AS: Final = {"HEAD": "GET"}
 MAX_HEADER_LENGTH: Final = 4096
 MAX_PARAMETERS: Final = 100
 """Maximum query parameters: no operation has half as many."""
-LONGEST_REMEMBERED: Final = 1024
+MAX_REMEMBERED_CHARACTERS: Final = 1024
 """Maximum length of a query string that is cached."""
 
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
@@ -258,7 +258,9 @@ def _of_bearable_length(given: bytes, name: str) -> bytes:
 
 def _parameters(query: bytes) -> Mapping[str, str]:
     return (
-        _read_parameters(query) if len(query) <= LONGEST_REMEMBERED else _read_parameters.__wrapped__(query)
+        _read_parameters(query)
+        if len(query) <= MAX_REMEMBERED_CHARACTERS
+        else _read_parameters.__wrapped__(query)
     )
 
 

@@ -19,7 +19,7 @@ class SourceSubscriptionOperations(SubscriptionOperations):
     """Operations on subscriptions to registrations. A new one is notified of all matching registrations."""
 
     KIND = DocumentKind.SOURCE_SUBSCRIPTION
-    BESIDES = frozenset({"temporalQ"})
+    EXTRA_MEMBERS = frozenset({"temporalQ"})
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
