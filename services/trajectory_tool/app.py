@@ -16,6 +16,7 @@ from services.trajectory_tool.controller import Controller, Controllers
 from services.trajectory_tool.device import description
 from services.trajectory_tool.joint_states import stream, written
 from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.scene_routes import add_scene_routes, scene_view
 from services.trajectory_tool.settings import TrajectorySettings
 
 STREAM_HZ = 30.0
@@ -45,6 +46,7 @@ def make_app(settings: TrajectorySettings) -> FastAPI:
         },
     )
     controllers.mount(app)
+    add_scene_routes(app, controllers.workcell)
     _add_robots(app, controllers)
     _add_stream(app, controllers)
     return app
@@ -101,12 +103,8 @@ def _add_robots(app: FastAPI, controllers: Controllers) -> None:
     @app.get("/robots/{robot}/scene", tags=["robots"])
     async def scene(robot: str) -> dict[str, Any]:
         """Return the cell in its own frame: bins, fixtures, obstacles, and the pose of each part."""
-        cell = _known(controllers, robot).cell
-        parts = [
-            {"part": lying.part, "place": lying.place, **lying.pose.written()}
-            for lying in cell.contents.lying
-        ]
-        return {**cell.scene.model_dump(mode="json"), "parts": parts}
+        _known(controllers, robot)
+        return scene_view(controllers.workcell)
 
     @app.post("/robots/{robot}/gripper/free", tags=["robots"])
     async def free(robot: str) -> RobotView:

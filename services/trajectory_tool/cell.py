@@ -50,7 +50,6 @@ class Cell:
         self.camera = workcell.camera
         self.file = workcell.file
         self.neighbour_wait_s = workcell.settings.neighbour_wait_s
-        self.home = model.home if workcell.scene.home is None else workcell.scene.home
         self.held: str | None = known.held if known else None
         self.last_act: Act | None = known.last_act if known else None
         self.seen: str | None = known.seen if known else None
@@ -79,6 +78,11 @@ class Cell:
             await self.remember()
         except OSError:
             log.exception("state of the cell not stored", file=str(self.file.path))
+
+    @property
+    def home(self) -> Joints:
+        """Return the home position."""
+        return self.model.home if self.scene.home is None else self.scene.home
 
     @property
     def scene(self) -> Scene:

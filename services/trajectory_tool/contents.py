@@ -6,7 +6,7 @@ The values are immutable: every action returns the contents after it.
 from dataclasses import dataclass, replace
 
 from services.trajectory_tool.poses import Pose
-from services.trajectory_tool.scene import Scene
+from services.trajectory_tool.scene import Scene, Spot
 
 SAME_NEST_M = 0.01
 
@@ -60,12 +60,31 @@ class Contents:
         """Return the contents after the parts of a fixture were removed."""
         return replace(self, lying=tuple(lying for lying in self.lying if lying.place != place))
 
+    def moved(self, before: Scene, after: Scene) -> "Contents":
+        """Return the contents after the scene has changed: parts of places that are gone leave the cell.
+
+        A bin that is new, or whose parts are described differently, has its parts as described.
+        """
+        places = {*after.bins, *after.fixtures}
+        new = [name for name, one in after.bins.items() if one.parts != _parts_of(before, name)]
+        kept = tuple(
+            lying for lying in self.lying if lying.place is None or lying.place in places.difference(new)
+        )
+        contents = replace(self, lying=kept)
+        for name in new:
+            contents = contents.filled(after, name)
+        return contents
+
     def free_nest(self, scene: Scene, fixture: str) -> Pose | None:
         """Return the first free nest of a fixture."""
         for nest in scene.fixtures[fixture].nests:
             if self.between_fingers(nest.pose, SAME_NEST_M) is None:
                 return nest.pose
         return None
+
+
+def _parts_of(scene: Scene, bin_name: str) -> tuple[Spot, ...] | None:
+    return scene.bins[bin_name].parts if bin_name in scene.bins else None
 
 
 def initial(scene: Scene) -> Contents:

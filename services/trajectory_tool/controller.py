@@ -21,6 +21,7 @@ from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.device import RobotDevice
 from services.trajectory_tool.metrics import TASKS
 from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.scene_entities import SceneEntities
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.work import Work
 from services.trajectory_tool.workcell import Workcell
@@ -44,6 +45,7 @@ class Controllers:
         self.by_name = {
             name: Controller(settings, cell, broker) for name, cell in self.workcell.cells.items()
         }
+        self._scene = SceneEntities(settings, broker)
         self._on = AsyncExitStack()
 
     def mount(self, app: FastAPI) -> None:
@@ -62,6 +64,10 @@ class Controllers:
             await controller.probe()
 
     async def __aenter__(self) -> Self:
+        workcell = self.workcell
+        await self._on.enter_async_context(self._scene)
+        workcell.on_scene_change = lambda: self._scene.put(workcell.scene, workcell.revision)
+        workcell.on_scene_change()
         for controller in self.by_name.values():
             await self._on.enter_async_context(controller)
         return self

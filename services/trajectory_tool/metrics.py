@@ -15,6 +15,10 @@ SCANS = Counter("handover_trajectory_tool_scans_total", "Scans, by whether a par
 DROPPED = Counter(
     "handover_trajectory_tool_joint_states_dropped_total", "Joint states that were not sent to a slow client"
 )
+SCENE_WRITES_REJECTED = Counter(
+    "handover_trajectory_tool_scene_writes_rejected_total", "Writes of the scene that the broker rejected"
+)
+SCENE_CHANGES = Counter("handover_trajectory_tool_scene_changes_total", "Changes of the scene at run time")
 DEVICE_WRITES_REJECTED = Counter(
     "handover_trajectory_tool_device_writes_rejected_total", "Writes of the Device that the broker rejected"
 )

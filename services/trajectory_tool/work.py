@@ -76,25 +76,27 @@ class Work:
 
         In a cell with obstacles the way is planned around them. Raises `TaskFailed` where there is none.
         """
-        if self.cell.planning.avoids_obstacles:
-            await self._follow(lambda planner, here: planner.to_joints(here, target))
-            return
         self._begin_next()
         self._current_s = 0.0
-        while not await self._move(target):
+        while not self.cell.planning.avoids_obstacles:
+            self._planned_in = self.cell.planning.revision
+            if await self._move(target):
+                await self.cell.remember()
+                return
             await self.cell.remember()
-            await self._steering.rest()
+            while not self._steering.may_go():
+                await self._steering.rest()
             self._current_s = 0.0
-        await self.cell.remember()
+        await self._follow(lambda planner, here: planner.to_joints(here, target))
 
     async def go_straight(self, pose: Pose, max_tool_speed_mps: float | None = None) -> None:
         """Move the tool on a straight line to a pose, likewise."""
+        self._begin_next()
+        self._current_s = 0.0
         await self._follow(lambda planner, here: planner.straight(here, pose, max_tool_speed_mps))
 
     async def _follow(self, make: "Callable[[Planner, Joints], Plan]") -> None:
         """Plan from the present joints and follow, again after a pause or when the obstacles changed."""
-        self._begin_next()
-        self._current_s = 0.0
         while True:
             while not self._steering.may_go():
                 await self._steering.rest()
@@ -154,7 +156,7 @@ class Work:
     async def _move(self, target: Joints) -> bool:
         self._moving = True
         try:
-            arrived = await self.cell.robot.move(target, self._speed, self._pace)
+            arrived = await self.cell.robot.move(target, self._speed, self._pace_of_plan)
             if not arrived:
                 self._current_s = self.cell.robot.estimate_s(self.cell.joints, target, self._speed)
             return arrived

@@ -1,9 +1,11 @@
 """The workcell: its scene, the parts in it and their stored state, and the robots that share them."""
 
 import asyncio
+import importlib
+from collections.abc import Callable, Mapping
 from contextlib import AsyncExitStack
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from handover.broker import BrokerClient
 from handover.errors import UsageError
@@ -14,15 +16,21 @@ from services.trajectory_tool.cell_file import CellPlan, RobotEntry, cell_plan
 from services.trajectory_tool.contents import Contents, initial
 from services.trajectory_tool.drivers import Clock
 from services.trajectory_tool.memory import Memory, MemoryFile
+from services.trajectory_tool.metrics import SCENE_CHANGES
 from services.trajectory_tool.motion import INSTALL, SharedSpace
+from services.trajectory_tool.obstacles import Obstacle
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.robot import Unreachable
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.robots.folder import load_robot
 from services.trajectory_tool.scene import Scene, load, read_scene
+from services.trajectory_tool.scene_file import ChangedScene, SceneFile
 from services.trajectory_tool.settings import TrajectorySettings
 
 log = get_logger(__name__)
+
+VIEW_ONLY = frozenset({"digest", "revision", "parts", "shapes"})
+"""What GET adds to a scene; a client may send it back."""
 
 
 class Workcell:
@@ -44,7 +52,19 @@ class Workcell:
         if len(models) > 1 and not is_available():
             raise UsageError(f"several robots in one cell need motion planning; {INSTALL}")
         self.settings = settings
-        self.scene = _scene(plan, list(models.values()))
+        self._models = list(models.values())
+        configured = _scene(plan, self._models)
+        self._origin = configured.digest
+        self._scene_file = SceneFile(settings.data_dir / "trajectory_tool" / "scene.json")
+        changed = self._scene_file.load(self._origin)
+        self.revision = changed.revision if changed else 0
+        """The number of changes of the scene at run time."""
+        self.scene = configured
+        if changed is not None:
+            source = f"changed scene {self._scene_file.path}"
+            self.scene = read_scene(changed.scene, configured.folder, source, *self._models)
+        self.on_scene_change: Callable[[], None] = lambda: None
+        self._changing = asyncio.Lock()
         self.camera = Camera(settings.detection_rate, settings.scan_seed)
         self.file = MemoryFile(settings.data_dir / "trajectory_tool" / "cell.json")
         known = self.file.load(self.scene.digest, {name: model.joint_names for name, model in models.items()})
@@ -72,6 +92,41 @@ class Workcell:
     async def __aexit__(self, *_: object) -> None:
         await self._on.aclose()
 
+    async def change_scene(self, written: Mapping[str, Any]) -> None:
+        """Replace the scene durably; motions that run stop and are planned again.
+
+        Parts in a bin or fixture that is gone leave the cell; a new bin has its parts. Raises `UsageError`
+        for a scene that cannot be used, `OSError` when it cannot be stored.
+        """
+        async with self._changing:
+            content = {name: value for name, value in written.items() if name not in VIEW_ONLY}
+            scene = read_scene(content, self.scene.folder, "scene", *self._models)
+            _require_own_meshes(scene)
+            solids = scene.solids()
+            if solids:
+                await asyncio.to_thread(_require_usable, solids)
+            changed = ChangedScene(origin=self._origin, revision=self.revision + 1, scene=content)
+            await asyncio.to_thread(self._scene_file.save, changed)
+            before, self.scene, self.revision = self.scene, scene, changed.revision
+            self.contents = self.contents.moved(before, scene)
+            for cell in self.cells.values():
+                cell.planning.set_obstacles(solids)
+            SCENE_CHANGES.inc()
+            log.info("scene changed", revision=self.revision, digest=scene.digest)
+            self.on_scene_change()
+            await self.remember()
+
+    async def contacts(self) -> list[str]:
+        """Return what each robot touches where it stands now."""
+        found = []
+        for name, cell in self.cells.items():
+            if not cell.planning.avoids_obstacles:
+                continue
+            why = await cell.planning.plan(lambda planner, cell=cell: planner.why_not_free(cell.joints))  # type: ignore[misc]
+            if why is not None:
+                found.append(f"{name}: {why}")
+        return found
+
     async def remember(self) -> None:
         """Store the state of the cell durably. Raises `OSError`."""
         async with self._saving:
@@ -81,6 +136,27 @@ class Workcell:
                 {name: cell.memory() for name, cell in self.cells.items()},
             )
             await asyncio.to_thread(self.file.save, memory)
+
+
+def _require_own_meshes(scene: Scene) -> None:
+    """Refuse meshes outside of the folder of the scene: a client must not read other files."""
+    things = [
+        *scene.obstacles.items(),
+        *((name, one.body) for name, one in scene.fixtures.items() if one.body),
+    ]
+    for name, thing in things:
+        mesh = thing.mesh
+        if mesh is not None and (mesh.is_absolute() or ".." in mesh.parts):
+            raise UsageError(f"scene: {name}: the mesh {mesh} must be beside the scene file, without ..")
+
+
+def _require_usable(solids: tuple[Obstacle, ...]) -> None:
+    """Refuse meshes that cannot be loaded, and any obstacle without the extra for planning."""
+    if not is_available():
+        raise UsageError(f"scene: obstacles need motion planning; {INSTALL}")
+    collision = importlib.import_module("services.trajectory_tool.planning.collision")
+    for one in solids:
+        collision.geometry_of(one.shape)
 
 
 def _model(plan: CellPlan, name: str, entry: RobotEntry, data_dir: Path) -> RobotModel:
