@@ -61,6 +61,7 @@ def view_of(controller: Controller) -> RobotView:
         "deviceState": controller.device.state.value,
         "model": cell.model.name,
         "revision": cell.model.revision,
+        "scene": cell.scene.digest,
         "joints": written(cell.robot.state(), cell.model.joint_names),
         "toolPose": cell.tool_pose.written(),
         "gripper": {

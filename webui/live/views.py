@@ -239,12 +239,16 @@ class Gripper(TypedDict):
 
 
 class RobotView(TypedDict):
-    """Topic `robot/<id>`: a robot, from the trajectory tool; another `revision` has another description."""
+    """Topic `robot/<id>`: a robot, from the trajectory tool; another `revision` has another description.
+
+    `scene` is the digest of the scene around it.
+    """
 
     id: str
     device: str
     model: str
     revision: str
+    scene: str
     deviceState: DeviceState
     joints: JointState
     toolPose: ToolPose

@@ -61,7 +61,7 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
     robot = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1", timeout=120).json()
     assert robot["device"] == "urn:ngsi-ld:Device:demo:ur10-1"
     assert robot["deviceState"] == "idle"
-    assert robot["gripper"] == {"closed": False, "holds": None}
+    assert robot["gripper"] == {"closed": False, "holds": None, "interrupted": None}
     assert robot["task"] is None
     assert len(robot["toolPose"]["position"]) == 3
     by_urn = httpx.get(f"{tool.url('trajectory_tool')}/robots/{robot['device']}", timeout=120)
@@ -96,6 +96,38 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
     unready = httpx.get(f"{tool.url('trajectory_tool')}/readyz", timeout=120)
     assert unready.status_code == 503
     assert "broker" in unready.json()
+
+
+@pytest.mark.slow
+def test_the_scene_is_changed_by_rest(cell: Cell) -> None:
+    cell.run("context_broker", "trajectory_tool")
+    url = f"{cell.url('trajectory_tool')}/cell"
+    known = httpx.get(f"{url}/scene", timeout=120)
+    scene = known.json()
+    assert scene["revision"] == 0
+    scene["zones"] = {"walkway": {"kind": "reducedSpeed", "box": [1, 1, 2], "position": [1, 1, 1]}}
+    headers = {"If-Match": known.headers["ETag"]}
+    changed = httpx.put(f"{url}/scene", json=scene, headers=headers, timeout=120)
+    assert changed.status_code == 200, changed.text
+    assert changed.json()["revision"] == 1
+    late = httpx.put(f"{url}/scene", json=scene, headers=headers, timeout=120)
+    assert late.status_code == 412
+    faulty = httpx.put(f"{url}/scene", json={"name": "x", "walls": 3}, timeout=120)
+    assert faulty.status_code == 400
+    assert "walls" in faulty.json()["detail"]
+    cell_view = httpx.get(url, timeout=120).json()
+    assert cell_view["scene"] == {"digest": changed.json()["digest"], "revision": 1}
+    assert [robot["id"] for robot in cell_view["robots"]] == ["ur10-1"]
+    shapes = httpx.get(f"{url}/scene", timeout=120).json()["shapes"]
+    assert [(one["name"], one["kind"]) for one in shapes] == [("walkway", "reducedSpeed")]
+    entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
+
+    def is_in_the_broker() -> bool:
+        asset = httpx.get(f"{entities}/urn:ngsi-ld:Asset:demo:walkway", timeout=120)
+        location = httpx.get(f"{entities}/urn:ngsi-ld:Location:demo:walkway", timeout=120)
+        return asset.is_success and location.is_success
+
+    wait_for(is_in_the_broker)
 
 
 @pytest.mark.slow

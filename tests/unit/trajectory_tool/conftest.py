@@ -49,7 +49,8 @@ class Worker:
     def __init__(self, settings: TrajectorySettings, time: JumpingTime) -> None:
         self.settings = settings
         self.time = time
-        self.cell = Workcell(settings, time.clock).only
+        self.workcell = Workcell(settings, time.clock)
+        self.cell = self.workcell.only
         self.work: Work | None = None
         self._tasks = 0
 

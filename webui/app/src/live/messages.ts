@@ -207,12 +207,17 @@ export interface ToolPose {
   orientation: number[];
 }
 
-/** Topic `robot/<id>`: a robot, from the trajectory tool; another `revision` has another description. */
+/**
+ * Topic `robot/<id>`: a robot, from the trajectory tool; another `revision` has another description.
+ *
+ * `scene` is the digest of the scene around it.
+ */
 export interface RobotView {
   id: string;
   device: string;
   model: string;
   revision: string;
+  scene: string;
   deviceState: DeviceState;
   joints: JointState;
   toolPose: ToolPose;

@@ -32,6 +32,8 @@ export interface RobotDescription {
   tip: string;
   fingers: FingerDescription[];
   urdf: string;
+  /** Where the root link stands in the frame of the cell: m, and a quaternion (x, y, z, w). */
+  base: { position: [number, number, number]; orientation: [number, number, number, number] };
 }
 
 export interface DescriptionQuery {

@@ -8,7 +8,7 @@ import { EmptyState } from "~/design/EmptyState";
 import { useLive } from "~/live/hooks";
 import type { JointState, RobotView } from "~/live/messages";
 import type { LiveStore } from "~/live/store";
-import type { DescriptionQuery } from "~/robot/description";
+import type { DescriptionQuery, RobotDescription } from "~/robot/description";
 import { useShownTheme } from "~/shell/theme";
 import type { CellScene } from "./furniture";
 import { type Palette, Stage } from "./stage";
@@ -39,7 +39,8 @@ export default function Robot3d({ robot, description, failure }: { robot: string
         setDrawn(error instanceof InvalidDescription ? "noDescription" : "noWebgl");
         return;
       }
-      stop = follow(live, robot, stage.current);
+      const ends = [follow(live, robot, stage.current), followNeighbours(live, robot, stage.current)];
+      stop = () => ends.forEach((end) => end());
       setDrawn("shown");
     };
     queueMicrotask(draw);
@@ -114,9 +115,35 @@ function follow(live: LiveStore, robot: string, stage: Stage): () => void {
   };
 }
 
-/** Positions of parts change only when one is gripped or released, or a Task begins or ends. */
+/** Show the other robots of the cell, and follow their joints. */
+function followNeighbours(live: LiveStore, robot: string, stage: Stage): () => void {
+  const loading = new AbortController();
+  const ends = [() => loading.abort()];
+  const load = async () => {
+    const cell = await requestService<{ robots: { id: string }[] }>("trajectory-tool", "cell", { signal: loading.signal });
+    for (const { id } of cell.robots.filter((other) => other.id !== robot)) {
+      const path = `robots/${encodeURIComponent(id)}/description`;
+      const description = await requestService<RobotDescription>("trajectory-tool", path, { signal: loading.signal });
+      if (loading.signal.aborted) return;
+      stage.neighbour(id, description);
+      const stream = `robot/${id}/joints`;
+      const bend = () => {
+        const joints = (live.value(stream) ?? live.value(`robot/${id}` as const)?.joints) as JointState | undefined;
+        if (joints !== undefined) stage.neighbourJoints(id, joints.name, joints.position);
+      };
+      ends.push(live.subscribe(stream), live.watch(stream, bend));
+      bend();
+    }
+  };
+  load().catch(() => {
+    // Without the cell, only this robot is shown.
+  });
+  return () => ends.forEach((end) => end());
+}
+
+/** Positions of parts change when one is gripped or released, a Task begins or ends, or the scene changes. */
 function arrangementOf(view: RobotView): string {
-  return `${view.gripper.holds ?? ""} ${view.task ?? ""}`;
+  return `${view.gripper.holds ?? ""} ${view.task ?? ""} ${view.scene}`;
 }
 
 async function arrange(robot: string, stage: Stage, signal: AbortSignal): Promise<void> {
@@ -139,5 +166,8 @@ function palette(place: Element): Palette {
     fixture: colour("fixture"),
     bin: colour("bin"),
     part: colour("part"),
+    obstacle: colour("obstacle"),
+    keepout: colour("keepout"),
+    reduced: colour("reduced"),
   };
 }

@@ -1,6 +1,6 @@
 /**
-* The furniture of the cell: the table, its bins and fixtures and the parts in them, as boxes in the
-* frame of the robot's base (metres). Derived from the positions that the trajectory tool gives.
+* The furniture of the cell in the frame of the cell (metres): the table, bins, fixtures and the parts in them as
+* boxes, derived from the positions that the trajectory tool gives, and the shapes of obstacles and zones.
  */
 
 export type Triple = readonly [number, number, number];
@@ -17,14 +17,18 @@ export interface CellScene {
   bins: Record<string, { parts: Spot[] }>;
   fixtures: Record<string, { nests: Spot[] }>;
   parts: { part: string; place: string | null; position: Triple; orientation: Quaternion }[];
+  shapes?: { kind: ShapeKind; name: string; form: Form; size: Triple; position: Triple; orientation: Quaternion }[];
 }
 
-export type PieceKind = "table" | "bin" | "fixture" | "nest" | "part";
+export type ShapeKind = "obstacle" | "fence" | "camera" | "keepOut" | "reducedSpeed";
+export type PieceKind = "table" | "bin" | "fixture" | "nest" | "part" | ShapeKind;
+export type Form = "box" | "cylinder" | "sphere";
 
-/** A box: its centre and its size along its own axes. */
+/** A shape, a box unless it says otherwise: its centre and its size along its own axes. */
 export interface Piece {
   kind: PieceKind;
   name: string;
+  form?: Form;
   size: Triple;
   position: Triple;
   orientation: Quaternion;
@@ -54,7 +58,9 @@ export function furnitureOf(scene: CellScene | null, foot: Footprint = SMALL_FOO
     ({ part, position, orientation }): Piece => ({ kind: "part", name: part, size: PART_SIZE, position, orientation }),
   );
   const standing = [...bins, ...fixtures];
-  return [table(standing, foot), ...standing, ...parts];
+  const shapes = scene?.shapes ?? [];
+  const ground = shapes.some(({ name }) => name === "table") ? [] : [table(standing, foot)];
+  return [...ground, ...shapes, ...standing, ...parts];
 }
 
 /** The table: below the robot and everything on it. */

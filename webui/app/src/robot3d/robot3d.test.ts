@@ -109,6 +109,14 @@ describe("what stands round the robot", () => {
     expect(top).toBeCloseTo(0.06 - PART_SIZE[2] / 2);
   });
 
+  test("is the obstacles and zones of the scene, and its own table in place of ours", () => {
+    const shape = { form: "box", size: [1, 1, 0.1], position: [0, 0, -0.1], orientation: [0, 0, 0, 1] } as const;
+    const shapes = [{ kind: "obstacle", name: "table", ...shape }, { kind: "keepOut", name: "gap", ...shape }] as const;
+    const pieces = furnitureOf({ ...scene, shapes: [...shapes] });
+    expect(pieces.filter((piece) => piece.kind === "table")).toHaveLength(0);
+    expect(pieces.slice(0, 2).map((piece) => piece.kind)).toEqual(["obstacle", "keepOut"]);
+  });
+
   test("stands on the table, all of it", () => {
     const [table, ...others] = furnitureOf(scene);
     for (const piece of others) {

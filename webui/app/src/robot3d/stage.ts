@@ -3,15 +3,15 @@
 * the size has changed, and never while it is not visible.
  */
 import {
-  AmbientLight, Box3, BoxGeometry, type ColorRepresentation, DirectionalLight, EdgesGeometry, GridHelper, Group,
-  HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, Vector3,
+  AmbientLight, Box3, BoxGeometry, type BufferGeometry, type ColorRepresentation, CylinderGeometry, DirectionalLight, EdgesGeometry, GridHelper, Group,
+  HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, SphereGeometry, Vector3,
   WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { URDFRobot } from "urdf-loader";
 import type { RobotDescription } from "~/robot/description";
 import { bend, boxesOf, grip, parsed, release } from "./urdf";
-import { type CellScene, type Footprint, furnitureOf, PART_SIZE, type Piece, type PieceKind } from "./furniture";
+import { type CellScene, type Footprint, type Form, furnitureOf, PART_SIZE, type Piece, type PieceKind, type Triple } from "./furniture";
 import { JointTrack } from "./joint_track";
 import { DISTANCES, type Distances, stepOf, stepped } from "./orbit";
 
@@ -25,6 +25,10 @@ const LOWERED = 0.12;
 const FITS_AT_ASPECT = 1.3;
 const MAX_PIXEL_RATIO = 2;
 const GROUND_M = -0.051;
+/** Edges of curved surfaces are not drawn. */
+const EDGE_DEG = 30;
+/** What surrounds the cell does not decide the view. */
+const SURROUNDING: ReadonlySet<PieceKind> = new Set(["fence", "keepOut", "reducedSpeed"]);
 
 /** The colours of the page, read from its tokens. */
 export interface Palette {
@@ -34,6 +38,19 @@ export interface Palette {
   fixture: string;
   bin: string;
   part: string;
+  obstacle: string;
+  keepout: string;
+  reduced: string;
+}
+
+/** How clearly a thing is drawn; what surrounds others is transparent. */
+const OPACITY: Partial<Record<PieceKind, number>> = { bin: 0.45, fence: 0.3, keepOut: 0.18, reducedSpeed: 0.14 };
+
+/** Another robot of the cell. */
+interface Neighbour {
+  robot: URDFRobot;
+  track: JointTrack;
+  names: readonly string[];
 }
 
 export class Stage {
@@ -52,6 +69,8 @@ export class Stage {
   readonly #foot: Footprint;
   readonly #sun = new DirectionalLight("#ffffff", 2.2);
   readonly #grippedPart: Mesh;
+  readonly #neighbours = new Map<string, Neighbour>();
+  readonly #neighbourBox = new Box3();
   #palette: Palette;
   #grid: GridHelper | null = null;
   #cell: CellScene | null = null;
@@ -67,7 +86,7 @@ export class Stage {
   constructor(host: HTMLElement, description: RobotDescription, palette: Palette) {
     this.#host = host;
     this.#description = description;
-    const robot = (this.#robot = parsed(description.urdf));
+    const robot = (this.#robot = placed(description));
     const boxes = boxesOf(robot, description.joints.map((joint) => joint.name), description.home);
     this.#robotBox = boxes.robot;
     const { min, max } = boxes.root.isEmpty() ? new Box3(new Vector3(), new Vector3()) : boxes.root;
@@ -113,6 +132,25 @@ export class Stage {
   joints(names: readonly string[], positions: readonly number[]): void {
     this.#names = names;
     if (this.#track.push(positions, performance.now())) this.draw();
+  }
+
+  /** Show another robot of the cell. Throws when its description cannot be drawn. */
+  neighbour(name: string, description: RobotDescription): void {
+    const robot = placed(description);
+    const { robot: box } = boxesOf(robot, description.joints.map((joint) => joint.name), description.home);
+    this.#neighbourBox.union(box);
+    this.#neighbours.set(name, { robot, track: new JointTrack(), names: [] });
+    this.#scene.add(robot);
+    if (!this.#isTurned) this.reset();
+    this.draw();
+  }
+
+  /** Set the target positions of the joints of another robot. */
+  neighbourJoints(name: string, names: readonly string[], positions: readonly number[]): void {
+    const neighbour = this.#neighbours.get(name);
+    if (neighbour === undefined) return;
+    neighbour.names = names;
+    if (neighbour.track.push(positions, performance.now())) this.draw();
   }
 
   gripper(closed: boolean, holds: boolean): void {
@@ -164,7 +202,7 @@ export class Stage {
 
   /** Restore the initial view of the whole cell. */
   reset(): void {
-    const { center, radius } = sphereOf(new Box3().setFromObject(this.#furniture).union(this.#robotBox));
+    const { center, radius } = sphereOf(this.#extent());
     const back = Math.max(1, FITS_AT_ASPECT / this.#camera.aspect);
     const distance = (FILLED * back * radius) / Math.sin((this.#camera.fov * Math.PI) / 360);
     this.#distances = { least: Math.min(DISTANCES.least, distance / 3), most: Math.max(DISTANCES.most, 2 * distance) };
@@ -180,14 +218,22 @@ export class Stage {
     this.draw();
   }
 
+  /** The box around the cell; zones and fences are not what a user looks at. */
+  #extent(): Box3 {
+    const box = this.#robotBox.clone().union(this.#neighbourBox);
+    for (const piece of this.#furniture.children) if (piece.userData["isSurrounding"] !== true) box.expandByObject(piece);
+    return box;
+  }
+
   /** Request a frame if the view is visible. */
   readonly draw = (): void => {
     if (this.#frame !== 0 || document.hidden || !this.#inView) return;
     this.#frame = requestAnimationFrame((nowMs) => {
       this.#frame = 0;
       bend(this.#robot, this.#names, this.#track.at(nowMs));
+      for (const { robot, names, track } of this.#neighbours.values()) bend(robot, names, track.at(nowMs));
       this.#renderer.render(this.#scene, this.#camera);
-      if (this.#track.glides(nowMs)) this.draw();
+      if ([this.#track, ...[...this.#neighbours.values()].map(({ track }) => track)].some((track) => track.glides(nowMs))) this.draw();
     });
   };
 
@@ -203,6 +249,7 @@ export class Stage {
     this.#dropGrid();
     for (const piece of [...this.#furniture.children]) release(piece);
     release(this.#robot);
+    for (const { robot } of this.#neighbours.values()) release(robot);
     this.#sun.dispose();
     this.#renderer.dispose();
     // Browsers limit WebGL contexts to about 16: release it now, not at garbage collection.
@@ -241,31 +288,49 @@ export class Stage {
     this.draw();
   }
 
-  #piece({ kind, size, position, orientation }: Piece): Group {
-    const geometry = new BoxGeometry(...size);
-    const see = kind === "bin";
+  #piece({ kind, form, size, position, orientation }: Piece): Group {
+    const geometry = geometryOf(form ?? "box", size);
+    const opacity = OPACITY[kind] ?? 1;
+    const see = opacity < 1;
     const material = new MeshStandardMaterial({
-      color: this.#colour(kind), roughness: 0.85, transparent: see, opacity: see ? 0.45 : 1, depthWrite: !see,
+      color: this.#colour(kind), roughness: 0.85, transparent: see, opacity, depthWrite: !see,
     });
     const mesh = new Mesh(geometry, material);
     mesh.castShadow = kind === "part";
     mesh.receiveShadow = !see;
     const piece = new Group();
-    piece.add(mesh, new LineSegments(new EdgesGeometry(geometry), new LineBasicMaterial({ color: this.#palette.line })));
+    piece.userData["isSurrounding"] = SURROUNDING.has(kind);
+    piece.add(mesh, new LineSegments(new EdgesGeometry(geometry, EDGE_DEG), new LineBasicMaterial({ color: this.#palette.line })));
     piece.position.set(...position);
     piece.quaternion.set(...orientation);
     return piece;
   }
 
   #colour(kind: PieceKind): ColorRepresentation {
-    const { table, fixture, bin, line, part } = this.#palette;
-    return { table, fixture, bin, nest: line, part }[kind];
+    const { table, fixture, bin, line, part, obstacle, keepout, reduced } = this.#palette;
+    return {
+      table, fixture, bin, nest: line, part, obstacle, fence: line, camera: obstacle, keepOut: keepout, reducedSpeed: reduced,
+    }[kind];
   }
 
   #dropGrid(): void {
     this.#grid?.dispose();
     this.#grid?.removeFromParent();
   }
+}
+
+/** The robot of a description at its place in the cell. */
+function placed({ urdf, base }: RobotDescription): URDFRobot {
+  const robot = parsed(urdf);
+  robot.position.set(...base.position);
+  robot.quaternion.set(...base.orientation);
+  return robot;
+}
+
+function geometryOf(form: Form, [x, y, z]: Triple): BufferGeometry {
+  if (form === "sphere") return new SphereGeometry(x / 2, 24, 16);
+  if (form === "cylinder") return new CylinderGeometry(x / 2, x / 2, z, 32).rotateX(Math.PI / 2);
+  return new BoxGeometry(x, y, z);
 }
 
 function ambientLights(): (AmbientLight | HemisphereLight)[] {

@@ -56,6 +56,7 @@ export const robot: RobotView = {
   device: "urn:ngsi-ld:Device:demo:ur10-1",
   model: "UR10",
   revision: "1",
+  scene: "1",
   deviceState: "idle",
   joints: { stamp: 0, name: [], position: [], velocity: [] },
   toolPose: { position: [0, 0, 0], orientation: [0, 0, 0, 1] },
