@@ -168,6 +168,7 @@ class DefinitionRegistry(Library):
             xml=definition.xml,
             deployed_at=now,
             source=definition.source,
+            is_event_driven=definition.is_event_driven,
         )
         return record, True
 

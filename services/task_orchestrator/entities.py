@@ -1,6 +1,6 @@
 """Entities: definitions, processes and Tasks as normalized NGSI-LD."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -16,6 +16,8 @@ from services.task_orchestrator.records import ProcessRecord, TaskRecord
 from services.task_orchestrator.references import is_reference, resource_id
 
 Entity = dict[str, Any]
+MAX_LISTED_TASKS = 200
+"""The Process entity lists so many of its Tasks, the last ones; the service lists all."""
 
 
 def definition_id(settings: Settings, definition: Definition) -> str:
@@ -252,9 +254,9 @@ def _property(value: Any) -> Entity:
 
 
 def entity_of(
-    settings: Settings, record: ProcessRecord, defined_by: str, composed: Iterable[str], now: datetime
+    settings: Settings, record: ProcessRecord, defined_by: str, composed: Sequence[str], now: datetime
 ) -> Entity:
-    """Return the Process entity of `record`, whose Tasks have the ids `composed`."""
+    """Return the Process entity of `record`; of its Tasks, `composed`, the last ones are listed."""
     outputs: dict[str, Any] | None = None
     if record.status is TaskStatus.COMPLETED:
         outputs = {n: v for n, v in record.variables.items() if n not in record.parameters}
@@ -269,7 +271,7 @@ def entity_of(
         status=record.status,
         at=record.ended_at or now,
         parameters=record.parameters,
-        tasks=composed,
+        tasks=composed[-MAX_LISTED_TASKS:],
         outputs=outputs,
     )
 

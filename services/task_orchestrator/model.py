@@ -512,6 +512,17 @@ class Definition:
         """Return the nodes whose event is the creation or change of an entity."""
         return tuple(node for node in self.nodes() if entity_filter(node) is not None)
 
+    @property
+    def is_event_driven(self) -> bool:
+        """Return whether messages, signals or entities can start a process or change a running one.
+
+        Only such a definition has to be known before somebody starts a process of it.
+        """
+        events = [node.event for node in self.scope.nodes.values() if node.kind is Kind.START_EVENT]
+        return bool(self.entity_events()) or any(
+            isinstance(event, MessageEvent | SignalEvent | ConditionalEvent) for event in events
+        )
+
     def activities(self) -> dict[str, Activity]:
         """Return the activities that create Tasks, by the id of their node."""
         return {node.id: node.activity for node in self.nodes() if node.activity is not None}

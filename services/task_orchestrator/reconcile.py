@@ -17,7 +17,7 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
-from handover.retry import MAX_DELAY_S
+from handover.retry import MAX_DELAY_S, Backoff
 from handover.task_life import UNFINISHED_QUERY
 from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.agents import TYPES, WATCHED, read_agents
@@ -47,6 +47,7 @@ class Reconciler:
         self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
         self._agents_resync = Resync(self._try_read_agents, self._settings.reconcile_s)
         self._registered = self._was_unavailable = False
+        self._definitions_missing = asyncio.Event()
         self._unfinished = UnfinishedCount(broker, "Task", MAX_UNCOMPARED_S)
         self._tasks = BackgroundTasks("reconciler")
 
@@ -56,6 +57,7 @@ class Reconciler:
         self._tasks.start(self._resync.run)
         self._tasks.start(self._agents_resync.run)
         self._tasks.start(self._run_timers)
+        self._tasks.start(self._write_other_definitions)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -117,16 +119,38 @@ class Reconciler:
         await self._orchestrator.broker_changes.receive(entities)
 
     async def _register(self) -> None:
-        """Create the subscription and the definitions in the broker, which may have lost them."""
+        """Create the subscriptions and the definitions in the broker, which may have lost them.
+
+        Those of running processes are written before their Tasks are compared, the others afterwards.
+        """
         await self._broker.ensure_subscription(self._subscription())
         await self._broker.ensure_subscription(self._agents_subscription())
-        await self._write_definitions()
+        await self._write_definitions(are_running=True)
         self._registered = True
+        self._definitions_missing.set()
 
-    async def _write_definitions(self) -> None:
-        registry = self._orchestrator.state.registry
-        for record in registry.latest():
+    async def _write_other_definitions(self) -> None:
+        backoff = Backoff()
+        while True:
+            await self._definitions_missing.wait()
+            self._definitions_missing.clear()
             try:
+                await self._write_definitions(are_running=False)
+                backoff.reset()
+            except BrokerError as error:
+                log.warning("definitions not written to the broker", error=str(error))
+                await asyncio.sleep(backoff.next_delay_s())
+                self._definitions_missing.set()
+
+    async def _write_definitions(self, *, are_running: bool) -> None:
+        state = self._orchestrator.state
+        registry = state.registry
+        running = {process.record.definition for process in state.active_processes.processes.values()}
+        for record in registry.latest():
+            if (record.name in running) is not are_running:
+                continue
+            try:
+                await registry.prepare(record)
                 await write_definitions(self._broker, registry.entities(record))
             except BrokerUnavailable:
                 raise

@@ -32,6 +32,8 @@ class DefinitionRecord:
     deployed_at: datetime
     source: str | None = None
     """The ProcessDefinition of another system that it was deployed from."""
+    is_event_driven: bool = True
+    """Whether its start events and filters of entities are needed at start-up; else it is read when used."""
 
 
 class OfferStatus(StrEnum):

@@ -85,6 +85,8 @@ class WorkingState:
         self.offers = Offers(await self.on_disk(self.store.offers))
         self.allocator.rules.task_kinds = self.offers.task_kinds()
         for record in self.registry.latest():
+            if not record.is_event_driven:
+                continue
             await self.registry.prepare(record)
             with suppress(HandoverError):  # such a version cannot be started
                 self._add_events(self.registry.plan_of(record).definition)

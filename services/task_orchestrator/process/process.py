@@ -21,6 +21,7 @@ from handover.task_life import FINISHED, is_reachable
 from services.task_orchestrator.allocation.allocator import Allocator, NoPerformer
 from services.task_orchestrator.allocation.assignment import Assignment
 from services.task_orchestrator.entities import (
+    MAX_LISTED_TASKS,
     definition_id,
     entity_of,
     execution_properties,
@@ -57,8 +58,8 @@ from services.task_orchestrator.records import (
 from services.task_orchestrator.settings import OrchestratorSettings
 
 CANCELLED = "cancelled"
-EXACT_TASKS = 200
-"""The Process entity lists every Task at once up to this number of Tasks."""
+REPORTED_TASKS = 10
+"""Beyond `MAX_LISTED_TASKS` the Process entity is written with every so many new Tasks."""
 NO_REASON = message("task.no_reason", "no reason given")
 
 
@@ -665,13 +666,14 @@ class Process:
     def _is_report_due(self) -> bool:
         """Return whether the Process entity has to be written: at each state, and when it has more Tasks.
 
-        The entity lists all Tasks. A process of very many Tasks reports new ones in groups of a fiftieth, so
-        that a step costs the same however long the process has run.
+        The entity lists the last Tasks, and new ones of a long process are reported in groups, so that a step
+        costs the same however long the process has run.
         """
         if self.reported is None or self.reported[0] is not self.record.status:
             return True
         listed = self.reported[1]
-        return len(self.composed) - listed > max(listed - EXACT_TASKS, 0) // 50
+        new = len(self.composed) - listed
+        return new >= (1 if listed < MAX_LISTED_TASKS else REPORTED_TASKS)
 
     def _report_process(self, step: Step, now: datetime) -> None:
         """Write the state of the process to the broker."""

@@ -30,6 +30,7 @@ definitions = Table(
     Column("label", Text),
     Column("xml", LargeBinary, nullable=False),
     Column("deployed_at", String(40), nullable=False),
+    Column("is_event_driven", Boolean, nullable=False),
     Column("source", Text),
 )
 processes = Table(

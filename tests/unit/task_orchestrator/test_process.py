@@ -514,3 +514,24 @@ def test_many_parallel_instances_are_posted_once_and_each_ends_alone() -> None:
     assert created(driver.step) == [task_id("other-1")]
     cancelled = {message.subject for message in driver.step.messages if message.kind is MessageKind.APPEND}
     assert cancelled == {task_id(name) for name in names[151:]}
+
+
+def test_the_entity_of_a_long_process_lists_its_last_tasks_and_is_written_in_groups() -> None:
+    driver = ProcessDriver(
+        start()
+        + gateway("again")
+        + activity("work")
+        + gateway("which", default="which_end")
+        + end()
+        + path("start", "again", "work", "which")
+        + flow("which", "again", "not work.stop")
+        + flow("which", "end")
+    )
+    written: dict[int, list[str]] = {}
+    for number in range(1, 231):
+        driver.receive(f"work-{number}", "completed", stop=False)
+        for entity in processes(driver.step):
+            written[number] = [link["object"] for link in entity["isComposedOf"]["value"]]
+    assert [len(listed) for listed in written.values()] == [*range(2, 201), 200, 200, 200]
+    assert list(written)[-3:] == [209, 219, 229]
+    assert written[229] == [task_id(f"work-{number}") for number in range(31, 231)]
