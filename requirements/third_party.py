@@ -3,8 +3,9 @@
     python -m requirements.third_party            # write the file
     python -m requirements.third_party --check    # fail if the file is not up to date
 
-The names come from the locks (`container.lock`, `motion.lock`, `ros.lock`, `package-lock.json`), the
-licences from the metadata of the installed packages. Versions are left out, because the locks have them.
+The names come from the locks (`container.lock`, `motion.lock`, `physics.lock`, `ros.lock`,
+`package-lock.json`), the licences from the metadata of the installed packages. Versions are left out, because
+the locks have them.
 Both commands fail on a package with a licence that Apache-2.0 software cannot be distributed with (GPL),
 and on a package without a licence.
 """
@@ -19,7 +20,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 FILE = ROOT / "THIRD_PARTY.md"
-LOCKS = tuple(ROOT / "requirements" / f"{name}.lock" for name in ("container", "motion", "ros"))
+LOCKS = tuple(ROOT / "requirements" / f"{name}.lock" for name in ("container", "motion", "physics", "ros"))
 APP = ROOT / "webui" / "app"
 
 SPDX = {

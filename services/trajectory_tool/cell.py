@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Self
 from handover.broker import BrokerClient
 from handover.telemetry import get_logger
 from services.trajectory_tool.cell_file import RobotEntry
-from services.trajectory_tool.contents import Contents, Lying
+from services.trajectory_tool.contents import Contents, Grip, Lying
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
 from services.trajectory_tool.limits.guards import CollisionGuard, Guard
 from services.trajectory_tool.limits.limiter import JointLimiter, Limiter
@@ -51,10 +51,15 @@ class Cell:
         self.file = workcell.file
         self.neighbour_wait_s = workcell.settings.neighbour_wait_s
         self.held: str | None = known.held if known else None
+        self.grip_of_part: Grip | None = known.grip if known else None
         self.last_act: Act | None = known.last_act if known else None
         self.seen: str | None = known.seen if known else None
         self.begun: BegunAct | None = known.begun if known else None
         """The act of the gripper without a known outcome: while it is active, and after an interruption."""
+        self.missed: list[Pose] = []
+        """Poses at which the gripper has closed on nothing, since a part was gripped."""
+        self.to_stir: set[str] = set()
+        """Bins in which no part could be gripped."""
         self.in_hand = asyncio.Lock()
         """Locked while a Task or a person uses the robot or its gripper."""
         self.planning = MotionPlanning(
@@ -65,6 +70,7 @@ class Cell:
             space=workcell.space,
             joints=lambda: self.joints,
             held=lambda: self.held,
+            grip=lambda: self.grip_of_part,
         )
         self.robot: Robot = self._robot(known, clock, broker)
 
@@ -118,6 +124,7 @@ class Cell:
             last_act=self.last_act,
             seen=self.seen,
             begun=self.begun,
+            grip=self.grip_of_part,
         )
 
     async def remember(self) -> None:
@@ -130,8 +137,12 @@ class Cell:
         pose = self.tool_pose
         part = self._between_fingers(pose) if await self.robot.close_gripper() else None
         if part is None:
+            self.missed.append(pose)
             await self.robot.open_gripper()
         else:
+            self.missed.clear()
+            lay = self.contents.find(part)
+            self.grip_of_part = lay.grip if lay else None
             self.contents, self.held = self.contents.gripped(part), part
             self.last_act = Act(task, "gripped", part, pose)
         self.begun = None
@@ -146,8 +157,16 @@ class Cell:
         self.begun = None
         if part is not None:
             self.contents, self.held = self.contents.released(part, place, pose), None
+            self.grip_of_part = None
             self.last_act = Act(task, "released", part, pose, place)
         await self.remember()
+
+    async def lose(self) -> str | None:
+        """Note that the held part has slipped out of the gripper, and open it; return that part."""
+        part, self.held, self.grip_of_part = self.held, None, None
+        await self.robot.open_gripper()
+        await self.remember()
+        return part
 
     async def free(self) -> str | None:
         """Open the gripper so that a person can remove the part; return that part.
@@ -158,6 +177,7 @@ class Cell:
             part = self.held
             await self.robot.open_gripper()
             self.held = None
+            self.grip_of_part = None
             self.begun = None
             await self.remember()
         return part
@@ -185,15 +205,21 @@ class Cell:
         self.seen = found or self.seen
         return self.contents.find(found) if found else None
 
-    def found_empty(self, bin_name: str) -> None:
+    async def found_empty(self, bin_name: str) -> None:
         """Handle an empty bin; a bin that people fill is full afterwards."""
-        if self.scene.bins[bin_name].refilled:
+        if not self.scene.bins[bin_name].refilled:
+            return
+        if self.robot.vision is not None:
+            await self.robot.vision.fill(bin_name)
+        else:
             self.contents = self.contents.filled(self.scene, bin_name)
 
-    def nest_in(self, fixture: str) -> Pose | None:
+    async def nest_in(self, fixture: str) -> Pose | None:
         """Return a free nest of a fixture; a full fixture is emptied first if the next station does so."""
         nest = self.contents.free_nest(self.scene, fixture)
         if nest is None and self.scene.fixtures[fixture].emptied:
+            if self.robot.vision is not None:
+                await self.robot.vision.clear(fixture)
             self.contents = self.contents.emptied(fixture)
             nest = self.contents.free_nest(self.scene, fixture)
         return nest
@@ -204,6 +230,7 @@ class Cell:
             robot_id=self.name,
             options=self.entry.settings,
             model=self.model,
+            scene=self.scene,
             limits=self.limits,
             joints=known.joints if known else self.home,
             gripper_closed=known.gripper_closed if known else False,

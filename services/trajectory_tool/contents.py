@@ -3,21 +3,44 @@
 The values are immutable: every action returns the contents after it.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.poses import Pose, Vector
 from services.trajectory_tool.scene import Scene, Spot
 
 SAME_NEST_M = 0.01
+SAME_PART_M = 0.02
+"""A part that is seen this near to a known one is that part."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grip:
+    """How a gripper holds a part: `part` is its middle in the frame of the tip, `size` its lengths."""
+
+    part: Pose
+    size: Vector
+
+    @property
+    def below_m(self) -> float:
+        """Return how far the part reaches beyond the tips."""
+        rows = self.part.frame().rotation
+        reach = sum(abs(share) * side / 2 for share, side in zip(rows[2], self.size, strict=True))
+        return self.part.position[2] + reach
 
 
 @dataclass(frozen=True, slots=True)
 class Lying:
-    """A part in a bin or a fixture (`place`), or elsewhere (None)."""
+    """A part in a bin or a fixture (`place`), or elsewhere (None).
+
+    `pose` is that of a tool that grips it, and `grip` how the tool then holds it, if that is known.
+    """
 
     part: str
     place: str | None
     pose: Pose
+    grip: Grip | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +79,23 @@ class Contents:
         )
         return replace(self, lying=self.lying + new, numbered=self.numbered + len(new))
 
+    def observed(self, bin_name: str, seen: Sequence[tuple[Pose, Grip | None]]) -> "Contents":
+        """Return the contents after a look into a bin; parts near to known ones keep their names."""
+        known = self.in_place(bin_name)
+        found: list[Lying] = []
+        numbered = self.numbered
+        for pose, grip in seen:
+            near = [one for one in known if one.pose.distance_m(pose) < SAME_PART_M]
+            same = min(near, key=lambda one: one.pose.distance_m(pose), default=None)
+            if same is None:
+                numbered += 1
+                found.append(Lying(f"part-{numbered}", bin_name, pose, grip))
+            else:
+                known.remove(same)
+                found.append(Lying(same.part, bin_name, pose, grip))
+        others = tuple(lying for lying in self.lying if lying.place != bin_name)
+        return replace(self, lying=(*found, *others), numbered=numbered)
+
     def emptied(self, place: str) -> "Contents":
         """Return the contents after the parts of a fixture were removed."""
         return replace(self, lying=tuple(lying for lying in self.lying if lying.place != place))
@@ -77,8 +117,9 @@ class Contents:
 
     def free_nest(self, scene: Scene, fixture: str) -> Pose | None:
         """Return the first free nest of a fixture."""
+        taken = [lying.pose.position[:2] for lying in self.lying]
         for nest in scene.fixtures[fixture].nests:
-            if self.between_fingers(nest.pose, SAME_NEST_M) is None:
+            if all(math.dist(nest.position[:2], other) > SAME_NEST_M for other in taken):
                 return nest.pose
         return None
 

@@ -20,6 +20,7 @@ from handover.extensions import ExtensionPoint
 from services.trajectory_tool.limits.limiter import Limiter
 from services.trajectory_tool.robot import Joints, Robot
 from services.trajectory_tool.robot_model import RobotModel
+from services.trajectory_tool.scene import Scene
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.trajectory import Limits
 
@@ -30,6 +31,7 @@ DRIVERS = ExtensionPoint(
     "handover.robot_drivers",
     {
         "simulated": "services.trajectory_tool.simulated_robot:SimulatedRobot.from_context",
+        "physics": "services.trajectory_tool.physics.robot:PhysicsRobot.from_context",
         "ros": "services.trajectory_tool.ros_robot:RosRobot.from_context",
     },
 )
@@ -58,6 +60,7 @@ class RobotContext:
     robot_id: str
     options: Mapping[str, Any]
     model: RobotModel
+    scene: Scene
     limits: Limits
     joints: Joints
     gripper_closed: bool

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from handover.errors import UsageError
 from handover.telemetry import get_logger
-from services.trajectory_tool.contents import Contents
+from services.trajectory_tool.contents import Contents, Grip
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints
 
@@ -52,6 +52,8 @@ class RobotMemory:
     last_act: Act | None = None
     seen: str | None = None
     begun: BegunAct | None = None
+    grip: Grip | None = None
+    """How the gripper holds the part, if that is known."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,3 +22,10 @@ SCENE_CHANGES = Counter("handover_trajectory_tool_scene_changes_total", "Changes
 DEVICE_WRITES_REJECTED = Counter(
     "handover_trajectory_tool_device_writes_rejected_total", "Writes of the Device that the broker rejected"
 )
+SIMULATED_SECONDS = Counter(
+    "handover_trajectory_tool_simulated_seconds_total", "Time that the physics simulation has simulated"
+)
+SIMULATION_CPU_SECONDS = Counter(
+    "handover_trajectory_tool_simulation_cpu_seconds_total",
+    "CPU time of the physics simulation; simulated time over it is the headroom over real time",
+)

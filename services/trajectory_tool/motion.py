@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from handover.errors import UsageError
 from handover.messages import text_of
+from services.trajectory_tool.contents import Grip
 from services.trajectory_tool.obstacles import Attached, Box, Obstacle, World
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose
@@ -32,6 +33,9 @@ T = TypeVar("T")
 
 AT_TIP = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 INSTALL = 'install the extra "motion": pip install "handover[motion]"'
+GRIP_TOLERANCE_M = 0.004
+"""A part that was seen is held this exactly; it lies on something when it is gripped."""
+
 CLEARANCE_M = 0.03
 """The additional distance from another robot."""
 
@@ -64,8 +68,8 @@ class SharedSpace:
 class MotionPlanning:
     """Plans for one robot. Raises `UsageError` where motion is to be planned and the extra is missing.
 
-    `name` is that of the robot in `space`, `joints` returns its present joints and `held` the part in its
-    gripper.
+    `name` is that of the robot in `space`, `joints` returns its present joints, `held` the part in its
+    gripper and `grip` how it is held.
     """
 
     def __init__(
@@ -78,6 +82,7 @@ class MotionPlanning:
         space: SharedSpace | None = None,
         joints: Callable[[], Joints] | None = None,
         held: Callable[[], str | None] = lambda: None,
+        grip: Callable[[], Grip | None] = lambda: None,
     ) -> None:
         self._model = model
         self._limits = limits
@@ -85,6 +90,7 @@ class MotionPlanning:
         self._name = name
         self._joints = joints or (lambda: model.home)
         self._held = held
+        self._grip = grip
         self.space = space or SharedSpace()
         self.space.planners[name] = self
         self._reserved: tuple[Obstacle, ...] | None = None
@@ -182,4 +188,8 @@ class MotionPlanning:
         held = self._held()
         if held is None or self._part_size_m is None:
             return ()
-        return (Attached(held, Box(self._part_size_m), AT_TIP),)
+        grip = self._grip()
+        if grip is None:
+            return (Attached(held, Box(self._part_size_m), AT_TIP),)
+        x, y, z = (max(side - 2 * GRIP_TOLERANCE_M, GRIP_TOLERANCE_M) for side in grip.size)
+        return (Attached(held, Box((x, y, z)), grip.part),)

@@ -11,9 +11,10 @@ from typing import Any
 from handover.messages import Message, message, text_of
 from handover.outcomes import outcome_unknown
 from handover.performer import TaskFailed
+from services.trajectory_tool import bin_search
 from services.trajectory_tool import parameters as given
 from services.trajectory_tool.metrics import SCANS
-from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.poses import NO_TURN, Frame, Pose
 from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 from services.trajectory_tool.work import Work
 
@@ -74,15 +75,14 @@ async def scan(work: Work, request: given.Scan) -> Result:
     work.intend(view, seen_bin.looks_for_s)
     await work.go(view)
     await work.wait(seen_bin.looks_for_s)
-    found = cell.look_into(request.bin)
+    found, reason = await bin_search.search(cell, request.bin)
     SCANS.labels(str(found is not None).lower()).inc()
     if found is not None:
         await cell.remember()
         return {"found": True, "part": found.part, "pose": found.pose.written(), "bin": request.bin}
-    reason = f"no part lies free in {request.bin}"
     if not cell.parts_in(request.bin):
         reason = f"{request.bin} is empty"
-        cell.found_empty(request.bin)
+        await cell.found_empty(request.bin)
         await cell.remember()
     return {"found": False, "bin": request.bin, "reason": reason}
 
@@ -117,6 +117,7 @@ async def pick(work: Work, request: given.Pick) -> Result:
             )
         )
     await _go_near(work, _above(work, spot), above)
+    await _require_held(work)
     if part is None:
         raise TaskFailed(
             message(
@@ -135,10 +136,12 @@ async def place(work: Work, request: given.Place) -> Result:
     if cell.held is None:
         return await _already_placed(work)
     part = cell.held
-    spot = _where_to_place(work, request)
+    await _require_held(work)
+    spot = await _where_to_place(work, request)
     above, at = await _from_above(work, spot, "the place")
     work.intend(above, at, cell.scene.gripper.acts_in_s, above)
     await work.go(above)
+    await _require_held(work)
     await _go_near(work, spot, at)
     await work.release(request.location)
     await _go_near(work, _above(work, spot), above)
@@ -270,7 +273,23 @@ def _where_to_pick(work: Work, request: given.Pick) -> Pose:
     return found.pose
 
 
-def _where_to_place(work: Work, request: given.Place) -> Pose:
+async def _require_held(work: Work) -> None:
+    """Raise `TaskFailed` if the gripper measures that it has lost its part."""
+    cell = work.cell
+    if cell.held is None or cell.robot.is_holding is not False:
+        return
+    part = await cell.lose()
+    raise TaskFailed(
+        message(
+            "robot.part_slipped",
+            '"{part}" slipped out of the gripper near {position}; scan the bin, or take the part away',
+            part=part,
+            position=_position(cell.tool_pose),
+        )
+    )
+
+
+async def _where_to_place(work: Work, request: given.Place) -> Pose:
     if request.pose is not None:
         return request.pose.pose
     fixtures = work.cell.scene.fixtures
@@ -284,7 +303,7 @@ def _where_to_place(work: Work, request: given.Place) -> Pose:
                 known=", ".join(fixtures) or "none",
             )
         )
-    nest = work.cell.nest_in(name)
+    nest = await work.cell.nest_in(name)
     if nest is None:
         raise TaskFailed(
             message(
@@ -293,7 +312,17 @@ def _where_to_place(work: Work, request: given.Place) -> Pose:
                 fixture=name,
             )
         )
-    return nest
+    return _with_grip(work, nest)
+
+
+def _with_grip(work: Work, nest: Pose) -> Pose:
+    """Return the pose of the tool with the held part in a nest, if it is known how the part is held."""
+    grip, size = work.cell.grip_of_part, work.cell.scene.gripper.part_size_m
+    if grip is None or size is None:
+        return nest
+    x, y, _ = grip.part.position
+    aside = Pose.of(nest.frame() @ Frame(NO_TURN, (-x, -y, 0.0)))
+    return aside.raised(grip.below_m - size[2] / 2)
 
 
 async def _from_above(work: Work, spot: Pose, what: str) -> tuple[Joints, Joints]:

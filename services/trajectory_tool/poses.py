@@ -12,6 +12,8 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 Rotation = tuple[Vector, Vector, Vector]
 
+NO_TURN: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
 
 @dataclass(frozen=True, slots=True)
 class Frame:

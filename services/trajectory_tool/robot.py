@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # the settings import this module, and with them each command
     from fastapi import FastAPI
 
     from services.trajectory_tool.joint_trajectory import JointTrajectory
+    from services.trajectory_tool.vision import Vision
 
 Joints = tuple[float, ...]
 """The joint positions of a robot from its base to its flange: rad, for prismatic joints m."""
@@ -60,6 +61,9 @@ class JointState:
 
 class Robot(ABC):
     """An arm with a gripper; an asynchronous context manager while it is switched on."""
+
+    vision: "Vision | None" = None
+    """The eyes of the robot, for a driver with a camera."""
 
     def mount(self, app: "FastAPI") -> None:  # noqa: B027 - most robots have none
         """Add routes of the robot, such as one for notifications."""
@@ -133,6 +137,11 @@ class Robot(ABC):
     @abstractmethod
     async def open_gripper(self) -> None:
         """Open the gripper. Raises `RobotFault`."""
+
+    @property
+    def is_holding(self) -> bool | None:
+        """Return whether something is between the fingers; None where the gripper does not measure it."""
+        return None
 
     @property
     @abstractmethod

@@ -220,6 +220,8 @@ class Bin(_Written):
     view: Spot
     looks_for_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = 0.5
     refilled: bool = False
+    camera: Name | None = None
+    """The camera of the scene that looks into the bin; by default one in the hand of the robot."""
     walls: OpenBox | None = None
     parts: tuple[Spot, ...] = ()
 

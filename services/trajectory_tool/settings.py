@@ -21,8 +21,8 @@ class TrajectorySettings(Settings):
     )
     robot: str = Field(
         "simulated",
-        description="the robot driver, where no cell file names robots: simulated, ros (an arm behind the "
-        "ROS bridge), or a driver that another package registers",
+        description="the robot driver, where no cell file names robots: simulated, physics, ros (an arm "
+        "behind the ROS bridge), or a driver that another package registers",
     )
     robot_model: str = Field(
         "ur10",
@@ -43,7 +43,15 @@ class TrajectorySettings(Settings):
     neighbour_wait_s: float = Field(
         30.0, ge=0, description="how long a motion waits for another robot that is in its way, in s"
     )
-    scan_seed: int = Field(174, description="seed of the simulated camera; it determines the scans")
+    scan_seed: int = Field(
+        174, description="seed of the simulated camera and of the simulated parts; it determines the scans"
+    )
+    simulation_pace: float = Field(
+        1.0,
+        ge=0,
+        le=100,
+        description="simulated seconds in a second, where robot is physics; 0: as fast as possible",
+    )
 
     @property
     def notify_url(self) -> str:

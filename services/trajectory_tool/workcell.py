@@ -77,6 +77,8 @@ class Workcell:
             name: Cell(self, name, entry, models[name], known=memories.get(name), clock=clock, broker=broker)
             for name, entry in plan.robots.items()
         }
+        if known is None and any(cell.robot.vision is not None for cell in self.cells.values()):
+            self.contents = Contents()  # where the parts are is known when they have been seen
 
     @property
     def only(self) -> Cell:
@@ -169,7 +171,16 @@ def _model(plan: CellPlan, name: str, entry: RobotEntry, data_dir: Path) -> Robo
         raise UsageError(f"{plan.file}: robots.{name}.home: {why}") from None
 
 
+def _scene_for(plan: CellPlan, model: RobotModel) -> Path | None:
+    """Return the scene that a model has for its driver, `<scene>_<driver>.yaml`, else its scene."""
+    if model.scene is None:
+        return None
+    driver = next(iter(plan.robots.values())).driver
+    own = model.scene.with_stem(f"{model.scene.stem}_{driver}")
+    return own if own.is_file() else model.scene
+
+
 def _scene(plan: CellPlan, models: list[RobotModel]) -> Scene:
     if plan.scene is None or isinstance(plan.scene, Path):
-        return load(plan.scene, *models)
+        return load(plan.scene or _scene_for(plan, models[0]), *models)
     return read_scene(plan.scene, plan.folder, f"cell file {plan.file}: scene", *models)

@@ -149,6 +149,20 @@ class Planner:
         assert why is not None  # noqa: S101 - there is at least one goal
         raise why
 
+    def is_approachable(self, start: Joints, above: Pose, at: Pose) -> bool:
+        """Return whether `approach` can choose joints, without the search for the way to them."""
+        motions = Motions(self.collisions, self.options.margins_m[-1])
+        begin = np.array(start)
+        if not self.inverse.several(at, begin, 1, motions.is_state_free):
+            return False
+        for goal in self.inverse.several(above, begin, self.options.max_goals, motions.is_state_free):
+            try:
+                self.straight(tuple(goal.tolist()), at)
+            except (Unreachable, NoPath):
+                continue
+            return True
+        return False
+
     def reach(self, pose: Pose, near: Joints) -> Joints:
         """Return joint positions near `near` with the tool at a pose, without a look at obstacles."""
         begin = np.array(near)

@@ -1,0 +1,99 @@
+"""The cameras of a simulated cell: where the scene says they are, where they are, and their calibration.
+
+A camera is mounted a few millimetres and tenths of a degree off its place in the scene, as fitters leave it.
+`calibrated` is what the tool assumes: the place in the scene, or the stored result of a calibration.
+"""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from handover.telemetry import get_logger
+from services.trajectory_tool.perception.depth_image import Intrinsics
+from services.trajectory_tool.physics.depth_camera import CameraMount, DepthCamera, misaligned
+from services.trajectory_tool.physics.simulation import Simulation
+from services.trajectory_tool.poses import NO_TURN, Frame, Pose
+from services.trajectory_tool.scene import MountedCamera, Scene
+
+log = get_logger(__name__)
+
+HAND_CAMERA = "hand"
+HAND_MOUNT = CameraMount(Frame(NO_TURN, (0.0, 0.07, -0.12)), in_hand=True)
+"""Beside the palm of the gripper, in the frame of the tip; it looks along the fingers."""
+
+HAND_VIEW_DEG = 50.0
+WIDTH, HEIGHT = 320, 240
+OFF_M = 0.002
+OFF_DEG = 0.3
+
+
+class Cameras(Mapping[str, DepthCamera]):
+    """The cameras by name: the one in the hand, and those of the scene."""
+
+    def __init__(self, simulation: Simulation, scene: Scene, seed: int, file: Path | None = None) -> None:
+        self._file = file
+        nominal = {HAND_CAMERA: (HAND_MOUNT, HAND_VIEW_DEG)}
+        for name, camera in scene.cameras.items():
+            nominal[name] = (CameraMount(looking(camera), in_hand=False), camera.field_of_view_deg)
+        self._cameras = {
+            name: DepthCamera(
+                simulation,
+                misaligned(mount, seed + number, OFF_M, OFF_DEG),
+                Intrinsics.of_view(WIDTH, HEIGHT, view_deg),
+                seed=seed + number,
+            )
+            for number, (name, (mount, view_deg)) in enumerate(nominal.items())
+        }
+        self._calibrated = {name: mount for name, (mount, _) in nominal.items()} | self._stored()
+
+    def __getitem__(self, name: str) -> DepthCamera:
+        return self._cameras[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._cameras)
+
+    def __len__(self) -> int:
+        return len(self._cameras)
+
+    def calibrated(self, name: str) -> CameraMount:
+        """Return where a camera is, as far as is known."""
+        return self._calibrated[name]
+
+    def calibrate(self, name: str, frame: Frame) -> None:
+        """Store where a camera is. Raises `OSError`."""
+        self._calibrated[name] = CameraMount(frame, self._cameras[name].mount.in_hand)
+        if self._file is not None:
+            written = {name: Pose.of(mount.frame).written() for name, mount in self._calibrated.items()}
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            new = self._file.with_suffix(".new")
+            new.write_text(json.dumps(written, indent=1), encoding="utf-8")
+            new.replace(self._file)
+
+    def _stored(self) -> dict[str, CameraMount]:
+        if self._file is None:
+            return {}
+        try:
+            written = json.loads(self._file.read_text(encoding="utf-8"))
+            return {
+                name: CameraMount(
+                    Pose(tuple(pose["position"]), tuple(pose["orientation"])).frame(),
+                    self._cameras[name].mount.in_hand,
+                )
+                for name, pose in written.items()
+                if name in self._cameras
+            }
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            log.warning("calibration of the cameras not read", file=str(self._file), error=str(error))
+            return {}
+
+
+def looking(camera: MountedCamera) -> Frame:
+    """Return the optical frame of a camera of the scene: it looks down, tilted about its x axis."""
+    tilt = math.radians(camera.tilt_deg)
+    c, s = math.cos(tilt), math.sin(tilt)
+    down = Frame(((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)), (0.0, 0.0, 0.0))
+    tilted = Frame(((1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c)), (0.0, 0.0, 0.0))
+    return camera.pose.frame() @ tilted @ down

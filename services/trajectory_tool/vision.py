@@ -1,0 +1,46 @@
+"""What a cell needs of a vision system: parts in a bin with grasps, or why a part cannot be gripped.
+
+A robot driver with a camera of its own implements it; otherwise the cell has the simulated camera of
+`camera.py`, which knows where the parts lie.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from handover.messages import Message
+from services.trajectory_tool.contents import Grip
+from services.trajectory_tool.poses import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class SeenGrasp:
+    """A pose of the tool that grips a part, and how the gripper then holds it."""
+
+    tool: Pose
+    grip: Grip
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A part in a bin: where its middle is, its grasps, the best first, or why there is none."""
+
+    part: Pose
+    grasps: tuple[SeenGrasp, ...] = ()
+    reason: Message | None = None
+
+
+class Vision(Protocol):
+    """Looks into bins. `fill`, `stir` and `clear` are what people do in a simulated cell."""
+
+    async def look(self, bin_name: str) -> Sequence[Sighting]:
+        """Return the parts that are seen in a bin, the topmost first."""
+
+    async def fill(self, bin_name: str) -> None:
+        """Have an empty bin filled."""
+
+    async def stir(self, bin_name: str) -> None:
+        """Have the parts in a bin moved, after none of them could be gripped."""
+
+    async def clear(self, fixture: str) -> None:
+        """Have the parts in a fixture taken away."""

@@ -1,0 +1,33 @@
+"""Simulated cells for the tests of physics. They need the extra `physics`."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from services.trajectory_tool.physics import is_available
+from services.trajectory_tool.planning import is_available as is_planning_available
+
+if not is_available() or not is_planning_available():  # no wheels for this platform
+    collect_ignore_glob = ["test_*.py"]
+else:
+    from services.trajectory_tool.physics.simulation import Simulation
+    from services.trajectory_tool.physics.world_model import build
+
+from services.trajectory_tool.robots.ur10 import FOLDER, ROBOT
+from services.trajectory_tool.scene import Scene, load
+
+OPENED = ROBOT.fingers[0].opened
+
+
+@pytest.fixture(scope="session")
+def scene() -> Scene:
+    return load(Path(FOLDER) / "bin_picking_physics.yaml", ROBOT)
+
+
+@pytest.fixture
+def simulation(scene: Scene) -> "Simulation":
+    """A cell with two parts beside it, and the arm over its fixture."""
+    joints = ROBOT.reach(scene.fixtures["fixture-1"].nests[0].pose.raised(-0.006), ROBOT.home)
+    world = build(ROBOT, scene, 2)
+    return Simulation(replace(world), joints, OPENED)
