@@ -94,7 +94,9 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     async def statistics(name: str, version: int | None = None) -> Response:
         """Return the statistics of all processes of a version (default: the latest), by activity."""
         record = registry.record(name, version)
-        counts = await orchestrator.read(orchestrator.store.counts, record.name, record.version)
+        counts = await orchestrator.read(
+            orchestrator.store.counts, record.name, record.version, orchestrator.clock()
+        )
         return json_response(statistics_view(record, counts))
 
     @app.get("/definitions/{name}/bpmn", tags=["definitions"])

@@ -65,7 +65,7 @@ def add_processes(app: FastAPI, at: Components) -> None:
         ],
     ) -> Response:
         """Return the number of running and ended processes since a time, and their median duration."""
-        counts = await orchestrator.read(store.counts_since, since.astimezone(UTC))
+        counts = await orchestrator.read(store.counts_since, since.astimezone(UTC), orchestrator.clock())
         return json_response(period_view(counts))
 
     @app.get("/processes/{process_id}", tags=["processes"], responses=PROCESS)

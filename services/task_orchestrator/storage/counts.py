@@ -1,20 +1,42 @@
 """Counts: how often each activity was completed or failed, and its duration.
 
-Cancelled Tasks count as neither. The duration is that of completed Tasks, from creation to end, including the
-time until a performer accepted the Task.
+Those of one process are counted from its Tasks, those of all processes come from the statistics that are
+written with each step. Cancelled Tasks count as neither. The duration is that of completed Tasks, from
+creation to end, including the time until a performer accepted the Task.
 """
 
 import statistics
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, and_, case, func, select
+from sqlalchemy import Connection, func, select
 
 from datamodels.entities import TaskStatus
 from services.task_orchestrator.records import TaskRecord
+from services.task_orchestrator.storage.open_work import open_tasks, running_processes
+from services.task_orchestrator.storage.rollups import (
+    Distribution,
+    Scope,
+    element_durations,
+    process_durations,
+)
+from services.task_orchestrator.storage.rows import as_column
 from services.task_orchestrator.storage.schema import processes, tasks
+from services.task_orchestrator.tally import (
+    WHOLE_PROCESS,
+    Counted,
+    Period,
+    Sums,
+    bin_of,
+    elapsed_ms,
+    hour_of,
+    moment_of,
+)
+
+LATEST_PROCESSES = 20
+LATEST_TASKS = 1_000
+"""The last duration of an element is looked for in so many processes, and in so many Tasks of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,86 +91,81 @@ def _count(of_element: list[TaskRecord]) -> ElementCount:
     )
 
 
-def count_version(connection: Connection, definition: str, version: int) -> VersionCount:
-    """Return the counts of all processes of a version, computed by the database."""
-    of_version = and_(processes.c.definition == definition, processes.c.version == version)
-    rows = connection.execute(
-        select(processes.c.status, func.count()).where(of_version).group_by(processes.c.status)
-    )
-    ended: dict[str, int] = {row[0]: row[1] for row in rows}
-    completed = ended.pop(TaskStatus.COMPLETED.value, 0)
-    failed = ended.pop(TaskStatus.FAILED.value, 0)
-    return VersionCount(sum(ended.values()), completed, failed, _elements(connection, of_version))
+def count_version(connection: Connection, definition: str, version: int, now: datetime) -> VersionCount:
+    """Return the counts of all processes of a version, from the statistics and the open Tasks.
 
-
-def count_period(connection: Connection, since: str) -> PeriodCount:
-    """Return the counts of processes that ended at `since` (in the format of the tables) or later."""
-    running = connection.scalar(select(func.count()).where(processes.c.ended_at.is_(None))) or 0
-    ended = connection.execute(
-        select(processes.c.status, processes.c.started_at, processes.c.ended_at).where(
-            processes.c.ended_at >= since
+    The cost depends on the number of elements and months, not on that of Tasks. A median is accurate to 9 %.
+    """
+    scope = Scope(definition, version)
+    counted = element_durations(connection, Period(0, hour_of(now) + 1), scope)
+    running = running_processes(connection, scope).get(definition, (0, 0))[0]
+    present = open_tasks(connection, scope)
+    last = _last_durations(connection, definition, version)
+    elements = {}
+    for element in sorted({*present, *(each for each, _ in counted)} - {WHOLE_PROCESS}):
+        completed = counted.get((element, Counted.COMPLETED), Distribution())
+        elements[element] = ElementCount(
+            running=present[element].total if element in present else 0,
+            completed=completed.total.counted,
+            failed=counted.get((element, Counted.FAILED), Distribution()).total.counted,
+            last_ms=last.get(element),
+            median_ms=completed.percentile_ms(0.5),
         )
-    ).all()
-    times = [
-        (datetime.fromisoformat(row.ended_at) - datetime.fromisoformat(row.started_at)).total_seconds() * 1000
-        for row in ended
-        if row.status == TaskStatus.COMPLETED.value
-    ]
-    failed = sum(row.status == TaskStatus.FAILED.value for row in ended)
-    return PeriodCount(running, len(times), failed, round(statistics.median(times)) if times else None)
-
-
-def _elements(connection: Connection, of_version: ColumnElement[bool]) -> dict[str, ElementCount]:
-    ours = tasks.join(processes, processes.c.id == tasks.c.process)
-    completed = tasks.c.status == TaskStatus.COMPLETED.value
-    failed = tasks.c.status == TaskStatus.FAILED.value
-    kept = tasks.c.cancelled_at.is_(None)
-    counts = (
-        select(
-            tasks.c.element,
-            _count_if(and_(~completed, ~failed, kept)).label("running"),
-            _count_if(completed).label("completed"),
-            _count_if(and_(failed, kept)).label("failed"),
-        )
-        .select_from(ours)
-        .where(of_version)
-        .group_by(tasks.c.element)
-    )
-    ranked = (
-        select(
-            tasks.c.element,
-            tasks.c.took_ms,
-            func.count().over(partition_by=tasks.c.element).label("times"),
-            _row_number(tasks.c.took_ms, tasks.c.id).label("place"),
-            _row_number(tasks.c.ended_at.desc(), tasks.c.id.desc()).label("since"),
-        )
-        .select_from(ours)
-        .where(of_version, completed, tasks.c.took_ms.is_not(None))
-        .subquery()
-    )
-    in_the_middle = (2 * ranked.c.place).between(ranked.c.times, ranked.c.times + 2)
-    times = select(
-        ranked.c.element,
-        func.avg(case((in_the_middle, ranked.c.took_ms))).label("median_ms"),
-        func.max(case((ranked.c.since == 1, ranked.c.took_ms))).label("last_ms"),
-    ).group_by(ranked.c.element)
-    took: dict[str, Any] = {row.element: row for row in connection.execute(times)}
-    return {
-        row.element: ElementCount(
-            running=row.running,
-            completed=row.completed,
-            failed=row.failed,
-            last_ms=took[row.element].last_ms if row.element in took else None,
-            median_ms=round(took[row.element].median_ms) if row.element in took else None,
-        )
-        for row in connection.execute(counts)
+    ended = {
+        result: counted.get((WHOLE_PROCESS, result), Distribution()).total.counted
+        for result in (Counted.COMPLETED, Counted.FAILED)
     }
+    return VersionCount(running, ended[Counted.COMPLETED], ended[Counted.FAILED], elements)
 
 
-def _row_number(*order: ColumnElement[Any]) -> ColumnElement[int]:
-    """Return the row number of a Task among those of its activity, from 1."""
-    return func.row_number().over(partition_by=tasks.c.element, order_by=order)
+def count_period(connection: Connection, since: datetime, now: datetime) -> PeriodCount:
+    """Return the counts of processes that ended at `since` or later.
+
+    The rest of the hour of `since` is read from the processes, the hours after it from the statistics.
+    """
+    running = connection.scalar(select(func.count()).where(processes.c.ended_at.is_(None))) or 0
+    first = hour_of(since) if moment_of(hour_of(since)) == since else hour_of(since) + 1
+    completed: dict[int, Sums] = {}
+    failed = 0
+    before = connection.execute(
+        select(processes.c.status, processes.c.started_at, processes.c.ended_at).where(
+            processes.c.ended_at >= as_column(since), processes.c.ended_at < as_column(moment_of(first))
+        )
+    )
+    for status, started_at, ended_at in before:
+        if status == TaskStatus.FAILED.value:
+            failed += 1
+        elif status == TaskStatus.COMPLETED.value:
+            took_ms = elapsed_ms(datetime.fromisoformat(started_at), datetime.fromisoformat(ended_at))
+            completed.setdefault(bin_of(took_ms), Sums()).add(Sums(1, took_ms))
+    counted = process_durations(connection, Period(first, max(hour_of(now), first) + 1), Scope())
+    for (_, result), distribution in counted.items():
+        if result is Counted.FAILED:
+            failed += distribution.total.counted
+        elif result is Counted.COMPLETED:
+            for sums in distribution.bins:
+                completed.setdefault(bin_of(sums.duration_ms // sums.counted), Sums()).add(sums)
+    durations = Distribution(tuple(completed[each] for each in sorted(completed)))
+    return PeriodCount(running, durations.total.counted, failed, durations.percentile_ms(0.5))
 
 
-def _count_if(condition: ColumnElement[bool]) -> ColumnElement[int]:
-    return func.sum(case((condition, 1), else_=0))
+def _last_durations(connection: Connection, definition: str, version: int) -> dict[str, int]:
+    """Return the duration of the last completed Task of each element in the latest processes."""
+    latest = (
+        select(processes.c.id)
+        .where(processes.c.definition == definition, processes.c.version == version)
+        .order_by(processes.c.started_at.desc(), processes.c.id.desc())
+        .limit(LATEST_PROCESSES)
+    )
+    found: dict[str, int] = {}
+    ids = [row.id for row in connection.execute(latest)]
+    statement = (
+        select(tasks.c.element, tasks.c.took_ms)
+        .where(tasks.c.process.in_(ids), tasks.c.status == TaskStatus.COMPLETED.value)
+        .order_by(tasks.c.ended_at.desc(), tasks.c.id.desc())
+        .limit(LATEST_TASKS)
+    )
+    for element, took_ms in connection.execute(statement):
+        if took_ms is not None:
+            found.setdefault(element, took_ms)
+    return found

@@ -26,6 +26,11 @@ class OpenTasks:
     working: int = 0
     paused: int = 0
 
+    @property
+    def total(self) -> int:
+        """Return the number of all."""
+        return self.waiting + self.working + self.paused
+
 
 @dataclass(slots=True)
 class Cause:

@@ -289,15 +289,15 @@ class Store:
         rows = list(self._rows(select(schema.processes).where(schema.processes.c.key == key)))
         return to_process(rows[0]) if rows else None
 
-    def counts(self, definition: str, version: int) -> VersionCount:
+    def counts(self, definition: str, version: int, now: datetime) -> VersionCount:
         """Return the statistics of a version of a definition."""
         with self._engine.connect() as connection:
-            return count_version(connection, definition, version)
+            return count_version(connection, definition, version, now)
 
-    def counts_since(self, since: datetime) -> PeriodCount:
+    def counts_since(self, since: datetime, now: datetime) -> PeriodCount:
         """Return the statistics of the processes that ended at `since` or later."""
         with self._engine.connect() as connection:
-            return count_period(connection, as_column(since))
+            return count_period(connection, since, now)
 
     def tasks(self, process: str) -> list[TaskRecord]:
         """Return the Tasks of a process in the order of their creation."""

@@ -12,9 +12,15 @@ from sqlalchemy import delete
 
 from datamodels.entities import TaskStatus
 from handover.database import connect
+from services.task_orchestrator.process.tally import count_end, count_start, count_task
 from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
 from services.task_orchestrator.storage import schema
-from services.task_orchestrator.storage.counts import ElementCount, VersionCount, count_elements
+from services.task_orchestrator.storage.counts import (
+    ElementCount,
+    PeriodCount,
+    VersionCount,
+    count_elements,
+)
 from services.task_orchestrator.storage.store import Store
 from tests.unit.task_orchestrator.drawing import NOW
 
@@ -97,39 +103,77 @@ TASKS = st.lists(
 )
 
 
+def write(store: Store, processes: list[ProcessRecord], listed: list[TaskRecord]) -> None:
+    """Write processes and their Tasks as a step does that has brought them to their states."""
+    with store._engine.begin() as connection:
+        for table in (schema.tasks, schema.processes, schema.statistics):
+            connection.execute(delete(table))
+    step = Step(1, tasks={each.id: each for each in listed})
+    step.processes = {each.id: each for each in processes}
+    step.new = {*step.tasks, *step.processes}
+    for process in processes:
+        count_start(step, process)
+        if process.ended_at is not None:
+            count_end(step, process)
+    for each in listed:
+        count_task(step, step.processes[each.process], each)
+    store.write(step)
+
+
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(drawn=TASKS)
-def test_the_database_counts_as_we_do(store: Store, drawn: list[dict[str, Any]]) -> None:
-    engine = store._engine
-    with engine.begin() as connection:
-        for table in (schema.tasks, schema.processes):
-            connection.execute(delete(table))
+def test_the_statistics_count_as_the_tasks_do(store: Store, drawn: list[dict[str, Any]]) -> None:
     listed = [task(n, **values) for n, values in enumerate(drawn)]
-    step = Step(1, tasks={each.id: each for each in listed}, new={each.id for each in listed})
-    for name in ("p-0", "p-1"):
-        step.processes[name] = replace(PROCESS, id=name)
-        step.new.add(name)
-    store.write(step)
-    assert store.counts("p", 2) == VersionCount(2, 0, 0, count_elements(listed))
+    write(store, [replace(PROCESS, id=name) for name in ("p-0", "p-1")], listed)
+    found = store.counts("p", 2, NOW + timedelta(minutes=1))
+    assert (found.running, found.completed, found.failed) == (2, 0, 0)
+    for element, expected in count_elements(listed).items():
+        counted = found.elements.get(element, ElementCount())
+        assert replace(counted, median_ms=None) == replace(expected, median_ms=None)
+        assert (counted.median_ms is None) is (expected.median_ms is None)
+        times = sorted(each.took_ms or 0 for each in listed if each.element == element and is_completed(each))
+        if times:
+            middle = times[-(-len(times) // 2) - 1]
+            assert counted.median_ms == pytest.approx(middle, rel=0.0906, abs=1)
+
+
+def is_completed(each: TaskRecord) -> bool:
+    return each.status is TaskStatus.COMPLETED
 
 
 def test_other_versions_and_definitions_are_not_counted(store: Store) -> None:
-    with store._engine.begin() as connection:
-        for table in (schema.tasks, schema.processes):
-            connection.execute(delete(table))
     others = [
         PROCESS,
-        replace(PROCESS, id="p-1", status=TaskStatus.COMPLETED),
-        replace(PROCESS, id="p-2", status=TaskStatus.FAILED),
+        replace(PROCESS, id="p-1", status=TaskStatus.COMPLETED, ended_at=NOW),
+        replace(PROCESS, id="p-2", status=TaskStatus.FAILED, ended_at=NOW),
         replace(PROCESS, id="p-3", version=1),
         replace(PROCESS, id="q-1", definition="q"),
     ]
-    listed = [task(1, "scan", "completed", 5, process=other.id) for other in others]
-    step = Step(1, processes={other.id: other for other in others})
-    step.tasks = {each.id: each for each in listed}
-    step.new = {*step.tasks, *step.processes}
-    store.write(step)
-    counts = store.counts("p", 2)
+    write(store, others, [task(1, "scan", "completed", 5, process=other.id) for other in others])
+    counts = store.counts("p", 2, NOW)
     assert (counts.running, counts.completed, counts.failed) == (1, 1, 1)
     assert counts.elements == {"scan": ElementCount(completed=3, last_ms=5, median_ms=5)}
-    assert store.counts("p", 7) == VersionCount(0, 0, 0, {})
+    assert store.counts("p", 7, NOW) == VersionCount(0, 0, 0, {})
+
+
+def test_the_counts_of_a_period_begin_at_its_minute(store: Store) -> None:
+    begun = NOW.replace(minute=20)
+    ended = [
+        replace(PROCESS, id=f"ended-{minutes}", status=status, started_at=begun, ended_at=at)
+        for minutes, status in (
+            (0, TaskStatus.COMPLETED),
+            (10, TaskStatus.COMPLETED),
+            (11, TaskStatus.FAILED),
+            (60, TaskStatus.COMPLETED),
+            (300, TaskStatus.COMPLETED),
+            (301, TaskStatus.FAILED),
+        )
+        for at in [begun + timedelta(minutes=minutes)]
+    ]
+    write(store, [PROCESS, *ended], [])
+    now = begun + timedelta(minutes=400)
+    counts = store.counts_since(begun + timedelta(minutes=5), now)
+    assert (counts.running, counts.completed, counts.failed) == (1, 3, 2)
+    assert counts.median_ms == 60 * 60_000
+    assert store.counts_since(NOW.replace(minute=0), now).completed == 4
+    assert store.counts_since(NOW.replace(year=2999), now) == PeriodCount(1, 0, 0, None)
