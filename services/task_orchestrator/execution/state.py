@@ -289,7 +289,7 @@ class State:
             raise NotStorable(
                 message(
                     "process.variables_too_large",
-                    "the process variables take more than {limit} bytes",
+                    "the variables and tokens of the process take more than {limit} bytes",
                     limit=MAX_SNAPSHOT_BYTES,
                 )
             )

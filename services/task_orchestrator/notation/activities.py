@@ -205,7 +205,8 @@ def _number(given: str, context: Context) -> Value:
 def _item_name(element: etree._Element, item: etree._Element | None, context: Context) -> str | None:
     if item is None:
         return None
-    name = item.get("name") or item.get("id") or ""
+    drawn = item.get("name") or ""
+    name = drawn if is_variable_name(drawn) else item.get("id") or drawn
     if not is_variable_name(name):
         context.found.fault(
             element,

@@ -9,7 +9,13 @@ from services.task_orchestrator.notation.dialects.choice import Dialects
 from services.task_orchestrator.notation.document import local
 from services.task_orchestrator.notation.elements import Collaboration, Declarations
 from services.task_orchestrator.notation.faults import Findings
-from services.task_orchestrator.notation.names import MAX_NODE_ID, is_node_id, is_process_id, variable_of
+from services.task_orchestrator.notation.names import (
+    MAX_NODE_ID,
+    is_foreign_id,
+    is_node_id,
+    is_process_id,
+    variable_of,
+)
 
 
 @dataclass
@@ -40,7 +46,7 @@ class Context:
         """Return the id of an element; report it if it is invalid or used twice."""
         found = element.get("id") or ""
         if local(element) == "process" and not (
-            is_process_id(found) or (is_node_id(found) and not self.dialects.is_ours)
+            is_process_id(found) or (is_foreign_id(found) and not self.dialects.is_ours)
         ):
             self.found.fault(
                 element,
@@ -49,7 +55,7 @@ class Context:
                     "a process needs an id of A-Z, a-z, 0-9, - _ . (at most 64 characters)",
                 ),
             )
-        elif not is_node_id(found):
+        elif not is_node_id(found) and (self.dialects.is_ours or not is_foreign_id(found)):
             self.found.fault(
                 element,
                 message(

@@ -13,6 +13,7 @@ MAX_VARIABLE = 90
 
 _PROCESS_ID = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,63}", re.ASCII)
 _NODE_ID = re.compile(rf"[^\W\d][\w.\-·]{{0,{MAX_NODE_ID - 1}}}")
+_FOREIGN_ID = re.compile(rf"[\w{{}}$][\w.\-·{{}}$]{{0,{MAX_NODE_ID - 1}}}")
 _DEFINITION = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
 _GENERATED_ID = re.compile(
     r"(?:[A-Z][A-Za-z]*_(?:[0-9a-z]{7}|\d+)|_?[0-9A-Fa-f]{8}-[0-9A-Fa-f-]{27}|(?:sid|id|_)-?[0-9A-Fa-f-]{16,})",
@@ -37,6 +38,11 @@ def process_name(id_: str) -> str:
 def is_node_id(text: str) -> bool:
     """Return whether a text can be the id of another element: a name of XML, of `MAX_NODE_ID` characters."""
     return _NODE_ID.fullmatch(text) is not None
+
+
+def is_foreign_id(text: str) -> bool:
+    """Return whether a text can be an id that a drawing tool makes; UUIDs are no names of XML."""
+    return _FOREIGN_ID.fullmatch(text) is not None
 
 
 def variable_of(element: str) -> str:

@@ -290,6 +290,11 @@ def _script_task(element: etree._Element, node: Node, context: Context) -> Node:
 
 def _message_task(element: etree._Element, node: Node, context: Context) -> Node:
     if flag(element, "instantiate", default=False):
+        if not _has_incoming(element):  # the same as a start event
+            event = read_message(
+                element, context.dialects.of(element).occurrence(element, None, context.found), context
+            )
+            return replace(node, kind=Kind.START_EVENT, event=event)
         refuse(
             element,
             "a receiveTask that starts the process",
@@ -308,6 +313,12 @@ def _message_task(element: etree._Element, node: Node, context: Context) -> Node
     dialect = context.dialects.of(element)
     occurrence = dialect.occurrence(element, None, context.found)
     return replace(node, event=read_message(element, occurrence, context))
+
+
+def _has_incoming(element: etree._Element) -> bool:
+    parent = element.getparent()
+    flows = () if parent is None else children(parent, "sequenceFlow")
+    return any(referenced(flow.get("targetRef") or "") == element.get("id") for flow in flows)
 
 
 def _subprocess(element: etree._Element, node: Node, context: Context, depth: int) -> Node:

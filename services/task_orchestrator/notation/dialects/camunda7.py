@@ -13,9 +13,15 @@ from lxml import etree
 
 from handover.messages import message
 from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import MAX_NUMBER, Expression, ExpressionError, Json
+from services.task_orchestrator.languages.base import (
+    MAX_NUMBER,
+    Expression,
+    ExpressionError,
+    Json,
+    within_limits,
+)
 from services.task_orchestrator.languages.juel import read_juel, read_template
-from services.task_orchestrator.languages.native_grammar import is_name
+from services.task_orchestrator.languages.native_grammar import is_name, is_variable_name
 from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, Value
 from services.task_orchestrator.notation.dialects.base import (
     Items,
@@ -79,6 +85,7 @@ _READ = frozenset(
     {
         *("inputOutput", "formData", "in", "out", "failedJobRetryTimeCycle", "properties", "connector"),
         *("potentialStarter", "executionListener", "taskListener", "formProperty", "field"),
+        *("collection", "variableAggregation", "value"),
     }
 )
 _FORM_TYPES: Mapping[str, Mapping[str, Json]] = {
@@ -330,12 +337,53 @@ class Camunda7:
         collection, variable = attributes.get("collection"), attributes.get("elementVariable")
         if variable is not None and not is_name(variable):
             found.fault(loop, f'elementVariable="{variable}" cannot be the name of a variable')
+        output = self._aggregated(loop, found)
         return Items(
-            None
+            self._collection_of(loop, found)
             if not collection
             else attempt(loop, lambda: self.collection(collection.strip()), None, found),
             variable,
+            *output,
         )
+
+    def _collection_of(self, loop: etree._Element, found: Findings) -> Value | None:
+        """Return the collection of an extension of Flowable: a JSON list, an expression or a variable."""
+        part = next(_children(loop, "collection"), None)
+        if part is None:
+            return None
+        given = text(part) or _child_text(part, "string") or _child_text(part, "expression")
+        if not given:
+            return None
+        if given.startswith("["):
+            return attempt(loop, lambda: Value(_json_list(given)), None, found)
+        return attempt(loop, lambda: self.collection(given), None, found)
+
+    def _aggregated(self, loop: etree._Element, found: Findings) -> tuple[str | None, Value | None]:
+        """Return the list that aggregates variables of the instances in Flowable, and what an item holds."""
+        for aggregation in _children(loop, "variableAggregation"):
+            target = aggregation.get("target") or ""
+            if not is_name(target):
+                warn_without_effect(aggregation, found, "flowable:variableAggregation")
+                continue
+            members: dict[str, Value] = {}
+            for part in aggregation.iterchildren("{*}variable"):
+                name = part.get("target") or part.get("source") or ""
+                value = self._aggregated_value(part)
+                if value is None:
+                    warn_without_effect(part, found, f'the variable "{name[:64]}" of a variableAggregation')
+                elif name:
+                    members[name] = value
+            return target, composed("variableAggregation", members)
+        return None, None
+
+    def _aggregated_value(self, part: etree._Element) -> Value | None:
+        source = part.get("source") or ""
+        try:
+            if source and is_variable_name(source):
+                return Value(expression=read_juel(f"${{vars:get({source})}}"))
+            return self.value(part.get("sourceExpression") or part.get("targetExpression") or "")
+        except ExpressionError:
+            return None
 
     def script(self, element: etree._Element, found: Findings) -> Script:
         """Return a script of JUEL or of our language; any other is work for somebody."""
@@ -477,6 +525,14 @@ def _set_variables(format_: str, source: str) -> tuple[Assignment, ...]:
     return (set_variables(source) or ()) if format_.lower() in JAVA_LIKE else ()
 
 
+def _json_list(given: str) -> Json:
+    try:
+        found = json.loads(given, parse_constant=lambda _: None)
+    except (ValueError, RecursionError):
+        raise ValueError("the collection is no JSON list") from None
+    return within_limits(found)
+
+
 def _has_expression(text: str) -> bool:
     return "${" in text or "#{" in text
 
@@ -485,6 +541,10 @@ def _ours(element: etree._Element) -> Iterator[etree._Element]:
     for extension in extensions(element):
         if namespace(extension) in NAMESPACES:
             yield extension
+
+
+def _children(element: etree._Element, name: str) -> Iterator[etree._Element]:
+    return (each for each in _ours(element) if local(each) == name)
 
 
 def _named(element: etree._Element, name: str) -> Iterator[etree._Element]:

@@ -628,3 +628,48 @@ def test_a_date_without_a_time_is_midnight_in_utc() -> None:
     assert isinstance(found, TimerEvent)
     assert found.value.literal == "2026-05-01T00:00:00Z"
     assert "is read as UTC" in warnings(body)[0]
+
+
+def _flowable_loop(extension: str) -> MultiInstance:
+    loop = (
+        '<bpmn:multiInstanceLoopCharacteristics camunda:elementVariable="item">'
+        f"<bpmn:extensionElements>{extension}</bpmn:extensionElements></bpmn:multiInstanceLoopCharacteristics>"
+    )
+    found = node(f'<bpmn:userTask id="x">{loop}</bpmn:userTask>').loop
+    assert isinstance(found, MultiInstance)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("collection", "items"),
+    [
+        ('<camunda:string>[{"n": 1}, {"n": 2}]</camunda:string>', [{"n": 1}, {"n": 2}]),
+        ("<camunda:expression>${people}</camunda:expression>", ["a"]),
+        ("people", ["a"]),
+    ],
+)
+def test_the_collection_of_a_loop_may_be_an_element(collection: str, items: list[object]) -> None:
+    found = _flowable_loop(f"<camunda:collection>{collection}</camunda:collection>")
+    assert found.collection is not None
+    assert found.collection.value({"people": ["a"]}) == items
+
+
+def test_a_collection_that_is_no_json_is_one_fault() -> None:
+    loop = (
+        "<bpmn:multiInstanceLoopCharacteristics><bpmn:extensionElements><camunda:collection>[1,"
+        "</camunda:collection></bpmn:extensionElements></bpmn:multiInstanceLoopCharacteristics>"
+    )
+    (fault,) = faults(between(f'<bpmn:userTask id="x">{loop}</bpmn:userTask>'))
+    assert "the collection is no JSON list" in fault
+
+
+def test_variables_of_a_loop_may_be_aggregated() -> None:
+    found = _flowable_loop(
+        "<camunda:collection>[1]</camunda:collection>"
+        '<camunda:variableAggregation target="reviews"><variable source="good"/>'
+        '<variable source="note" target="n"/><variable sourceExpression="${good ? 1 : 0}" target="score"/>'
+        '<variable sourceExpression="${bean.call(x)}" target="other"/></camunda:variableAggregation>'
+    )
+    assert found.output_collection == "reviews"
+    assert found.output_item is not None
+    assert found.output_item.value({"good": True}) == {"good": True, "n": None, "score": 1}

@@ -2,12 +2,14 @@
 
 import pytest
 
+from services.task_orchestrator.model import Kind, MessageEvent, MultiInstance
 from services.task_orchestrator.notation.dialects.camunda7 import Camunda7
 from services.task_orchestrator.notation.dialects.choice import Dialects
 from services.task_orchestrator.notation.dialects.handover import Handover
 from services.task_orchestrator.notation.dialects.jbpm import Jbpm
 from services.task_orchestrator.notation.dialects.zeebe import Zeebe
 from services.task_orchestrator.notation.document import parse
+from services.task_orchestrator.notation.faults import BadBpmn
 from services.task_orchestrator.notation.file import read_bpmn
 from tests.unit.task_orchestrator.drawing import activity, end, flow, gateway, path, start
 from tests.unit.task_orchestrator.notation.reading import between, extended, faults, file, read, warnings
@@ -157,3 +159,33 @@ def test_a_condition_in_a_uri_of_feel_is_feel() -> None:
     found = read(body + condition).scope.flows["g_f"].condition
     assert found is not None
     assert found.value({"word": "a"}) is True
+
+
+def test_ids_of_a_file_of_no_dialect_may_be_those_of_drawing_tools() -> None:
+    ids = ("1-start", "0b6c1b9e-8a4b-4c33-9d8a-1a2b3c4d5e6f", "{A4-1}")
+    body = "".join(f'<bpmn:task id="{id_}"/>' for id_ in ids) + path(*ids)
+    (found,) = read_bpmn(_declaring(body, "")).definitions
+    assert set(found.scope.nodes) == set(ids)
+    with pytest.raises(BadBpmn, match="an id of letters, digits"):
+        read_bpmn(_declaring('<bpmn:task id="a b"/>', ""))
+    with pytest.raises(BadBpmn, match='"Check": task needs an id'):
+        read_bpmn(_declaring('<bpmn:task name="Check"/>', ""))
+
+
+def test_a_receive_task_that_starts_a_process_is_a_start_event() -> None:
+    receive = '<bpmn:receiveTask id="x" name="Order" instantiate="true"/>'
+    (found,) = read_bpmn(_declaring(receive + end() + path("x", "end"), "")).definitions
+    started = found.scope.nodes["x"]
+    assert started.kind is Kind.START_EVENT
+    assert isinstance(started.event, MessageEvent)
+    assert started.event.name.literal == "Order"
+
+
+def test_an_item_whose_name_is_no_variable_is_called_like_its_id() -> None:
+    loop = (
+        "<bpmn:multiInstanceLoopCharacteristics><bpmn:loopDataInputRef>list</bpmn:loopDataInputRef>"
+        '<bpmn:inputDataItem id="item_1" name="the item"/></bpmn:multiInstanceLoopCharacteristics>'
+    )
+    found = read(between(f'<bpmn:task id="x">{loop}</bpmn:task>')).scope.nodes["x"].loop
+    assert isinstance(found, MultiInstance)
+    assert found.item_variable == "item_1"
