@@ -33,6 +33,7 @@ DRIVERS = ExtensionPoint(
         "simulated": "services.trajectory_tool.simulated_robot:SimulatedRobot.from_context",
         "physics": "services.trajectory_tool.physics.robot:PhysicsRobot.from_context",
         "ros": "services.trajectory_tool.ros_robot:RosRobot.from_context",
+        "ur": "services.trajectory_tool.universal_robots.driver:UniversalRobot.from_context",
     },
 )
 

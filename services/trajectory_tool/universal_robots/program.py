@@ -1,13 +1,15 @@
 """The URScript program that runs on the controller while the tool moves the arm.
 
 Each cycle it reads a heartbeat, a mode and a joint position from RTDE input registers. In mode SERVO it calls
-`servoj`, otherwise it stops the joints and waits. Two watchdogs stop the arm without the tool:
+`servoj`, otherwise it stops the joints and waits. In a cycle without a new heartbeat it continues the last
+step of the target, a little shorter each time, so that late packages cause no jerk. Two watchdogs stop the
+arm without the tool:
 
 - the program counts cycles without a new heartbeat, stops the joints with `stopj` and ends;
 - `rtde_set_watchdog` ends the program when the registers are not written at all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from services.trajectory_tool.universal_robots.states import (
@@ -21,6 +23,8 @@ from services.trajectory_tool.universal_robots.states import (
 )
 
 JOINTS = 6
+STEP_DECAY = 0.97
+"""A step without a heartbeat is so much shorter than the one before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +52,11 @@ def program(given: ProgramParameters) -> str:
     """Return the text of the program, for the script interface of the controller."""
     missed = max(round(given.watchdog_s / given.cycle_s), 2)
     min_hz = 1.0 / (3 * given.watchdog_s)
-    registers = ", ".join(f"read_input_float_register({TARGET_REGISTER + n})" for n in range(JOINTS))
+    received = _list(f"read_input_float_register({TARGET_REGISTER + n})" for n in range(JOINTS))
+    zeros = _list("0.0" for _ in range(JOINTS))
+    difference = _list(f"received_target[{n}] - target[{n}]" for n in range(JOINTS))
+    shorter = _list(f"{STEP_DECAY} * step[{n}]" for n in range(JOINTS))
+    continued = _list(f"target[{n}] + step[{n}]" for n in range(JOINTS))
     stop = f"stopj({given.stop_rad_s2:.3f})"
     servo = f"servoj(target, 0, 0, {given.cycle_s:.6f}, {given.lookahead_s:.3f}, {given.gain:.0f})"
     lines = [
@@ -71,7 +79,18 @@ def program(given: ProgramParameters) -> str:
         "    end",
         f"    mode = read_input_integer_register({MODE_REGISTER})",
         f"    if mode == {Mode.SERVO:d}:",
-        f"      target = [{registers}]",
+        "      if moving and missed > 0:",
+        f"        step = {shorter}",
+        f"        target = {continued}",
+        "      else:",
+        f"        received_target = {received}",
+        "        if moving:",
+        f"          step = {difference}",
+        "        else:",
+        f"          step = {zeros}",
+        "        end",
+        "        target = received_target",
+        "      end",
         "      if not moving:",
         f"        write_output_integer_register({PROGRAM_STATE_REGISTER}, {ProgramState.SERVOING:d})",
         "        moving = True",
@@ -95,6 +114,10 @@ def program(given: ProgramParameters) -> str:
         "end",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _list(elements: Iterable[str]) -> str:
+    return f"[{', '.join(elements)}]"
 
 
 def _payload_lines(payload: Payload | None) -> Sequence[str]:

@@ -64,6 +64,7 @@ class RtdeServer:
         """Outputs are sent so much later than they were measured."""
         self.refuses = False
         """Connections are closed at once, as while a controller restarts."""
+        self._received = asyncio.Event()
         controller.on_cycle.append(self._send_outputs)
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -78,14 +79,24 @@ class RtdeServer:
             while received := await reader.read(65_536):
                 for each in packages.feed(received):
                     session.receive(each.kind, each.payload)
+                self._received.set()
                 await writer.drain()
         except (ProtocolError, ConnectionError) as error:
             log.info("RTDE client dropped", error=str(error))
         finally:
             self._sessions.discard(session)
+            self._received.set()
             for name in [name for name, owner in self._owners.items() if owner is session]:
                 del self._owners[name]
             writer.close()
+
+    async def await_inputs(self, timeout_s: float) -> None:
+        """Wait until a client that gets outputs has answered the last ones with inputs."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                while any(session.awaits_inputs for session in self._sessions):
+                    self._received.clear()
+                    await self._received.wait()
 
     def drop_clients(self) -> None:
         """Close all connections, as a network fault does."""
@@ -119,7 +130,9 @@ class _Session:
         self._inputs: dict[int, Recipe] = {}
         self._every = 1
         self._cycle = 0
-        self._started = False
+        self._started = self._has_sent_inputs = False
+        self.awaits_inputs = False
+        """Whether outputs were sent after the last inputs, to a client that has sent inputs before."""
 
     def send(self, encoded: bytes) -> None:
         """Send a package, unless the client reads too slowly."""
@@ -133,6 +146,7 @@ class _Session:
         if not self._started or self._outputs is None or self._cycle % self._every:
             return None
         known = {**_OUTPUTS, **_REGISTER_OUTPUTS}
+        self.awaits_inputs = self._has_sent_inputs
         return self._outputs.encode({name: known[name][1](self._controller) for name in self._outputs.names})
 
     def receive(self, kind: int, payload: bytes) -> None:
@@ -188,6 +202,7 @@ class _Session:
         return bytes((recipe_id,)) + ",".join(types).encode()
 
     def _write_inputs(self, payload: bytes) -> None:
+        self.awaits_inputs, self._has_sent_inputs = False, True
         recipe = self._inputs.get(payload[0] if payload else 0)
         if recipe is None:
             raise ProtocolError("a data package has an unknown recipe")

@@ -1,0 +1,79 @@
+"""Why an arm cannot move, and the remedy, for each state of its controller."""
+
+from handover.messages import Message, message
+from services.trajectory_tool.universal_robots.shared_memory import Report
+from services.trajectory_tool.universal_robots.states import (
+    MAY_MOVE,
+    RobotMode,
+    SafetyStatus,
+    robot_mode,
+    safety_status,
+)
+
+MAX_REPORT_AGE_S = 0.5
+MIN_SPEED_FRACTION = 0.01
+_EMERGENCY_STOPS = frozenset({SafetyStatus.SYSTEM_EMERGENCY_STOP, SafetyStatus.ROBOT_EMERGENCY_STOP})
+_SAFEGUARD_STOPS = frozenset({SafetyStatus.SAFEGUARD_STOP, SafetyStatus.AUTOMATIC_MODE_SAFEGUARD_STOP})
+
+
+def fault_of(report: Report, now_s: float, host: str) -> Message | None:
+    """Return why the arm cannot move; None if it can. `now_s` is on the monotonic clock."""
+    if not report.is_connected or now_s - report.stamp_s > MAX_REPORT_AGE_S:
+        return message(
+            "robot.ur_unreachable",
+            "the controller {host} is not connected: {reason}; check its power, the network and the "
+            "setting host",
+            host=host,
+            reason=report.reason or f"its last report is {now_s - report.stamp_s:.1f} s old",
+        )
+    return _safety_fault(safety_status(report.safety_status)) or _mode_fault(report)
+
+
+def _safety_fault(status: SafetyStatus) -> Message | None:
+    if status in MAY_MOVE:
+        return None
+    if status is SafetyStatus.PROTECTIVE_STOP:
+        return message(
+            "robot.ur_protective_stop",
+            "the arm is in a protective stop; remove the cause, then unlock the arm at the teach pendant",
+        )
+    if status in _EMERGENCY_STOPS:
+        return message(
+            "robot.ur_emergency_stop",
+            "an emergency stop is active ({state}); release its button when the cell is safe, then power on "
+            "the arm at the teach pendant",
+            state=status.name,
+        )
+    if status in _SAFEGUARD_STOPS:
+        return message(
+            "robot.ur_safeguard_stop",
+            "a safeguard stop is active ({state}); leave the safeguarded space and reset the safeguard",
+            state=status.name,
+        )
+    return message(
+        "robot.ur_safety_state",
+        "the safety system of the controller reports {state}; follow the instructions on the teach pendant",
+        state=status.name,
+    )
+
+
+def _mode_fault(report: Report) -> Message | None:
+    mode = robot_mode(report.robot_mode)
+    if mode is RobotMode.RUNNING:
+        return None
+    if mode is RobotMode.IDLE:
+        return message(
+            "robot.ur_brakes_closed",
+            "the brakes of the arm are closed; release them at the teach pendant or with POST "
+            "…/controller/brake-release",
+        )
+    if mode is RobotMode.POWER_OFF:
+        return message(
+            "robot.ur_powered_off",
+            "the arm is powered off; power it on at the teach pendant or with POST …/controller/power-on",
+        )
+    return message(
+        "robot.ur_mode",
+        "the arm is in the mode {mode}; bring it to RUNNING at the teach pendant",
+        mode=mode.name,
+    )

@@ -1,0 +1,73 @@
+"""Routes of one controller: its state, and what a person may request of it. No route ends a safety stop."""
+
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
+
+from fastapi import FastAPI
+
+from handover.errors import Problem
+from handover.messages import text_of
+from services.trajectory_tool.universal_robots.dashboard import Dashboard, DashboardError
+from services.trajectory_tool.universal_robots.faults import fault_of
+from services.trajectory_tool.universal_robots.shared_memory import Report
+from services.trajectory_tool.universal_robots.states import RuntimeState, robot_mode, safety_status
+
+T = TypeVar("T")
+
+ControllerView = dict[str, Any]
+
+
+def view_of(report: Report) -> ControllerView:
+    """Return the state of the controller as JSON."""
+    fault = fault_of(report, time.monotonic(), "")
+    return {
+        "connected": report.is_connected,
+        "reason": report.reason or None,
+        "robotMode": robot_mode(report.robot_mode).name,
+        "safetyStatus": safety_status(report.safety_status).name,
+        "programState": RuntimeState(report.runtime_state).name if report.runtime_state <= 5 else "UNKNOWN",
+        "speedSlider": round(report.speed_slider, 4),
+        "speedFraction": round(report.speed_fraction, 4),
+        "frequencyHz": report.frequency_hz,
+        "skippedCycles": report.skipped_cycles,
+        "connections": report.connections,
+        "fault": None if fault is None else str(fault),
+    }
+
+
+def add_routes(app: FastAPI, robot: str, dashboard: Dashboard, report: Callable[[], Report]) -> None:
+    """Add the routes of the controller of `robot`."""
+    path = f"/robots/{robot}/controller"
+
+    @app.get(path, tags=["controllers"], name=f"controller of {robot}")
+    async def state() -> ControllerView:
+        """Return connection, robot mode, safety status and speed slider of the controller.
+
+        They are read, not assessed: the safety functions are those of the controller.
+        """
+        return view_of(report())
+
+    @app.get(f"{path}/identity", tags=["controllers"], name=f"identity of {robot}")
+    async def identity() -> dict[str, str]:
+        """Return model, serial number and software version; 502 when the dashboard server does not answer."""
+        return await _answered(dashboard.describe())
+
+    @app.post(f"{path}/power-on", tags=["controllers"], name=f"power on {robot}")
+    async def power_on() -> ControllerView:
+        """Power the arm, at the request of a person; the brakes stay closed. 502 when it is rejected."""
+        await _answered(dashboard.power_on())
+        return view_of(report())
+
+    @app.post(f"{path}/brake-release", tags=["controllers"], name=f"release the brakes of {robot}")
+    async def brake_release() -> ControllerView:
+        """Release the brakes, at the request of a person who sees the arm; it may move a little."""
+        await _answered(dashboard.release_brakes())
+        return view_of(report())
+
+
+async def _answered(asked: Awaitable[T]) -> T:
+    try:
+        return await asked
+    except DashboardError as error:
+        raise Problem(502, "Controller", text_of(error)) from None

@@ -1,0 +1,85 @@
+"""Joint targets for every cycle of the controller, from setpoints that arrive irregularly.
+
+A setpoint is extrapolated for a short time. The tracker follows it exactly while the change of velocity is
+within the acceleration limit. Otherwise, after a gap or a jump, it approaches the setpoint within the limits
+of velocity and acceleration, so that no input causes a step of position or velocity.
+"""
+
+import math
+from collections.abc import Sequence
+
+EXTRAPOLATION_S = 0.010
+"""A setpoint is extrapolated no further; without another, the joints then come to rest there."""
+CATCH_UP, CATCH_UP_RAD_S = 0.05, 0.02
+"""A joint that is behind moves so much faster than its setpoint: a fraction of its speed, and rad/s."""
+CLOCK_GAIN = 0.02
+MAX_CLOCK_ERROR_S = 0.02
+_SMALL = 1e-12
+
+
+class CycleClock:
+    """The time of the controller's cycles: steps of equal length that follow the local clock on average."""
+
+    def __init__(self) -> None:
+        self._time_s: float | None = None
+
+    def next_s(self, now_s: float, cycles: int, cycle_s: float) -> float:
+        """Return the time of this cycle, `cycles` after the last one; `now_s` is the local clock."""
+        expected_s = now_s if self._time_s is None else self._time_s + cycles * cycle_s
+        error_s = now_s - expected_s
+        if abs(error_s) > MAX_CLOCK_ERROR_S:
+            expected_s, error_s = now_s, 0.0
+        self._time_s = expected_s + CLOCK_GAIN * error_s
+        return self._time_s
+
+
+class Tracker:
+    """Joint targets that follow setpoints within limits of velocity (rad/s) and acceleration (rad/s^2)."""
+
+    def __init__(self, max_rad_s: Sequence[float], max_rad_s2: Sequence[float]) -> None:
+        self._max_rad_s = tuple(max_rad_s)
+        self._max_rad_s2 = tuple(max_rad_s2)
+        self.positions: list[float] = [0.0] * len(self._max_rad_s)
+        self.velocities: list[float] = [0.0] * len(self._max_rad_s)
+        self.lag_rad = 0.0
+        """How far the joints are from the setpoint, at most."""
+
+    def start(self, positions: Sequence[float]) -> None:
+        """Begin at rest at `positions`."""
+        self.positions = list(positions)
+        self.velocities = [0.0] * len(self.positions)
+        self.lag_rad = 0.0
+
+    def step(
+        self,
+        setpoint: tuple[Sequence[float], Sequence[float], Sequence[float]],
+        age_s: float,
+        cycle_s: float,
+    ) -> tuple[float, ...]:
+        """Return the targets of the next cycle for a setpoint (positions, velocities, accelerations)."""
+        ahead_s = min(max(age_s, 0.0), EXTRAPOLATION_S)
+        lag_rad = 0.0
+        is_fresh = age_s <= EXTRAPOLATION_S
+        for joint, (position, velocity, acceleration) in enumerate(zip(*setpoint, strict=True)):
+            goal = position + velocity * ahead_s + acceleration * ahead_s * ahead_s / 2
+            forward = velocity + acceleration * ahead_s if is_fresh else 0.0
+            self._step_joint(joint, goal, forward, cycle_s)
+            lag_rad = max(lag_rad, abs(goal - self.positions[joint]))
+        self.lag_rad = lag_rad
+        return tuple(self.positions)
+
+    def _step_joint(self, joint: int, goal: float, forward: float, cycle_s: float) -> None:
+        limit, max_rad_s2 = self._max_rad_s[joint], self._max_rad_s2[joint]
+        change = max_rad_s2 * cycle_s
+        before, error = self.velocities[joint], goal - self.positions[joint]
+        wanted = error / cycle_s
+        if abs(wanted - before) > change + _SMALL or abs(wanted) > limit:
+            behind = error - forward * cycle_s
+            approach = min(abs(behind) / cycle_s, math.sqrt(max_rad_s2 * abs(behind)))
+            if forward:
+                approach = min(approach, CATCH_UP * abs(forward) + CATCH_UP_RAD_S)
+            wanted = forward + math.copysign(approach, behind)
+            wanted = min(max(wanted, -limit), limit)
+            wanted = min(max(wanted, before - change), before + change)
+        self.velocities[joint] = wanted
+        self.positions[joint] += wanted * cycle_s

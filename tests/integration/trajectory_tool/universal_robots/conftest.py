@@ -1,0 +1,65 @@
+"""A simulated controller, and the driver that is connected to it."""
+
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.trajectory_tool.drivers import RobotContext
+from services.trajectory_tool.robots.ur10 import ROBOT
+from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.universal_robots.driver import UniversalRobot
+from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
+from tests.kit.ur_controllers import RunningController, running_controller
+from tests.kit.waiting import until
+
+HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+NewRobot = Callable[..., AbstractAsyncContextManager[UniversalRobot]]
+
+
+@pytest.fixture
+def controller() -> Iterator[RunningController]:
+    """Return a controller whose arm is powered and at rest at home."""
+    with running_controller(SimulatedController(HOME)) as running:
+        yield running
+
+
+@pytest.fixture
+def context(tmp_path: Path) -> RobotContext:
+    """Return what a robot of the cell is made from, without options."""
+    return RobotContext(
+        settings=TrajectorySettings.load(data_dir=tmp_path),
+        robot_id="ur10-1",
+        options={},
+        model=ROBOT,
+        limits=ROBOT.limits,
+        joints=HOME,
+        gripper_closed=False,
+        gripper_s=0.01,
+        is_between_fingers=lambda joints: True,
+    )
+
+
+@pytest.fixture
+def new_robot(controller: RunningController, context: RobotContext) -> NewRobot:
+    """Return a function that makes a robot for the controller, with options of the driver."""
+
+    @asynccontextmanager
+    async def make(*, wait: bool = True, **options: Any) -> AsyncIterator[UniversalRobot]:
+        known = replace(context, options=controller.options(**options))
+        async with UniversalRobot.from_context(known) as robot:
+            if wait:
+                await until(lambda: robot.exchange.report().is_connected, why="no report of the controller")
+            yield robot
+
+    return make
+
+
+@pytest.fixture
+async def robot(new_robot: NewRobot) -> AsyncIterator[UniversalRobot]:
+    """Return a connected robot with a gripper at the tool outputs."""
+    async with new_robot(gripper="tool_io") as made:
+        yield made
