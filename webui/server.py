@@ -38,7 +38,7 @@ from webui.sources.processes import ProcessEntities, Processes
 from webui.sources.robots import Robots
 from webui.sources.services import ServiceMonitor
 from webui.sources.source import run_sources
-from webui.sources.tasklist import Tasklist
+from webui.sources.tasklist import CommentCounts, Tasklist
 from webui.sources.tasks import Tasks
 
 MAX_PROXIED_BODY_BYTES = 4 * 1024 * 1024
@@ -104,10 +104,12 @@ class Components:
         self.entities = BrokerEntities(settings, self.broker, handlers, services)
         context = SourceContext(settings, http, self.state, self.viewers, services)
         people = People(context)
+        comments = CommentCounts(self.state)
 
         def on_write(service: str, path: str) -> None:
             people.on_write(service)
             processes.on_write(service, path)
+            comments.on_write(service, path)
 
         self.proxy = ServiceProxy(urls, on_write)
         on_demand = (Gloves(context), Robots(context), people)

@@ -85,11 +85,11 @@ def typescript() -> str:
     if len(aliases) < len(views.ALIASES):
         raise InvalidSchema("two names of ALIASES stand for the same union")
     definitions = schemas()
-    parts = [HEAD]
+    parts = [HEAD, _imports()]
     parts.append("\n".join(f"export type {name} = {union};" for union, name in aliases.items()))
     parts += [interface_of(name, schema, aliases) for name, schema in definitions.items()]
     parts.append(_topics())
-    return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
+    return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
 
 
 def schemas() -> dict[str, Schema]:
@@ -168,8 +168,15 @@ def _union(schema: Schema) -> str:
     return " | ".join(json.dumps(value) for value in values)
 
 
+def _imports() -> str:
+    names = ", ".join(sorted(views.ORCHESTRATOR_TOPICS.values()))
+    return f'import type {{ {names} }} from "~/api/generated/task-orchestrator";' if names else ""
+
+
 def _topics() -> str:
     lines = ["/** The type of each topic. */", "export interface TopicValues {"]
+    for family, name in views.ORCHESTRATOR_TOPICS.items():
+        lines.append(f"  [{family[:-1]}: `{family}${{string}}`]: {name};")
     for topic, view in views.TOPICS.items():
         schema = _schema(view)
         schema.pop("$defs", None)

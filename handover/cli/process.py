@@ -18,6 +18,9 @@ app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, me
 mapping = typer.Typer(help="The mapping from names in process files to performers.", no_args_is_help=True)
 app.add_typer(mapping, name="mapping")
 
+offers = typer.Typer(help="Definitions that other systems have written to the broker.", no_args_is_help=True)
+app.add_typer(offers, name="offers")
+
 
 @app.command()
 def deploy(
@@ -307,6 +310,55 @@ def set_mapping(
         raise UsageError(f"{file} has no list `entries`; see docs/how-to/processes.md")
     table = _ask("PUT", "/mapping", json={"by": by, "why": why, "entries": given["entries"]})
     print(f"mapping version {table['version']}: {len(table['entries'])} entries")
+
+
+@offers.command("list")
+def list_offers(
+    status: Annotated[
+        str, typer.Option("--status", help="open, accepted, rejected, superseded or withdrawn.")
+    ] = "open",
+) -> None:
+    """List the offers of a status, the latest first."""
+    found = _ask("GET", "/offers", params={"status": status})
+    for offer in found:
+        print(f"{offer['id']}  {offer['type']:<22} {offer['name']}")
+        for fault in offer["faults"]:
+            print(f"  fault: {fault['element'] or 'the file'}: {fault['message']}")
+    if not found:
+        print(f"no offer is {status}")
+
+
+Offer = Annotated[str, typer.Argument(help="The id of the offer, as `offers list` shows it.")]
+
+
+@offers.command("show")
+def show_offer(offer: Offer) -> None:
+    """Show what an offer would change, and who would get the work."""
+    view = _ask("GET", f"/offers/{offer}")
+    print(f"{view['name']} ({view['type']}, {view['status']}) of {view['entity']}")
+    for definition in view["definitions"]:
+        print(f"becomes version {definition['version']} of {definition['title']}")
+    for change in view["changes"]:
+        print(f"{change['change']:<8} {change['name'] or change['element']}")
+    for kind in ("fault", "warning"):
+        for each in view[f"{kind}s"]:
+            print(f"{kind}: {each['element'] or 'the file'}: {each['message']}")
+    for line in view["allocation"]:
+        print(f"{line['name']}: {line['warning'] or line['reason']}")
+
+
+@offers.command("accept")
+def accept_offer(offer: Offer, by: By, why: Why = None) -> None:
+    """Deploy a process, or put another definition in force."""
+    view = _ask("POST", f"/offers/{offer}/accept", json={"by": by, "why": why})
+    print(f"{view['name']} is accepted")
+
+
+@offers.command("reject")
+def reject_offer(offer: Offer, by: By, why: Why = None) -> None:
+    """Reject an offer; the same content is not offered again."""
+    view = _ask("POST", f"/offers/{offer}/reject", json={"by": by, "why": why})
+    print(f"{view['name']} is rejected")
 
 
 def _mend(

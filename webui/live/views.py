@@ -259,186 +259,6 @@ class RobotView(TypedDict):
     remainingS: float | None
 
 
-class Activity(TypedDict):
-    """An activity of a process; `involves` has the URNs of the resources that are known."""
-
-    element: str
-    name: str
-    description: str | None
-    lane: str | None
-    involves: list[str]
-
-
-class ElementCount(TypedDict):
-    """The counts of a BPMN activity; durations are from creation to end."""
-
-    running: int
-    completed: int
-    failed: int
-    lastMs: float | None
-    medianMs: float | None
-
-
-class StatusChange(TypedDict):
-    """A status of a Task, and when it was reached."""
-
-    status: Status
-    at: str
-
-
-class TaskView(TypedDict):
-    """A Task of a process; the page translates `reason` by its code and parameters."""
-
-    id: str
-    element: str
-    name: str
-    visit: int
-    description: str | None
-    status: Status
-    involves: list[str]
-    workParameters: dict[str, Any]
-    outputParameters: dict[str, Any] | None
-    createdAt: str
-    deadline: str | None
-    priority: int | None
-    dueDate: str | None
-    followUpDate: str | None
-    endedAt: str | None
-    cancelled: bool
-    reason: str | None
-    reasonCode: NotRequired[str]
-    reasonParameters: NotRequired[dict[str, Any]]
-    history: list[StatusChange]
-
-
-class Act(TypedDict):
-    """An action of a person on a process; nobody has checked the name `by` while `verified` is false.
-
-    `to` is the element that a token was moved to, or the version that the process was migrated to; `values`
-    are the variables that were set, `mapping` the elements that have another id in the new version.
-    """
-
-    at: str
-    by: str | None
-    verified: bool
-    act: Literal[
-        "cancel",
-        "retry",
-        "skip",
-        "move",
-        "cancelBranch",
-        "setVariables",
-        "pause",
-        "resume",
-        "migrate",
-        "release",
-    ]
-    task: str | None
-    element: str | None
-    to: str | None
-    why: str | None
-    values: dict[str, Any] | None
-    mapping: dict[str, str] | None
-
-
-class Incident(TypedDict):
-    """A token that cannot continue at `element`; `task` is the failed Task if one is the reason.
-
-    `element` is the path `call.element` in a called process. `code` is the error code of the performer.
-    """
-
-    token: str
-    element: str
-    name: str
-    reason: str
-    reasonCode: NotRequired[str]
-    reasonParameters: NotRequired[dict[str, Any]]
-    since: str
-    task: str | None
-    code: str | None
-
-
-class Retry(TypedDict):
-    """An activity whose Task `task` has failed and is posted again at `due`.
-
-    `failed` of at most `attempts` attempts have failed.
-    """
-
-    token: str
-    element: str
-    name: str
-    task: str
-    failed: int
-    attempts: int
-    reason: str
-    reasonCode: NotRequired[str]
-    reasonParameters: NotRequired[dict[str, Any]]
-    due: str
-
-
-class Unallocated(TypedDict):
-    """An open activity without a Task, because its performer is busy, reserved or unavailable."""
-
-    token: str
-    element: str
-    name: str
-    reason: str
-    reasonCode: NotRequired[str]
-    reasonParameters: NotRequired[dict[str, Any]]
-    since: str
-
-
-class Reservation(TypedDict):
-    """Agents that are reserved, or waited for, while a token is within `element`.
-
-    `since` is when its state began.
-    """
-
-    key: str
-    element: str
-    name: str
-    state: Literal["waiting", "held", "impossible", "released", "ended"]
-    since: str
-    agents: list[str]
-    isShared: bool
-    reason: str
-    reasonCode: NotRequired[str]
-    reasonParameters: NotRequired[dict[str, Any]]
-
-
-class ProcessView(TypedDict):
-    """Topic `process/<id>`: a running process, or one of the last ten that ended.
-
-    `waiting` has the BPMN elements with a token, `next` the activities that may follow, the likeliest first.
-    `incidents` are the tokens that cannot continue. `retry` is the first of their failed Tasks.
-    """
-
-    id: str
-    entity: str
-    definition: str
-    version: int
-    title: str
-    key: str | None
-    status: Status
-    reason: str | None
-    startedAt: str
-    endedAt: str | None
-    parameters: dict[str, Any]
-    variables: dict[str, Any]
-    waiting: list[str]
-    next: list[Activity]
-    done: int
-    activities: int
-    elements: dict[str, ElementCount]
-    tasks: list[TaskView]
-    incidents: list[Incident]
-    retries: list[Retry]
-    unallocated: list[Unallocated]
-    reservations: list[Reservation]
-    retry: str | None
-    acts: list[Act]
-
-
 class TasklistView(TypedDict):
     """Topic `tasklist/<urn>`: an open Task for people, without its form and history.
 
@@ -462,26 +282,6 @@ class TasklistView(TypedDict):
     dueDate: str | None
     followUpDate: str | None
     priority: int | None
-
-
-class DefinitionParameter(TypedDict):
-    """A parameter of a process definition."""
-
-    name: str
-    required: bool
-    default: Any
-
-
-class DefinitionView(TypedDict):
-    """Topic `definition/<name>`: its latest version; `unusable` is the reason why it cannot run."""
-
-    name: str
-    version: int
-    title: str
-    label: str | None
-    deployedAt: str
-    unusable: NotRequired[str]
-    parameters: list[DefinitionParameter]
 
 
 class AcknowledgementView(TypedDict):
@@ -548,6 +348,12 @@ class PeopleView(TypedDict):
     revision: str
 
 
+class CommentsView(TypedDict):
+    """Topic `comments`: how many comments pages have sent lately, by the id of the Task or process."""
+
+    counts: dict[str, int]
+
+
 class LiveEvent(TypedDict):
     """An event: the page translates `key` with `values`; `text` is in English."""
 
@@ -600,9 +406,9 @@ class AlertsResult(TypedDict):
 
 
 VIEWS = (
-    ServiceHealth, GloveView, RobotView, JointState, ProcessView, TasklistView, DefinitionView, AlertView,
-    DeviceView, OperatorView, CellView, PeopleView, LiveEvent, Batch, SubscribeMessage, ProblemDetails,
-    AlertsResult,
+    ServiceHealth, GloveView, RobotView, JointState, TasklistView, AlertView,
+    DeviceView, OperatorView, CellView, PeopleView, CommentsView, LiveEvent, Batch, SubscribeMessage,
+    ProblemDetails, AlertsResult,
 )  # fmt: skip
 """The types for which TypeScript is generated, with all types that they contain."""
 
@@ -624,19 +430,24 @@ TOPICS: dict[str, Any] = {
     "operator": OperatorView,
     "cell": CellView,
     "people": PeopleView,
+    "comments": CommentsView,
     "glove/": GloveView,
     "robot/": RobotView,
-    "process/": ProcessView,
     "tasklist/": TasklistView,
-    "definition/": DefinitionView,
     "alert/": AlertView,
     "device/": DeviceView,
 }
 """The type of each topic; a name that ends in "/" is a family."""
 
+ORCHESTRATOR_TOPICS = {"process/": "ProcessView", "definition/": "DefinitionView"}
+"""Topics that are responses of the orchestrator, passed on as they are, with the names of their schemas.
+
+`webui.service_types` generates their types from its OpenAPI document.
+"""
+
 
 def type_of_topic(topic: str) -> Any:
-    """Return the type of a topic; raises `KeyError` for an unknown one."""
+    """Return the type of a topic of this server; raises `KeyError` for others."""
     if topic.startswith("robot/") and topic.endswith("/joints"):
         return JointState
     family, slash, _ = topic.partition("/")

@@ -5,6 +5,7 @@ The orchestrator writes who has claimed a Task as the member `operator` of its o
 it as `declinedBy`. Claims, results and comments go to the orchestrator, which has forms and history.
 """
 
+from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -14,8 +15,11 @@ from datamodels.times import iso
 from handover.task_life import FINISHED, is_for_people, performers_of
 from webui.live.live_state import LiveState
 from webui.live.views import TasklistView
+from webui.settings import ORCHESTRATOR
+from webui.sources.devices import short_name
 
 BY_TASKLIST: Final = "tasklist"
+MAX_COMMENTED: Final = 500
 
 
 class Tasklist:
@@ -35,6 +39,26 @@ class Tasklist:
     def remove(self, task_id: str) -> None:
         """Remove a Task that has ended or was deleted."""
         self._state.remove(f"tasklist/{task_id}")
+
+
+class CommentCounts:
+    """Publishes that a page has sent a comment, so that other pages read the comments again."""
+
+    def __init__(self, state: LiveState) -> None:
+        self._state = state
+        self._counts: OrderedDict[str, int] = OrderedDict()
+
+    def on_write(self, service: str, path: str) -> None:
+        """Count a comment: a successful request to `tasks/<id>/comments` or `processes/<id>/comments`."""
+        match path.strip("/").split("/"):
+            case ["tasks" | "processes", subject, "comments"] if service == ORCHESTRATOR:
+                name = short_name(subject)
+                self._counts[name] = self._counts.pop(name, 0) + 1
+                if len(self._counts) > MAX_COMMENTED:
+                    self._counts.popitem(last=False)
+                self._state.publish("comments", {"counts": dict(self._counts)})
+            case _:
+                pass
 
 
 def view_of(task: Task) -> TasklistView:

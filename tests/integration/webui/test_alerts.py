@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import httpx
@@ -132,6 +132,29 @@ async def test_bulk_acknowledgement_reports_each_failure(
     too_many = {"alerts": long_ids, "by": "Aino"}  # their number is refused, not how long they are
     assert browser.post("/api/alerts/acknowledge", json=too_many).status_code == 422
     assert browser.post("/api/alerts/acknowledge", json={"alerts": [], "by": "Aino"}).status_code == 422
+
+
+async def test_alerts_older_than_the_event_log_are_in_it(cell: Any, browser: httpx.Client) -> None:
+    cell.start("context_broker")
+    hour_ago = (datetime.now(UTC) - timedelta(hours=1)).strftime("%Y-%m-%dT%H:%M:%SZ")
+    issued = {"type": "Property", "value": {"@type": "DateTime", "@value": hour_ago}}
+    over = {"alertState": {"type": "Property", "value": "returnedToNormal"}}
+    async with BrokerClient(Settings.load(broker_url=cell.url("context_broker"))) as broker:
+        await broker.upsert([{**foreign(number), "dateIssued": issued} for number in range(MANY)])
+        await broker.upsert([{**foreign(MANY), "dateIssued": issued, **over}])
+    cell.start("webui")
+    params: dict[str, int] = {"before": 2**53 - 1, "limit": 1000}
+
+    def raised() -> list[str]:
+        events = browser.get("/api/events", params=params).raise_for_status().json()
+        return sorted(event["values"]["alert"] for event in events if event["key"] == "alert.raised")
+
+    await until(lambda: len(raised()) >= MANY)
+    expected = sorted(foreign(number)["id"] for number in range(MANY))
+    assert raised() == expected
+    cell.restart("webui")
+    await until(lambda: browser.get("/readyz").is_success)
+    assert raised() == expected, "a restart adds nothing"
 
 
 async def test_shelving_ends_by_itself_also_after_a_restart(

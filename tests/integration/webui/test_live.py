@@ -16,12 +16,13 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
+from services.task_orchestrator import responses
 from tests.kit.waiting import scaled
 from tests.unit.task_orchestrator.drawing import drawing
 from webui.live.live_socket import LiveSocket
 from webui.live.live_state import LiveState
 from webui.live.viewers import Viewers
-from webui.live.views import TOPICS, LiveEvent, type_of_topic
+from webui.live.views import ORCHESTRATOR_TOPICS, TOPICS, LiveEvent, type_of_topic
 
 pytestmark = pytest.mark.slow
 
@@ -68,6 +69,13 @@ def broker(cell: Any) -> Iterator[Broker]:
     context = '<https://w3id.org/handover/context.jsonld>; rel="http://www.w3.org/ns/json-ld#context"'
     with httpx.Client(base_url=url, headers={"Link": context}, timeout=120, trust_env=False) as http:
         yield Broker(http)
+
+
+def check_type(topic: str, value: Any) -> None:
+    """Check the value of a topic against its type."""
+    schema = ORCHESTRATOR_TOPICS.get(topic.partition("/")[0] + "/")
+    type_ = type_of_topic(topic) if schema is None else getattr(responses, schema)
+    TypeAdapter(type_).validate_json(orjson.dumps(value), strict=True)
 
 
 def task_moves(viewer: Any, task: str = TASK) -> list[str]:
@@ -127,7 +135,7 @@ def test_an_incident_and_what_a_person_does_about_it_arrive(
     assert event["level"] == "stop"
     assert event["values"]["name"] == "Confirm that the cell is clear"
     assert event["values"]["reason"] == "nobody was there"
-    TypeAdapter(type_of_topic(f"process/{begun['id']}")).validate_python(viewer.process(), strict=True)
+    check_type(f"process/{begun['id']}", viewer.process())
 
     # No entity in the broker changes with a variable: the server reads what a page has written.
     decision = {"by": "Anna", "why": "another shift", "variables": {"shift": 2}}
@@ -137,7 +145,7 @@ def test_an_incident_and_what_a_person_does_about_it_arrive(
     assert (act["act"], act["by"], act["verified"], act["why"]) == (
         "setVariables", "Anna", False, "another shift",
     )  # fmt: skip
-    TypeAdapter(type_of_topic(f"process/{begun['id']}")).validate_python(viewer.process(), strict=True)
+    check_type(f"process/{begun['id']}", viewer.process())
 
 
 @pytest.mark.usefixtures("whole_cell")
@@ -150,12 +158,15 @@ def test_all_topics_match_their_types(look: Callable[[], Any], browser: httpx.Cl
     definitions = "/api/task-orchestrator/definitions"
     browser.post(definitions, content=file, headers={"Content-Type": "application/xml"}).raise_for_status()
     weighing = {"definition": "weighing"}  # its Task is one for people, so it is in the tasklist
-    browser.post("/api/task-orchestrator/processes", json=weighing).raise_for_status()
-    families = {name.rstrip("/") for name in TOPICS} - {"people", "alert"}
+    process = browser.post("/api/task-orchestrator/processes", json=weighing).raise_for_status().json()["id"]
+    comment = {"by": "Anna", "text": "the scale drifts"}
+    browser.post(f"/api/task-orchestrator/processes/{process}/comments", json=comment).raise_for_status()
+    families = {name.rstrip("/") for name in (*TOPICS, *ORCHESTRATOR_TOPICS)} - {"people", "alert"}
     viewer.read_until(lambda: JOINTS in viewer.topics and viewer.process().get("tasks"))
     viewer.read_until(lambda: families <= {topic.partition("/")[0] for topic in viewer.topics})
+    assert viewer.topics["comments"] == {"counts": {process: 1}}
     for topic, value in viewer.topics.items():
-        TypeAdapter(type_of_topic(topic)).validate_python(value, strict=True)
+        check_type(topic, value)
     TypeAdapter(list[LiveEvent]).validate_python(viewer.events, strict=True)
 
 
@@ -180,7 +191,9 @@ def test_a_killed_broker_is_shown_as_down_and_followed_again_after_its_restart(
     broker.move(TASK, "inProgress", "2999-01-01T00:00:02.000Z")
     viewer.read_until(lambda: "task.inProgress" in task_moves(viewer))
     received = [event["key"] for event in viewer.events if event["source"] == "context-broker"]
-    assert received == ["service.down", "service.up"]
+    # On a busy machine a check may time out as well.
+    assert received
+    assert received == ["service.down", "service.up"] * (len(received) // 2)
 
 
 def test_a_restarted_server_reports_missed_events_once(

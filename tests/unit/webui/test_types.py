@@ -28,6 +28,7 @@ def test_typed_dictionaries_become_interfaces(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(views, "VIEWS", (Lamp,))
     monkeypatch.setattr(views, "ALIASES", {"LampState": Literal["on", "off"]})
     monkeypatch.setattr(views, "TOPICS", {"lamps": list[Lamp], "lamp/": Lamp})
+    monkeypatch.setattr(views, "ORCHESTRATOR_TOPICS", {"process/": "ProcessView"})
     text = types.typescript()
     assert 'export type LampState = "on" | "off";' in text
     assert (
@@ -41,6 +42,8 @@ def test_typed_dictionaries_become_interfaces(monkeypatch: pytest.MonkeyPatch) -
         "}\n"
     ) in text
     assert "  lamps: Lamp[];\n  [lamp: `lamp/${string}`]: Lamp;\n" in text
+    assert 'import type { ProcessView } from "~/api/generated/task-orchestrator";' in text
+    assert "  [process: `process/${string}`]: ProcessView;\n" in text
 
 
 def test_pairs_become_tuples_and_limits_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -209,64 +209,99 @@ class _Query:
 
 
 async def _query(sources: Sources, request: RequestContext, perform: Perform, given: _Query) -> Response:
-    context = given.context
-    matched: list[tuple[Match, dict[str, str]]] = []
-    for parameters in given.selectors:
-        target, where = target_of(parameters, context, _names_of(parameters, context))
-        found = sources.registry.matching("queryTemporal", target, where)
-        refuse_order(parameters, sources.unvisited(found, uses_map=False))
-        matches = sources.unvisited(found)
-        matched += [(match, parameters) for match in matches]
+    matched = _matches_of(sources, given)
     if not matched:
         return await perform(request)
+    temporal_request = _temporal_request(request, given.context, given.parameters)
     conditions = {name for name in FILTERS if name in given.parameters}
     if conditions and may_be_split(given.parameters, [match for match, _ in matched]):
-        hits = await split_hits(
-            sources, request, perform, matched, _temporal_request(request, context, given.parameters)
-        )
+        hits = await split_hits(sources, request, perform, matched, temporal_request)
         return await _page_of(hits, sources, request, perform, given)
     window = _window(request)
-    most = min(window.offset + window.limit, MAX_LIMIT) if not window.count else MAX_LIMIT
-    paged = {"offset": "0", "limit": str(most)}
-    own = await perform(_for_all_members(request, paged))
-    temporal_request = _temporal_request(request, context, given.parameters)
-    collected: list[TemporalPart] = await gather_all(
-        *(
-            fetch_from_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
-            for match, parameters in matched
-        )
-    )
-    known: dict[str, list[temporal_merge.SourceEvolution]] = {
-        one["id"]: [(None, temporal_merge.shown(without_context(one), temporal_request.view, context))]
-        for one in orjson.loads(own.body)
-    }
-    own_count = len(known)
-    _add_in_order(known, matched, collected, temporal_request)
-    order = list(known)
+    collected = await _collect(sources, request, perform, matched, temporal_request, window)
+    order = list(collected.known)
     page = order[window.offset : window.offset + window.limit]
-    if page and (
-        full := [one for one, part in zip(matched, collected, strict=True) if len(part.documents) >= most]
-    ):
-        await _add_rest(known, sources, full, page, temporal_request)
-    edge = temporal_merge.common_edge(
-        [edge_of(own), *(part.edge for part in collected)], temporal_request.query
-    )
+    if page and collected.full:
+        await _add_rest(collected.known, sources, collected.full, page, temporal_request)
+    edge = temporal_merge.common_edge(collected.edges, temporal_request.query)
     if temporal_request.is_for_totals:
         edge = None
-        documents = await _aggregated_page(sources, request, perform, matched, known, page, temporal_request)
+        documents = await _aggregated_page(
+            sources, request, perform, matched, collected.known, page, temporal_request
+        )
     else:
         last = temporal_request.query.last
-        documents = [temporal_merge.merge_evolutions(known[one], context, last) for one in page]
+        documents = [
+            temporal_merge.merge_evolutions(collected.known[one], given.context, last) for one in page
+        ]
     result = _answer(request, temporal_request, documents, edge)
     result.headers += [
-        (name, str(int(value) + len(order) - own_count).encode())
-        for name, value in own.headers
+        (name, str(int(value) + len(order) - collected.own_count).encode())
+        for name, value in collected.own_headers
         if name == b"ngsild-results-count"
     ]
     if request.method == "GET":
         more = len(order) > window.offset + window.limit
         result.headers += page_links(request, window, request.accept(), more=more)
     return result
+
+
+def _matches_of(sources: Sources, given: _Query) -> list[tuple[Match, dict[str, str]]]:
+    """Return the sources to query, each with the parameters of the selector that it matches."""
+    matched: list[tuple[Match, dict[str, str]]] = []
+    for parameters in given.selectors:
+        target, where = target_of(parameters, given.context, _names_of(parameters, given.context))
+        found = sources.registry.matching("queryTemporal", target, where)
+        refuse_order(parameters, sources.unvisited(found, uses_map=False))
+        matched += [(match, parameters) for match in sources.unvisited(found)]
+    return matched
+
+
+@dataclass(frozen=True, slots=True)
+class _Collected:
+    """What the broker and the sources have of a query, from its start to the end of the requested page."""
+
+    known: dict[str, list[temporal_merge.SourceEvolution]]
+    """By entity, in the order of the whole result."""
+    edges: list[int | None]
+    own_count: int
+    own_headers: list[tuple[bytes, bytes]]
+    full: list[tuple[Match, dict[str, str]]]
+    """The sources that may have more than was requested."""
+
+
+async def _collect(  # noqa: PLR0917 - the parts of one query
+    sources: Sources,
+    request: RequestContext,
+    perform: Perform,
+    matched: list[tuple[Match, dict[str, str]]],
+    temporal_request: TemporalRequest,
+    window: Window,
+) -> _Collected:
+    """Query the broker itself, then all sources at once."""
+    context, view = temporal_request.context, temporal_request.view
+    most = min(window.offset + window.limit, MAX_LIMIT) if not window.count else MAX_LIMIT
+    paged = {"offset": "0", "limit": str(most)}
+    own = await perform(_for_all_members(request, paged))
+    parts: list[TemporalPart] = await gather_all(
+        *(
+            fetch_from_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
+            for match, parameters in matched
+        )
+    )
+    known: dict[str, list[temporal_merge.SourceEvolution]] = {
+        one["id"]: [(None, temporal_merge.shown(without_context(one), view, context))]
+        for one in orjson.loads(own.body)
+    }
+    own_count = len(known)
+    _add_in_order(known, matched, parts, temporal_request)
+    return _Collected(
+        known,
+        edges=[edge_of(own), *(part.edge for part in parts)],
+        own_count=own_count,
+        own_headers=own.headers,
+        full=[one for one, part in zip(matched, parts, strict=True) if len(part.documents) >= most],
+    )
 
 
 async def _aggregated_page(  # noqa: PLR0917 - the parts of one query

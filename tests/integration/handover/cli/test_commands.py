@@ -12,6 +12,7 @@ import httpx
 import pytest
 
 from tests.integration.task_orchestrator.cell import CONTEXT
+from tests.kit.waiting import wait_for
 
 BAD = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL" targetNamespace="urn:t">
 <process id="odd" isExecutable="true"><complexGateway id="which" name="Which one?"/></process>
@@ -122,6 +123,41 @@ def test_a_failed_task_is_retried(
     retried = handover("process", "retry", process, incident["token"], "--by", "Anna")
     assert retried.stdout == f"{process} continues: {shown()['waiting'][0]}\n", retried.stderr
     assert shown()["acts"][0]["by"] == "Anna"
+
+
+@pytest.mark.slow
+def test_an_offer_of_another_system_is_listed_shown_and_accepted_or_rejected(
+    handover: Handover, cell: Any
+) -> None:
+    cell.start("context_broker", "task_orchestrator")
+    url = f"{cell.url('context_broker')}/ngsi-ld/v1/entityOperations/upsert"
+    definitions = [
+        {
+            "id": f"urn:ngsi-ld:TaskDefinition:mes:{name}",
+            "type": "TaskDefinition",
+            "name": {"type": "Property", "value": name},
+            "gesture": {"type": "Property", "value": "Thumbs up"},
+        }
+        for name in ("allow-scan", "allow-pick")
+    ]
+    httpx.post(url, json=definitions, headers={"Link": CONTEXT}, timeout=120).raise_for_status()
+    offers = f"{cell.url('task_orchestrator')}/offers"  # a command a look would take seconds
+    wait_for(lambda: len(httpx.get(offers, timeout=120).json()) == 2)
+    listed = handover("process", "offers", "list").stdout
+    ids = {line.split()[2]: line.split()[0] for line in listed.splitlines()}
+    assert set(ids) == {"allow-scan", "allow-pick"}
+    shown = handover("process", "offers", "show", ids["allow-scan"]).stdout
+    assert "urn:ngsi-ld:TaskDefinition:mes:allow-scan" in shown
+    assert "added    gesture" in shown
+    accepted = handover("process", "offers", "accept", ids["allow-scan"], "--by", "Eva")
+    assert accepted.stdout == "allow-scan is accepted\n", accepted.stderr
+    rejected = handover("process", "offers", "reject", ids["allow-pick"], "--by", "Eva", "--why", "not ours")
+    assert rejected.stdout == "allow-pick is rejected\n", rejected.stderr
+    assert handover("process", "offers", "list").stdout == "no offer is open\n"
+    assert "allow-pick" in handover("process", "offers", "list", "--status", "rejected").stdout
+    again = handover("process", "offers", "accept", "unknown", "--by", "Eva")
+    assert again.returncode != 0
+    assert "Traceback" not in again.stderr
 
 
 def test_what_cannot_be_done_is_one_line_with_the_way_out(handover: Handover, tmp_path: Path) -> None:

@@ -1,8 +1,7 @@
 /** Hooks for live values. */
 import { createContext, useContext, useEffect, useSyncExternalStore } from "react";
-import type {
-  AlertView, DefinitionView, DeviceView, GloveView, LiveEvent, ProcessView, RobotView, TasklistView, TopicValues,
-} from "./messages";
+import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
+import type { AlertView, DeviceView, GloveView, LiveEvent, RobotView, TasklistView, TopicValues } from "./messages";
 import { LiveStore, type ConnectionState } from "./store";
 
 export const Live = createContext(new LiveStore());

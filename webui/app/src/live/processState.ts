@@ -1,5 +1,6 @@
 /** The visible state of a process: its status, or "incident" if a part of it cannot continue. */
-import type { ProcessView, Status } from "./messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
+import type { Status } from "./messages";
 
 export type ProcessState = Status | "incident";
 

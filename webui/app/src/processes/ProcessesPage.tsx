@@ -6,7 +6,7 @@ import { useTranslation } from "react-i18next";
 import { useLocation } from "wouter";
 import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
-import type { DefinitionView } from "~/live/messages";
+import type { DefinitionView } from "~/api/generated/task-orchestrator";
 import { useKeys } from "~/shell/keys";
 import { pathOf, placeOf, type Place } from "./address";
 import { DefinitionPanel } from "./definition/DefinitionPanel";

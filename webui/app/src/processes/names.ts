@@ -1,5 +1,5 @@
 /** Names for people: of a Task, of its performer, and of a process. */
-import type { ProcessView, TaskView } from "~/live/messages";
+import type { ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 import { exactTime } from "~/design/times";
 import { shortName } from "~/live/urn";
 

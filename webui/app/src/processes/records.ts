@@ -1,9 +1,8 @@
 /** Requests to the orchestrator for processes and definitions. */
-import type { ProcessSummary, ProcessView } from "~/api/generated/task-orchestrator";
+import type { ProcessSummary, ProcessView, ProcessView as LiveProcess } from "~/api/generated/task-orchestrator";
 import { requestService } from "~/api/http";
 import { useServiceQuery, type ServiceQuery } from "~/api/useServiceQuery";
 import { useTopic } from "~/live/hooks";
-import type { ProcessView as LiveProcess } from "~/live/messages";
 import type { ProcessFilter } from "./list/rows";
 
 export const SERVICE = "task-orchestrator";

@@ -1,5 +1,5 @@
 /** Data of the dashboard: waiting Tasks by resource, and processes that need attention. */
-import type { ProcessView, TaskView } from "~/live/messages";
+import type { ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 import { processState } from "~/live/processState";
 import { shortName } from "~/live/urn";
 

@@ -12,7 +12,9 @@ import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { RelativeTime } from "~/design/RelativeTime";
 import { TextBox } from "~/design/TextBox";
+import { useTopicSelector } from "~/live/hooks";
 import type { TasklistView } from "~/live/messages";
+import { shortName } from "~/live/urn";
 import { pathOf } from "~/processes/address";
 import { Json } from "~/processes/process/Values";
 import { useUserGroups } from "~/shell/userGroups";
@@ -26,8 +28,8 @@ import { ResultForm } from "./ResultForm";
 import { TaskState } from "./TaskState";
 
 const OFFERED_TO_OTHERS = "urn:handover:offered-to-others";
-/** Comments of others are not pushed. */
-const REFRESH_MS = 10_000;
+/** Comments that were sent without a page are not pushed. */
+const REFRESH_MS = 60_000;
 
 export interface TaskPanelProps {
   id: string;
@@ -39,7 +41,8 @@ export interface TaskPanelProps {
 
 export function TaskPanel({ id, live, onBack, onNews }: TaskPanelProps) {
   const { t } = useTranslation(["tasks", "common"]);
-  const revision = JSON.stringify([live?.status, live?.claimedBy, live?.declinedBy]);
+  const comments = useTopicSelector("comments", (all) => all?.counts[shortName(id)]);
+  const revision = JSON.stringify([live?.status, live?.claimedBy, live?.declinedBy, comments]);
   const { value: task, failure, missing, reload } = useServiceQuery<TaskDetails>("task-orchestrator", `tasks/${encodeURIComponent(id)}`, { revision, intervalMs: REFRESH_MS });
   const back = (
     <Button kind="quiet" icon={<ArrowLeft aria-hidden size={18} />} onPress={onBack}>

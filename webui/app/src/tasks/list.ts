@@ -1,5 +1,6 @@
 /** The tasklist: which Tasks a person sees, and in which order. */
-import type { ProcessView, TasklistView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
+import type { TasklistView } from "~/live/messages";
 import { shortName } from "~/live/urn";
 
 export const VIEWS = ["all", "mine", "groups", "free"] as const;

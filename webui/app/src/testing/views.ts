@@ -1,5 +1,5 @@
 /** Tasks and processes for tests, in the format of the orchestrator. */
-import type { Incident, ProcessView, TaskView } from "~/live/messages";
+import type { IncidentView, ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 
 const START = Date.parse("2026-03-02T08:00:00Z");
 
@@ -29,6 +29,7 @@ export function task(over: Partial<TaskView> = {}): TaskView {
     followUpDate: null,
     endedAt: null,
     cancelled: false,
+    allocated: null,
     reason: null,
     history: [{ status: "pending", at: at(0) }],
     ...over,
@@ -47,6 +48,7 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
     reason: null,
     startedAt: at(0),
     endedAt: null,
+    archivedAt: null,
     parameters: {},
     variables: {},
     waiting: [],
@@ -65,7 +67,7 @@ export function process(over: Partial<ProcessView> = {}): ProcessView {
   };
 }
 
-export function incident(over: Partial<Incident> = {}): Incident {
+export function incident(over: Partial<IncidentView> = {}): IncidentView {
   return {
     token: "7",
     element: "pick",

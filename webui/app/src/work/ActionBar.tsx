@@ -6,7 +6,7 @@ import { useLocation } from "wouter";
 import { cancelProcess, declareGlove } from "~/api/actions";
 import { Button } from "~/design/Button";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { useWithName } from "~/shell/userName";
 import { useParticipantMode } from "~/study/participantMode";
 import type { ReportedOutcome } from "./ReportPanel";

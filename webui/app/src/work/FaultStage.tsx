@@ -3,7 +3,7 @@ import { CirclePause, CloudOff, HandHelping, Hourglass, OctagonX, ServerCrash, U
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { localizedText } from "~/i18n/server";
-import type { Incident, ProcessView, TaskView } from "~/live/messages";
+import type { IncidentView, ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 import { isSame } from "~/live/urn";
 import { useMessageText } from "./messageText";
 import { stepOf, type Situation } from "./situation";
@@ -98,7 +98,7 @@ function Failed({ process }: { process: ProcessView }) {
 }
 
 /** An incident: the step that cannot continue and the reason; other steps may continue. */
-function Stopped({ process, incident }: { process: ProcessView; incident: Incident }) {
+function Stopped({ process, incident }: { process: ProcessView; incident: IncidentView }) {
   const { t } = useTranslation("work");
   const reported = useReported(process, incident.task);
   const others = process.incidents.length - 1;

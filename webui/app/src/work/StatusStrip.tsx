@@ -4,7 +4,8 @@ import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone, processTone } from "~/design/states";
-import type { GloveView, ProcessView, RobotView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
+import type { GloveView, RobotView } from "~/live/messages";
 import { processState } from "~/live/processState";
 import type { OperatorActions } from "./useOperatorActions";
 

@@ -5,7 +5,8 @@ import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { useTopic } from "~/live/hooks";
-import type { Activity, ProcessView, RobotView } from "~/live/messages";
+import type { NextActivity, ProcessView } from "~/api/generated/task-orchestrator";
+import type { RobotView } from "~/live/messages";
 import { isSame } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
 import { useWithName } from "~/shell/userName";
@@ -141,7 +142,7 @@ function Next({ situation }: { situation: Situation }) {
   if (!("next" in situation) || !("process" in situation) || situation.process === null) return <span />;
   return <p className="work__next">{wordsOfNext(situation.next)}</p>;
 
-  function wordsOfNext(next: Activity | null): string {
+  function wordsOfNext(next: NextActivity | null): string {
     if (next === null) return t("nextUnknown");
     return next.lane === null ? t("next", { name: next.name }) : t("nextBy", { name: next.name, lane: next.lane });
   }

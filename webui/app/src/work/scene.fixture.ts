@@ -1,7 +1,6 @@
 /** The live state of a cell for tests: one glove, one robot, one definition, no running process. */
-import type {
-  DefinitionView, GloveTask, GloveView, ProcessView, RobotView, ServiceHealth, TaskView,
-} from "~/live/messages";
+import type { DefinitionView, ProcessView, TaskView } from "~/api/generated/task-orchestrator";
+import type { GloveTask, GloveView, RobotView, ServiceHealth } from "~/live/messages";
 import * as views from "~/testing/views";
 import type { Scene } from "./situation";
 

@@ -4,9 +4,8 @@
 * In this order: faults, the Task for the hand, the robot's work, the processes that can be started. Without
 * timers and rendering.
  */
-import type {
-  Activity, DefinitionView, GloveTask, GloveView, Incident, ProcessView, RobotView, ServiceHealth, TaskView,
-} from "~/live/messages";
+import type { DefinitionView, IncidentView, NextActivity, ProcessView, TaskView } from "~/api/generated/task-orchestrator";
+import type { GloveTask, GloveView, RobotView, ServiceHealth } from "~/live/messages";
 import type { ConnectionState } from "~/live/store";
 import { isSame } from "~/live/urn";
 
@@ -29,7 +28,7 @@ export interface Prompt {
   glove: GloveView;
   task: GloveTask;
   process: ProcessView | null;
-  next: Activity | null;
+  next: NextActivity | null;
 }
 
 export interface Offer {
@@ -47,9 +46,9 @@ export type Situation =
   | ({ kind: "gloveLost" } & Prompt)
   | ({ kind: "paused" } & Prompt)
   | ({ kind: "prompt"; answerWaits: boolean } & Prompt)
-  | { kind: "robot"; glove: GloveView; process: ProcessView; task: TaskView; robot: RobotView | null; next: Activity | null }
-  | { kind: "between"; glove: GloveView; process: ProcessView; task: TaskView | null; next: Activity | null }
-  | { kind: "incident"; glove: GloveView; process: ProcessView; incident: Incident }
+  | { kind: "robot"; glove: GloveView; process: ProcessView; task: TaskView; robot: RobotView | null; next: NextActivity | null }
+  | { kind: "between"; glove: GloveView; process: ProcessView; task: TaskView | null; next: NextActivity | null }
+  | { kind: "incident"; glove: GloveView; process: ProcessView; incident: IncidentView }
   | ({ kind: "failed"; process: ProcessView } & Offer)
   | ({ kind: "completed"; process: ProcessView } & Offer)
   | ({ kind: "idle" } & Offer);
@@ -152,13 +151,13 @@ function processOf(scene: Scene, glove: GloveView): ProcessView | null {
 }
 
 /** Return the name of the step at which an incident is. */
-export function stepOf({ name, element }: Pick<Incident, "name" | "element">): string {
+export function stepOf({ name, element }: Pick<IncidentView, "name" | "element">): string {
   return name === "" ? element : name;
 }
 
 /** Return the incident to show: one at a Task of this glove, else the first. */
-export function incidentOf(process: ProcessView, glove: GloveView): Incident | null {
-  const isMine = ({ task }: Incident) =>
+export function incidentOf(process: ProcessView, glove: GloveView): IncidentView | null {
+  const isMine = ({ task }: IncidentView) =>
     process.tasks.some(({ id, involves: who }) => isSame(id, task) && who.some((resource) => namesOf(glove).some((name) => isSame(resource, name))));
   return process.incidents.find(isMine) ?? process.incidents[0] ?? null;
 }
@@ -188,7 +187,7 @@ function wasCancelled(process: ProcessView): boolean {
   return /^cancelled\b/.test(process.reason ?? "");
 }
 
-function nextOf(process: ProcessView | null): Activity | null {
+function nextOf(process: ProcessView | null): NextActivity | null {
   return process?.next[0] ?? null;
 }
 

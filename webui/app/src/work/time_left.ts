@@ -1,5 +1,6 @@
 /** The remaining time of a robot's Task. */
-import type { ElementCount, RobotView, TaskView } from "~/live/messages";
+import type { ElementCounts, TaskView } from "~/api/generated/task-orchestrator";
+import type { RobotView } from "~/live/messages";
 
 /**
 * Return whole seconds, at least one: the robot's own estimate, else an estimate from earlier durations of the
@@ -8,7 +9,7 @@ import type { ElementCount, RobotView, TaskView } from "~/live/messages";
 export function secondsLeft(
   robot: Pick<RobotView, "remainingS"> | null,
   task: Pick<TaskView, "createdAt">,
-  count: Pick<ElementCount, "medianMs"> | undefined,
+  count: Pick<ElementCounts, "medianMs"> | undefined,
   nowMs: number,
 ): number | null {
   if (robot?.remainingS != null) return Math.max(1, Math.ceil(robot.remainingS));

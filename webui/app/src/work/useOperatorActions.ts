@@ -1,7 +1,8 @@
 /** The operator's actions in a situation: the main action, answering on the screen, pausing, resuming. */
 import { useTranslation } from "react-i18next";
 import { retryToken, startOperator, startProcess } from "~/api/actions";
-import type { DefinitionView, Outcome } from "~/live/messages";
+import type { DefinitionView } from "~/api/generated/task-orchestrator";
+import type { Outcome } from "~/live/messages";
 import { answerByHand, endTesting, pauseGlove, requestStatus, resumeGlove } from "./actions";
 import { startKey } from "./confirmation";
 import { latest, parametersFor, type Scene, type Situation } from "./situation";

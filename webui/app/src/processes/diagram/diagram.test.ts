@@ -1,7 +1,7 @@
 // @vitest-environment jsdom
 import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
-import type { ElementCount } from "~/live/messages";
+import type { ElementCounts } from "~/api/generated/task-orchestrator";
 import { incident } from "~/testing/views";
 import { drawn, hasDrawing, withFlowsNamed } from "./layout";
 import { difference, marksOfFaults, marksOfProcess, marksOfStatistics, NO_MARKS, withPicked, withTargets, type MarkWords } from "./marks";
@@ -14,7 +14,7 @@ const words: MarkWords = {
   duration: (last, median) => ({ text: `${last ?? 0} ms`, title: `median ${median ?? 0}` }),
 };
 
-const count = (over: Partial<ElementCount>): ElementCount => ({ running: 0, completed: 0, failed: 0, lastMs: null, medianMs: null, ...over });
+const count = (over: Partial<ElementCounts>): ElementCounts => ({ running: 0, completed: 0, failed: 0, lastMs: null, medianMs: null, ...over });
 
 describe("the marks of a process", () => {
   const marks = marksOfProcess(

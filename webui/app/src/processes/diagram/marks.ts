@@ -2,7 +2,7 @@
  * Marks: what is shown on the elements of a diagram. What should be there is compared with what is there, and
  * only the difference touches the drawing: a live process changes many times a second, its diagram hardly.
  */
-import type { ElementCount, ProcessView } from "~/live/messages";
+import type { ElementCounts, ProcessView } from "~/api/generated/task-orchestrator";
 
 /** A class on the element itself: it has a token, an incident or a fault, it failed, it is picked, a token may move to it. */
 export type Look = "token" | "incident" | "failed" | "done" | "fault" | "picked" | "target" | Heat;
@@ -72,7 +72,7 @@ export function marksOfProcess(
 }
 
 /** The marks of a definition: the same counts over all its processes; no look, for there is no one state. */
-export function marksOfStatistics(elements: Readonly<Record<string, ElementCount>>, words: MarkWords): Marks {
+export function marksOfStatistics(elements: Readonly<Record<string, ElementCounts>>, words: MarkWords): Marks {
   const marks = new Map<string, ElementMarks>();
   for (const [element, at] of Object.entries(elements)) {
     const badges = badgesOf(at, words);
@@ -145,7 +145,7 @@ export function difference(shown: Marks, wanted: Marks): Difference {
   return change;
 }
 
-function badgesOf(at: ElementCount, words: MarkWords): Badge[] {
+function badgesOf(at: ElementCounts, words: MarkWords): Badge[] {
   const badges: Badge[] = [];
   if (at.failed > 0) badges.push({ kind: "failed", text: String(at.failed), title: words.failed(at.failed) });
   if (at.completed > 0) badges.push({ kind: "count", ...words.count(at.completed) });

@@ -1,7 +1,7 @@
 /** What people did to a process: what, at which element, who, why, and the variables that they set. */
 import { useTranslation } from "react-i18next";
 import { exactTime } from "~/design/times";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { elementName, type BpmnElements } from "../diagram/elements";
 import { nameOf } from "../names";
 import { Json } from "../process/Values";

@@ -3,13 +3,12 @@ import { ArrowRightLeft, Ban, Braces, SkipForward, TriangleAlert } from "lucide-
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { cancelToken, moveToken, retryToken, skipToken } from "~/api/actions";
-import type { MendRequest } from "~/api/generated/task-orchestrator";
+import type { IncidentView, MendRequest, ProcessView } from "~/api/generated/task-orchestrator";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
 import { RelativeTime } from "~/design/RelativeTime";
 import { Select } from "~/design/Select";
 import { localizedText } from "~/i18n/server";
-import type { Incident, ProcessView } from "~/live/messages";
 import { elementName, type BpmnElement, type BpmnElements } from "../diagram/elements";
 import { MendDialog } from "./MendDialog";
 import { RetryButton } from "./RetryButton";
@@ -17,7 +16,7 @@ import "./Incidents.css";
 
 /** A token that is being moved: the elements that can be chosen, and the chosen one ("" before). */
 export interface Moving {
-  incident: Incident;
+  incident: IncidentView;
   targets: readonly BpmnElement[];
   /** The targets are on the diagram; those of a called process are not. */
   isDrawn: boolean;
@@ -28,14 +27,14 @@ export interface IncidentsProps {
   process: ProcessView;
   elements: BpmnElements;
   moving: Moving | null;
-  onMove: (incident: Incident | null) => void;
+  onMove: (incident: IncidentView | null) => void;
   onTarget: (element: string) => void;
-  onPick: (incident: Incident) => void;
+  onPick: (incident: IncidentView) => void;
 }
 
 interface Asking {
   act: "retry" | "skip" | "cancel";
-  incident: Incident;
+  incident: IncidentView;
 }
 
 export function Incidents({ process, elements, moving, onMove, onTarget, onPick }: IncidentsProps) {
@@ -113,7 +112,7 @@ interface MovePanelProps {
   process: ProcessView;
   moving: Moving;
   elements: BpmnElements;
-  onMove: (incident: Incident | null) => void;
+  onMove: (incident: IncidentView | null) => void;
   onTarget: (element: string) => void;
 }
 
@@ -167,6 +166,6 @@ function MovePanel({ process, moving, elements, onMove, onTarget }: MovePanelPro
 }
 
 /** What the step of an incident is called. */
-export function incidentName({ name, element }: Incident, elements: BpmnElements): string {
+export function incidentName({ name, element }: IncidentView, elements: BpmnElements): string {
   return name === "" ? elementName(elements, element) : name;
 }

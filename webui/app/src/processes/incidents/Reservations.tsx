@@ -7,7 +7,7 @@ import { Button } from "~/design/Button";
 import { RelativeTime } from "~/design/RelativeTime";
 import { useSourceName } from "~/alerts/titles";
 import { eventText, inWords } from "~/i18n/server";
-import type { ProcessView, Reservation } from "~/live/messages";
+import type { ProcessView, ReservationView } from "~/api/generated/task-orchestrator";
 import { elementName, type BpmnElements } from "../diagram/elements";
 import { MendDialog } from "./MendDialog";
 import { liveReservations, waitingActivities } from "./waiting";
@@ -22,7 +22,7 @@ export interface ReservationsProps {
 export function Reservations({ process, elements, onPick }: ReservationsProps) {
   const { t } = useTranslation("processes");
   const sourceOf = useSourceName();
-  const [asking, setAsking] = useState<Reservation | null>(null);
+  const [asking, setAsking] = useState<ReservationView | null>(null);
   const reservations = liveReservations(process);
   const waiting = waitingActivities(process);
   if (reservations.length + waiting.length === 0) return null;

@@ -4,7 +4,7 @@ import { useTranslation } from "react-i18next";
 import { exactTime } from "~/design/times";
 import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { elementName, type BpmnElements } from "../diagram/elements";
 import { RetryButton } from "./RetryButton";
 import "./Incidents.css";

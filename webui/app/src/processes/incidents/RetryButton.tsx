@@ -6,7 +6,7 @@ import { retryToken } from "~/api/actions";
 import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { useWithName } from "~/shell/userName";
 
 export interface RetryButtonProps {

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { liveReservations, waitingActivities, waitingReasons } from "./waiting";
 
 type Waits = Pick<ProcessView, "reservations" | "unallocated">;
@@ -10,7 +10,10 @@ const reservation: ProcessView["reservations"][number] = {
   name: "Cell",
   state: "waiting",
   since: "2026-05-04T08:00:00Z",
+  askedAt: "2026-05-04T08:00:00Z",
+  heldAt: null,
   agents: [],
+  uses: [],
   isShared: false,
   reason: "ur10-1 is held by p-1",
 };

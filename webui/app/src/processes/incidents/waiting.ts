@@ -1,9 +1,9 @@
 /** What a process waits for beside its Tasks: performers that are busy, and resources that others have reserved. */
 import { localizedText } from "~/i18n/server";
-import type { ProcessView, Reservation } from "~/live/messages";
+import type { ProcessView, ReservationView } from "~/api/generated/task-orchestrator";
 
 /** What a page shows of a reservation: those that have ended are part of the export only. */
-export function liveReservations(process: Pick<ProcessView, "reservations">): Reservation[] {
+export function liveReservations(process: Pick<ProcessView, "reservations">): ReservationView[] {
   return process.reservations.filter(({ state, isShared }) => state !== "ended" && !isShared);
 }
 

@@ -13,7 +13,7 @@ import { processTone } from "~/design/states";
 import { useIsReading } from "~/design/table/useStableOrder";
 import { VirtualGrid, type Line } from "~/design/table/VirtualGrid";
 import { useFamily } from "~/live/hooks";
-import type { DefinitionView } from "~/live/messages";
+import type { DefinitionView } from "~/api/generated/task-orchestrator";
 import { processState, type ProcessState } from "~/live/processState";
 import { shortName } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";

@@ -2,7 +2,7 @@
  * Rows: the list of definitions and processes. It keeps its place while somebody is in it: what is new is
  * counted and waits, what has ended stays where it stood.
  */
-import type { DefinitionView, ProcessView } from "~/live/messages";
+import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
 import { processState, type ProcessState } from "~/live/processState";
 
 /** A process in a line, as the live view and the orchestrator's list both have it. */

@@ -2,14 +2,20 @@
 import type { TaskComment } from "~/api/generated/task-orchestrator";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { useTopicSelector } from "~/live/hooks";
 import { commentOnProcess } from "~/tasks/actions";
 import { Comments } from "~/tasks/Comments";
 import { SERVICE } from "../records";
 
-const REFRESH_MS = 10_000;
+/** Comments that were sent without a page are not pushed. */
+const REFRESH_MS = 60_000;
 
 export function ProcessComments({ id }: { id: string }) {
-  const { value, failure, reload } = useServiceQuery<TaskComment[]>(SERVICE, `processes/${encodeURIComponent(id)}/comments`, { intervalMs: REFRESH_MS });
+  // The ids of its Tasks begin with that of the process.
+  const revision = useTopicSelector("comments", (all) =>
+    JSON.stringify(Object.entries(all?.counts ?? {}).filter(([subject]) => subject === id || subject.startsWith(`${id}-`))),
+  );
+  const { value, failure, reload } = useServiceQuery<TaskComment[]>(SERVICE, `processes/${encodeURIComponent(id)}/comments`, { revision, intervalMs: REFRESH_MS });
   return (
     <>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}

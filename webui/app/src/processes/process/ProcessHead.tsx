@@ -13,7 +13,7 @@ import { duration } from "~/design/times";
 import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import { useTopic } from "~/live/hooks";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { processState } from "~/live/processState";
 import { shortName } from "~/live/urn";
 import { useUserName } from "~/shell/userName";

@@ -5,7 +5,7 @@ import { useServiceQuery, type ServiceQuery } from "~/api/useServiceQuery";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
-import type { Incident, ProcessView } from "~/live/messages";
+import type { IncidentView, ProcessView } from "~/api/generated/task-orchestrator";
 import { useQueryParameter } from "~/route/queryParameter";
 import { elementsOf, NO_ELEMENTS, pathOf, targetsFor, type BpmnElements } from "../diagram/elements";
 import { marksOfProcess, withPicked, withTargets, withWaiting } from "../diagram/marks";
@@ -110,7 +110,7 @@ function useMoving(process: ProcessView, elements: BpmnElements) {
   const called = useCalledElements(inner === null ? null : (elements.get(drawn)?.calls ?? null));
   const targets = inner === null ? targetsFor(elements, drawn) : targetsFor(called, inner);
   const moving: Moving | null = incident === undefined ? null : { incident, targets, isDrawn: inner === null, to };
-  const setMoving = (one: Incident | null) => {
+  const setMoving = (one: IncidentView | null) => {
     setToken(one?.token ?? null);
     setTarget("");
   };

@@ -5,7 +5,7 @@ import { Button } from "~/design/Button";
 import { duration } from "~/design/times";
 import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
-import type { ProcessView, TaskView } from "~/live/messages";
+import type { ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 import { isSame, shortName } from "~/live/urn";
 import { RetryButton } from "../incidents/RetryButton";
 import { nameOf } from "../names";

@@ -3,7 +3,7 @@ import { useTranslation } from "react-i18next";
 import { StatusBadge } from "~/design/StatusBadge";
 import { statusTone } from "~/design/states";
 import { useFamily } from "~/live/hooks";
-import type { TaskView } from "~/live/messages";
+import type { TaskView } from "~/api/generated/task-orchestrator";
 import { isSame } from "~/live/urn";
 
 export function TaskState({ task }: { task: TaskView }) {

@@ -4,7 +4,7 @@ import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { setVariables } from "~/api/actions";
 import { Button } from "~/design/Button";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { MendDialog } from "../incidents/MendDialog";
 import "./Values.css";
 

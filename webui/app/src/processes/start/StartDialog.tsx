@@ -2,11 +2,10 @@
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { startProcess } from "~/api/actions";
-import type { ProcessStart, ProcessView } from "~/api/generated/task-orchestrator";
+import type { DefinitionView, ProcessStart, ProcessView } from "~/api/generated/task-orchestrator";
 import { requestService, ApiError } from "~/api/http";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
-import type { DefinitionView } from "~/live/messages";
 import { Select } from "~/design/Select";
 import { filledIn, initialText, kindOf, parameterIn, type Parameter } from "./parameters";
 import "./StartDialog.css";

@@ -2,7 +2,7 @@
  * The parameters of a process at its start. A definition gives each a default, and the default's JSON
  * type says what can be typed: text, a number, yes or no, or JSON for a list or an object.
  */
-import type { DefinitionView } from "~/live/messages";
+import type { DefinitionView } from "~/api/generated/task-orchestrator";
 
 export type Parameter = DefinitionView["parameters"][number];
 export type Kind = "text" | "number" | "boolean" | "json";

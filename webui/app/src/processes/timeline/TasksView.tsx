@@ -2,7 +2,7 @@
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView } from "~/api/generated/task-orchestrator";
 import { useChosen } from "./chosen";
 import { TaskTable } from "./TaskTable";
 import { Timeline } from "./Timeline";

@@ -6,7 +6,7 @@ import { Button } from "~/design/Button";
 import { duration } from "~/design/times";
 import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
-import type { ProcessView, TaskView } from "~/live/messages";
+import type { ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 import { nameOf, taskMark } from "../names";
 import { markFormat, marksOf, percentAt, spanOf, stepFor, type Span } from "./axis";
 import { lanesOf, type Bar } from "./lanes";

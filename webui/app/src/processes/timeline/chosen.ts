@@ -1,5 +1,6 @@
 /** The filter of the Tasks, stored in the URL, and the matching Tasks. */
-import type { ProcessView, Status, TaskView } from "~/live/messages";
+import type { ProcessView, TaskView } from "~/api/generated/task-orchestrator";
+import type { Status } from "~/live/messages";
 import { useQueryParameter } from "~/route/queryParameter";
 import { filtered, statusesOf, type Filter } from "./filter";
 

@@ -2,7 +2,8 @@
  * The course of a Task: created, accepted, in progress, ended; times in ms of one clock. Performers use their own
  * clocks, so times that would run backwards are corrected.
  */
-import type { Status, TaskView } from "~/live/messages";
+import type { TaskView } from "~/api/generated/task-orchestrator";
+import type { Status } from "~/live/messages";
 
 export interface Stretch {
   status: Status;

@@ -1,6 +1,7 @@
 /** The filter of the Tasks of a process, stored in the URL. */
 import { localizedText } from "~/i18n/server";
-import type { Status, TaskView } from "~/live/messages";
+import type { TaskView } from "~/api/generated/task-orchestrator";
+import type { Status } from "~/live/messages";
 import { nameOf, performerOf, taskMark } from "../names";
 
 export interface Filter {

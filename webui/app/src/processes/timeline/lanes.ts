@@ -1,5 +1,5 @@
 /** Lanes: the Tasks of each performer beside each other, those at the same time one below the other. */
-import type { TaskView } from "~/live/messages";
+import type { TaskView } from "~/api/generated/task-orchestrator";
 import { performerOf } from "../names";
 import { courseOf, type Course } from "./course";
 

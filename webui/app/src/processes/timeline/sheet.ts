@@ -1,6 +1,6 @@
 /** Sheet: the Tasks of a process as a file for a spreadsheet (CSV) or a program (JSON). */
 import { localizedText } from "~/i18n/server";
-import type { ProcessView, TaskView } from "~/live/messages";
+import type { ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 import { nameOf, performerOf } from "../names";
 import { courseOf } from "./course";
 
