@@ -50,7 +50,9 @@ def openapi_of(service: str) -> Mapping[str, Any]:
     """Return the OpenAPI document of a service."""
     known = importlib.import_module("handover.cli.services")
     found = next(one for one in (*known.SERVICES, *known.OPTIONAL_SERVICES) if one.name == service)
-    app = importlib.import_module(f"{found.module}.app").make_app(found.settings.load())
+    # Nothing is served here, so a running cell may have the port of the gloves.
+    ports = {name: 0 for name in found.settings.model_fields if name == "glove_port"}
+    app = importlib.import_module(f"{found.module}.app").make_app(found.settings.load(**ports))
     document: Mapping[str, Any] = app.openapi()
     return document
 
