@@ -8,6 +8,7 @@ of the page never imports a service; only this command does, in a checkout.
 """
 
 import importlib
+import socket
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -51,10 +52,16 @@ def openapi_of(service: str) -> Mapping[str, Any]:
     known = importlib.import_module("handover.cli.services")
     found = next(one for one in (*known.SERVICES, *known.OPTIONAL_SERVICES) if one.name == service)
     # Nothing is served here, so a running cell may have the port of the gloves.
-    ports = {name: 0 for name in found.settings.model_fields if name == "glove_port"}
+    ports = {name: _free_port() for name in found.settings.model_fields if name == "glove_port"}
     app = importlib.import_module(f"{found.module}.app").make_app(found.settings.load(**ports))
     document: Mapping[str, Any] = app.openapi()
     return document
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        port: int = found.getsockname()[1]
+    return port
 
 
 def typescript(service: str, document: Mapping[str, Any]) -> str:
