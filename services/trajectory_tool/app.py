@@ -1,5 +1,6 @@
 """REST interface of the trajectory tool, and the WebSocket stream of joint states."""
 
+import inspect
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -15,6 +16,7 @@ from handover.storage import storage_check
 from services.trajectory_tool.controller import Controller, Controllers
 from services.trajectory_tool.device import description
 from services.trajectory_tool.joint_states import stream, written
+from services.trajectory_tool.operations import OPERATIONS
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.scene_routes import add_scene_routes, scene_view
 from services.trajectory_tool.settings import TrajectorySettings
@@ -70,6 +72,7 @@ def view_of(controller: Controller) -> RobotView:
             "interrupted": cell.begun.kind if cell.begun is not None and work is None else None,
         },
         "task": None if work is None else work.task,
+        "awaitsConfirmation": work is not None and work.awaits_confirmation,
         "operation": None if work is None else work.operation,
         "progress": None if work is None else round(work.progress(), 3),
         "remainingS": None if work is None else round(work.remaining_s(), 2),
@@ -106,6 +109,29 @@ def _add_robots(app: FastAPI, controllers: Controllers) -> None:
         """Return the cell in its own frame: bins, fixtures, obstacles, and the pose of each part."""
         _known(controllers, robot)
         return scene_view(controllers.workcell)
+
+    @app.get("/operations", tags=["robots"])
+    async def operations_known() -> dict[str, Any]:
+        """Return the operations of robots, each with the JSON Schema of its workParameters."""
+        return {
+            name: {
+                "description": inspect.getdoc(operation.perform),
+                "parameters": operation.parameters.model_json_schema(by_alias=True),
+            }
+            for name, operation in OPERATIONS.items()
+        }
+
+    @app.post("/robots/{robot}/confirm", tags=["robots"])
+    async def confirm(robot: str) -> RobotView:
+        """Confirm a hand-over: the person holds the part; 409 while there is nothing to confirm."""
+        controller = _known(controllers, robot)
+        if controller.work is None or not controller.work.confirm():
+            raise Problem(
+                409,
+                "Nothing to confirm",
+                message("robot.nothing_to_confirm", "{robot} waits for no confirmation", robot=robot),
+            )
+        return view_of(controller)
 
     @app.post("/robots/{robot}/gripper/free", tags=["robots"])
     async def free(robot: str) -> RobotView:

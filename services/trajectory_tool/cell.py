@@ -168,6 +168,37 @@ class Cell:
         await self.remember()
         return part
 
+    async def give(self, task: str) -> None:
+        """Open the gripper for `task`; a person takes the part out of the cell."""
+        await self._begin(BegunAct(task, "release"))
+        pose, part = self.tool_pose, self.held
+        await self.robot.open_gripper()
+        self.begun = None
+        if part is not None:
+            self.held, self.grip_of_part = None, None
+            self.last_act = Act(task, "released", part, pose)
+        await self.remember()
+
+    async def take(self, task: str, part: str) -> bool:
+        """Close the gripper for `task` on `part`, which a person holds there; return whether it is gripped.
+
+        It opens again when nothing is between the fingers.
+        """
+        await self._begin(BegunAct(task, "grip"))
+        pose = self.tool_pose
+        self.contents = self.contents.released(part, None, pose)  # a simulated gripper closes on it
+        try:
+            is_gripped = await self.robot.close_gripper()
+        finally:
+            self.contents = self.contents.gripped(part)
+        if is_gripped:
+            self.held, self.last_act = part, Act(task, "gripped", part, pose)
+        else:
+            await self.robot.open_gripper()
+        self.begun = None
+        await self.remember()
+        return is_gripped
+
     async def free(self) -> str | None:
         """Open the gripper so that a person can remove the part; return that part.
 

@@ -4,6 +4,8 @@ Each can be restarted after a power cut: an action that the gripper has performe
 repeated. While the outcome of an action is unknown, nothing is picked or placed.
 """
 
+import importlib
+import math
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +16,7 @@ from handover.performer import TaskFailed
 from services.trajectory_tool import bin_search
 from services.trajectory_tool import parameters as given
 from services.trajectory_tool.metrics import SCANS
+from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import NO_TURN, Frame, Pose
 from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 from services.trajectory_tool.work import Work
@@ -39,21 +42,65 @@ async def home(work: Work, _: given.Home) -> Result:
 
 async def move_to(work: Work, asked: given.MoveTo) -> Result:
     """Move to joint angles or to a pose of the tool."""
-    if asked.joints is not None:
-        try:
-            return await _move(work, work.cell.model.allow(asked.joints))
-        except Unreachable as why:
-            raise TaskFailed(
-                message(
-                    "robot.target_unreachable",
-                    "{target}: {why}",
-                    target='parameter "joints" of moveTo',
-                    why=text_of(why),
-                )
-            ) from None
-    target = asked.pose
-    assert target is not None  # noqa: S101 - MoveTo has one or the other
-    return await _move(work, await _reach(work, target.pose, work.cell.joints, 'parameter "pose" of moveTo'))
+    targets = []
+    here = work.cell.joints
+    for number, waypoint in enumerate(asked.through):
+        here = await joints_of(work, waypoint, here, f'parameter "through.{number}" of moveTo')
+        targets.append(here)
+    targets.append(await joints_of(work, asked, here, "moveTo"))
+    tilt = None if asked.tilt is None else _tilt(asked.tilt)
+    if len(targets) == 1:
+        return await _move(work, targets[0], tilt)
+    work.intend(*targets)
+    await work.go_through(targets, tilt)
+    return {"joints": [round(angle, 6) for angle in work.cell.joints]}
+
+
+async def joints_of(work: Work, target: given.Target, near: Joints, where: str) -> Joints:
+    """Return the joint positions of a target. Raises `TaskFailed` that names it."""
+    model = work.cell.model
+    prefix = f'parameter "{{}}" of {where}' if not where.startswith("parameter") else where
+    if target.pose is not None:
+        return await _reach(work, target.pose.pose, near, prefix.format("pose"))
+    if target.named is not None:
+        return _named(work, target.named, prefix.format("named"))
+    try:
+        return model.allow(target.joints or ())
+    except Unreachable as why:
+        raise TaskFailed(
+            message(
+                "robot.target_unreachable",
+                "{target}: {why}",
+                target=prefix.format("joints"),
+                why=text_of(why),
+            )
+        ) from None
+
+
+def _named(work: Work, name: str, where: str) -> Joints:
+    cell = work.cell
+    known = {**cell.model.poses, "home": cell.home}
+    if name not in known:
+        raise TaskFailed(
+            message(
+                "robot.unknown_named_position",
+                '{target}: {robot} has no position "{name}"; it has {known}',
+                target=where,
+                robot=cell.model.name,
+                name=name,
+                known=", ".join(known),
+            )
+        )
+    return known[name]
+
+
+def _tilt(tilt: given.GivenTilt) -> Any:
+    if not is_available():
+        raise TaskFailed(
+            message("robot.tilt_needs_planning", 'parameter "tilt" of moveTo needs the extra "motion"')
+        )
+    planner = importlib.import_module("services.trajectory_tool.planning.planner")
+    return planner.Tilt(tilt.axis, tilt.direction, math.radians(tilt.max_angle_deg))
 
 
 async def move_linear(work: Work, request: given.MoveLinear) -> Result:
@@ -94,7 +141,7 @@ async def pick(work: Work, request: given.Pick) -> Result:
     if cell.held is not None:
         return await _already_picked(work, request, cell.held)
     spot = _where_to_pick(work, request)
-    above, at = await _from_above(work, spot, "the part")
+    above, at = await _from_above(work, request, spot, "the part")
     if cell.robot.gripper_closed:
         await work.release(None)
     work.intend(above, at, cell.scene.gripper.acts_in_s, above)
@@ -105,7 +152,7 @@ async def pick(work: Work, request: given.Pick) -> Result:
     if part is not None and request.part not in {None, part}:
         lay = before.find(part)
         await work.release(lay.place if lay else None)
-        await _go_near(work, _above(work, spot), above)
+        await _retreat(work, request, spot, above)
         raise TaskFailed(
             message(
                 "robot.other_part_there",
@@ -116,7 +163,7 @@ async def pick(work: Work, request: given.Pick) -> Result:
                 asked=request.part,
             )
         )
-    await _go_near(work, _above(work, spot), above)
+    await _retreat(work, request, spot, above)
     await _require_held(work)
     if part is None:
         raise TaskFailed(
@@ -134,18 +181,71 @@ async def place(work: Work, request: given.Place) -> Result:
     _require_known_outcome(work)
     cell = work.cell
     if cell.held is None:
-        return await _already_placed(work)
+        return await _already_placed(work, request)
     part = cell.held
     await _require_held(work)
     spot = await _where_to_place(work, request)
-    above, at = await _from_above(work, spot, "the place")
+    above, at = await _from_above(work, request, spot, "the place")
     work.intend(above, at, cell.scene.gripper.acts_in_s, above)
     await work.go(above)
     await _require_held(work)
     await _go_near(work, spot, at)
     await work.release(request.location)
-    await _go_near(work, _above(work, spot), above)
+    await _retreat(work, request, spot, above)
     return _placed(part, request.location, spot)
+
+
+async def hand_over(work: Work, request: given.HandOver) -> Result:
+    """Go to the pose of the hand-over, wait for the person, and open or close the gripper; then rest."""
+    _require_known_outcome(work)
+    cell = work.cell
+    done = work.done_before()
+    if done is not None:
+        return _handed_over(request, done.part)
+    gives = request.direction == "give"
+    if gives and cell.held is None:
+        raise TaskFailed(message("robot.nothing_to_give", "the gripper is empty; pick a part to hand over"))
+    if not gives and cell.held is not None:
+        raise TaskFailed(
+            message(
+                "robot.gripper_full",
+                'the gripper holds "{part}"; place it, or take it out by hand, before another part is picked',
+                part=cell.held,
+            )
+        )
+    by_contact = request.confirmation == "contact"
+    if by_contact and cell.robot.wrist_force_n() is None:
+        raise TaskFailed(
+            message(
+                "robot.no_wrist_force",
+                'parameter "confirmation" of handOver: this robot has no force sensor; use "person"',
+            )
+        )
+    target = await joints_of(work, request, cell.joints, "handOver")
+    if not gives and cell.robot.gripper_closed:
+        await work.release(None)
+    work.intend(target, 0.0, cell.scene.gripper.acts_in_s)
+    await work.go(target)
+    if not await work.wait_for_confirmation(request.timeout_s, request.contact_n if by_contact else None):
+        raise TaskFailed(
+            message(
+                "robot.hand_over_not_confirmed",
+                "nobody confirmed the hand-over within {timeout} s; the gripper is unchanged",
+                timeout=f"{request.timeout_s:g}",
+            )
+        )
+    part = cell.held or request.part or f"part of {work.task.rsplit(':', 1)[-1]}"
+    if gives:
+        await work.give()
+    elif not await work.take(part):
+        raise TaskFailed(
+            message("robot.nothing_taken", "nothing was between the fingers; the gripper is open again")
+        )
+    return _handed_over(request, part)
+
+
+def _handed_over(request: given.HandOver, part: str) -> Result:
+    return {"part": part, "direction": request.direction, "handedOver": True}
 
 
 OPERATIONS: Mapping[str, Operation] = {
@@ -155,6 +255,7 @@ OPERATIONS: Mapping[str, Operation] = {
     "pick": Operation(given.Pick, pick),
     "place": Operation(given.Place, place),
     "home": Operation(given.Home, home),
+    "handOver": Operation(given.HandOver, hand_over),
 }
 
 
@@ -172,9 +273,9 @@ def known(name: str) -> Operation:
     return OPERATIONS[name]
 
 
-async def _move(work: Work, target: Joints) -> Result:
+async def _move(work: Work, target: Joints, tilt: Any = None) -> Result:
     work.intend(target)
-    await work.go(target)
+    await work.go(target, tilt)
     return {"joints": [round(angle, 6) for angle in work.cell.joints]}
 
 
@@ -210,27 +311,27 @@ async def _already_picked(work: Work, request: given.Pick, held_part: str) -> Re
                 part=held_part,
             )
         )
-    await _leave(work)
+    await _leave(work, request)
     return {"part": held_part, "gripped": True}
 
 
-async def _already_placed(work: Work) -> Result:
+async def _already_placed(work: Work, request: given.Place) -> Result:
     done = work.done_before()
     if done is None or done.kind != "released":
         raise TaskFailed(
             message("robot.gripper_empty", "the gripper is empty; pick a part before one is placed")
         )
-    await _leave(work)
+    await _leave(work, request)
     return _placed(done.part, done.place, done.pose)
 
 
-async def _leave(work: Work) -> None:
+async def _leave(work: Work, request: given.Approaching) -> None:
     """Move up from the pose of the gripper's action if the arm is still there after an interruption."""
     cell = work.cell
     act = cell.last_act
     if act is None or cell.tool_pose.distance_m(act.pose) > AT_THE_SPOT_M:
         return
-    raised = _above(work, act.pose)
+    raised = _before(work, request, act.pose, request.retreat_m)
     above = await _reach(work, raised, cell.joints, "the way up")
     work.intend(above)
     await _go_near(work, raised, above)
@@ -325,14 +426,14 @@ def _with_grip(work: Work, nest: Pose) -> Pose:
     return aside.raised(grip.below_m - size[2] / 2)
 
 
-async def _from_above(work: Work, spot: Pose, what: str) -> tuple[Joints, Joints]:
+async def _from_above(work: Work, request: given.Approaching, spot: Pose, what: str) -> tuple[Joints, Joints]:
     """Return joints above a spot and at it; in a cell with obstacles, a straight motion connects them."""
-    cell = work.cell
+    cell, before = work.cell, _before(work, request, spot, request.approach_m)
     if not cell.planning.avoids_obstacles:
-        above = await _reach(work, _above(work, spot), cell.joints, f"above {what}")
+        above = await _reach(work, before, cell.joints, f"above {what}")
         return above, await _reach(work, spot, above, what)
     try:
-        there, down = await work.plan(lambda planner: planner.approach(cell.joints, _above(work, spot), spot))
+        there, down = await work.plan(lambda planner: planner.approach(cell.joints, before, spot))
     except (Unreachable, NoPath) as why:
         raise TaskFailed(
             message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))
@@ -340,8 +441,20 @@ async def _from_above(work: Work, spot: Pose, what: str) -> tuple[Joints, Joints
     return there.target, down.target
 
 
-def _above(work: Work, spot: Pose) -> Pose:
-    return spot.raised(work.cell.scene.gripper.approach_m)
+def _before(work: Work, request: given.Approaching, spot: Pose, distance_m: float | None) -> Pose:
+    """Return the pose from which the tool moves straight to a spot, or to which it leaves."""
+    back_m = distance_m or work.cell.scene.gripper.approach_m
+    if request.along == "vertical":
+        return spot.raised(back_m)
+    return Pose.of(spot.frame() @ Pose((0.0, 0.0, -back_m), (0.0, 0.0, 0.0, 1.0)).frame())
+
+
+async def _retreat(work: Work, request: given.Approaching, spot: Pose, above: Joints) -> None:
+    """Leave a spot straight: to `above`, where the tool came from, or as far as the Task says."""
+    raised = _before(work, request, spot, request.retreat_m or request.approach_m)
+    is_way_back = request.retreat_m in {None, request.approach_m}
+    joints = above if is_way_back else await _reach(work, raised, work.cell.joints, "the way up")
+    await _go_near(work, raised, joints)
 
 
 async def _go_near(work: Work, pose: Pose, joints: Joints) -> None:

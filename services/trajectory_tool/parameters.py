@@ -5,7 +5,7 @@ A fault names the parameter, the rule and a correct value.
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -44,6 +44,14 @@ def _unit(quaternion: poses.Quaternion) -> poses.Quaternion:
     return (x / length, y / length, z / length, w / length)
 
 
+def _direction(vector: poses.Vector) -> poses.Vector:
+    length = math.hypot(*vector)
+    if length < 1e-6:
+        raise ValueError("must be a direction [x, y, z] of a length above 0")
+    x, y, z = vector
+    return (x / length, y / length, z / length)
+
+
 Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
 Name = Annotated[str, BeforeValidator(_last_part), Field(min_length=1)]
 """The name of a bin, fixture or part; of a URN the last part is used."""
@@ -71,19 +79,41 @@ class Home(_Given):
     speed: Annotated[Number, Field(ge=0.01, le=1)] = 1.0
 
 
-class MoveTo(Home):
-    """Move to joint positions (rad, or m for prismatic joints), or the tool to a pose."""
+class Target(_Given):
+    """A position of the arm: joint positions (rad, or m), a named position of the SRDF, or a tool pose."""
 
     joints: Annotated[tuple[Number, ...], Field(min_length=1)] | None = None
+    named: Annotated[str, Field(min_length=1)] | None = None
     pose: GivenPose | None = None
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
-        if (self.joints is None) == (self.pose is None):
+        if sum(one is not None for one in (self.joints, self.named, self.pose)) != 1:
             raise ValueError(
-                'needs either "joints" (a position for each joint, in rad or m) or "pose", and not both'
+                'needs either "joints" (a position for each joint, in rad or m), "named" (a position of the '
+                'SRDF) or "pose", and not both'
             )
         return self
+
+
+class GivenTilt(_Given):
+    """A constraint on the way: `axis` of the tool stays within `maxAngleDeg` of `direction` in the cell."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    max_angle_deg: Annotated[Number, Field(gt=0, le=180, alias="maxAngleDeg")] = 10.0
+    axis: Annotated[tuple[Number, Number, Number], AfterValidator(_direction)] = (0.0, 0.0, 1.0)
+    direction: Annotated[tuple[Number, Number, Number], AfterValidator(_direction)] = (0.0, 0.0, -1.0)
+
+
+class MoveTo(Target, Home):
+    """Move to joint positions (rad, or m for prismatic joints), a named position, or the tool to a pose.
+
+    The arm passes `through` waypoints without a stop, with rounded corners. `tilt` holds on the whole way.
+    """
+
+    through: Annotated[tuple[Target, ...], Field(max_length=50)] = ()
+    tilt: GivenTilt | None = None
 
 
 class MoveLinear(Home):
@@ -101,7 +131,17 @@ class Scan(Home):
     bin: Name
 
 
-class Pick(Home):
+class Approaching(Home):
+    """How the tool comes and leaves: `approachM` and `retreatM`, along the vertical or its own axis."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    approach_m: Annotated[Number | None, Field(gt=0, le=1, alias="approachM")] = None
+    retreat_m: Annotated[Number | None, Field(gt=0, le=1, alias="retreatM")] = None
+    along: Annotated[Literal["vertical", "tool"], Field(alias="approachAlong")] = "vertical"
+
+
+class Pick(Approaching):
     """Pick a part at a pose, by name or from a bin; by default the last detected part."""
 
     part: Name | None = None
@@ -109,7 +149,7 @@ class Pick(Home):
     bin: Name | None = None
 
 
-class Place(Home):
+class Place(Approaching):
     """Put the held part into a fixture or at a pose."""
 
     location: Name | None = None
@@ -120,6 +160,21 @@ class Place(Home):
         if (self.location is None) == (self.pose is None):
             raise ValueError('needs either "location" (the name of a fixture) or "pose", and not both')
         return self
+
+
+class HandOver(Target, Home):
+    """Give the held part to a person, or take one: at a pose, after the person's confirmation or contact.
+
+    `part` names a part that is taken. Nothing moves after the gripper has acted.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    direction: Literal["give", "take"]
+    confirmation: Literal["person", "contact"] = "person"
+    contact_n: Annotated[Number, Field(gt=0, le=200, alias="contactN")] = 10.0
+    timeout_s: Annotated[Number, Field(gt=0, le=3600, alias="timeoutS")] = 120.0
+    part: Name | None = None
 
 
 def read(model: type[Home], operation: str, values: Mapping[str, Any]) -> Home:

@@ -130,6 +130,10 @@ class Robot(ABC):
             )
         )
 
+    def wrist_force_n(self) -> float | None:
+        """Return the measured force at the wrist in N; None for a robot without such a sensor."""
+        return None
+
     @abstractmethod
     async def close_gripper(self) -> bool:
         """Close the gripper; return True when an object is between its fingers. Raises `RobotFault`."""

@@ -1,7 +1,8 @@
 """Work: the execution of one Task by the robot, with its progress and its pauses."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from handover.errors import UsageError
@@ -14,12 +15,13 @@ from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 
 if TYPE_CHECKING:
-    from services.trajectory_tool.planning.planner import Plan, Planner
+    from services.trajectory_tool.planning.planner import Plan, Planner, Tilt
 
 
 T = TypeVar("T")
 
 NEIGHBOUR_POLL_S = 0.2
+CONFIRMATION_POLL_S = 0.05
 
 
 class Steering(Protocol):
@@ -48,6 +50,8 @@ class Work:
         self._total_s = 0.0
         self._progress = 0.0
         self._planned_in = 0
+        self._confirmed = asyncio.Event()
+        self.awaits_confirmation = False
 
     def intend(self, *steps: Joints | float) -> None:
         """Set the planned steps: joints to move to in rad, and actions with their duration in s.
@@ -71,14 +75,15 @@ class Work:
             self._progress = max(self._progress, min(1 - self.remaining_s() / self._total_s, 1.0))
         return self._progress
 
-    async def go(self, target: Joints) -> None:
+    async def go(self, target: Joints, tilt: "Tilt | None" = None) -> None:
         """Move to joints in rad, with pauses on the way if requested; at rest there when it returns.
 
-        In a cell with obstacles the way is planned around them. Raises `TaskFailed` where there is none.
+        In a cell with obstacles the way is planned around them; `tilt` is kept on a planned way. Raises
+        `TaskFailed` where there is none.
         """
         self._begin_next()
         self._current_s = 0.0
-        while not self.cell.planning.avoids_obstacles:
+        while tilt is None and not self.cell.planning.avoids_obstacles:
             self._planned_in = self.cell.planning.revision
             if await self._move(target):
                 await self.cell.remember()
@@ -87,7 +92,18 @@ class Work:
             while not self._steering.may_go():
                 await self._steering.rest()
             self._current_s = 0.0
-        await self._follow(lambda planner, here: planner.to_joints(here, target))
+        await self._follow(lambda planner, here: planner.to_joints(here, target, tilt))
+
+    async def go_through(self, targets: Sequence[Joints], tilt: "Tilt | None" = None) -> None:
+        """Move through all but the last of the targets without a stop; after a pause, through the rest."""
+        self._begin_next()
+        self._current_s = 0.0
+        rest = list(targets)
+
+        def drop_passed(plan: "Plan", here: Joints) -> None:
+            del rest[: plan.passed(rest, here)]
+
+        await self._follow(lambda planner, here: planner.through(here, rest, tilt), drop_passed)
 
     async def go_straight(self, pose: Pose, max_tool_speed_mps: float | None = None) -> None:
         """Move the tool on a straight line to a pose, likewise."""
@@ -95,7 +111,11 @@ class Work:
         self._current_s = 0.0
         await self._follow(lambda planner, here: planner.straight(here, pose, max_tool_speed_mps))
 
-    async def _follow(self, make: "Callable[[Planner, Joints], Plan]") -> None:
+    async def _follow(
+        self,
+        make: "Callable[[Planner, Joints], Plan]",
+        on_stop: "Callable[[Plan, Joints], None]" = lambda _, __: None,
+    ) -> None:
         """Plan from the present joints and follow, again after a pause or when the obstacles changed."""
         while True:
             while not self._steering.may_go():
@@ -110,6 +130,7 @@ class Work:
             finally:
                 self._moving = False
                 self.cell.planning.end_motion()
+            on_stop(plan, self.cell.joints)
             await self.cell.remember()
             self._current_s = 0.0
         await self.cell.remember()
@@ -179,6 +200,51 @@ class Work:
         """Open the gripper; the part stays at its pose, in the fixture `place` if given."""
         await self._begin_act()
         await self.cell.release(self.task, place)
+
+    async def give(self) -> None:
+        """Open the gripper; a person takes the part out of the cell."""
+        await self._begin_act()
+        await self.cell.give(self.task)
+
+    async def take(self, part: str) -> bool:
+        """Close the gripper on `part`, which a person holds there; return whether it is gripped."""
+        await self._begin_act()
+        return await self.cell.take(self.task, part)
+
+    def confirm(self) -> bool:
+        """Confirm what the work waits for; return False without a change if it waits for nothing."""
+        if self.awaits_confirmation:
+            self._confirmed.set()
+        return self.awaits_confirmation
+
+    async def wait_for_confirmation(self, timeout_s: float, contact_n: float | None) -> bool:
+        """Wait for `confirm`, or for a change of the wrist force by `contact_n`; False when the time is over.
+
+        A pause does not count as time. Raises when the work is cancelled; the gripper is unchanged then.
+        """
+        await self._begin_act()
+        clock, robot = asyncio.get_running_loop().time, self.cell.robot
+        self._confirmed.clear()
+        self.awaits_confirmation = True
+        at_rest_n, left_s, before_s = robot.wrist_force_n(), timeout_s, clock()
+        try:
+            while not self._confirmed.is_set():
+                if not self._steering.may_go():
+                    await self._steering.rest()
+                    before_s, at_rest_n = clock(), robot.wrist_force_n()
+                    continue
+                force_n = robot.wrist_force_n()
+                if contact_n is not None and abs((force_n or 0.0) - (at_rest_n or 0.0)) >= contact_n:
+                    return True
+                now_s = clock()
+                left_s, before_s = left_s - (now_s - before_s), now_s
+                if left_s <= 0:
+                    return False
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._confirmed.wait(), min(CONFIRMATION_POLL_S, left_s))
+            return True
+        finally:
+            self.awaits_confirmation = False
 
     async def wait(self, seconds: float) -> None:
         """Wait for the camera."""

@@ -79,6 +79,21 @@ class Plan:
         """Return the joints at the end."""
         return self.trajectory.target
 
+    def passed(self, waypoints: Sequence[Joints], here: Joints) -> int:
+        """Return how many of the waypoints lie before `here`, a position on the way; never the last one."""
+        samples = self.trajectory.positions(CHECK_STEP_S)
+
+        def place(joints: Joints, since: int) -> int:
+            return since + int(np.abs(samples[since:] - np.array(joints)).sum(axis=1).argmin())
+
+        now, count, at = place(here, 0), 0, 0
+        for waypoint in waypoints[:-1]:
+            at = place(waypoint, at)
+            if at > now:
+                break
+            count += 1
+        return count
+
 
 class Planner:
     """Plans for one robot; not thread-safe. Every method that plans raises `Unreachable` or `NoPath`."""
@@ -124,7 +139,7 @@ class Planner:
             part = self._to_goals(begin, [np.array(self.model.allow(target))], tilt)
             path += part.path[1:]
             begin, margin_m = path[-1], min(margin_m, part.margin_m)
-        return self._timed(path, Motions(self.collisions, margin_m))
+        return self._timed(path, Motions(self.collisions, margin_m), tilt)
 
     def straight(self, start: Joints, pose: Pose, max_tool_speed_mps: float | None = None) -> Plan:
         """Return a straight motion of the tool to a pose."""
@@ -229,7 +244,7 @@ class Planner:
         path = self._shortest(motions, start, goals, is_free, is_allowed)
         if path is None:
             raise NoPath(self._blocked(motions, start, goals[0]))
-        return self._timed(path, motions)
+        return self._timed(path, motions, tilt)
 
     def _shortest(
         self,
@@ -258,7 +273,7 @@ class Planner:
         """Return about how long a line takes at full speed."""
         return float((np.abs(other - one) / np.array(self.limits.velocity)).max())
 
-    def _timed(self, path: list[Array], motions: Motions) -> Plan:
+    def _timed(self, path: list[Array], motions: Motions, tilt: Tilt | None = None) -> Plan:
         """Return the motion on a path, with corners as round as the obstacles allow."""
         checks = Motions(self.collisions, motions.margin_m / 2)
         if len(path) == 2:
@@ -269,7 +284,8 @@ class Planner:
                 found = timing.along(curve, self.limits)
             except timing.NoTimingError:
                 continue
-            if checks.are_samples_free(found.positions(CHECK_STEP_S)):
+            samples = found.positions(CHECK_STEP_S)
+            if checks.are_samples_free(samples) and self._is_within(samples, tilt):
                 return Plan(found, tuple(path), motions.margin_m)
         return Plan(timing.with_stops(path, self.limits), tuple(path), motions.margin_m)
 
@@ -344,6 +360,13 @@ class Planner:
             )
 
         return is_allowed
+
+    def _is_within(self, samples: Array, tilt: Tilt | None) -> bool:
+        """Return whether rounded corners keep a tilt; lines of the path are checked before."""
+        if tilt is None:
+            return True
+        is_allowed = self._tilt_check(tilt)
+        return all(is_allowed(one, other) for one, other in pairwise(samples[::4]))
 
     def _contact(self, joints: Array, margin_m: float) -> Message:
         near = self.collisions.contacts(joints, margin_m) or [self.collisions.closest(joints)]

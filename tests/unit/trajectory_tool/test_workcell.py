@@ -280,4 +280,4 @@ def job(controller: Any) -> Job:
             "status": "inProgress",
         }
     )
-    return Job(task, controller.device.id, controller.broker)
+    return Job(task, controller.device.id, controller.broker, controller._finished)
