@@ -153,19 +153,20 @@ def _last_durations(connection: Connection, definition: str, version: int) -> di
     """Return the duration of the last completed Task of each element in the latest processes."""
     latest = (
         select(processes.c.id)
-        .where(processes.c.definition == definition, processes.c.version == version)
+        # Added to nothing, the version is no reason to read all its processes instead of the last ones.
+        .where(processes.c.definition == definition, processes.c.version + 0 == version)
         .order_by(processes.c.started_at.desc(), processes.c.id.desc())
         .limit(LATEST_PROCESSES)
     )
     found: dict[str, int] = {}
     ids = [row.id for row in connection.execute(latest)]
     statement = (
-        select(tasks.c.element, tasks.c.took_ms)
-        .where(tasks.c.process.in_(ids), tasks.c.status == TaskStatus.COMPLETED.value)
+        select(tasks.c.element, tasks.c.status, tasks.c.took_ms)
+        .where(tasks.c.process.in_(ids), tasks.c.took_ms.is_not(None))
         .order_by(tasks.c.ended_at.desc(), tasks.c.id.desc())
         .limit(LATEST_TASKS)
     )
-    for element, took_ms in connection.execute(statement):
-        if took_ms is not None:
+    for element, status, took_ms in connection.execute(statement):
+        if status == TaskStatus.COMPLETED.value:  # in the statement it would lead to all completed Tasks
             found.setdefault(element, took_ms)
     return found
