@@ -9,7 +9,7 @@ from lxml import etree
 
 from handover.messages import message, text_of
 from services.task_orchestrator.languages import native
-from services.task_orchestrator.languages.base import ExpressionError
+from services.task_orchestrator.languages.base import Expression, ExpressionError, Json, Variables
 from services.task_orchestrator.model import (
     CompensateEvent,
     ConditionalEvent,
@@ -60,8 +60,8 @@ _ALLOWED: Mapping[Kind, frozenset[str]] = {
     Kind.THROW_EVENT: frozenset({"", "message", "signal", "escalation", "compensate", "link"}),
     Kind.BOUNDARY_EVENT: _SUBPROCESS_START,
 }
-_ZONELESS = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d([.,]\d+)?)?", re.ASCII)
-_DAY = re.compile(r"\d{4}-\d\d-\d\d", re.ASCII)
+_ZONELESS = re.compile(r"(\d{4}-\d\d-\d\d)(T\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?)?(?=/|\Z)", re.ASCII)
+"""A moment without a time zone, also within a cycle."""
 _EXAMPLES: Mapping[TimerType, str] = {
     TimerType.DATE: "2026-05-01T08:00:00Z",
     TimerType.DURATION: "PT5M",
@@ -117,7 +117,24 @@ def read_event(
     occurrence = dialect.occurrence(element, definition, context.found)
     if occurrence.on is not None and name not in {"message", "signal", "conditional"}:
         context.found.fault(element, "handover:on stands in message, signal and conditional events")
-    return _READERS[name](_Source(element, definition, occurrence, dialect, context))
+    event = _READERS[name](_Source(element, definition, occurrence, dialect, context))
+    if kind is Kind.START_EVENT and not in_event_subprocess and isinstance(event, TimerEvent):
+        _warn_of_variables(element, event, context)
+    return event
+
+
+def _warn_of_variables(element: etree._Element, event: TimerEvent, context: Context) -> None:
+    """Warn that the timer which starts a process cannot read variables, which do not exist yet."""
+    names = frozenset() if event.value.expression is None else event.value.expression.names()
+    if names:
+        context.found.warn(
+            element,
+            message(
+                "bpmn.start_timer_reads_variables",
+                "it starts no process: its time reads {names}, and there are no variables before the start",
+                names=", ".join(sorted(names)),
+            ),
+        )
 
 
 def _allowed(kind: Kind, *, in_event_subprocess: bool) -> frozenset[str]:
@@ -309,19 +326,37 @@ def _timer(source: _Source) -> TimerEvent | None:
         return None
     type_ = TimerType(local(times[0]))
     given = source.dialect.time(given)
-    if source.dialect.lenient and type_ is TimerType.DATE and _DAY.fullmatch(given):
-        given += "T00:00:00"
-    if source.dialect.lenient and _ZONELESS.fullmatch(given):
+    if source.dialect.lenient and (zoned := _in_utc(given)) != given:
         found.warn(
             source.element,
             message("bpmn.time_without_zone", '"{time}" has no time zone and is read as UTC', time=given),
         )
-        given += "Z"
+        given = zoned
     try:
         return TimerEvent(type_, _time(type_, given, source.dialect))
     except (ExpressionError, ValueError) as error:
         found.fault(source.element, text_of(error))
         return None
+
+
+def _in_utc(given: str) -> str:
+    """Return a time with UTC as the zone of those moments in it that have none."""
+    return _ZONELESS.sub(lambda moment: f"{moment[1]}{moment[2] or 'T00:00:00'}Z", given.strip())
+
+
+@dataclass(frozen=True, slots=True)
+class _TimeInUtc:
+    """An expression of a time; one without a time zone is in UTC."""
+
+    text: str
+    expression: Expression
+
+    def value(self, variables: Variables) -> Json:
+        found = self.expression.value(variables)
+        return _in_utc(found) if isinstance(found, str) else found
+
+    def names(self) -> frozenset[str]:
+        return self.expression.names()
 
 
 def _time(type_: TimerType, given: str, dialect: Dialect) -> Value:
@@ -333,7 +368,9 @@ def _time(type_: TimerType, given: str, dialect: Dialect) -> Value:
         return Value(given)
     value = dialect.value(given)
     if value.expression is not None:
-        return value
+        if not dialect.lenient:
+            return value
+        return Value(expression=_TimeInUtc(value.expression.text, value.expression))
     if dialect.lenient:
         raise ValueError(
             message(

@@ -46,7 +46,7 @@ def read_bpmn(xml: bytes) -> BpmnFile:
     beside = found.warnings
     for process in executable:
         own = Findings()
-        context = Context(dialects, declared, collaboration, own, ids)
+        context = Context(dialects, declared, collaboration, own, ids if dialects.is_ours else set())
         definition = _definition(process, context, xml)
         found.add(own.faults, own.warnings)
         definitions.append(replace(definition, warnings=(*beside, *own.warnings)))

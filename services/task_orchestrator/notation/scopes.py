@@ -366,7 +366,20 @@ def _flow(element: etree._Element, context: Context) -> Flow:
 
 
 def _flow_id(element: etree._Element, id_: str, context: Context) -> str:
-    if id_ in context.ids:
+    if id_ in context.ids and not context.dialects.is_ours and element.get("sourceRef"):
+        used, number = id_, 2
+        while id_ in context.ids:
+            id_, number = f"{used}_{number}", number + 1
+        context.found.warn(
+            element,
+            message(
+                "bpmn.flow_renamed",
+                'the id "{id}" is used twice; this sequence flow is called "{other}" here',
+                id=used,
+                other=id_,
+            ),
+        )
+    elif id_ in context.ids:
         context.found.fault(element, message("bpmn.id_twice", 'the id "{id}" is used twice', id=id_))
     context.ids.add(id_)
     return id_

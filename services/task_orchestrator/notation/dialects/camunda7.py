@@ -55,6 +55,7 @@ NAMESPACES = (
     "http://activiti.org/bpmn",
     "http://flowable.org/bpmn",
     "http://operaton.org/schema/1.0/bpmn",
+    "http://camunda.org/bpmn",
 )
 
 _HINTS = (

@@ -673,3 +673,33 @@ def test_variables_of_a_loop_may_be_aggregated() -> None:
     assert found.output_collection == "reviews"
     assert found.output_item is not None
     assert found.output_item.value({"good": True}) == {"good": True, "n": None, "score": 1}
+
+
+def test_a_moment_without_a_zone_in_a_cycle_or_of_an_expression_is_in_utc() -> None:
+    def value(kind: str, text: str) -> object:
+        event = f"<bpmn:timerEventDefinition><bpmn:{kind}>{text}</bpmn:{kind}></bpmn:timerEventDefinition>"
+        catch = f'<bpmn:intermediateCatchEvent id="x" {CAMUNDA}>{event}</bpmn:intermediateCatchEvent>'
+        found = node(catch).event
+        assert isinstance(found, TimerEvent)
+        return found.value.value({"due": "2036-11-15T11:00:00", "every": 5})
+
+    assert value("timeCycle", "R2/2036-11-15T11:00/PT10S") == "R2/2036-11-15T11:00Z/PT10S"
+    assert value("timeCycle", "R2/PT10S/2036-11-15") == "R2/PT10S/2036-11-15T00:00:00Z"
+    assert value("timeCycle", "R2/2036-11-15T11:00+01:00/PT10S") == "R2/2036-11-15T11:00+01:00/PT10S"
+    assert value("timeDate", "${due}") == "2036-11-15T11:00:00Z"
+    assert value("timeDuration", "PT${every}S") == "PT5S"
+
+
+def test_a_start_timer_that_reads_variables_is_a_warning() -> None:
+    start_timer = f'<bpmn:startEvent id="s" {CAMUNDA}>{timer("${due}")}</bpmn:startEvent>'
+    (warning,) = warnings(start_timer + '<bpmn:task id="x"/>' + end() + path("s", "x", "end"))
+    assert "it starts no process: its time reads due" in warning
+
+
+def test_an_older_namespace_of_camunda_is_known() -> None:
+    xml = file(between('<bpmn:userTask id="x" camunda:assignee="ann"/>')).replace(
+        b"http://camunda.org/schema/1.0/bpmn", b"http://camunda.org/bpmn"
+    )
+    work = read_bpmn(xml).definitions[0].scope.nodes["x"].activity
+    assert work is not None
+    assert work.hints == {"assignee": "ann"}

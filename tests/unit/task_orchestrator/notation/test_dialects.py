@@ -189,3 +189,20 @@ def test_an_item_whose_name_is_no_variable_is_called_like_its_id() -> None:
     found = read(between(f'<bpmn:task id="x">{loop}</bpmn:task>')).scope.nodes["x"].loop
     assert isinstance(found, MultiInstance)
     assert found.item_variable == "item_1"
+
+
+def test_sequence_flows_of_other_tools_may_have_one_id() -> None:
+    body = '<bpmn:task id="x"/><bpmn:task id="y"/><bpmn:task id="z"/>' + path("x", "y", "z")
+    xml = _declaring(body.replace('id="x_y"', 'id="f"').replace('id="y_z"', 'id="f"'), "")
+    found = read_bpmn(xml)
+    flows = found.definitions[0].scope.flows
+    assert {each.id: each.target for each in flows.values()} == {"f": "y", "f_2": "z"}
+    assert [str(each) for each in found.warnings if "used twice" in str(each)] == [
+        'line 1, "f": the id "f" is used twice; this sequence flow is called "f_2" here'
+    ]
+
+
+def test_processes_of_one_file_may_use_the_same_ids() -> None:
+    other = '</bpmn:process><bpmn:process id="q"><bpmn:task id="x"/>'
+    found = read_bpmn(_declaring('<bpmn:task id="x"/>' + other, 'xmlns:a="http://activiti.org/bpmn"'))
+    assert [list(each.scope.nodes) for each in found.definitions] == [["x"], ["x"]]
