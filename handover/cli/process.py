@@ -73,7 +73,7 @@ def start(
     ] = None,
 ) -> None:
     """Start a process."""
-    given = dict(_parameter(parameter) for parameter in parameters or [])
+    given = dict(parse_parameter(parameter) for parameter in parameters or [])
     answer = _ask("POST", "/processes", json={"definition": definition, "parameters": given})
     print(f"{answer['id']} started")
 
@@ -200,8 +200,8 @@ def migrate(
         "by": by,
         "why": why,
         "version": version,
-        "variables": dict(_parameter(each) for each in variables or []),
-        "mapping": {name: str(value) for name, value in map(_parameter, mapping or [])},
+        "variables": dict(parse_parameter(each) for each in variables or []),
+        "mapping": {name: str(value) for name, value in map(parse_parameter, mapping or [])},
     }
     query = {"dry": dry}
     if process is not None:
@@ -271,7 +271,7 @@ def message(
     variables: Variables = None,
 ) -> None:
     """Send a message to the process that waits for it, or that it starts."""
-    given = dict(_parameter(each) for each in variables or [])
+    given = dict(parse_parameter(each) for each in variables or [])
     answer = _ask("POST", "/messages", json={"name": name, "key": key, "variables": given})
     print(f"{answer['outcome']}{': ' + answer['process'] if answer['process'] else ''}")
 
@@ -281,7 +281,7 @@ def signal(
     name: Annotated[str, typer.Argument(help="The name of the BPMN signal.")], variables: Variables = None
 ) -> None:
     """Send a signal to all processes that wait for it."""
-    given = dict(_parameter(each) for each in variables or [])
+    given = dict(parse_parameter(each) for each in variables or [])
     answer = _ask("POST", "/signals", json={"name": name, "variables": given})
     print("\n".join(answer["processes"]) or "no process waits for it")
 
@@ -364,7 +364,7 @@ def reject_offer(offer: Offer, by: By, why: Why = None) -> None:
 def _mend(
     process: str, what: str, by: str, why: str | None, variables: list[str] | None, **others: str
 ) -> None:
-    given = dict(_parameter(each) for each in variables or [])
+    given = dict(parse_parameter(each) for each in variables or [])
     body = {"by": by, "why": why, "variables": given, **others}
     answer = _ask("POST", f"/processes/{process}/{what}", json=body)
     print(f"{answer['id']} continues: {', '.join(answer['waiting']) or answer['status']}")
@@ -407,7 +407,8 @@ def _drawn(fault: dict[str, Any]) -> str:
     return f'{element} ("{name}")' if name and name != element else str(element)
 
 
-def _parameter(text: str) -> tuple[str, Any]:
+def parse_parameter(text: str) -> tuple[str, Any]:
+    """Return name and value of `name=value`; raise `UsageError`."""
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise UsageError(f'a parameter is given as name=value, not "{text}"')

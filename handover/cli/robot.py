@@ -60,6 +60,44 @@ def list_robots(data_dir: DataDir = None) -> None:
         print(f"{path.parent.name:<24} {path.parent}")
 
 
+@app.command()
+def check(
+    process: Annotated[Path, typer.Argument(help="A BPMN 2.0 file.")],
+    cell: Annotated[
+        Path | None, typer.Option("--cell", help="The cell file, else that of the settings.")
+    ] = None,
+    parameters: Annotated[
+        list[str] | None, typer.Option("--set", help="A process parameter, name=value; JSON or text.")
+    ] = None,
+    max_cycle_s: Annotated[
+        float | None, typer.Option("--max-cycle", help="Fail above this cycle time of the robots in s.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Run the motions of a process dry; exit with 1 if one collides, exceeds a limit or is out of reach."""
+    from handover.cli.process import parse_parameter  # noqa: PLC0415 - only this command needs them
+    from handover.cli.robot_check import as_json, check_process  # noqa: PLC0415
+    from services.trajectory_tool.settings import TrajectorySettings  # noqa: PLC0415
+
+    settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
+    checked = check_process(process, settings, dict(parse_parameter(one) for one in parameters or []))
+    if not checked:
+        raise UsageError(f"{process} has no activity of a robot of this cell")
+    cycle_s = sum(one.duration_s for one in checked)
+    is_slow = max_cycle_s is not None and cycle_s > max_cycle_s
+    if json:
+        print(as_json(checked))
+    else:
+        for one in checked:
+            state = "FAILED" if one.faults else "skipped" if one.skipped else "ok"
+            print(f"{state:<8} {one.duration_s:6.2f} s  {one.robot:<12} {one.operation:<11} {one.name}")
+            for line in (*one.faults, *([one.skipped] if one.skipped else [])):
+                print(f"         {line}")
+        print(f"cycle time of the robots: {cycle_s:.2f} s{' (too long)' if is_slow else ''}")
+    if is_slow or any(one.faults for one in checked):
+        raise typer.Exit(1)
+
+
 def _data_dir(data_dir: Path | None) -> Path:
     return Settings.load(**({} if data_dir is None else {"data_dir": data_dir})).data_dir
 

@@ -36,8 +36,8 @@ VIEW_ONLY = frozenset({"digest", "revision", "parts", "shapes"})
 class Workcell:
     """All robots of a cell; an asynchronous context manager while they are switched on.
 
-    Robots behind ROS are reached through `broker`. Raises `UsageError` when a robot, the scene or the stored
-    state cannot be used.
+    Robots behind ROS are reached through `broker`. `plan` is by default that of the settings; `folder` has
+    the stored state. Raises `UsageError` when a robot, the scene or the stored state cannot be used.
     """
 
     def __init__(
@@ -46,8 +46,11 @@ class Workcell:
         clock: Clock | None = None,
         *,
         broker: BrokerClient | None = None,
+        plan: CellPlan | None = None,
+        folder: Path | None = None,
     ) -> None:
-        plan = cell_plan(settings)
+        plan = plan or cell_plan(settings)
+        folder = folder or settings.data_dir / "trajectory_tool"
         models = {name: _model(plan, name, entry, settings.data_dir) for name, entry in plan.robots.items()}
         if len(models) > 1 and not is_available():
             raise UsageError(f"several robots in one cell need motion planning; {INSTALL}")
@@ -55,7 +58,7 @@ class Workcell:
         self._models = list(models.values())
         configured = _scene(plan, self._models)
         self._origin = configured.digest
-        self._scene_file = SceneFile(settings.data_dir / "trajectory_tool" / "scene.json")
+        self._scene_file = SceneFile(folder / "scene.json")
         changed = self._scene_file.load(self._origin)
         self.revision = changed.revision if changed else 0
         """The number of changes of the scene at run time."""
@@ -66,7 +69,7 @@ class Workcell:
         self.on_scene_change: Callable[[], None] = lambda: None
         self._changing = asyncio.Lock()
         self.camera = Camera(settings.detection_rate, settings.scan_seed)
-        self.file = MemoryFile(settings.data_dir / "trajectory_tool" / "cell.json")
+        self.file = MemoryFile(folder / "cell.json")
         known = self.file.load(self.scene.digest, {name: model.joint_names for name, model in models.items()})
         self.contents: Contents = known.contents if known else initial(self.scene)
         self.space = SharedSpace()

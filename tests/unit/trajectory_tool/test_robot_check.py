@@ -1,0 +1,95 @@
+"""`handover robot check`: the motions of a process, performed dry, with an exit code for CI."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from handover.cli.main import app
+from services.trajectory_tool.planning import is_available
+from services.trajectory_tool.robots import ur10
+from tests.kit.paths import REPOSITORY
+
+pytestmark = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+
+BIN_PICKING = REPOSITORY / "services/task_orchestrator/processes/bin_picking.bpmn"
+
+PROCESS = """<bpmn:definitions xmlns:bpmn="http://www.omg.org/spec/BPMN/20100524/MODEL"
+  xmlns:handover="urn:handover:bpmn" id="file" targetNamespace="urn:x">
+  <bpmn:process id="moves" isExecutable="true">
+    <bpmn:startEvent id="start"/>
+    <bpmn:sequenceFlow id="a" sourceRef="start" targetRef="first"/>
+    <bpmn:serviceTask id="first" name="First move"><bpmn:extensionElements>
+      <handover:task definition="moveTo"><handover:involves resource="Device:{robot}"/>
+        <handover:parameter name="operation" value="moveTo"/>{parameter}
+      </handover:task></bpmn:extensionElements></bpmn:serviceTask>
+    <bpmn:sequenceFlow id="b" sourceRef="first" targetRef="end"/>
+    <bpmn:endEvent id="end"/>
+  </bpmn:process>
+</bpmn:definitions>"""
+
+
+@pytest.fixture
+def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HANDOVER_DATA_DIR", str(tmp_path / "data"))
+
+    def run(process: Path | str, *options: str) -> Any:
+        if isinstance(process, str):
+            file = tmp_path / "moves.bpmn"
+            file.write_text(process)
+            process = file
+        return CliRunner().invoke(app, ["robot", "check", str(process), *options])
+
+    return run
+
+
+def moves(target: dict[str, Any], robot: str = "ur10-1") -> str:
+    ((name, value),) = target.items()
+    written = json.dumps(value).replace('"', "&quot;")
+    return PROCESS.format(robot=robot, parameter=f'<handover:parameter name="{name}" value="{written}"/>')
+
+
+def test_the_process_of_the_demo_is_in_order_among_obstacles(check: Any, tmp_path: Path) -> None:
+    cell = tmp_path / "cell.yaml"
+    scene = ur10.FOLDER / "bin_picking_with_obstacles.yaml"
+    cell.write_text(f"robots: {{ur10-1: {{model: ur10}}}}\nscene: {scene}\n")
+    done = check(BIN_PICKING, "--cell", str(cell), "--json")
+    assert done.exit_code == 0, done.output
+    steps = json.loads(done.output)
+    assert [one["operation"] for one in steps] == ["home", "scan", "pick", "place", "home"]
+    assert all(one["faults"] == [] and one["skipped"] is None for one in steps)
+    assert all(one["duration_s"] > 1.0 for one in steps[1:])
+    assert not (tmp_path / "data" / "trajectory_tool").exists()
+
+
+@pytest.mark.parametrize(
+    ("target", "fault"),
+    [
+        ({"joints": [9, 0, 0, 0, 0, 0]}, "shoulder_pan_joint cannot be at 9.000 rad"),
+        ({"pose": {"position": [3, 0, 0.3]}}, "the wrist would be"),
+        ({"named": "lunch"}, 'has no position "lunch"'),
+        ({"joints": [0, -1.57, 2.9, 0, 0, 0]}, "touches"),
+    ],
+)
+def test_a_motion_that_cannot_be_done_fails_the_check(check: Any, target: dict[str, Any], fault: str) -> None:
+    done = check(moves(target))
+    assert done.exit_code == 1, done.output
+    assert "FAILED" in done.output
+    assert fault in done.output
+
+
+def test_the_cycle_time_can_be_limited(check: Any) -> None:
+    process = moves({"joints": [0.5, -1.5, 1.5, -1.5, -1.5, 0]})
+    assert check(process).exit_code == 0
+    slow = check(process, "--max-cycle", "0.1")
+    assert slow.exit_code == 1
+    assert "(too long)" in slow.output
+
+
+def test_a_process_without_a_robot_of_the_cell_is_refused(check: Any) -> None:
+    done = check(moves({"joints": [0] * 6}, robot="other-1"))
+    assert done.exit_code != 0
+    assert "no activity of a robot of this cell" in str(done.exception or done.output)
