@@ -225,6 +225,8 @@ class TaskDefinition(Entity):
     required_skills: Property[Words] | None = None
     work_parameters_schema: Property[dict[str, Any]] | None = None
     output_parameters_schema: Property[dict[str, Any]] | None = None
+    specification: Property[dict[str, Any]] | None = None
+    """What is written to the specification database before such a Task is posted."""
     is_part_of: Relationship | None = None
     content_digest: Property[str] | None = None
 

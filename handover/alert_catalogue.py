@@ -115,6 +115,14 @@ SPECIFICATIONS_UNAVAILABLE: Final = AlertType(
     "The specification database does not answer; only Tasks with complete parameters can be shown.",
     "Start the database, or correct HANDOVER_SPECIFICATION_URL.",
 )
+SPECIFICATIONS_NOT_WRITTEN: Final = AlertType(
+    AlertCategory.SYSTEM,
+    "specificationDatabaseNotWritten",
+    Severity.HIGH,
+    "Device",
+    "The orchestrator cannot write the specification database; Tasks whose specification it holds wait.",
+    "Start the database, or correct HANDOVER_SPECIFICATION_URL; the Tasks are then posted by themselves.",
+)
 ROS_PROBLEM: Final = AlertType(
     AlertCategory.ROS,
     None,
@@ -135,6 +143,7 @@ CATALOGUE: Final = (
     PROCESS_INCIDENT,
     ENTITY_FILTER_REFUSED,
     SPECIFICATIONS_UNAVAILABLE,
+    SPECIFICATIONS_NOT_WRITTEN,
     ROS_PROBLEM,
 )
 

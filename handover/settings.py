@@ -105,6 +105,11 @@ class Settings(BaseSettings):
     database_url: str | None = Field(
         None, description="SQLAlchemy URL of the database; a SQLite file in the data directory if absent"
     )
+    specification_url: str | None = Field(
+        None,
+        description="SQLAlchemy URL of the specification database, which has what a person is shown for the "
+        "Tasks that do not say it themselves; specifications.db in the data directory if absent",
+    )
     retention_h: float = Field(
         24.0,
         ge=0,
@@ -239,6 +244,13 @@ class Settings(BaseSettings):
         if self.database_url:
             return self.with_password(self.database_url)
         return f"sqlite:///{(self.data_dir / f'{component}.db').absolute()}"
+
+    @property
+    def specifications(self) -> str:
+        """The SQLAlchemy URL of the specification database."""
+        if self.specification_url:
+            return self.with_password(self.specification_url)
+        return self.database("specifications")
 
     def with_password(self, url: str) -> str:
         """Return a database URL with `database_password` in it, if it names a user but no password."""

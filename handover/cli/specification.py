@@ -29,8 +29,9 @@ def take_in(
     url: Url = None,
 ) -> None:
     """Write the definitions of a file into the database; each replaces the one with its id."""
+    from handover import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
     from services.gesture_controller.configuration.gestures_file import load  # noqa: PLC0415 - only this command needs it
-    from services.gesture_controller.specifications import file, table  # noqa: PLC0415 - loads SQLAlchemy
+    from services.gesture_controller.specifications import file  # noqa: PLC0415 - loads SQLAlchemy
 
     try:
         given = file.read(path.read_text(encoding="utf-8"), path.name)
@@ -49,7 +50,8 @@ def take_in(
 @app.command("list")
 def every(url: Url = None) -> None:
     """Print all definitions as a file that can be imported."""
-    from services.gesture_controller.specifications import file, table  # noqa: PLC0415 - loads SQLAlchemy
+    from handover import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
+    from services.gesture_controller.specifications import file  # noqa: PLC0415 - loads SQLAlchemy
 
     with _database(url, "read") as engine:
         print(file.written(table.every(engine)), end="")
@@ -58,7 +60,7 @@ def every(url: Url = None) -> None:
 @app.command("table")
 def show(url: Url = None) -> None:
     """Print the SQL statement that creates the table."""
-    from services.gesture_controller.specifications import table  # noqa: PLC0415 - loads SQLAlchemy
+    from handover import specification_table as table  # noqa: PLC0415 - loads SQLAlchemy
 
     with _database(url, "asked") as engine:
         print(table.statement(engine))
@@ -69,7 +71,7 @@ def _database(url: str | None, act: str) -> "Iterator[Engine]":
     from sqlalchemy.exc import SQLAlchemyError  # noqa: PLC0415
 
     from handover.database import connect  # noqa: PLC0415
-    from services.gesture_controller.specifications.database import SETTING  # noqa: PLC0415
+    from handover.specification_table import SETTING  # noqa: PLC0415
 
     engine = connect(url or ControllerSettings.load().specifications, setting=SETTING, is_own=False)
     try:

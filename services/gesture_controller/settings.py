@@ -56,11 +56,6 @@ class ControllerSettings(Settings):
     recognizer: str = Field(
         "thresholds", description="the default recognizer: thresholds, personal, or one of another package"
     )
-    specification_url: str | None = Field(
-        None,
-        description="SQLAlchemy URL of the database for TaskDefinitions that neither Task nor broker has; "
-        "specifications.db in the data directory if absent",
-    )
     specification_timeout_s: float = Field(
         10.0, ge=0, description="how long a Task without gesture and command waits for that database"
     )
@@ -90,11 +85,6 @@ class ControllerSettings(Settings):
     def notify_url(self) -> str:
         """The URL for notifications of Tasks."""
         return f"{self.url_of(self.controller_port, self.controller_url)}/notifications"
-
-    @property
-    def specifications(self) -> str:
-        """The SQLAlchemy URL of the specification database."""
-        return self.specification_url or self.database("specifications")
 
     @property
     def token(self) -> str | None:

@@ -5,7 +5,7 @@ Elements without effect on the execution (artifacts, data stores, diagrams) are 
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Final, TypeAlias
@@ -238,6 +238,17 @@ class FormReference:
 
 
 @dataclass(frozen=True, slots=True)
+class StartForm:
+    """The form of the variables that a process is started with: written in the file, or a deployed one."""
+
+    written: Value | None = None
+    reference: FormReference | None = None
+
+    def __bool__(self) -> bool:
+        return self.written is not None or self.reference is not None
+
+
+@dataclass(frozen=True, slots=True)
 class RetryPolicy:
     """How often a failed Task is posted again.
 
@@ -302,6 +313,8 @@ class Activity:
     retry: RetryPolicy | None = None
     escalations: tuple[Escalation, ...] = ()
     """The earliest first."""
+    specification: Mapping[str, Value] | None = None
+    """The row that is written to the specification database before the Task is posted, by field."""
 
     def unhandled(self, outputs: Mapping[str, Any]) -> Message | None:
         """Return why a completed Task counts as failed (an unhandled outcome); None if it does not."""
@@ -498,6 +511,8 @@ class Definition:
     warnings: tuple[Fault, ...] = ()
     source: str | None = None
     """The ProcessDefinition of another system that it was deployed from."""
+    start_form: StartForm = StartForm()
+    """That of the none start event."""
 
     def scopes(self) -> Iterator[Scope]:
         """Yield all scopes, the process first."""
@@ -527,12 +542,13 @@ class Definition:
         """Return the activities that create Tasks, by the id of their node."""
         return {node.id: node.activity for node in self.nodes() if node.activity is not None}
 
-    def arguments(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def arguments(self, given: Mapping[str, Any], form: Collection[str] = ()) -> dict[str, Any]:
         """Return the initial variables of a process, including defaults.
 
-        Raises `Problem` 422 when one is missing or unknown.
+        `form` are the names of the variables of its start form. Raises `Problem` 422 when one is missing or
+        unknown.
         """
-        unknown = sorted(set(given) - set(self.parameters)) if self.parameters else []
+        unknown = sorted(set(given) - set(self.parameters) - set(form)) if self.parameters else []
         missing = sorted(p.name for p in self.parameters.values() if p.required and p.name not in given)
         if unknown:
             known = ", ".join(sorted(self.parameters))

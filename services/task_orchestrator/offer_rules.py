@@ -18,6 +18,7 @@ from datamodels.entities import TYPES, DataModelError, TaskDefinition
 from handover.content_digest import ATTRIBUTE, digest_of
 from handover.errors import HandoverError
 from handover.messages import message
+from handover.specification import FIELDS, Specification
 from services.task_orchestrator.allocation.agents import position_of, read_shift, skill_name
 from services.task_orchestrator.allocation.task_kinds import TaskKind
 from services.task_orchestrator.forms.json_schema import schema_fault
@@ -96,7 +97,7 @@ def read_candidate(entity: Entity) -> Candidate | None:
     except DataModelError as error:
         return replace(found, faults=(_fault(str(error)),))
     if isinstance(read, TaskDefinition):
-        return replace(found, faults=tuple(_schema_faults(read)))
+        return replace(found, faults=(*_schema_faults(read), *_specification_faults(read)))
     return replace(found, warnings=tuple(_warnings_of(type_, content)))
 
 
@@ -269,6 +270,22 @@ class Offers:
 def open_entities(offers: Offers, types: Collection[str] = OFFERED_TYPES) -> set[str]:
     """Return the entities with an open offer."""
     return {record.entity for record in offers.listed(OfferStatus.OPEN) if record.type in types}
+
+
+def _specification_faults(definition: TaskDefinition) -> Iterator[Fault]:
+    if definition.specification is None:
+        return
+    values = definition.specification.value
+    unknown = sorted(set(values) - set(FIELDS))
+    try:
+        Specification.of(values)
+        why = f'it has an unknown field "{unknown[0]}"; there are {", ".join(FIELDS)}' if unknown else ""
+    except ValueError as error:
+        why = str(error)
+    if why:
+        yield _fault(
+            message("offer.bad_specification", "the specification cannot be written: {why}", why=why)
+        )
 
 
 def _schema_faults(definition: TaskDefinition) -> Iterator[Fault]:

@@ -5,7 +5,10 @@ unavailable they wait. A message that the broker refuses is reported to the orch
 message may be delivered twice; every kind of message is idempotent.
 
 A Task waits until the broker has acknowledged its TaskDefinition, so that a performer never sees a Task
-before its definition. A definition that the broker refuses delays nothing.
+before its definition. The message of a definition that the broker refuses stays in the database. Each Task of
+it tries to write it once more, and is rejected, not posted, while the broker refuses it.
+
+A Task that needs a row of the specification database is one message, which writes the row and then the Task.
 
 New and updated entities of many streams are written together: a round takes the first messages of the streams
 that are ready, and writes all new entities in one request, then all updated ones. A message that fails within
@@ -15,8 +18,9 @@ a round is delivered alone, with retries, before its stream takes part in a roun
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import dataclass
 from itertools import chain, islice
-from typing import Self
+from typing import Any, Self
 
 from prometheus_client import Counter, Gauge
 
@@ -25,13 +29,18 @@ from handover.alert_catalogue import AlertType
 from handover.alerts import clear_alert, raise_alert
 from handover.background_tasks import BackgroundTasks
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.errors import Problem
-from handover.messages import message_in
+from handover.errors import HandoverError, Problem
+from handover.messages import message, message_in, text_of
 from handover.retry import MAX_DELAY_S, Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from services.task_orchestrator.own_definitions import write_definitions
 from services.task_orchestrator.records import Message, MessageKind
+from services.task_orchestrator.specification_writer import (
+    SpecificationRefused,
+    SpecificationsUnavailable,
+    SpecificationWriter,
+)
 
 log = get_logger(__name__)
 
@@ -66,16 +75,20 @@ class Outbox:
         """Streams whose next message is in no round and in no delivery of its own."""
         self._has_ready = asyncio.Event()
         self._tasks = BackgroundTasks("outbox")
+        self._specifications = SpecificationWriter(settings, broker)
         self._delivered: list[int] = []
         self._pending: dict[str, int] = {}
         self._definitions: dict[str, int] = {}
         """Definitions that were not written yet, with the number of messages that have them."""
+        self._refused: dict[str, _RefusedDefinition] = {}
+        """TaskDefinitions that the broker has refused, by id."""
         self._waiting: dict[str, set[str]] = {}
         """Streams whose next message waits for a definition, by that definition."""
         self._retry_now = asyncio.Event()
         self.has_delivered = asyncio.Event()
 
     async def __aenter__(self) -> Self:
+        await self._specifications.__aenter__()
         await self._tasks.__aenter__()
         for _ in range(ROUNDS):
             self._tasks.start(self._deliver_rounds)
@@ -83,19 +96,20 @@ class Outbox:
 
     async def __aexit__(self, *_: object) -> None:
         await self._tasks.__aexit__()
+        await self._specifications.__aexit__()
 
     def send(self, messages: Iterable[Message]) -> None:
         """Deliver `messages`, which are stored in the database, from now on."""
-        for message in messages:
-            self._pending[message.subject] = self._pending.get(message.subject, 0) + 1
+        for each in messages:
+            self._pending[each.subject] = self._pending.get(each.subject, 0) + 1
             PENDING.inc()
-            for definition in _definitions_in(message):
+            for definition in _definitions_in(each):
                 self._definitions[definition] = self._definitions.get(definition, 0) + 1
-            if message.stream in self._streams:
-                self._streams[message.stream].append(message)
+            if each.stream in self._streams:
+                self._streams[each.stream].append(each)
             else:
-                self._streams[message.stream] = deque([message])
-                self._set_ready(message.stream)
+                self._streams[each.stream] = deque([each])
+                self._set_ready(each.stream)
 
     def is_pending(self, subject: str) -> bool:
         """Return whether a message about the entity `subject` was not delivered yet."""
@@ -142,7 +156,11 @@ class Outbox:
             messages = self._streams[stream]
             if not messages:
                 del self._streams[stream]
-            elif stream in failed or messages[0].kind not in _BATCHED:
+            elif (
+                stream in failed
+                or messages[0].kind not in _BATCHED
+                or _definition_of(messages[0]) in self._refused
+            ):
                 self._tasks.start(self._deliver_alone, stream)
             else:
                 self._set_ready(stream)
@@ -156,10 +174,7 @@ class Outbox:
         return True
 
     def _awaited_definition(self, message: Message) -> str | None:
-        if not self._definitions or message.kind is not MessageKind.CREATE:
-            return None
-        link = message.body.get("isDefinedBy")
-        defined_by = link.get("object") if isinstance(link, Mapping) else None
+        defined_by = _definition_of(message) if self._definitions else None
         return defined_by if defined_by in self._definitions else None
 
     async def _deliver_first(self, kind: MessageKind, streams: list[str]) -> set[str]:
@@ -167,20 +182,20 @@ class Outbox:
         batch: list[Message] = []
         for stream in streams:
             subjects: set[str] = set()
-            for message in self._streams[stream]:
-                if message.kind is not kind or message.subject in subjects or len(batch) == MAX_BATCH:
+            for each in self._streams[stream]:
+                if each.kind is not kind or each.subject in subjects or len(batch) == MAX_BATCH:
                     break
-                if self._awaited_definition(message) is not None:
-                    break
-                subjects.add(message.subject)
-                batch.append(message)
+                if self._awaited_definition(each) is not None or _definition_of(each) in self._refused:
+                    break  # the latter is delivered alone
+                subjects.add(each.subject)
+                batch.append(each)
         undelivered = await self._write_batch(kind, batch)
         failed: set[str] = set()
-        for message in batch:
-            if message.seq in undelivered:
-                failed.add(message.stream)
-            elif message.stream not in failed:
-                self._mark_delivered(self._streams[message.stream].popleft())
+        for each in batch:
+            if each.seq in undelivered:
+                failed.add(each.stream)
+            elif each.stream not in failed:
+                self._mark_delivered(self._streams[each.stream].popleft())
         return failed
 
     async def _write_batch(self, kind: MessageKind, batch: list[Message]) -> set[int]:
@@ -228,19 +243,21 @@ class Outbox:
             except BrokerUnavailable as error:
                 log.warning("broker unavailable, message waits", subject=message.subject, error=str(error))
                 await self._wait(backoff.next_delay_s())
-            except BrokerError as error:
+            except SpecificationsUnavailable:
+                await self._wait(backoff.next_delay_s())
+            except (BrokerError, SpecificationRefused, _DefinitionRefused) as error:
                 if await self._report_rejected(message, error):
                     return
                 await self._wait(MAX_DELAY_S)
             else:
                 return
 
-    async def _report_rejected(self, message: Message, error: BrokerError) -> bool:
-        """Report that the broker rejected `message`; return whether the report was stored."""
+    async def _report_rejected(self, message: Message, error: HandoverError) -> bool:
+        """Report that `message` was rejected; return whether the report was stored."""
         REJECTED.labels(message.kind).inc()
         log.error("message rejected", subject=message.subject, kind=message.kind, error=str(error))
         try:
-            await self._on_rejected(message, str(error))
+            await self._on_rejected(message, text_of(error))
         except Problem as problem:
             log.warning("rejection not stored yet", error=str(problem))
             return False
@@ -249,14 +266,18 @@ class Outbox:
     async def _write(self, message: Message) -> None:
         match message.kind:
             case MessageKind.CREATE:
-                try:
-                    await self._broker.create(message.body)
-                except AlreadyExists:
-                    log.debug("entity exists", subject=message.subject)
+                await self._create(message, message.body)
+            case MessageKind.SPECIFY:
+                task = message.body.get("task")
+                if task is not None:
+                    await self._require_definition(_definition_of(message))
+                await self._specifications.write(message.body["row"])
+                if task is not None:
+                    await self._create(message, task)
             case MessageKind.UPSERT:
                 await self._broker.upsert(message.body)
             case MessageKind.DEFINE:
-                await write_definitions(self._broker, message.body)
+                await self._define(message)
             case MessageKind.APPEND:
                 try:
                     await self._broker.append(message.subject, message.body)
@@ -277,9 +298,65 @@ class Outbox:
             case MessageKind.CLEAR:
                 await clear_alert(self._broker, self._settings, **message.body)
 
+    async def _create(self, message: Message, entity: dict[str, Any]) -> None:
+        await self._require_definition(_definition_of(message))
+        try:
+            await self._broker.create(entity)
+        except AlreadyExists:
+            log.debug("entity exists", subject=message.subject)
+
+    async def _define(self, message: Message) -> None:
+        """Write definitions; keep which TaskDefinitions the broker refuses."""
+        try:
+            await write_definitions(self._broker, message.body)
+        except BrokerUnavailable:
+            raise
+        except BrokerError as error:
+            log.warning("definitions not written together", subject=message.subject, error=str(error))
+            for entity in message.body:
+                await self._define_alone(message, entity)
+        else:
+            for entity in message.body:
+                self._accept_definition(entity["id"])
+
+    async def _define_alone(self, message: Message, entity: dict[str, Any]) -> None:
+        try:
+            await write_definitions(self._broker, [entity])
+        except BrokerUnavailable:
+            raise
+        except BrokerError as error:
+            REJECTED.labels(message.kind).inc()
+            log.warning("definition rejected", subject=entity["id"], error=str(error))
+            if entity["type"] == "TaskDefinition":
+                self._accept_definition(entity["id"])  # an earlier version of it
+                self._refused[entity["id"]] = _RefusedDefinition(message.seq, entity)
+        else:
+            self._accept_definition(entity["id"])
+
+    def _accept_definition(self, definition: str) -> None:
+        """Delete the message of a refused definition once the broker has all definitions of it."""
+        refused = self._refused.pop(definition, None)
+        if refused is not None and not any(each.seq == refused.seq for each in self._refused.values()):
+            self._delivered.append(refused.seq)
+            self.has_delivered.set()
+
+    async def _require_definition(self, definition: str | None) -> None:
+        """Try once more to write a refused definition; raise `_DefinitionRefused` if it still is refused."""
+        refused = None if definition is None else self._refused.get(definition)
+        if definition is None or refused is None:
+            return
+        try:
+            await write_definitions(self._broker, [refused.entity])
+        except BrokerUnavailable:
+            raise
+        except BrokerError as error:
+            raise _DefinitionRefused(_why_refused(definition, error)) from error
+        self._accept_definition(definition)
+
     def _mark_delivered(self, message: Message) -> None:
         PENDING.dec()
-        self._delivered.append(message.seq)
+        if not any(each.seq == message.seq for each in self._refused.values()):
+            self._delivered.append(message.seq)
         left = self._pending[message.subject] - 1
         if left:
             self._pending[message.subject] = left
@@ -299,6 +376,38 @@ class Outbox:
                 await self._retry_now.wait()
         except TimeoutError:
             return
+
+
+@dataclass(frozen=True, slots=True)
+class _RefusedDefinition:
+    """A TaskDefinition that the broker has refused, with its message, which stays in the database."""
+
+    seq: int
+    entity: dict[str, Any]
+
+
+class _DefinitionRefused(HandoverError):
+    """The broker refuses the TaskDefinition of a Task."""
+
+
+def _why_refused(definition: str, error: BrokerError) -> str:
+    return message(
+        "task.definition_refused",
+        "the broker does not accept {definition}: {why}; correct the cause, or deploy the file with another "
+        "definition, then retry",
+        definition=definition,
+        why=text_of(error),
+    )
+
+
+def _definition_of(message: Message) -> str | None:
+    """Return the TaskDefinition of the Task that a message creates."""
+    body = message.body.get("task") if message.kind is MessageKind.SPECIFY else message.body
+    if message.kind not in {MessageKind.CREATE, MessageKind.SPECIFY} or not isinstance(body, Mapping):
+        return None
+    link = body.get("isDefinedBy")
+    defined_by = link.get("object") if isinstance(link, Mapping) else None
+    return defined_by if isinstance(defined_by, str) else None
 
 
 def _definitions_in(message: Message) -> list[str]:

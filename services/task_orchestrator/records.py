@@ -240,6 +240,10 @@ class ProcessRecord:
     """Those that are waited for or held, and the last ones that have ended."""
 
 
+SPECIFICATION = "specification"
+"""The work parameter that names the row of the Task in the specification database."""
+
+
 @dataclass(frozen=True, slots=True)
 class TaskRecord:
     """The last known state of a Task of the orchestrator; `entity` is as it was posted."""
@@ -282,6 +286,22 @@ class TaskRecord:
     """The person who has claimed it and not returned it."""
     declined_by: tuple[str, ...] = ()
     """The persons who have declined it, while it is open for others."""
+
+    @property
+    def specification(self) -> str | None:
+        """Return the id of its row in the specification database, if it has one."""
+        parameters = self.entity.get("workParameters")
+        row = parameters["value"].get(SPECIFICATION) if parameters is not None else None
+        return row if isinstance(row, str) else None
+
+    @property
+    def stream(self) -> str:
+        """Return the stream of the messages about it.
+
+        That of the process; its own one if it waits for the specification database, which then delays
+        nothing else.
+        """
+        return self.process if self.specification is None else self.id
 
     @property
     def finished(self) -> bool:
@@ -352,6 +372,8 @@ class MessageKind(StrEnum):
     """The kinds of writes to the broker; each is idempotent."""
 
     CREATE = "create"
+    SPECIFY = "specify"
+    """Write a row of the specification database, then create its Task, if it has one; or delete the row."""
     UPSERT = "upsert"
     DEFINE = "define"
     APPEND = "append"

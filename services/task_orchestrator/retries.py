@@ -15,7 +15,7 @@ from services.task_orchestrator.languages.base import ExpressionError, Variables
 from services.task_orchestrator.model import RetryPolicy
 
 MAX_DELAY_S = 30 * 86_400.0
-_NEVER = frozenset({"task.refused_by_broker"})
+_NEVER = frozenset({"task.refused_by_broker", "task.definition_refused", "task.specification_refused"})
 
 
 def is_retried(policy: RetryPolicy, code: str | None, outputs: Mapping[str, Any], *, is_caught: bool) -> bool:

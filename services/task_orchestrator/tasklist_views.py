@@ -23,7 +23,7 @@ from services.task_orchestrator.tasklist_responses import (
     TasklistEntry,
 )
 
-_NO_INPUTS = frozenset({"description", "form", "candidates", "handlesOutcomes"})
+_NO_INPUTS = frozenset({"description", "form", "candidates", "handlesOutcomes", "specification"})
 MAX_HISTORY = 1000
 
 
@@ -57,7 +57,7 @@ def task_details(
     title: str,
     activity: Activity | None,
     *,
-    form_view: TaskForm | None,
+    resolved: TaskForm | None,
     acts: Sequence[TaskAct],
     history: Sequence[TaskHistoryEntry],
 ) -> TaskDetails:
@@ -80,7 +80,7 @@ def task_details(
         },
         "inputsSchema": None if activity is None else activity.inputs_schema,
         "outputs": None if task.outputs is None else dict(task.outputs),
-        "form": form_view,
+        "form": resolved,
         "comments": [comment_view(act) for act in acts if act.kind is TaskActKind.COMMENT],
         "history": list(history),
     }
@@ -112,6 +112,11 @@ def resolved_form(task: TaskRecord, forms: FormRegistry, data: Mapping[str, Any]
     if name is None and schema is None:
         return None
     resolved = Resolved((), is_dynamic=False) if schema is None else form.resolve(schema, data)
+    return form_view(name, version, resolved)
+
+
+def form_view(name: str | None, version: int | None, resolved: Resolved) -> TaskForm:
+    """Return a form with its fields."""
     return {
         "id": name,
         "version": version,

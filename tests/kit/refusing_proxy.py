@@ -13,11 +13,12 @@ _HOP_BY_HOP = frozenset({"connection", "transfer-encoding", "content-length", "c
 
 @dataclass
 class RefusingProxy:
-    """What the proxy does: it answers 503 to requests whose body has one of the texts in `refused`."""
+    """What the proxy does: it answers `status` to requests whose body has one of the texts in `refused`."""
 
     target: str
     url: str = ""
     refused: frozenset[bytes] = frozenset()
+    status: int = 503
     refusals: int = 0
     accepted: list[tuple[str, bytes]] = field(default_factory=list)
     """Path and body of the accepted writes, in their order."""
@@ -34,7 +35,7 @@ def refusing_proxy(target: str) -> Iterator[RefusingProxy]:
             body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
             if any(text in body for text in proxy.refused):
                 proxy.refusals += 1
-                self.answer(503, {}, b'{"title": "Starting"}')
+                self.answer(proxy.status, {}, b'{"title": "Refused", "detail": "as the test wants"}')
                 return
             headers = {name: value for name, value in self.headers.items() if name.lower() != "host"}
             try:

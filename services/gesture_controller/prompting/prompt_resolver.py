@@ -1,6 +1,7 @@
 """The prompt resolver: finds out what a Task asks for, once, before the person is prompted.
 
-The Task's workParameters count first, then its TaskDefinition in the broker, then the specification database.
+The Task's workParameters count first, then the row of the specification database that its parameter
+`specification` names, then its TaskDefinition in the broker, then the row of its TaskDefinition.
 A command without a gesture is shown with the person's own gesture for it, else with that of the command map.
 """
 
@@ -31,12 +32,18 @@ async def find_definition(
 ) -> Definition:
     """Return what the TaskDefinition of `task` adds to its `parameters`; an empty definition if nothing.
 
-    Waits while the broker is unavailable. Waits `timeout_s` for the database, but only if neither the Task
-    nor the broker has a gesture or command.
+    Waits while the broker is unavailable. Waits `timeout_s` for the database, but only if the Task names a
+    row of it, or if neither the Task nor the broker has a gesture or command.
     """
     if not needs_definition(parameters):
         return Definition()
-    definition = await _definition_in_broker(task, broker)
+    named = parameters.get("specification")
+    row = Definition()
+    if isinstance(named, str) and named:
+        row = await database.look_up(named, timeout_s)
+        if not needs_definition(parameters, row):
+            return row
+    definition = row.filled_from(await _definition_in_broker(task, broker))
     if not needs_definition(parameters, definition):
         return definition
     has_prompt = (

@@ -17,13 +17,12 @@ from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 from handover.database import connect
 from handover.errors import UsageError
 from handover.retry import Backoff
+from handover.specification_table import SETTING, find
 from handover.telemetry import get_logger
-from services.gesture_controller.specifications import table
 from services.gesture_controller.specifications.definition import Definition
 
 log = get_logger(__name__)
 
-SETTING = "HANDOVER_SPECIFICATION_URL"
 QUERY_TIMEOUT_S = 3.0
 INITIAL_RETRY_S, MAX_RETRY_S = 0.5, 2.0
 UNAVAILABLE_BACKOFF_S = 5.0
@@ -56,7 +55,7 @@ class SpecificationDatabase:
             return self._url.split("://", 1)[0] + "://…"
 
     async def look_up(self, definition: str, timeout_s: float = 0.0) -> Definition:
-        """Return the definition with the URN `definition`, or its last part; an empty one if there is none.
+        """Return the definition with the id `definition`, or its last part; an empty one if there is none.
 
         While the database is unavailable, the look-up is retried for `timeout_s`. Then it returns an empty
         definition, and `state` has the reason.
@@ -87,7 +86,8 @@ class SpecificationDatabase:
         except OSError as error:
             return DatabaseState("away", f"the specification database {self.shown} cannot be read: {error}")
         try:
-            return table.find(engine, ids) or Definition()
+            row = find(engine, ids)
+            return Definition().filled_from(row) if row is not None else Definition()
         except SQLAlchemyError as error:
             reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
             return DatabaseState(

@@ -4,15 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from handover.specification import Specification
+
 
 @dataclass(frozen=True, slots=True)
-class Definition:
-    """Name, description and gesture or command of a TaskDefinition; None if it does not have them."""
+class Definition(Specification):
+    """What the TaskDefinition of a Task adds to it."""
 
-    name: str | None = None
-    description: str | None = None
-    gesture: Any = None
-    command_id: Any = None
     handles_outcomes: Any = None
     """Only the TaskDefinition in the broker has it."""
 
@@ -21,7 +19,7 @@ class Definition:
         """True if it has a gesture or a command."""
         return self.gesture is not None or self.command_id is not None
 
-    def filled_from(self, other: "Definition") -> "Definition":
+    def filled_from(self, other: Specification) -> "Definition":
         """Return this definition with missing values taken from `other`.
 
         A definition with a command does not get the gesture of `other`, which may have another command.

@@ -10,10 +10,9 @@ from collections.abc import Mapping
 
 import yaml
 
+from handover.specification import FIELDS, Specification
 from services.gesture_controller.configuration.lined_yaml import Entry, LinedYaml, WrongFile, is_empty
 from services.gesture_controller.specifications.definition import Definition
-
-FIELDS = ("name", "description", "gesture", "commandId")
 
 
 class WrongSpecification(WrongFile):
@@ -29,20 +28,9 @@ def read(text: str, name: str = "specifications.yaml") -> dict[str, Definition]:
     return {entry.key: reader.definition(entry) for entry in reader.entries(root, "the file")}
 
 
-def written(definitions: Mapping[str, Definition]) -> str:
+def written(definitions: Mapping[str, Specification]) -> str:
     """Return `definitions` as such a file."""
-    document = {
-        key: {
-            field: value
-            for field, value in zip(
-                FIELDS,
-                (definition.name, definition.description, definition.gesture, definition.command_id),
-                strict=True,
-            )
-            if value is not None
-        }
-        for key, definition in definitions.items()
-    }
+    document = {key: definition.as_values() for key, definition in definitions.items()}
     return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
 
 

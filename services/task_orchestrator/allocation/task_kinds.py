@@ -1,8 +1,8 @@
 """Task kinds: the TaskDefinitions of other systems that an engineer has accepted.
 
 An activity that names such a definition gets what it does not say itself: the required skills, the
-description, and the gesture or command. The accepted content stands in the Task, so a later change in the
-broker has no effect before it is accepted too.
+description, the gesture or command, and what is written to the specification database. The accepted content
+stands in the Task, so a later change in the broker has no effect before it is accepted too.
 """
 
 from collections.abc import Mapping
@@ -31,6 +31,7 @@ class TaskKind:
     gesture: str | None = None
     command_id: int | None = None
     schema: Mapping[str, Any] | None = field(default=None, hash=False)
+    specification: Mapping[str, Any] | None = field(default=None, hash=False)
 
     @classmethod
     def of(cls, definition: TaskDefinition) -> "TaskKind":
@@ -42,10 +43,11 @@ class TaskKind:
             gesture=definition.gesture.value if definition.gesture else None,
             command_id=definition.command_id.value if definition.command_id else None,
             schema=definition.work_parameters_schema.value if definition.work_parameters_schema else None,
+            specification=definition.specification.value if definition.specification else None,
         )
 
     def completed(self, activity: Activity) -> Activity:
-        """Return the activity with the description, gesture and command that it does not have itself."""
+        """Return the activity with the texts, the command and the specification that it lacks itself."""
         added: dict[str, Value] = {}
         if self.description is not None and "description" not in activity.parameters:
             added["description"] = Value(self.description)
@@ -54,6 +56,9 @@ class TaskKind:
                 added["gesture"] = Value(self.gesture)
             if self.command_id is not None:
                 added["commandId"] = Value(self.command_id)
+        if self.specification is not None and activity.specification is None:
+            written = {field: Value(value) for field, value in self.specification.items()}
+            activity = replace(activity, specification=written)
         return replace(activity, parameters={**added, **activity.parameters}) if added else activity
 
     def check(self, parameters: Mapping[str, Any]) -> None:

@@ -33,6 +33,7 @@ from services.task_orchestrator.notation.escalations import read_escalations
 from services.task_orchestrator.notation.names import definition_of
 from services.task_orchestrator.notation.performers import RESOURCE_ROLES, performer_hints
 from services.task_orchestrator.notation.retries import read_retry
+from services.task_orchestrator.notation.specifications import read_specification
 from services.task_orchestrator.notation.task_data import (
     associated_variable,
     has_variable,
@@ -88,6 +89,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         spreads_outputs=spreads and not outputs,
         retry=read_retry(element, hints, context),
         escalations=read_escalations(element, found),
+        specification=read_specification(element, context),
     )
 
 

@@ -165,6 +165,16 @@ def extensions(element: etree._Element) -> Iterator[etree._Element]:
         yield from children(group)
 
 
+def is_none_start(element: etree._Element) -> bool:
+    """Return whether an element is a start event of a process that waits for nothing."""
+    parent = element.getparent()
+    if local(element) != "startEvent" or parent is None or local(parent) != "process":
+        return False
+    return not any(
+        local(each).endswith(("EventDefinition", "eventDefinitionRef")) for each in element.iter("{*}*")
+    )
+
+
 def documentation(element: etree._Element) -> str | None:
     """Return the documentation of an element, if it has any."""
     return child_text(element, "documentation") or None

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from lxml import etree
 
 from handover.messages import message
-from services.task_orchestrator.model import Activity, Definition, Fault, Node, Scope
+from services.task_orchestrator.model import Activity, Definition, Fault, Node, Scope, StartForm
 from services.task_orchestrator.notation.context import Context
 from services.task_orchestrator.notation.dialects.choice import Dialects
-from services.task_orchestrator.notation.document import BPMN, documentation, local, parse
+from services.task_orchestrator.notation.document import BPMN, documentation, is_none_start, local, parse
 from services.task_orchestrator.notation.elements import (
     KINDS,
     REFUSED,
@@ -85,7 +85,17 @@ def _definition(process: etree._Element, context: Context, xml: bytes) -> Defini
         parameters=ours.parameters,
         scope=replace(scope, id=process_name(id_)),
         xml=xml,
+        start_form=_start_form(process, context),
     )
+
+
+def _start_form(process: etree._Element, context: Context) -> StartForm:
+    """Return the form of the none start event; ours counts before that of another dialect."""
+    for element in filter(is_none_start, process):
+        for dialect in (context.dialects.handover, context.dialects.main):
+            if form := dialect.start_form(element, context.found):
+                return form
+    return StartForm()
 
 
 def _fault_of_size(process: etree._Element) -> Fault | None:

@@ -76,9 +76,9 @@ class BrokerChanges:
         await self._writer.apply_each({task_id: handling(task_id) for task_id in task_ids})
 
     async def reject(self, message: Message, reason: str) -> None:
-        """Handle that the broker rejected a message of the outbox."""
+        """Handle that a message of the outbox was rejected."""
         owner = self._state.active_processes.owner(message.subject)
-        if message.kind is MessageKind.CREATE and owner is not None:
+        if message.kind in {MessageKind.CREATE, MessageKind.SPECIFY} and owner is not None:
             await self._writer.apply(
                 lambda step: owner.reject(message.subject, reason, step, self._state.clock())
             )

@@ -11,6 +11,7 @@ from handover.errors import Problem
 from handover.messages import message, text_of
 from services.task_orchestrator.execution.graph import Plan
 from services.task_orchestrator.languages.native import is_name
+from services.task_orchestrator.operations.start_forms import FormOfStart
 from services.task_orchestrator.process import interventions
 from services.task_orchestrator.process.interventions import MigrationReport
 from services.task_orchestrator.process.process import Process
@@ -36,7 +37,7 @@ class ProcessControl:
     ) -> tuple[str, bool]:
         """Start a process; return its id, and False if `key` had started it before.
 
-        Raises `Problem` 404 for an unknown definition, 422 for parameters that do not fit it.
+        Raises `Problem` 404 for an unknown definition, 422 for parameters that do not fit it or its form.
         """
         state, registry = self._state, self._state.registry
         if key is not None and (known := await state.on_disk(state.store.by_key, key)) is not None:
@@ -50,7 +51,9 @@ class ProcessControl:
             if earlier is not None:
                 return earlier.record.id, False
             deployed = registry.record(definition, version)
-            variables = registry.plan_of(deployed).definition.arguments(parameters)
+            plan = registry.plan_of(deployed)
+            form = FormOfStart(plan.definition, state.allocator.forms, deployed.deployed_at, state.clock())
+            variables = form.arguments(parameters)
             return state.start(step, deployed, variables, key=key), True
 
         return await self._writer.apply(act)

@@ -66,7 +66,7 @@ def _change_pace(process: Process, status: TaskStatus, act: Act, step: Step, now
     for task in process.tasks.values():
         if task.cancelled_at is None:
             request = status_request(requested, now)
-            step.enqueue(process.record.id, MessageKind.APPEND, task.id, request)
+            step.enqueue(task.stream, MessageKind.APPEND, task.id, request)
     process.update(step, now)
 
 

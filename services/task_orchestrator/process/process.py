@@ -60,6 +60,8 @@ from services.task_orchestrator.settings import OrchestratorSettings
 CANCELLED = "cancelled"
 REPORTED_TASKS = 10
 """Beyond `MAX_LISTED_TASKS` the Process entity is written with every so many new Tasks."""
+REFUSALS = frozenset({"task.definition_refused", "task.specification_refused"})
+"""Codes of reasons that say themselves what was refused."""
 NO_REASON = message("task.no_reason", "no reason given")
 
 
@@ -276,13 +278,13 @@ class Process:
         return True
 
     def reject(self, task_id: str, reason: str, step: Step, now: datetime) -> None:
-        """Handle that the broker rejected the Task: it counts as failed."""
+        """Handle that the Task cannot be posted: it counts as failed."""
         task = self.tasks.get(task_id)
         if task is not None:
             step.touched.add(self.record.id)
-            outputs = with_code(
-                "reason", message("task.refused_by_broker", "the broker rejected the Task: {why}", why=reason)
-            )
+            if not isinstance(reason, MessageText) or reason.code not in REFUSALS:
+                reason = message("task.refused_by_broker", "the broker rejected the Task: {why}", why=reason)
+            outputs = with_code("reason", reason)
             self._apply(task, _StatusChange(TaskStatus.FAILED, now, outputs), step, now)
 
     def report(
@@ -306,7 +308,7 @@ class Process:
                 "status": status_property(status, now),
                 "outputParameters": outputs_property(outputs, now),
             }
-            step.enqueue(self.record.id, MessageKind.APPEND, task_id, attributes)
+            step.enqueue(self.tasks[task_id].stream, MessageKind.APPEND, task_id, attributes)
         for status in statuses:
             self._apply(self.tasks[task_id], _StatusChange(status, now, outputs), step, now)
 
@@ -329,7 +331,7 @@ class Process:
         if task.cancelled_at is not None:
             self._apply(task, _StatusChange(TaskStatus.FAILED, now, {"reason": CANCELLED}), step, now)
         elif task.status is TaskStatus.PENDING:
-            step.enqueue(self.record.id, MessageKind.CREATE, task.id, task.entity)
+            step.enqueue(task.stream, MessageKind.CREATE, task.id, task.entity)
             self._report_process(step, now)
         else:
             self.record_task(task.changed(lost=task.lost + 1), step)
@@ -416,6 +418,8 @@ class Process:
             alerts.clear_overdue(step, task)
         if change.final:
             alerts.clear_past_due(step, task)
+            if task.specification == task.id:
+                step.enqueue(task.stream, MessageKind.SPECIFY, task.id, {"row": {"id": task.id}})
         changed = task.changed(
             status=change.status,
             observed_at=max(observed, default=None),  # the clocks of performers differ
@@ -602,11 +606,14 @@ class Process:
         activity = with_form_version(
             assignment.activity, self.record, self.allocator.forms, self.library, now
         )
-        task = create_task(self.settings, self.record, open_, assignment, activity=activity, now=now)
+        task, row = create_task(self.settings, self.record, open_, assignment, activity=activity, now=now)
         step.new.add(task.id)
         self.composed.append(task.id)
         self.record_task(task, step)
-        step.enqueue(self.record.id, MessageKind.CREATE, task.id, task.entity)
+        if row is None:
+            step.enqueue(task.stream, MessageKind.CREATE, task.id, task.entity)
+        else:
+            step.enqueue(task.stream, MessageKind.SPECIFY, task.id, {"row": row, "task": task.entity})
 
     def _escalate(self, task: TaskRecord, step: Step, now: datetime) -> None:
         """Handle that a Task has not ended when a level of its escalation is due."""
@@ -625,7 +632,7 @@ class Process:
             groups = [each.group for _, each in levels[: level + 1] if each is not None and each.group]
             parameters = with_groups(task.entity, groups)
             if parameters is not None:
-                step.enqueue(self.record.id, MessageKind.APPEND, task.id, parameters)
+                step.enqueue(task.stream, MessageKind.APPEND, task.id, parameters)
         if escalation is not None and escalation.code is not None:
             details = {"activity": task.element, "code": escalation.code, "task": task.id}
             run.escalate(task.token, escalation.code, details, now)
@@ -639,7 +646,7 @@ class Process:
         if task.cancelled_at is None:
             self.record_task(task.changed(cancelled_at=now), step)
             request = status_request(RequestedStatus.CANCELLED, now)
-            step.enqueue(self.record.id, MessageKind.APPEND, task.id, request)
+            step.enqueue(task.stream, MessageKind.APPEND, task.id, request)
 
     def _close_cancelled(self, task: TaskRecord, step: Step, now: datetime) -> None:
         """Close a cancelled Task that no performer has accepted."""
@@ -648,7 +655,7 @@ class Process:
             "status": status_property(TaskStatus.FAILED, now),
             "outputParameters": outputs_property(outputs, now),
         }
-        step.enqueue(self.record.id, MessageKind.APPEND, task.id, closing)
+        step.enqueue(task.stream, MessageKind.APPEND, task.id, closing)
         self._apply(task, _StatusChange(TaskStatus.FAILED, now, outputs), step, now)
 
     def _fail(self, reason: str, step: Step, now: datetime) -> None:

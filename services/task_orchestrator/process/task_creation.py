@@ -2,17 +2,20 @@
 
 from dataclasses import replace
 from datetime import datetime, timedelta
+from typing import Any
 
 from datamodels.entities import TaskStatus
+from handover.specification import Specification
 from services.task_orchestrator.allocation.assignment import Assignment
 from services.task_orchestrator.entities import task_entity
 from services.task_orchestrator.escalations import escalation_times
 from services.task_orchestrator.execution.queries import OpenActivity
 from services.task_orchestrator.execution.state import Library
 from services.task_orchestrator.forms.registry import FormRegistry
-from services.task_orchestrator.model import Activity, FormBinding, Value
+from services.task_orchestrator.languages.base import Variables
+from services.task_orchestrator.model import Activity, FormBinding, FormReference, Value
 from services.task_orchestrator.notation.names import in_urn
-from services.task_orchestrator.records import ProcessRecord, TaskRecord
+from services.task_orchestrator.records import SPECIFICATION, ProcessRecord, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
 
 
@@ -29,8 +32,10 @@ def create_task(
     *,
     activity: Activity,
     now: datetime,
-) -> TaskRecord:
-    """Return the Task of an open activity; `activity` is the assigned one with the version of its form.
+) -> tuple[TaskRecord, dict[str, Any] | None]:
+    """Return the Task of an open activity, and its row of the specification database if it needs one.
+
+    `activity` is the assigned one with the version of its form.
 
     Raises `ValueError` or `ExpressionError` if its parameters cannot be evaluated or are invalid.
     """
@@ -48,10 +53,14 @@ def create_task(
         candidates=assignment.candidates,
         part_of=(settings.entity_id("Process", process.id), open_.element),
     )
+    parameters = entity["workParameters"]["value"]
     if assignment.kind is not None:
-        assignment.kind.check(entity["workParameters"]["value"])
+        assignment.kind.check(parameters)
+    row = _row(activity, task_id, open_.variables)
+    if row is not None:
+        parameters[SPECIFICATION] = row["id"]
     moments = escalation_times(activity, assignment.due, now)
-    return TaskRecord(
+    task = TaskRecord(
         id=task_id,
         process=process.id,
         element=open_.element,
@@ -68,25 +77,44 @@ def create_task(
         chosen=assignment.request is not None,
         escalates_at=moments[0][0] if moments else None,
     )
+    return task, row
+
+
+def _row(activity: Activity, task_id: str, variables: Variables) -> dict[str, Any] | None:
+    """Return the row of the specification database that a Task needs, with its id; None if it needs none.
+
+    A constant one has the id of the TaskDefinition, one with expressions that of the Task.
+    """
+    given = activity.specification
+    if given is None:
+        return None
+    is_constant = all(value.expression is None for value in given.values())
+    values = Specification.of({field: value.value(variables) for field, value in given.items()}).as_values()
+    return {"id": activity.definition if is_constant else task_id, "values": values}
 
 
 def with_form_version(
     activity: Activity, process: ProcessRecord, forms: FormRegistry, library: Library, now: datetime
 ) -> Activity:
     """Return the activity with the version of its form, which a later deployment does not change."""
-    reference = activity.form
-    if reference is None:
+    if activity.form is None:
         return activity
+    deployed_at = library.deployed_at(process.definition, process.version)
+    name, version = form_version(activity.form, forms, deployed_at, now)
+    form = Value({"id": name, "version": version})
+    return replace(activity, parameters={**activity.parameters, "form": form})
+
+
+def form_version(
+    reference: FormReference, forms: FormRegistry, deployed_at: datetime | None, now: datetime
+) -> tuple[str, int | None]:
+    """Return the id and version of a form for a definition that was deployed at `deployed_at`."""
     name = reference.name
     if reference.is_file:
         named = forms.find_file(name)
         name = name if named is None else named.id
-    version = reference.version
-    if version is None:
-        is_bound = reference.binding is FormBinding.DEPLOYMENT
-        deployed_at = library.deployed_at(process.definition, process.version)
-        moment = deployed_at if is_bound and deployed_at is not None else now
-        found = forms.deployed_by(name, moment)
-        version = None if found is None else found.version
-    form = Value({"id": name, "version": version})
-    return replace(activity, parameters={**activity.parameters, "form": form})
+    if reference.version is not None:
+        return name, reference.version
+    is_bound = reference.binding is FormBinding.DEPLOYMENT
+    found = forms.deployed_by(name, deployed_at if is_bound and deployed_at is not None else now)
+    return name, None if found is None else found.version

@@ -10,7 +10,9 @@ from services.task_orchestrator.allocation.report import allocation_report
 from services.task_orchestrator.model import Fault
 from services.task_orchestrator.notation.document import MAX_BYTES
 from services.task_orchestrator.notation.faults import BadBpmn, as_json
+from services.task_orchestrator.operations.start_forms import FormOfStart
 from services.task_orchestrator.orchestrator import Orchestrator
+from services.task_orchestrator.requests import FormData
 from services.task_orchestrator.responses import (
     DefinitionView,
     DefinitionWithActivities,
@@ -19,6 +21,8 @@ from services.task_orchestrator.responses import (
     VersionStatistics,
     json_response,
 )
+from services.task_orchestrator.tasklist_responses import TaskForm
+from services.task_orchestrator.tasklist_views import form_view
 from services.task_orchestrator.views import (
     activity_views,
     definition_view,
@@ -98,6 +102,21 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
             orchestrator.store.counts, record.name, record.version, orchestrator.clock()
         )
         return json_response(statistics_view(record, counts))
+
+    @app.post(
+        "/definitions/{name}/start-form",
+        tags=["definitions"],
+        responses={200: {"model": TaskForm | None}},
+    )
+    async def start_form(name: str, body: FormData, version: int | None = None) -> Response:
+        """Return the form of the start variables, for those typed so far; null if there is none."""
+        record = registry.record(name, version)
+        await registry.prepare(record)
+        state = orchestrator.state
+        definition = registry.plan_of(record).definition
+        form = FormOfStart(definition, state.allocator.forms, record.deployed_at, state.clock())
+        resolved = form.resolve(body.values)
+        return JSONResponse(None if resolved is None else form_view(form.id, form.version, resolved))
 
     @app.get("/definitions/{name}/bpmn", tags=["definitions"])
     async def bpmn(name: str, version: int | None = None) -> Response:

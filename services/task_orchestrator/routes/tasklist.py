@@ -178,7 +178,7 @@ async def _details(at: Components, task_id: str) -> TaskDetails:
         record,
         deployed.title,
         activity,
-        form_view=None if task.status in {TaskStatus.COMPLETED, TaskStatus.FAILED} else _form(at, task),
+        resolved=None if task.status in {TaskStatus.COMPLETED, TaskStatus.FAILED} else _form(at, task),
         acts=own,
         history=task_history(task, earlier, [move for move in moves if move.task == task.id], own),
     )

@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
-from handover.broker import BrokerClient
+from handover.broker import BrokerClient, NotFound
 from handover.settings import Settings
 from services.task_orchestrator.outbox import Outbox
 from services.task_orchestrator.records import Message, MessageKind
@@ -31,8 +31,8 @@ async def broker(shared_cell: Cell) -> AsyncIterator[BrokerClient]:
         yield client
 
 
-async def deliver(broker: BrokerClient, messages: list[Message]) -> list[tuple[int, str]]:
-    """Deliver all messages; return those that the broker rejected, with the reason."""
+async def deliver(broker: BrokerClient, messages: list[Message], *, kept: int = 0) -> list[tuple[int, str]]:
+    """Deliver all messages but those that are `kept`; return those that were rejected, with the reason."""
     rejected: list[tuple[int, str]] = []
 
     async def on_rejected(message: Message, reason: str) -> None:
@@ -42,7 +42,7 @@ async def deliver(broker: BrokerClient, messages: list[Message]) -> list[tuple[i
 
     async def all_delivered() -> bool:
         delivered.update(outbox.take_delivered())
-        return len(delivered) == len(messages)
+        return len(delivered) == len(messages) - kept
 
     async with Outbox(Settings.load(), broker, on_rejected) as outbox:
         outbox.send(messages)
@@ -137,13 +137,36 @@ async def test_a_task_waits_until_its_definition_is_acknowledged(shared_cell: Ce
     assert len(found) == 3
 
 
-async def test_a_definition_that_is_refused_for_good_delays_no_task(broker: BrokerClient) -> None:
+async def test_a_definition_that_is_refused_for_good_rejects_its_tasks_only(broker: BrokerClient) -> None:
     bad = {"id": "urn:ngsi-ld:TaskDefinition:demo:bad", "type": "TaskDefinition", "name": {"type": "Wrong"}}
     link = {"type": "Relationship", "object": bad["id"]}
     messages = [
         Message(1, "definition p", MessageKind.DEFINE, str(bad["id"]), [bad]),
         create(2, "p-1", {**task("after-bad"), "isDefinedBy": link}),
+        create(3, "p-2", task("beside-bad")),
     ]
-    ((seq, _),) = await deliver(broker, messages)
-    assert seq == 1
-    assert await broker.retrieve("urn:ngsi-ld:Task:demo:after-bad")
+    ((seq, why),) = await deliver(broker, messages, kept=1)
+    assert seq == 2
+    assert f"the broker does not accept {bad['id']}: " in why
+    assert await broker.retrieve("urn:ngsi-ld:Task:demo:beside-bad")
+    with pytest.raises(NotFound):
+        await broker.retrieve("urn:ngsi-ld:Task:demo:after-bad")
+
+
+async def test_a_refused_definition_is_forgotten_once_a_later_version_is_accepted(
+    broker: BrokerClient,
+) -> None:
+    bad = {
+        "id": "urn:ngsi-ld:TaskDefinition:demo:mended",
+        "type": "TaskDefinition",
+        "name": {"type": "Wrong"},
+    }
+    good = {**bad, "name": {"type": "Property", "value": "Mended"}}
+    link = {"type": "Relationship", "object": bad["id"]}
+    messages = [
+        Message(1, "definition p", MessageKind.DEFINE, str(bad["id"]), [bad]),
+        Message(2, "definition p", MessageKind.DEFINE, str(bad["id"]), [good]),
+        create(3, "p-1", {**task("after-mended"), "isDefinedBy": link}),
+    ]
+    assert await deliver(broker, messages) == []
+    assert await broker.retrieve("urn:ngsi-ld:Task:demo:after-mended")

@@ -22,6 +22,7 @@ from services.task_orchestrator.model import (
     FormReference,
     Place,
     ProcessParameter,
+    StartForm,
     Value,
 )
 from services.task_orchestrator.notation.faults import Findings
@@ -131,6 +132,10 @@ class Dialect(Protocol):
 
     def work(self, element: etree._Element, found: Findings) -> Work:
         """Return what an activity, or a message event, says of its Task."""
+        ...
+
+    def start_form(self, element: etree._Element, found: Findings) -> StartForm:
+        """Return the form of a none start event."""
         ...
 
     def mapped(self, element: etree._Element, found: Findings) -> Mapped:

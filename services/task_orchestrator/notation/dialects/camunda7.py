@@ -22,7 +22,7 @@ from services.task_orchestrator.languages.base import (
 )
 from services.task_orchestrator.languages.juel import read_juel, read_template
 from services.task_orchestrator.languages.native_grammar import is_name, is_variable_name
-from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, Value
+from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, StartForm, Value
 from services.task_orchestrator.notation.dialects.base import (
     Items,
     Mapped,
@@ -43,6 +43,7 @@ from services.task_orchestrator.notation.document import (
     child_text,
     children,
     extensions,
+    is_none_start,
     local,
     namespace,
     text,
@@ -167,6 +168,12 @@ class Camunda7:
             form=form,
             has_implementation=bool(implementation) or "connector" in hints,
         )
+
+    def start_form(self, element: etree._Element, found: Findings) -> StartForm:
+        """Return the generated or named form of a start event."""
+        written = [self._form(each, found) for each in _ours(element) if local(each) == "formData"]
+        reference = self._form_reference(attributes_of(element, NAMESPACES))
+        return StartForm(written[0] if written else None, reference)
 
     def _form_reference(self, attributes: Mapping[str, str]) -> FormReference | None:
         name = attributes.get("formRef")
@@ -478,10 +485,10 @@ class Camunda7:
             warn_without_effect(element, found, 'camunda:calledElementBinding="deployment"')
         for extension in _ours(element):
             name = local(extension)
-            is_start_form = name == "formData" and local(element) == "startEvent"
+            has_no_form = local(element) == "startEvent" and not is_none_start(element)
             if (
                 name not in _READ
-                or is_start_form
+                or (name == "formData" and has_no_form)
                 or name == "potentialStarter"
                 or (name in {"executionListener", "taskListener"} and not listener_assignments(extension))
             ):

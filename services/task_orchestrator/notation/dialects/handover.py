@@ -11,9 +11,10 @@ the variable `outcome`; otherwise such a Task fails.
 <handover:material entity="Material:pallet-3"/> and <handover:asset expression="carrier"/> name what the Task
 uses. They are involved after the performer, and an expression may be a list of them.
 
-A Task of people has a form: <handover:form ref="inspection"/> names a deployed one, version="2" fixes its
-version, and <handover:form>{…}</handover:form> is a JSON Schema of the result, or a form of form-js. The
-attributes assignee, candidateUsers, candidateGroups, dueDate, followUpDate and priority are texts or `${…}`.
+A Task of people, and a start event, has a form: <handover:form ref="inspection"/> names a deployed one,
+version="2" fixes its version, and <handover:form>{…}</handover:form> is a JSON Schema of the result, or a
+form of form-js. The attributes assignee, candidateUsers, candidateGroups, dueDate, followUpDate and
+priority are texts or `${…}`.
 
 Instead of handover:involves, role="operator" and skills="grip place" let an agent be chosen that has them.
 
@@ -21,6 +22,10 @@ Instead of handover:involves, role="operator" and skills="grip place" let an age
 
 in a message, signal or conditional event: the creation or change of such an entity is the event. The
 condition of a conditional event is then evaluated for each entity.
+
+<handover:specification description="Look at ${part}" gesture="Thumbs up"/>
+
+beside `handover:task` is written to the specification database before the Task is posted.
 
 <bpmn:subProcess handover:reserve="Device:ur10-1, role:picker skill:grip">
 
@@ -38,6 +43,7 @@ from lxml import etree
 
 from handover.durations import Duration, parse_duration
 from handover.messages import message
+from handover.specification import FIELDS
 from handover.task_life import PASSIVE_TYPES, type_of
 from services.task_orchestrator.forms.form import form_fault
 from services.task_orchestrator.languages import native
@@ -54,6 +60,7 @@ from services.task_orchestrator.model import (
     FormReference,
     Place,
     ProcessParameter,
+    StartForm,
     Value,
 )
 from services.task_orchestrator.notation.dialects.base import (
@@ -67,7 +74,14 @@ from services.task_orchestrator.notation.dialects.base import (
     native_script,
     script_or_work,
 )
-from services.task_orchestrator.notation.document import child_text, extensions, local, namespace, text
+from services.task_orchestrator.notation.document import (
+    child_text,
+    extensions,
+    is_none_start,
+    local,
+    namespace,
+    text,
+)
 from services.task_orchestrator.notation.elements import referenced, warn_without_effect
 from services.task_orchestrator.notation.faults import Findings
 from services.task_orchestrator.references import is_reference
@@ -95,6 +109,7 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "process": frozenset({"version"}),
     "retry": frozenset({"attempts", "delay", "factor", "maxDelay", "codes"}),
     "escalation": frozenset({"after", "code", "group"}),
+    "specification": frozenset(FIELDS),
     "on": frozenset({"type", "idPattern", "q", "variable", "correlation"}),
     "reserve": frozenset({"resource", "expression", "role", "skills"}),
 }
@@ -216,6 +231,11 @@ class Handover:
             skills=skills,
         )
 
+    def start_form(self, element: etree._Element, found: Findings) -> StartForm:
+        """Return the `handover:form` of a start event."""
+        parts = extensions_of(element, "form", found)
+        return StartForm(_written_form(parts, found).get("form"), _form_reference(parts, found))
+
     def mapped(self, element: etree._Element, found: Findings) -> Mapped:  # noqa: ARG002 - of the interface
         """Return nothing: an activity of our dialect sees all variables."""
         return Mapped()
@@ -311,7 +331,9 @@ class Handover:
         name = local(element)
         allowed = {"process"} if name == "process" else {"on"} if _can_be_event(element) else set()
         if name.endswith(("ask", "Event")):
-            allowed = allowed | {"escalation", "retry", "task"}
+            allowed = allowed | {"escalation", "retry", "specification", "task"}
+        if is_none_start(element):
+            allowed = allowed | {"form"}
         if name in _RESERVING:
             allowed = allowed | {"reserve"}
         for extension in extensions(element):

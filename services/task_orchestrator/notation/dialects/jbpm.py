@@ -15,7 +15,7 @@ from services.task_orchestrator.languages.base import Expression
 from services.task_orchestrator.languages.java import read_java
 from services.task_orchestrator.languages.juel import read_template
 from services.task_orchestrator.languages.native_grammar import is_name
-from services.task_orchestrator.model import Assignment, Call, Value
+from services.task_orchestrator.model import Assignment, Call, StartForm, Value
 from services.task_orchestrator.notation.dialects.base import (
     Items,
     Mapped,
@@ -93,6 +93,10 @@ class Jbpm:
             return text
         days, hours, minutes, seconds, milliseconds = (int(each or 0) for each in found.groups())
         return f"P{days}DT{hours}H{minutes}M{seconds}.{milliseconds:03d}S"
+
+    def start_form(self, element: etree._Element, found: Findings) -> StartForm:  # noqa: ARG002 - of the interface
+        """Return nothing: the forms of jBPM are not part of its files."""
+        return StartForm()
 
     def work(self, element: etree._Element, found: Findings) -> Work:
         """Return the work item, service or rules of an activity, and who does a human task."""

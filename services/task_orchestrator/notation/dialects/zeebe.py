@@ -11,7 +11,7 @@ from services.task_orchestrator.languages.base import Expression, ExpressionErro
 from services.task_orchestrator.languages.feel import read_feel
 from services.task_orchestrator.languages.java import read_java
 from services.task_orchestrator.languages.native_grammar import is_name
-from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, Value
+from services.task_orchestrator.model import Assignment, Call, FormBinding, FormReference, StartForm, Value
 from services.task_orchestrator.notation.dialects.base import (
     WRITTEN_FORM,
     Items,
@@ -125,6 +125,13 @@ class Zeebe:
             parameters["operation"] = attempt(element, lambda: self.value(hints["jobType"]), Value(), found)
         parameters |= {each.target: each.value for each in self._io(element, "input", found)}
         return Work(parameters=parameters, hints=hints, has_implementation="jobType" in hints, form=form)
+
+    def start_form(self, element: etree._Element, found: Findings) -> StartForm:
+        """Return the form of a start event."""
+        for definition in _named(element, "formDefinition"):
+            written = self._written_form(element, definition, found).get("form")
+            return StartForm(written, _form_reference(definition))
+        return StartForm()
 
     def _written_form(
         self, element: etree._Element, definition: etree._Element, found: Findings

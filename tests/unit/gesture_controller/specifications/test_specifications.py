@@ -7,14 +7,21 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine
 
+from handover import specification_table as table
 from handover.database import connect
-from services.gesture_controller.specifications import file, table
+from handover.specification import Specification
+from services.gesture_controller.specifications import file
 from services.gesture_controller.specifications.database import DatabaseState, SpecificationDatabase
 from services.gesture_controller.specifications.definition import Definition, needs_definition
 
 URN = "urn:ngsi-ld:TaskDefinition:demo:confirm"
 GRIP = Definition("Confirm the grip", "Look whether it holds", None, 4)
 BIN = Definition(None, "Look into the bin", "Horns", None)
+
+
+def row(definition: Definition) -> Specification:
+    """Return what the table has of a definition."""
+    return Specification.of(definition.as_values())
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -51,7 +58,7 @@ async def test_a_definition_is_found_by_its_urn_before_the_last_part(
     assert await database.look_up("confirm") == GRIP
     assert await database.look_up("urn:ngsi-ld:TaskDefinition:demo:other") == Definition()
     assert database.state == DatabaseState("ok")
-    assert table.every(engine) == {"confirm": GRIP, URN: BIN}
+    assert table.every(engine) == {"confirm": row(GRIP), URN: row(BIN)}
 
 
 async def test_a_missing_table_is_reported_and_found_after_it_was_created(
@@ -131,10 +138,10 @@ def test_the_table_can_be_made_by_hand(tmp_path: Path) -> None:
     with engine.begin() as connection:
         connection.exec_driver_sql(table.statement(engine))
         connection.exec_driver_sql("INSERT INTO task_definitions (id, gesture) VALUES ('confirm', 'Horns')")
-    assert table.find(engine, [URN, "confirm"]) == Definition(gesture="Horns")
+    assert table.find(engine, [URN, "confirm"]) == Specification(gesture="Horns")
     table.create(engine)
     table.save(engine, {"confirm": GRIP})
-    assert table.every(engine) == {"confirm": GRIP}
+    assert table.every(engine) == {"confirm": row(GRIP)}
     engine.dispose()
 
 

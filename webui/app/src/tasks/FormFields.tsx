@@ -10,6 +10,7 @@ import { Select } from "~/design/Select";
 import { TextBox } from "~/design/TextBox";
 import { draftOf, entryOf, type Draft, type Entry } from "./form";
 import { Note } from "./Note";
+import "./FormFields.css";
 
 const MAX_ITEMS = 500;
 

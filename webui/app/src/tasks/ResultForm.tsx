@@ -1,22 +1,22 @@
 /** The result of a Task: the fields of its form, the outcome and a note. What is typed stays until it is sent. */
 import { CircleCheck } from "lucide-react";
-import { useEffect, useRef, useState, type KeyboardEvent, type ReactNode } from "react";
+import { useCallback, useRef, useState, type KeyboardEvent, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
-import type { FormField, TaskDetails } from "~/api/generated/task-orchestrator";
-import { ApiError, errorText } from "~/api/http";
+import type { TaskDetails } from "~/api/generated/task-orchestrator";
+import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Select } from "~/design/Select";
 import { TextBox } from "~/design/TextBox";
-import { localizedText } from "~/i18n/server";
 import type { Outcome } from "~/live/messages";
 import { completeTask, formOf } from "./actions";
 import { draftOf, keepDraft, type ResultDraft } from "./drafts";
-import { entered, inputs, type Draft, type Entry, type FieldFault } from "./form";
+import { useEvaluatedFields } from "./evaluated";
+import { faultsOf, faultText } from "./faults";
+import { entered, inputs, type Entry } from "./form";
 import { FormFields } from "./FormFields";
 
 const OUTCOMES: readonly Outcome[] = ["ok", "notGood", "problem"];
-const EVALUATE_AFTER_MS = 300;
 
 export interface ResultFormProps {
   task: TaskDetails;
@@ -33,7 +33,8 @@ export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const form = useRef<HTMLFormElement>(null);
-  const fields = useFields(task, draft.entries);
+  const evaluate = useCallback((values: Record<string, unknown>) => formOf(task.id, { values }), [task.id]);
+  const fields = useEvaluatedFields(task.form, draft.entries, evaluate);
   const change = (changed: Partial<ResultDraft>) => {
     const after = { ...draft, ...changed };
     setDraft(after);
@@ -100,42 +101,6 @@ export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
       </div>
     </form>
   );
-}
-
-/** The fields of the form; those of a dynamic one for what is typed, as the server has evaluated it last. */
-function useFields(task: TaskDetails, entries: Draft): readonly FormField[] {
-  const [evaluated, setEvaluated] = useState<readonly FormField[] | null>(null);
-  const isDynamic = task.form?.isDynamic === true;
-  const fields = evaluated ?? task.form?.fields ?? [];
-  const typed = isDynamic ? JSON.stringify(entered(fields, entries).values) : "";
-  useEffect(() => {
-    if (!isDynamic || typed === "{}") return;
-    let isCurrent = true;
-    const timer = setTimeout(() => {
-      formOf(task.id, { values: JSON.parse(typed) as Record<string, unknown> }).then(
-        (form) => {
-          if (isCurrent && form !== null) setEvaluated(form.fields);
-        },
-        () => undefined, // without a connection the fields stay as they are; the server checks the result
-      );
-    }, EVALUATE_AFTER_MS);
-    return () => {
-      isCurrent = false;
-      clearTimeout(timer);
-    };
-  }, [isDynamic, typed, task.id]);
-  return fields;
-}
-
-function faultText(t: (key: string, values: { limit: number | undefined }) => string, { code, limit }: FieldFault): string {
-  return t(limit === undefined ? `fault.${code}` : `fault.${code}Limit`, { limit });
-}
-
-/** The faults by field that the server has found. */
-function faultsOf(error: unknown): Record<string, string> {
-  const listed = error instanceof ApiError ? error.problem["faults"] : undefined;
-  if (!Array.isArray(listed)) return {};
-  return Object.fromEntries((listed as { field: string; reason: string }[]).map((fault) => [fault.field, localizedText(fault, "reason") ?? fault.reason]));
 }
 
 function focusFirstFault(form: HTMLFormElement | null): void {

@@ -1,12 +1,16 @@
-/** Starts a process: a field for each parameter, of the type of its default. */
-import { useState } from "react";
+/** Starts a process: the fields of its start form, and one for each other parameter, of the type of its default. */
+import { useCallback, useEffect, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { startProcess } from "~/api/actions";
-import type { DefinitionView, ProcessStart, ProcessView } from "~/api/generated/task-orchestrator";
+import type { DefinitionView, ProcessStart, ProcessView, TaskForm } from "~/api/generated/task-orchestrator";
 import { requestService, ApiError } from "~/api/http";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
 import { Select } from "~/design/Select";
+import { useEvaluatedFields } from "~/tasks/evaluated";
+import { faultsOf, faultText } from "~/tasks/faults";
+import { entered, inputs, type Draft } from "~/tasks/form";
+import { FormFields } from "~/tasks/FormFields";
 import { filledIn, initialText, kindOf, parameterIn, type Parameter } from "./parameters";
 import "./StartDialog.css";
 
@@ -20,18 +24,30 @@ export interface StartDialogProps {
 
 export function StartDialog({ definition, version, onClose, onStarted }: StartDialogProps) {
   const { t } = useTranslation("processes");
+  const { t: ofForm } = useTranslation("tasks");
   const [typed, setTyped] = useState<Record<string, string>>({});
+  const [entries, setEntries] = useState<Draft>({});
+  const { form, fields } = useStartForm(definition.name, version, entries);
+  const paths = new Set(inputs(fields).map((field) => field.path));
+  const parameters = definition.parameters.filter((parameter) => !paths.has(parameter.name));
   const [faults, setFaults] = useState<Record<string, string>>({});
   // The same press twice, or an answer lost on the way, never starts two.
   const [key] = useState(() => `${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 10)}`);
 
   const start = async () => {
-    const filled = filledIn(definition.parameters, typed);
-    setFaults(Object.fromEntries(Object.entries(filled.faults).map(([name, fault]) => [name, t(`start.fault.${fault}`)])));
-    if (Object.keys(filled.faults).length > 0) throw new Error(t("start.mend"));
+    const filled = filledIn(parameters, typed);
+    const result = entered(fields, entries);
+    const found = {
+      ...Object.fromEntries(Object.entries(filled.faults).map(([name, fault]) => [name, t(`start.fault.${fault}`)])),
+      ...Object.fromEntries(Object.entries(result.faults).map(([path, fault]) => [path, faultText(ofForm, fault)])),
+    };
+    setFaults(found);
+    if (Object.keys(found).length > 0) throw new Error(t("start.mend"));
     try {
-      onStarted(await begun(definition.name, version, filled.values, key));
+      onStarted(await begun(definition.name, version, { ...filled.values, ...result.values }, key));
     } catch (error) {
+      const refused = faultsOf(error);
+      if (Object.keys(refused).length > 0) setFaults(refused);
       const name = error instanceof ApiError ? parameterIn(error.problem.detail, definition.parameters) : null;
       if (name !== null && error instanceof ApiError) setFaults({ [name]: error.problem.detail });
       throw error;
@@ -41,8 +57,10 @@ export function StartDialog({ definition, version, onClose, onStarted }: StartDi
   return (
     <ConfirmDialog isOpen onClose={onClose} title={t("start.ask", { title: definition.title })} act={t("start.act", { title: definition.title })} onAct={start}>
       {version !== null && <p className="quiet">{t("start.older", { version })}</p>}
-      {definition.parameters.length === 0 && <p className="quiet">{t("start.noParameters")}</p>}
-      {definition.parameters.map((parameter) => (
+      {form?.id != null && form.version === null && <p className="quiet">{ofForm("formMissing", { form: form.id })}</p>}
+      <FormFields fields={fields} draft={entries} faults={faults} onChange={(path, entry) => setEntries((before) => ({ ...before, [path]: entry }))} />
+      {parameters.length === 0 && fields.length === 0 && <p className="quiet">{t("start.noParameters")}</p>}
+      {parameters.map((parameter) => (
         <ParameterField
           key={parameter.name}
           parameter={parameter}
@@ -53,6 +71,32 @@ export function StartDialog({ definition, version, onClose, onStarted }: StartDi
       ))}
     </ConfirmDialog>
   );
+}
+
+/** The start form of a definition with its fields for what is typed; no form until it is known. */
+function useStartForm(name: string, version: number | null, entries: Draft) {
+  const [form, setForm] = useState<TaskForm | null>(null);
+  const evaluate = useCallback(
+    (values: Record<string, unknown>) =>
+      requestService<TaskForm | null>("task-orchestrator", `definitions/${encodeURIComponent(name)}/start-form${version === null ? "" : `?version=${version}`}`, {
+        method: "POST",
+        json: { values },
+      }),
+    [name, version],
+  );
+  useEffect(() => {
+    let isCurrent = true;
+    evaluate({}).then(
+      (found) => {
+        if (isCurrent) setForm(found);
+      },
+      () => undefined, // the start itself shows why the service does not answer
+    );
+    return () => {
+      isCurrent = false;
+    };
+  }, [evaluate]);
+  return { form, fields: useEvaluatedFields(form, entries, evaluate) };
 }
 
 interface ParameterFieldProps {

@@ -1,7 +1,10 @@
-"""The table of the specification database: one row for each TaskDefinition.
+"""The table of the specification database: what a person is shown for the Tasks of a TaskDefinition.
+
+The orchestrator and planning systems write it, the gesture controller reads it. A row may also belong to one
+Task.
 
 CREATE TABLE task_definitions (
-    id TEXT PRIMARY KEY,       -- the last part of the TaskDefinition's URN, or the whole URN
+    id TEXT PRIMARY KEY,       -- the last part of the TaskDefinition's URN, the whole URN, or a Task's URN
     name TEXT, description TEXT,
     gesture TEXT,              -- its name in the gestures file, or
     command_id INTEGER         -- the command, shown with the person's own gesture
@@ -10,19 +13,34 @@ CREATE TABLE task_definitions (
 
 from collections.abc import Iterable, Mapping
 
-from sqlalchemy import Column, Engine, Integer, MetaData, String, Table, Text, cast, delete, insert, select
+from sqlalchemy import (
+    Column,
+    Engine,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+    cast,
+    delete,
+    insert,
+    inspect,
+    select,
+)
 from sqlalchemy.schema import CreateTable
 
 from handover.migrations import migrate
-from services.gesture_controller.specifications.definition import Definition
+from handover.specification import Specification
 
 VERSION = 1
+SETTING = "HANDOVER_SPECIFICATION_URL"
+MAX_ID = 300
 
 tables = MetaData()
 definitions = Table(
     "task_definitions",
     tables,
-    Column("id", String(300), primary_key=True),
+    Column("id", String(MAX_ID), primary_key=True),
     Column("name", Text),
     Column("description", Text),
     Column("gesture", Text),
@@ -35,13 +53,19 @@ def create(engine: Engine) -> None:
     migrate(engine, tables, component="specifications", version=VERSION)
 
 
+def create_if_missing(engine: Engine) -> None:
+    """Create the table if there is none; the table of another system stays as it is."""
+    if not inspect(engine).has_table(definitions.name):
+        create(engine)
+
+
 def statement(engine: Engine) -> str:
     """Return the SQL statement that creates the table, in the dialect of `engine`."""
     return str(CreateTable(definitions).compile(engine)).strip() + ";"
 
 
-def save(engine: Engine, changed: Mapping[str, Definition]) -> None:
-    """Write the definitions `given` by id in one transaction; each replaces the stored one."""
+def save(engine: Engine, changed: Mapping[str, Specification]) -> None:
+    """Write the definitions of `changed` by id in one transaction; each replaces the stored one."""
     with engine.begin() as connection:
         connection.execute(delete(definitions).where(definitions.c.id.in_(list(changed))))
         rows = [
@@ -58,7 +82,13 @@ def save(engine: Engine, changed: Mapping[str, Definition]) -> None:
             connection.execute(insert(definitions), rows)
 
 
-def find(engine: Engine, ids: Iterable[str]) -> Definition | None:
+def remove(engine: Engine, ids: Iterable[str]) -> None:
+    """Delete rows; those that do not exist are ignored."""
+    with engine.begin() as connection:
+        connection.execute(delete(definitions).where(definitions.c.id.in_(list(ids))))
+
+
+def find(engine: Engine, ids: Iterable[str]) -> Specification | None:
     """Return the definition of the first of `ids` that is in the table."""
     names = list(ids)
     others = (column for column in definitions.c if column.name != "id")
@@ -69,11 +99,13 @@ def find(engine: Engine, ids: Iterable[str]) -> Definition | None:
     with engine.connect() as connection:
         rows = {row.id: row for row in connection.execute(query)}
     row = next((rows[key] for key in names if key in rows), None)
-    return None if row is None else Definition(row.name, row.description, row.gesture, row.command_id)
+    return None if row is None else Specification(row.name, row.description, row.gesture, row.command_id)
 
 
-def every(engine: Engine) -> dict[str, Definition]:
+def every(engine: Engine) -> dict[str, Specification]:
     """Return all definitions by id."""
     with engine.connect() as connection:
         rows = connection.execute(select(definitions).order_by(definitions.c.id)).all()
-    return {str(row.id): Definition(row.name, row.description, row.gesture, row.command_id) for row in rows}
+    return {
+        str(row.id): Specification(row.name, row.description, row.gesture, row.command_id) for row in rows
+    }
