@@ -71,12 +71,15 @@ LOOP_FILE = bpmn(
     "loop",
     f"{ENDS}{LOOP}{work('a')}" + path("start", "in", "a", "out", "in") + flow("out", "end", "a.stop"),
 )
-SEQUENCE_FILE = bpmn(
-    "sequence",
-    ENDS
-    + "".join(work(f"t{number}") for number in range(5))
-    + path("start", "t0", "t1", "t2", "t3", "t4", "end"),
-)
+
+
+def sequence(name: str) -> bytes:
+    """Return a process of five activities."""
+    names = [f"t{number}" for number in range(5)]
+    return bpmn(name, ENDS + "".join(map(work, names)) + path("start", *names, "end"))
+
+
+SEQUENCE_FILE = sequence("sequence")
 
 
 class Service:
@@ -249,10 +252,7 @@ class Cell:
             }
         )
         for xml in (LOOP_FILE, SEQUENCE_FILE):
-            answer = await self.api.post(
-                "/definitions", content=xml, headers={"Content-Type": "application/xml"}
-            )
-            answer.raise_for_status()
+            await self.deploy(xml)
         return [server, asyncio.create_task(self.performer.work())]
 
     async def close(self, kept: list[Any]) -> None:
@@ -264,6 +264,11 @@ class Cell:
         await self.client.__aexit__()
         self.orchestrator.stop()
         self.broker.stop()
+
+    async def deploy(self, xml: bytes) -> None:
+        """Deploy a file."""
+        answer = await self.api.post("/definitions", content=xml, headers={"Content-Type": "application/xml"})
+        answer.raise_for_status()
 
     async def start_processes(self, definition: str, count: int) -> None:
         """Start processes, some at a time."""
@@ -372,6 +377,19 @@ async def measure_loop(cell: Cell, rounds: int) -> None:
     )
 
 
+async def measure_definitions(cell: Cell, count: int) -> None:
+    """Print the time of a start-up with many definitions of which no process runs."""
+    for number in range(count):
+        await cell.deploy(sequence(f"definition-{number}"))
+    cell.orchestrator.stop()
+    wall = cell.orchestrator.start()
+    report(
+        f"start-up with {count} definitions",
+        f"{cell.orchestrator.cpu_s():.1f} s CPU, {wall:.1f} s wall",
+        "10 s with 1000 definitions",
+    )
+
+
 async def end_all(cell: Cell) -> None:
     """Let all loops end."""
     cell.performer.think, cell.performer.outputs = (lambda: 0.0), {"stop": True}
@@ -427,6 +445,7 @@ async def measure(arguments: argparse.Namespace, database_url: str | None) -> No
         kept = await cell.open()
         try:
             await measure_loop(cell, arguments.rounds)
+            await measure_definitions(cell, arguments.definitions)
         finally:
             await cell.close(kept)
 
@@ -436,6 +455,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--instances", type=int, default=2000, help="running processes")
     parser.add_argument("--seconds", type=float, default=10.0, help="duration of a measurement")
+    parser.add_argument("--definitions", type=int, default=200, help="definitions at the start-up")
     parser.add_argument("--rounds", type=int, default=1000, help="rounds of the loop")
     parser.add_argument("--postgres", action="store_true", help="PostgreSQL instead of SQLite")
     arguments = parser.parse_args()
