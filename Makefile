@@ -172,6 +172,7 @@ bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker,
 
 bench-motion: setup  ## motion planning: plans, inverse kinematics, collision checks (ARGS="--problems 100")
 	@$(BIN)/python -m benchmarks.motion $(ARGS)
+	@$(BIN)/python -m benchmarks.universal_robots
 
 bench-screen: setup  ## the screen in Chromium: response times and memory
 	@$(BIN)/python -m benchmarks.screen $(ARGS)

@@ -22,7 +22,7 @@ class TrajectorySettings(Settings):
     robot: str = Field(
         "simulated",
         description="the robot driver, where no cell file names robots: simulated, physics, ros (an arm "
-        "behind the ROS bridge), or a driver that another package registers",
+        "behind the ROS bridge), ur (Universal Robots), or a driver that another package registers",
     )
     robot_model: str = Field(
         "ur10",

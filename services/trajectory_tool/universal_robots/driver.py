@@ -21,7 +21,6 @@ from handover.telemetry import get_logger
 from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.drivers import Clock, RobotContext
 from services.trajectory_tool.joint_trajectory import JointTrajectory
-from services.trajectory_tool.limits.limiter import JointLimiter
 from services.trajectory_tool.robot import Joints, JointState, Pace, RobotFault, StopCategory, Velocity
 from services.trajectory_tool.trajectory import Setpoint
 from services.trajectory_tool.universal_robots.dashboard import Dashboard, DashboardError
@@ -68,7 +67,7 @@ class UniversalRobot(CyclicRobot):
             context.limits,
             control_hz=max(context.settings.control_hz, CONTROL_HZ),
             clock=context.clock or SteadyClock(lambda: self.exchange.report().lag_rad).clock,
-            limiter=JointLimiter(context.limits, [(each.lower, each.upper) for each in context.model.joints]),
+            limiter=context.limiter,
         )
         self.options = options
         self.robot_id = context.robot_id

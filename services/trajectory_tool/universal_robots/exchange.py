@@ -2,7 +2,9 @@
 
 `python -m services.trajectory_tool.universal_robots.exchange` reads its parameters as one line of JSON from
 standard input, and ends when that closes. In each cycle it writes the report to shared memory and sends
-heartbeat, mode and joint targets. It stops the joints in two cases, and holds until the tool ends the motion:
+heartbeat, mode and joint targets. A byte on standard input means a new setpoint: the joint targets of the
+cycle are sent again, so that the controller has them earlier. It stops the joints in two cases, and waits
+until the tool ends the motion:
 
 - no setpoint has arrived for `stall_s` while the joints should move;
 - the controller stops moving: protective stop, safeguard, or the end of the program.
@@ -13,6 +15,7 @@ If this process ends or stalls, the program on the controller stops the joints.
 import gc
 import json
 import math
+import os
 import select
 import socket
 import sys
@@ -202,6 +205,7 @@ class Exchange:
         self._report = Report()
         self._heartbeat = 0
         self._is_servoing = False
+        self._cycle_at_s = self._cycle_s = 0.0
         self._interruption = Interruption.STOPPED  # a motion of an earlier process is not continued
 
     def run(self) -> None:
@@ -239,15 +243,19 @@ class Exchange:
     @staticmethod
     def _input_closed(within_s: float) -> bool:
         readable, _, _ = select.select([sys.stdin], [], [], within_s)
-        return bool(readable)
+        return bool(readable) and not _read_wakes()
 
     def _exchange(self, connection: Connection) -> bool:
         """Run cycles; return True when standard input has closed. Raises `LinkError` or `ProtocolError`."""
         while True:
             readable, _, _ = select.select([connection, sys.stdin], [], [], SILENCE_TIMEOUT_S)
             if sys.stdin in readable:
-                self._end_program(connection)
-                return True
+                if not _read_wakes():
+                    self._end_program(connection)
+                    return True
+                if connection not in readable:
+                    self._send_again(connection)
+                    continue
             if not readable:
                 raise LinkError(f"the controller has sent nothing for {SILENCE_TIMEOUT_S} s")
             values, cycles = connection.latest()
@@ -274,6 +282,15 @@ class Exchange:
         self._report = replace(self._report, interruption=self._interruption, lag_rad=lag_rad)
         self._memory.write_report(self._report)
 
+    def _send_again(self, connection: Connection) -> None:
+        """Send the targets of this cycle for a newer setpoint."""
+        command = self._memory.read_command()
+        if self._is_servoing and command.mode is Mode.SERVO and self._cycle_s > 0:
+            setpoint = (command.positions, command.velocities, command.accelerations)
+            age_s = self._cycle_at_s - command.stamp_s
+            targets = self._tracker.step_again(setpoint, age_s, self._cycle_s)
+            connection.send(self._next_heartbeat(), Mode.SERVO, targets, command)
+
     def _decide(
         self, report: Report, command: Command, target_q: object, now_s: float, cycles: int
     ) -> tuple[Mode, tuple[float, ...]]:
@@ -296,7 +313,8 @@ class Exchange:
             assert isinstance(target_q, tuple)  # noqa: S101 - the recipe has a vector
             self._tracker.start(target_q)
         setpoint = (command.positions, command.velocities, command.accelerations)
-        return Mode.SERVO, self._tracker.step(setpoint, at_s - command.stamp_s, cycle_s * cycles)
+        self._cycle_at_s, self._cycle_s = at_s, cycle_s * cycles
+        return Mode.SERVO, self._tracker.step(setpoint, at_s - command.stamp_s, self._cycle_s)
 
     def _next_heartbeat(self) -> int:
         self._heartbeat = self._heartbeat % MAX_HEARTBEAT + 1
@@ -344,6 +362,11 @@ def _may_move(report: Report, command: Command) -> bool:
         and report.runtime_state == RuntimeState.PLAYING
         and report.program_id == command.program_id
     )
+
+
+def _read_wakes() -> bytes:
+    """Return the bytes on standard input; none when it has closed."""
+    return os.read(sys.stdin.fileno(), 4096)
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """The exchange process as seen from the trajectory tool: started, supervised, commanded."""
 
 import asyncio
+import os
 import subprocess
 import sys
 import time
@@ -77,6 +78,10 @@ class ExchangeProcess:
             velocities=setpoint.velocities,
             accelerations=setpoint.accelerations,
         )
+        process = self._process
+        if process is not None and process.stdin is not None:
+            with suppress(OSError, ValueError):  # the pipe is full, or the process has ended
+                process.stdin.write(b".")
 
     def hold(self) -> None:
         """End a motion: the joints stop if they move, and the program waits; thread-safe."""
@@ -106,11 +111,12 @@ class ExchangeProcess:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "services.trajectory_tool.universal_robots.exchange"],
             stdin=subprocess.PIPE,
+            bufsize=0,
             pass_fds=[memory.descriptor],
         )
         assert self._process.stdin is not None  # noqa: S101 - a pipe
         self._process.stdin.write(parameters.as_line())
-        self._process.stdin.flush()
+        os.set_blocking(self._process.stdin.fileno(), False)
 
     def _end(self) -> None:
         process = self._process

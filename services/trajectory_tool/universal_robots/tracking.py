@@ -41,6 +41,7 @@ class Tracker:
         self._max_rad_s2 = tuple(max_rad_s2)
         self.positions: list[float] = [0.0] * len(self._max_rad_s)
         self.velocities: list[float] = [0.0] * len(self._max_rad_s)
+        self._before = (list(self.positions), list(self.velocities))
         self.lag_rad = 0.0
         """How far the joints are from the setpoint, at most."""
 
@@ -50,14 +51,28 @@ class Tracker:
         self.velocities = [0.0] * len(self.positions)
         self.lag_rad = 0.0
 
+    def step_again(
+        self,
+        setpoint: tuple[Sequence[float], Sequence[float], Sequence[float]],
+        age_s: float,
+        cycle_s: float,
+    ) -> tuple[float, ...]:
+        """Replace the last step by one with a newer setpoint."""
+        self.positions, self.velocities = list(self._before[0]), list(self._before[1])
+        return self.step(setpoint, age_s, cycle_s)
+
     def step(
         self,
         setpoint: tuple[Sequence[float], Sequence[float], Sequence[float]],
         age_s: float,
         cycle_s: float,
     ) -> tuple[float, ...]:
-        """Return the targets of the next cycle for a setpoint (positions, velocities, accelerations)."""
-        ahead_s = min(max(age_s, 0.0), EXTRAPOLATION_S)
+        """Return the targets of the next cycle for a setpoint (positions, velocities, accelerations).
+
+        The setpoint was right `age_s` ago; a negative age is that of a setpoint for later.
+        """
+        ahead_s = min(max(age_s, -EXTRAPOLATION_S), EXTRAPOLATION_S)
+        self._before = (list(self.positions), list(self.velocities))
         lag_rad = 0.0
         is_fresh = age_s <= EXTRAPOLATION_S
         for joint, (position, velocity, acceleration) in enumerate(zip(*setpoint, strict=True)):

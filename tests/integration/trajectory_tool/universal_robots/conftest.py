@@ -10,6 +10,7 @@ import pytest
 
 from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.robots.ur10 import ROBOT
+from services.trajectory_tool.scene import load
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.universal_robots.driver import UniversalRobot
 from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
@@ -35,6 +36,7 @@ def context(tmp_path: Path) -> RobotContext:
         robot_id="ur10-1",
         options={},
         model=ROBOT,
+        scene=load(None, ROBOT),
         limits=ROBOT.limits,
         joints=HOME,
         gripper_closed=False,
