@@ -110,7 +110,7 @@ async def measure_commands(robot: UniversalRobot, events: Connection, repetition
 
 
 async def measure_pauses(robot: UniversalRobot, events: Connection, repetitions: int) -> None:
-    """Measure from a pause to standstill, beside the planned stop."""
+    """Measure from a pause to rest, beside the planned stop."""
     late, stops = [], []
     for number in range(repetitions):
         target = (1.0 if number % 2 else -1.0, *HOME[1:])
@@ -135,7 +135,7 @@ async def measure_pauses(robot: UniversalRobot, events: Connection, repetitions:
         stops.append(rest_s - paused_at[0])
         late.append(rest_s - paused_at[0] - planned[0])
     print(
-        f"pause to standstill: p50 {1000 * np.median(stops):.0f} ms; after the planned end: "
+        f"pause to rest: p50 {1000 * np.median(stops):.0f} ms; after the planned end: "
         f"p50 {1000 * np.median(late):.0f} ms, p99 {1000 * np.percentile(late, 99):.0f} ms of {len(late)}"
     )
 
