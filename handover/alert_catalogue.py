@@ -107,6 +107,14 @@ ENTITY_FILTER_REFUSED: Final = AlertType(
     "The broker refuses the filter of an event that waits for entities, so the event never occurs.",
     "Correct the `q` or `idPattern` of `handover:on` and deploy the file again.",
 )
+ROBOT_STOPPED_BY_LIMIT: Final = AlertType(
+    AlertCategory.DEVICE,
+    "robotStoppedByLimit",
+    Severity.HIGH,
+    "Device",
+    "A limit for the protection of people has stopped a robot, and it does not continue by itself.",
+    "Look at the person and the sensors, then reset the limit on the page *System* or over REST.",
+)
 SPECIFICATIONS_UNAVAILABLE: Final = AlertType(
     AlertCategory.SYSTEM,
     "specificationDatabaseUnavailable",
@@ -135,6 +143,7 @@ ROS_PROBLEM: Final = AlertType(
 CATALOGUE: Final = (
     GLOVE_SILENT,
     CALIBRATION_NEEDED,
+    ROBOT_STOPPED_BY_LIMIT,
     UNKNOWN_GESTURE,
     TASK_NOT_ACCEPTED,
     TASK_PAST_DUE,

@@ -16,8 +16,10 @@ from handover.storage import storage_check
 from services.trajectory_tool.controller import Controller, Controllers
 from services.trajectory_tool.device import description
 from services.trajectory_tool.joint_states import stream, written
+from services.trajectory_tool.limits import routes as limit_routes
+from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.operations import OPERATIONS
-from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.robot import Robot, RobotFault
 from services.trajectory_tool.scene_routes import add_scene_routes, scene_view
 from services.trajectory_tool.settings import TrajectorySettings
 
@@ -51,6 +53,7 @@ def make_app(settings: TrajectorySettings) -> FastAPI:
     add_scene_routes(app, controllers.workcell)
     _add_robots(app, controllers)
     _add_stream(app, controllers)
+    limit_routes.add_routes(app, lambda robot: _limits_of(_known(controllers, robot)))
     return app
 
 
@@ -187,6 +190,10 @@ def _known(controllers: Controllers, robot: str) -> Controller:
             ),
         )
     return controller
+
+
+def _limits_of(controller: Controller) -> tuple[RobotLimits, Robot]:
+    return controller.cell.speed, controller.cell.robot
 
 
 def _rate(rate: str | None) -> float:

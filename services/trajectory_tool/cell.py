@@ -8,8 +8,9 @@ from handover.telemetry import get_logger
 from services.trajectory_tool.cell_file import RobotEntry
 from services.trajectory_tool.contents import Contents, Grip, Lying
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
-from services.trajectory_tool.limits.guards import CollisionGuard, Guard
+from services.trajectory_tool.limits.guards import CollisionGuard, Guard, ToolSpeedGuard
 from services.trajectory_tool.limits.limiter import JointLimiter, Limiter
+from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.memory import Act, BegunAct, RobotMemory
 from services.trajectory_tool.motion import MotionPlanning
 from services.trajectory_tool.planning import is_available
@@ -72,13 +73,28 @@ class Cell:
             held=lambda: self.held,
             grip=lambda: self.grip_of_part,
         )
+        settings = workcell.settings
+        self.speed = RobotLimits(
+            name,
+            model,
+            lambda: self.joints,
+            workcell.limit_store,
+            limit_sources=settings.limit_sources,
+            people_sensors=settings.people_sensors,
+            hold_s=settings.separation_hold_s,
+            zones=workcell.scene.all_zones(),
+        )
+        self._evaluating: asyncio.Task[None] | None = None
         self.robot: Robot = self._robot(known, clock, broker)
 
     async def __aenter__(self) -> Self:
         await self.robot.__aenter__()
+        self._evaluating = asyncio.create_task(self.speed.run())
         return self
 
     async def __aexit__(self, *_: object) -> None:
+        if self._evaluating is not None:
+            self._evaluating.cancel()
         await self.robot.__aexit__(*_)
         try:
             await self.remember()
@@ -277,7 +293,7 @@ class Cell:
     def _limiter(self) -> Limiter:
         """Return the limiter: joint limits, and collisions where the motion is planned."""
         ranges = [(joint.lower, joint.upper) for joint in self.model.joints]
-        guards: list[Guard] = []
+        guards: list[Guard] = [ToolSpeedGuard(self.model, self.speed.tool_limit_mps)]
         if self.planning.avoids_obstacles and is_available():
             guards.append(CollisionGuard(self.model, self.planning.world))
         return JointLimiter(self.limits, ranges, guards)

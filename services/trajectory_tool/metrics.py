@@ -1,6 +1,6 @@
 """The metrics of the trajectory tool."""
 
-from prometheus_client import Counter
+from prometheus_client import Counter, Gauge
 
 TASKS = Counter(
     "handover_trajectory_tool_tasks_total", "Tasks by operation and outcome", ["operation", "outcome"]
@@ -28,4 +28,17 @@ SIMULATED_SECONDS = Counter(
 SIMULATION_CPU_SECONDS = Counter(
     "handover_trajectory_tool_simulation_cpu_seconds_total",
     "CPU time of the physics simulation; simulated time over it is the headroom over real time",
+)
+ALLOWED_PACE = Gauge(
+    "handover_trajectory_tool_allowed_speed_ratio",
+    "The fraction of its speed that a robot may use",
+    ["robot"],
+)
+LIMIT_REPORTS = Counter(
+    "handover_trajectory_tool_limit_reports_total",
+    "Reports of speed limits and people, by kind and outcome: accepted, refused, dropped",
+    ["kind", "outcome"],
+)
+LIMIT_STOPS = Counter(
+    "handover_trajectory_tool_limit_stops_total", "Times that a limit stopped a robot, by rule", ["rule"]
 )

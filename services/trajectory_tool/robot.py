@@ -59,6 +59,28 @@ class JointState:
     efforts: Joints | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class SafetyStatus:
+    """The safety functions of a real robot as its controller reports them; they are never reset from here."""
+
+    emergency_stop: bool = False
+    protective_stop: bool = False
+    mode: str = ""
+    speed: float | None = None
+    """The fraction of the speed that is set at the robot."""
+    detail: str = ""
+
+    def written(self) -> dict[str, object]:
+        """Return it as JSON."""
+        return {
+            "emergencyStop": self.emergency_stop,
+            "protectiveStop": self.protective_stop,
+            "mode": self.mode,
+            "speed": self.speed,
+            "detail": self.detail,
+        }
+
+
 class Robot(ABC):
     """An arm with a gripper; an asynchronous context manager while it is switched on."""
 
@@ -71,6 +93,10 @@ class Robot(ABC):
     @abstractmethod
     def state(self) -> JointState:
         """Return the present joints; cheap and thread-safe."""
+
+    def safety_status(self) -> SafetyStatus | None:
+        """Return what the controller of a real robot reports; None where there is none. Cheap."""
+        return None
 
     @abstractmethod
     def remaining_s(self) -> float:

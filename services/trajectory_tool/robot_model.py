@@ -148,6 +148,14 @@ class RobotModel:
             reached = reached @ segment.frame(joints)
         return reached
 
+    def chain(self, joints: Joints) -> list[Vector]:
+        """Return the positions of the joints from the base to the flange, and of the tool's tip."""
+        reached, found = IDENTITY, []
+        for segment in self._to_flange:
+            reached = reached @ segment.frame(joints)
+            found.append(reached.position)
+        return [*found, (reached @ self._tool).position]
+
     def tool_pose(self, joints: Joints) -> Pose:
         """Return the pose of the tool's tip."""
         return Pose.of(self.flange(joints) @ self._tool)

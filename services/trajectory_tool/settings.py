@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from handover.settings import Settings
+from handover.settings import Names, Settings
 
 
 class TrajectorySettings(Settings):
@@ -51,6 +51,18 @@ class TrajectorySettings(Settings):
         ge=0,
         le=100,
         description="simulated seconds in a second, where robot is physics; 0: as fast as possible",
+    )
+    limit_sources: Names = Field(
+        (), description="sources of speed limits without which no robot moves, separated by commas"
+    )
+    people_sensors: Names = Field(
+        (), description="sensors of people without which no robot moves, separated by commas"
+    )
+    separation_hold_s: float = Field(
+        2.0,
+        ge=0,
+        le=60,
+        description="how long sensors must report the distance after a stop before a robot continues, in s",
     )
 
     @property

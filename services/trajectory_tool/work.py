@@ -9,10 +9,12 @@ from handover.errors import UsageError
 from handover.messages import message, text_of
 from handover.performer import TaskFailed
 from services.trajectory_tool.cell import Cell
+from services.trajectory_tool.limits.guards import tool_speed_mps
 from services.trajectory_tool.memory import Act
 from services.trajectory_tool.motion import BlockedByNeighbour
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, NoPath, Unreachable
+from services.trajectory_tool.trajectory import Course, Setpoint, rounded_pace
 
 if TYPE_CHECKING:
     from services.trajectory_tool.planning.planner import Plan, Planner, Tilt
@@ -22,6 +24,8 @@ T = TypeVar("T")
 
 NEIGHBOUR_POLL_S = 0.2
 CONFIRMATION_POLL_S = 0.05
+LIMIT_POLL_S = 0.05
+PEAK_SAMPLES = 30
 
 
 class Steering(Protocol):
@@ -118,11 +122,12 @@ class Work:
     ) -> None:
         """Plan from the present joints and follow, again after a pause or when the obstacles changed."""
         while True:
-            while not self._steering.may_go():
-                await self._steering.rest()
+            while not self._may_move():
+                await self._rest()
             self._planned_in = self.cell.planning.revision
             plan = await self._plan_from_here(make)
             trajectory = plan.trajectory.slowed(self._speed)
+            self._begin_motion(trajectory.at, trajectory.duration_s)
             self._moving = True
             try:
                 if await self.cell.robot.follow(trajectory, self._pace_of_plan):
@@ -175,6 +180,9 @@ class Work:
         return self._pace() if self.cell.planning.revision == self._planned_in else 0.0
 
     async def _move(self, target: Joints) -> bool:
+        cruise = self.cell.limits.slowed(self._speed)
+        course = Course(self.cell.joints, target, cruise, self.cell.limits, 0.0)
+        self._begin_motion(course.at, course.remaining_s(0.0))
         self._moving = True
         try:
             arrived = await self.cell.robot.move(target, self._speed, self._pace_of_plan)
@@ -186,10 +194,24 @@ class Work:
 
     def _pace(self) -> float:
         """Return the allowed fraction of the speed; after a stop the rest of the motion is still planned."""
-        may_go = self._steering.may_go()
-        if not may_go and self._current_s == 0.0:
+        pace = self.cell.speed.pace() if self._steering.may_go() else 0.0
+        if pace == 0.0 and self._current_s == 0.0:
             self._current_s = self.cell.robot.remaining_s()
-        return 1.0 if may_go else 0.0
+        return pace
+
+    def _begin_motion(self, at: Callable[[float], Setpoint], duration_s: float) -> None:
+        """Give the limits the highest speed of the tool in a motion."""
+        times = (duration_s * number / PEAK_SAMPLES for number in range(1, PEAK_SAMPLES))
+        self.cell.speed.begin_motion(max(tool_speed_mps(self.cell.model, at(time_s)) for time_s in times))
+
+    def _may_move(self) -> bool:
+        return self._steering.may_go() and rounded_pace(self.cell.speed.pace()) > 0
+
+    async def _rest(self) -> None:
+        """Rest while the work is paused, or while a limit stops the robot."""
+        await self._steering.rest()
+        while self._steering.may_go() and rounded_pace(self.cell.speed.pace()) == 0:  # noqa: ASYNC110
+            await asyncio.sleep(LIMIT_POLL_S)
 
     async def grip(self) -> str | None:
         """Close the gripper; return the gripped part, None (and open again) without one."""

@@ -15,6 +15,7 @@ from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.cell_file import CellPlan, RobotEntry, cell_plan
 from services.trajectory_tool.contents import Contents, initial
 from services.trajectory_tool.drivers import Clock
+from services.trajectory_tool.limits.store import LimitStore
 from services.trajectory_tool.memory import Memory, MemoryFile
 from services.trajectory_tool.metrics import SCENE_CHANGES
 from services.trajectory_tool.motion import INSTALL, SharedSpace
@@ -73,6 +74,7 @@ class Workcell:
         known = self.file.load(self.scene.digest, {name: model.joint_names for name, model in models.items()})
         self.contents: Contents = known.contents if known else initial(self.scene)
         self.space = SharedSpace()
+        self.limit_store = LimitStore(settings.data_dir / "trajectory_tool" / "limits.json")
         self._saving = asyncio.Lock()
         self._on = AsyncExitStack()
         memories = known.robots if known else {}

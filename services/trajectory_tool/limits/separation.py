@@ -2,14 +2,15 @@
 
 The protective separation distance is S_p = S_h + S_r + S_s + C + Z_d + Z_r: the way of a person until the
 robot is at rest, the ways of the robot during its reaction and its stop, the intrusion distance, and the
-position uncertainties of person and robot. With a reaction time T, and a stop from the speed v that takes d + v/a and
-v d + v^2/(2 a), it is a quadratic function of v. The robot may move at the speed whose S_p is the distance of
-the nearest person. Example: with the default values, a person at 2 m allows 0.75 m/s, and at 0.87 m nothing.
+position uncertainties of person and robot. With a reaction time T, and a stop from the speed v that takes
+d + v/a and v d + v^2/(2 a), it is a quadratic function of v. The robot may move at the speed whose S_p is the
+distance of the nearest person. Example: with the default values, a person at 2 m allows 0.75 m/s, and at
+0.87 m nothing.
 
 A sensor counts only while it positively reports. A silent one, or one that is required and was never
-received, counts as a person at the robot. So does, in time, a person who vanished near the robot or jumped: they may
-have moved from their last place at the speed of a person. After a stop, the distance must be reported for the
-hold.
+received, counts as a person at the robot. So does, in time, a person who vanished near the robot or jumped:
+they may have moved from their last place at the speed of a person. After a stop, the distance must be
+reported for the hold.
 """
 
 import math

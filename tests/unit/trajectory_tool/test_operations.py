@@ -1,9 +1,12 @@
+import asyncio
+import time as real_time
 from typing import Any
 
 import pytest
 
 from handover.outcomes import is_outcome_unknown
 from handover.performer import TaskCancelled, TaskFailed
+from services.trajectory_tool.limits.speed_limits import SpeedLimitReport
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.settings import TrajectorySettings
 
@@ -349,3 +352,27 @@ async def test_a_robot_that_is_switched_off_does_not_move(worker: Any, settings:
         pass
     with pytest.raises(RobotFault, match="switched off"):
         await other.do("moveTo", joints=[0.0, -1.0, 1.0, -1.0, -1.0, 0.0])
+
+
+async def test_reduced_mode_slows_a_motion_down(worker: Any) -> None:
+    target = [2.0, -1.2, 1.1, -1.4, -1.5, 0.3]
+    began_s = worker.time.time_s
+    await worker.do("moveTo", joints=target)
+    full_s = worker.time.time_s - began_s
+    await worker.do("home")
+    await worker.cell.speed.set_mode("reduced", "Aino")
+    began_s = worker.time.time_s
+    await worker.do("moveTo", joints=target)
+    assert worker.time.time_s - began_s > 2 * full_s
+
+
+async def test_a_stop_by_a_limit_lasts_until_its_end_and_the_target_is_reached(worker: Any) -> None:
+    target = [2.0, -1.2, 1.1, -1.4, -1.5, 0.3]
+    stop = SpeedLimitReport(source="heart", stamp=real_time.time(), fraction=0.0, reason="heart rate")
+    await worker.cell.speed.receive_limit(stop)
+    moving = asyncio.create_task(worker.do("moveTo", joints=target))
+    await asyncio.sleep(0.2)
+    assert worker.cell.joints == worker.cell.home
+    await worker.cell.speed.remove("heart", "Aino", "a test")
+    await moving
+    assert worker.cell.joints == tuple(target)

@@ -1,0 +1,108 @@
+"""What people decided about the limits of the robots, stored durably in one small file.
+
+It has the required sources, the mode, the validated speed of the end effector, the measured stop, and who
+decided what and why. The file is replaced atomically.
+"""
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from handover.errors import UsageError
+
+MAX_DECISIONS = 1000
+
+Mode = Literal["normal", "reduced"]
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SafeSpeed(_Stored):
+    """The highest speed of the tool with an end effector that was validated, in m/s, and when."""
+
+    end_effector: Text
+    speed_mps: Annotated[FiniteFloat, Field(gt=0, le=10)]
+    validated_at: AwareDatetime
+
+
+class MeasuredStop(_Stored):
+    """The stop of the robot as measured: it moves on for `delay_s`, then slows down."""
+
+    delay_s: Annotated[FiniteFloat, Field(ge=0, le=10)]
+    deceleration_mps2: Annotated[FiniteFloat, Field(gt=0, le=1000)]
+    measured_at: AwareDatetime
+
+
+class Decision(_Stored):
+    """What a person did, and why."""
+
+    what: Text
+    name: Text
+    reason: str = ""
+    at: AwareDatetime = Field(default_factory=lambda: datetime.now(UTC))
+
+
+class RobotRecord(_Stored):
+    """The record of one robot."""
+
+    limit_sources: tuple[str, ...] = ()
+    people_sensors: tuple[str, ...] = ()
+    mode: Mode = "normal"
+    safe_speed: SafeSpeed | None = None
+    stop: MeasuredStop | None = None
+    decisions: tuple[Decision, ...] = ()
+
+    def decided(self, what: str, name: str, reason: str = "", **values: object) -> "RobotRecord":
+        """Return the record after a decision of a person, with changed values."""
+        decision = Decision(what=what, name=name, reason=reason)
+        decisions = (*self.decisions, decision)[-MAX_DECISIONS:]
+        return self.model_copy(update={**values, "decisions": decisions})
+
+
+class _File(_Stored):
+    robots: dict[str, RobotRecord] = Field(default_factory=dict)
+
+
+class LimitStore:
+    """The file. Raises `UsageError` if it is damaged."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = _File.model_validate_json(path.read_bytes())
+        except FileNotFoundError:
+            self._file = _File()
+        except OSError as error:
+            raise UsageError(f"the limits of the robots, {path}, cannot be read: {error.strerror}") from None
+        except ValidationError as error:
+            raise UsageError(
+                f"the limits of the robots, {path}, are damaged ({error.errors()[0]['msg']}); restore the "
+                "file from a backup, or delete it and enter the limits again"
+            ) from None
+
+    def of(self, robot: str) -> RobotRecord:
+        """Return the record of a robot."""
+        return self._file.robots.get(robot, RobotRecord())
+
+    def put(self, robot: str, record: RobotRecord) -> None:
+        """Store the record of a robot durably. Raises `OSError`; nothing is changed then."""
+        file = _File(robots={**self._file.robots, robot: record})
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        new = self.path.with_suffix(".new")
+        with new.open("wb") as out:
+            out.write(file.model_dump_json(indent=1).encode())
+            out.flush()
+            os.fsync(out.fileno())
+        new.replace(self.path)
+        folder = os.open(self.path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+        self._file = file
