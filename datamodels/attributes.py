@@ -92,6 +92,7 @@ DateTime = Annotated[datetime, PlainValidator(_date_time), WithJsonSchema(_DATE_
 Uri = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9+.-]*:\S+$")]
 Whole = Annotated[int, BeforeValidator(_whole)]
 Number = StrictInt | StrictFloat
+Fraction = Annotated[float, Field(ge=0, le=1, strict=True)]
 Words = Annotated[tuple[str, ...], BeforeValidator(_as_list)]
 WordsOrObjects = Annotated[tuple[str | dict[str, Any], ...], BeforeValidator(_as_list)]
 Objects = Annotated[tuple[dict[str, Any], ...], BeforeValidator(_as_list)]

@@ -24,6 +24,7 @@ from pydantic_core import CoreSchema
 from datamodels import forms
 from datamodels.attributes import (
     DateTime,
+    Fraction,
     GeoProperty,
     Links,
     Moment,
@@ -73,6 +74,7 @@ __all__ = [
     "RequestedStatus",
     "ResourceSpecification",
     "Severity",
+    "SpeedLimit",
     "Task",
     "TaskDefinition",
     "TaskStatus",
@@ -363,6 +365,21 @@ class Alert(Entity):
     description_parameters: Property[dict[str, Any]] | None = None
 
 
+class SpeedLimit(Entity):
+    """How fast a robot may move at most while a person is near or strained; advisory, and only lowering.
+
+    `fraction` is that of the speed of its motions, `max_speed` the speed of the tool in m/s (`MTS`). It is
+    the record of what the robot received; the robot itself receives limits over a stream.
+    """
+
+    ref_robot: Relationship
+    fraction: Property[Fraction]
+    reason: Property[str]
+    valid_until: Property[DateTime]
+    ref_person: Relationship | None = None
+    max_speed: Property[Number] | None = None
+
+
 TYPES: dict[str, type[Entity]] = {
     model.ngsi_type(): model
     for model in (
@@ -377,6 +394,7 @@ TYPES: dict[str, type[Entity]] = {
         Asset,
         Person,
         Alert,
+        SpeedLimit,
     )
 }
 """The models by entity type."""

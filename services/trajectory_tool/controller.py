@@ -19,6 +19,7 @@ from handover.telemetry import get_logger
 from services.trajectory_tool import operations, parameters
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.device import RobotDevice
+from services.trajectory_tool.limits.records import LimitRecords
 from services.trajectory_tool.metrics import TASKS
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.scene_entities import SceneEntities
@@ -90,6 +91,7 @@ class Controller(Performer):
         self.cell = cell
         self.work: Work | None = None
         self.device = RobotDevice(settings, self.cell, broker)
+        self._records = LimitRecords(settings, cell.speed, self.device.id, broker)
         self._on = AsyncExitStack()
         self._fault: RobotFault | None = None
         self._switching_on: asyncio.Task[None] | None = None
@@ -101,6 +103,7 @@ class Controller(Performer):
 
     async def __aenter__(self) -> Self:
         await self._on.enter_async_context(self.device)
+        await self._on.enter_async_context(self._records)
         await self._try_switch_on()
         if self._fault is not None:
             self._switching_on = asyncio.create_task(self._keep_switching_on())

@@ -171,6 +171,10 @@ class SpeedLimits:
         self._sources[report.source] = _Source(now_s, report, present, now_s, is_latched)
         return before is None
 
+    def reports(self) -> tuple[SpeedLimitReport, ...]:
+        """Return the last report of each source."""
+        return tuple(each.report for each in tuple(self._sources.values()) if each.report is not None)
+
     def remove(self, source: str) -> bool:
         """Stop requiring a source; return whether it was required."""
         return self._sources.pop(source, None) is not None

@@ -47,6 +47,7 @@ def test_the_vocabulary_expands_alike_under_our_context_and_the_published_ones(c
     special = {
         "status": CORE + "status",
         "location": CORE + "location",
+        "reason": CORE + "reason",
         "value": CORE + "hasValue",
         "description": "http://purl.org/dc/terms/description",
     }

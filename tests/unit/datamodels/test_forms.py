@@ -104,6 +104,12 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "Asset": {},
     "Person": {},
     "Alert": {"category": text, "dateIssued": property_of(date_times), "alertSource": relationship},
+    "SpeedLimit": {
+        "refRobot": relationship,
+        "fraction": property_of(st.floats(0, 1)),
+        "reason": text,
+        "validUntil": property_of(date_times),
+    },
 }
 OPTIONAL: dict[str, dict[str, Any]] = {
     "ProcessDefinition": {"description": text},
@@ -155,6 +161,7 @@ OPTIONAL: dict[str, dict[str, Any]] = {
         "source": text | relationship,
         "humanVerified": property_of(st.booleans()),
     },
+    "SpeedLimit": {"refPerson": relationship, "maxSpeed": property_of(numbers)},
 }
 
 
