@@ -2,13 +2,13 @@
 
 A broker counts them without sending them, so that they are listed only if their number is not the expected
 one. Entities of others are expected once a listing has shown them. Changes that cancel each other out are
-found by the next listing, which is at the latest after `max_age_s`. A broker that does not count is asked for
-the list every time.
+found by the next listing, which is at the latest after `max_age_s`. A broker that does not count, or
+refuses to, is asked for the list every time.
 """
 
 import asyncio
 
-from handover.broker import BrokerClient
+from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.task_life import UNFINISHED_QUERY
 
 
@@ -27,7 +27,13 @@ class UnfinishedCount:
         """Return whether the number is that of the orchestrator's `own` entities and the known others."""
         if self._foreign is None or asyncio.get_running_loop().time() >= self._list_at_s:
             return False
-        return await self._broker.count(type=self._type, q=UNFINISHED_QUERY) == own + self._foreign
+        try:
+            counted = await self._broker.count(type=self._type, q=UNFINISHED_QUERY)
+        except BrokerUnavailable:
+            raise
+        except BrokerError:
+            return False
+        return counted == own + self._foreign
 
     def note(self, foreign: int) -> None:
         """Note how many entities of others a listing has shown."""

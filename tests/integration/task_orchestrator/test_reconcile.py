@@ -23,6 +23,7 @@ class Recorder(httpx.AsyncBaseTransport):
     def __init__(self) -> None:
         self.queries: list[str] = []
         self.can_count = True
+        self.refuses_counts = False
         self._transport = httpx.AsyncHTTPTransport(trust_env=False)
 
     async def handle_async_request(self, request: httpx.Request) -> httpx.Response:
@@ -30,6 +31,8 @@ class Recorder(httpx.AsyncBaseTransport):
         counts = asked.get("count") == "true"
         if request.method == "GET" and asked.get("type") == "Task" and not counts:
             self.queries.append(str(request.url))
+        if counts and self.refuses_counts:
+            return httpx.Response(400, json={"title": "limit must be positive"})
         response = await self._transport.handle_async_request(request)
         if counts and not self.can_count:
             del response.headers["ngsild-results-count"]
@@ -100,6 +103,8 @@ async def test_many_tasks_are_compared_once_and_then_counted(bench: Bench) -> No
     assert await bench.queries() == 0
     bench.recorder.can_count = False
     assert await bench.queries() == 1, "a broker that does not count is asked for all"
+    bench.recorder.refuses_counts = True
+    assert await bench.queries() == 1, "so is one that refuses to count"
 
 
 async def test_the_end_of_a_task_without_a_notification_is_found_by_the_number(bench: Bench) -> None:
