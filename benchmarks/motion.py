@@ -1,6 +1,6 @@
 """Motion planning among the 30 obstacles of a bin-picking cell, beside the defaults of OMPL in Python.
 
-    python -m benchmarks.motion [--problems 1000] [--robots ur10 ur5e panda] [--seed 1]
+    python -m benchmarks.motion [--problems 1000] [--moves 10000] [--robots ur10 ur5e panda] [--seed 1]
 
 A problem is a pair of poses, from one bin or fixture to another, that both have a free position of the arm. A
 plan is the whole way from a pose to a trajectory: inverse kinematics, path, timing, and check. Each plan is
@@ -12,6 +12,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +22,7 @@ from ompl import base, geometric
 from benchmarks.steal_time import report_steal_time
 from handover.errors import HandoverError
 from services.trajectory_tool.obstacles import Box, Cylinder, Obstacle, World
+from services.trajectory_tool.planned_course import PlannedCourse
 from services.trajectory_tool.planning import timing
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions
@@ -36,6 +38,10 @@ SCALES = {"ur10": 1.0, "ur5e": 0.7, "panda": 0.6}
 OMPL_PROBLEMS = 100
 OMPL_TIMEOUT_S = 5.0
 EVERY_S = 0.001
+CYCLE_S = 0.008
+CURVED_SHARE = 0.2
+LIMIT_TOLERANCE = 1e-3
+"""Of a limit: the tolerance of the execution of a stop."""
 
 
 def bin_walls(name: str, x: float, y: float, size: float, height: float) -> Iterator[Obstacle]:
@@ -227,10 +233,68 @@ def measure_checks(planner: Planner, random: Any) -> None:
     )
 
 
+def measure_nearest(planner: Planner, places: list[tuple[Pose, Any]]) -> None:
+    """Compute the smallest distance in each control cycle of motions, as a limiter does."""
+    paths = []
+    for (_, start), (target, _) in list(pairwise(places))[:20]:
+        with suppress(HandoverError):
+            plan = planner.to_pose(tuple(start.tolist()), target)
+            paths.append(plan.trajectory.slowed(0.6).positions(CYCLE_S))
+    collisions = Collisions(planner.arm, planner.world)
+    spent = cpu_s(lambda: [collisions.nearest(joints) for path in paths for joints in path])
+    cycles = sum(map(len, paths))
+    print(f"  smallest distance in each of {cycles} cycles of motions: {1e6 * spent / cycles:.1f} µs")
+
+
+def measure_moves(planner: Planner, random: Any, moves: int) -> None:
+    """Execute random moves with a pause in each, and compare every sample of 1 ms with the limits."""
+    limits, arm = planner.limits, planner.arm
+    maxima = [np.array(one) for one in (limits.velocity, limits.acceleration, limits.jerk)]
+    low, high = np.maximum(arm.lower, -2.0), np.minimum(arm.upper, 2.0)
+    worst, violations, samples = 0.0, 0, 0
+    began = time.thread_time()
+    for _ in range(moves):
+        ends = random.uniform(low, high, (3, arm.n))
+        curved = random.random() < CURVED_SHARE
+        trajectory = (
+            timing.along(timing.BlendedLines(list(ends), limits), limits)
+            if curved
+            else timing.line(ends[0], ends[1], limits)
+        )
+        pause_s = random.uniform(0.0, trajectory.duration_s)
+        course = PlannedCourse(trajectory, limits, 0.0)
+        # Until the pause the course is the trajectory, which is evaluated for all times at once.
+        before_s = np.arange(0.0, pause_s, EVERY_S)
+        now_s, states = float(before_s[-1]) if len(before_s) else 0.0, []
+        course.at(now_s)
+        while not course.is_over(now_s):
+            now_s += EVERY_S
+            states.append(course.at(now_s, pace=0.0))
+        velocity, acceleration = (
+            np.concatenate([trajectory.derivative(before_s, order), np.array(stop).reshape(-1, arm.n)])
+            for order, stop in (
+                (1, [state.velocities for state in states]),
+                (2, [state.accelerations for state in states]),
+            )
+        )
+        jerk = np.diff(acceleration, axis=0) / EVERY_S
+        peaks = [
+            float((np.abs(values) / limit).max(initial=0.0))
+            for values, limit in zip((velocity, acceleration, jerk), maxima, strict=True)
+        ]
+        worst, samples = max(worst, *peaks), samples + len(velocity)
+        violations += max(peaks) > 1 + LIMIT_TOLERANCE
+    print(
+        f"  {moves} random moves with a pause, {samples} samples of 1 ms: {violations} exceeded a limit, the "
+        f"highest value is {worst:.4f} of its limit ({time.thread_time() - began:.0f} s CPU)"
+    )
+
+
 def main() -> None:
     """Print the measurements of each robot."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.motion", description=__doc__)
     parser.add_argument("--problems", type=int, default=1000)
+    parser.add_argument("--moves", type=int, default=10_000)
     parser.add_argument("--robots", nargs="+", default=list(SCALES), choices=list(SCALES))
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
@@ -246,6 +310,8 @@ def main() -> None:
             measure_lines(planner, random)
             measure_inverse(name, random)
             measure_checks(planner, random)
+            measure_nearest(planner, places)
+            measure_moves(planner, random, given.moves // len(given.robots))
 
 
 if __name__ == "__main__":

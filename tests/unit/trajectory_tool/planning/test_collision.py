@@ -45,6 +45,19 @@ def test_a_check_with_a_margin_agrees_with_the_distances(arm: Arm, cell: World) 
     assert 30 < free < 290
 
 
+def test_the_nearest_pair_is_that_of_all_distances_after_small_and_large_motions(
+    arm: Arm, cell: World
+) -> None:
+    random = np.random.default_rng(5)
+    collisions, exact = Collisions(arm, cell), Collisions(arm, cell)
+    joints = np.array(arm.model.home)
+    for number in range(400):
+        step = random.uniform(-1.0, 1.0, arm.n) * (0.02 if number % 50 else 2.0)
+        joints = np.clip(joints + step, arm.lower, arm.upper)
+        found = collisions.nearest(joints).distance_m
+        assert found == pytest.approx(exact.closest(joints).distance_m, abs=1e-5)
+
+
 def test_an_arm_folded_into_itself_is_in_contact_with_itself() -> None:
     arm = Arm(ROBOTS.load("ur10"))
     collisions = Collisions(arm, World())
