@@ -24,6 +24,8 @@ from services.task_orchestrator.notation.scopes import collect_data, read_scope
 from services.task_orchestrator.notation.spans import check_spans
 from services.task_orchestrator.notation.task_data import collect_properties
 
+MAX_PROCESSES = 100
+
 
 @dataclass(frozen=True, slots=True)
 class BpmnFile:
@@ -40,6 +42,17 @@ def read_bpmn(xml: bytes) -> BpmnFile:
     declared = Declarations.of(root, found)
     dialects = Dialects(root)
     executable = executable_processes(root, found, unless_denied=dialects.runs_undeclared)
+    if len(executable) > MAX_PROCESSES:  # each of them is stored with the whole file
+        found.fault(
+            executable[MAX_PROCESSES],
+            message(
+                "bpmn.too_many_processes",
+                "a file has at most {limit} executable processes, not {processes}; split it",
+                limit=MAX_PROCESSES,
+                processes=len(executable),
+            ),
+        )
+        raise BadBpmn(found.faults, found.warnings)
     collaboration = Collaboration.of(root, executable, declared, found)
     ids: set[str] = set()
     definitions = []

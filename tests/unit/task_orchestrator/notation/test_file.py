@@ -4,7 +4,7 @@ import pytest
 
 from services.task_orchestrator.model import MessageEvent
 from services.task_orchestrator.notation.faults import MAX_FAULTS_LISTED, BadBpmn
-from services.task_orchestrator.notation.file import BpmnFile, read_bpmn
+from services.task_orchestrator.notation.file import MAX_PROCESSES, BpmnFile, read_bpmn
 from services.task_orchestrator.notation.rules import MAX_NODES
 from tests.unit.task_orchestrator.drawing import end, path, start
 from tests.unit.task_orchestrator.notation.reading import NAMESPACES, between, file
@@ -175,3 +175,17 @@ def test_a_process_of_the_greatest_size_is_read() -> None:
     tasks = "".join(f'<bpmn:task id="{step}"/>' for step in steps)
     definition = read_bpmn(file(start() + tasks + end() + path("start", *steps, "end"))).definitions[0]
     assert len(definition.activities()) == MAX_NODES - 2
+
+
+def test_a_file_with_too_many_processes_is_refused() -> None:
+    def xml(count: int) -> bytes:
+        listed = "".join(
+            f'<bpmn:process id="p{n}" isExecutable="true"><bpmn:task id="x{n}"/></bpmn:process>'
+            for n in range(count)
+        )
+        return f"<bpmn:definitions {NAMESPACES}>{listed}</bpmn:definitions>".encode()
+
+    assert len(read_bpmn(xml(MAX_PROCESSES)).definitions) == MAX_PROCESSES
+    with pytest.raises(BadBpmn, match="at most 100 executable processes, not 101; split it") as bad:
+        read_bpmn(xml(MAX_PROCESSES + 1))
+    assert [fault.element for fault in bad.value.faults] == ["p100"]
