@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from threading import Lock
 
 from handover.telemetry import get_logger
@@ -65,8 +66,11 @@ class ExchangeProcess:
         """Return the last report; thread-safe."""
         with self._lock:
             if self._memory is not None:
-                self._last_report = self._memory.read_report()
-        return self._last_report
+                try:
+                    self._last_report = self._memory.read_report()
+                except OSError as error:  # the process has ended while it wrote
+                    self._last_report = replace(self._last_report, is_connected=False, reason=str(error))
+            return self._last_report
 
     def servo(self, setpoint: Setpoint, program_id: int) -> None:
         """Command a setpoint to the program; thread-safe."""
