@@ -27,7 +27,7 @@ from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.metrics import MOTION_SECONDS
 from services.trajectory_tool.orders import Ended, Orders
-from services.trajectory_tool.robot import Joints, JointState, Pace, Robot, RobotFault
+from services.trajectory_tool.robot import Joints, JointState, Pace, Robot, RobotFault, StopCategory
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
 log = get_logger(__name__)
@@ -40,6 +40,8 @@ STEP_S, MAX_POINTS = 0.1, 200
 START_TOLERANCE_RAD = 0.02
 """A planned motion starts only from joints this near to its start."""
 CHECK_EVERY_S = 0.02
+LOWER_PACE = 0.8
+"""A motion stops, and can be continued, when its pace is below this fraction of the pace at its start."""
 STILL_S, STILL_RAD, STILL_RAD_S = 0.3, 0.003, 0.02
 """An arm is at rest when its joints turn slower, or have turned no further for 0.3 s."""
 REST_TIMEOUT_S = 10.0
@@ -88,6 +90,8 @@ class RosRobot(Robot):
         self._resync = Resync(self._try_reconcile, settings.reconcile_s)
         self._resync_task: asyncio.Task[None] | None = None
         self._ready = asyncio.Event()
+        self._in_motion = asyncio.Lock()
+        self._stop_requested = False
         self._motion: _Motion | None = None
         self._fault = f"the ROS bridge has not reported {self.arm} yet"
 
@@ -167,20 +171,41 @@ class RosRobot(Robot):
         planned_s: float,
         pace: Pace,
     ) -> bool:
+        """Follow a motion at the pace of its start; a much lower pace on the way stops it."""
+        if self._in_motion.locked():
+            raise RobotFault(
+                message(
+                    "robot.in_motion",
+                    "the robot is in motion; wait for its end or stop it before another motion",
+                )
+            )
         if planned_s == 0.0 or start == target:
             return True
-        if not pace() > 0:
-            return False
+        async with self._in_motion:
+            self._stop_requested = False
+            rate = min(pace(), 1.0)
+            if not rate > 0:
+                return False
+            motion = _Motion(start, target, planned_s / rate)
+            return await self._follow(motion, at_rate(at, rate), pace, rate)
+
+    async def _follow(
+        self, motion: _Motion, at: Callable[[float], Setpoint], pace: Pace, rate: float
+    ) -> bool:
         order = await self._orders.give(
             "followTrajectory",
             jointNames=list(self._joint_names),
-            points=points(at, planned_s),
-            durationS=planned_s,
+            points=points(at, motion.planned_s),
+            durationS=motion.planned_s,
         )
         began_s = time.monotonic()
-        self._motion = _Motion(start, target, planned_s)
+        self._motion = motion
         try:
-            ended = await self._supervise(order, pace, 2 * planned_s + 10)
+
+            def may_go() -> bool:
+                return not self._stop_requested and pace() > LOWER_PACE * rate
+
+            ended = await self._supervise(order, may_go, 2 * motion.planned_s + 10)
             if not ended.completed and not ended.cancelled:
                 raise RobotFault(
                     message(
@@ -198,6 +223,21 @@ class RosRobot(Robot):
             self._motion = None
             MOTION_SECONDS.inc(time.monotonic() - began_s)
         return ended.completed
+
+    async def stop(self, category: StopCategory) -> None:
+        """Cancel the goal of the arm, and return at rest; see `Robot.stop`. ROS cannot remove the power."""
+        self._stop_requested = True
+        async with self._in_motion:
+            pass
+        if category == 1:
+            raise RobotFault(
+                message(
+                    "robot.driver_has_no_power",
+                    "{arm} has been stopped, and its power cannot be removed through ROS; switch it off at "
+                    "its controller",
+                    arm=self.arm,
+                )
+            )
 
     async def close_gripper(self) -> bool:
         """Close the gripper; return True when an object stopped it."""
@@ -239,8 +279,8 @@ class RosRobot(Robot):
         order = await self._orders.give(operation)
         return await self._orders.end_of(order, self._gripper_s + 20)
 
-    async def _supervise(self, order: str, pace: Pace, within_s: float) -> Ended:
-        """Wait for the end of a motion, and cancel it once the pace is 0."""
+    async def _supervise(self, order: str, may_go: Callable[[], bool], within_s: float) -> Ended:
+        """Wait for the end of a motion, and cancel it once it may not continue."""
         end = asyncio.ensure_future(self._orders.end_of(order, within_s))
         stopping = False
         began_s = time.monotonic()
@@ -256,7 +296,7 @@ class RosRobot(Robot):
                         "bridge"
                     )
                 await asyncio.wait({end}, timeout=CHECK_EVERY_S if not stopping else 1.0)
-                if not stopping and not end.done() and not pace() > 0:
+                if not stopping and not end.done() and not may_go():
                     stopping = True
                     await self._orders.cancel(order)
             return end.result()
@@ -381,6 +421,20 @@ class RosRobot(Robot):
 
     def _endpoint(self) -> dict[str, Any]:
         return self._receiver.endpoint(self._notify_url)
+
+
+def at_rate(at: Callable[[float], Setpoint], rate: float) -> Callable[[float], Setpoint]:
+    """Return the same motion with its time at `rate`."""
+
+    def slowed(time_s: float) -> Setpoint:
+        setpoint = at(time_s * rate)
+        return Setpoint(
+            setpoint.positions,
+            tuple(rate * value for value in setpoint.velocities),
+            tuple(rate**2 * value for value in setpoint.accelerations),
+        )
+
+    return slowed
 
 
 def points(at: Callable[[float], Setpoint], whole_s: float) -> list[dict[str, Any]]:

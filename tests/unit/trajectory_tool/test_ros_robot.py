@@ -4,7 +4,7 @@ import pytest
 
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.ros_robot import MAX_POINTS, in_order, points
+from services.trajectory_tool.ros_robot import MAX_POINTS, at_rate, in_order, points
 from services.trajectory_tool.trajectory import Course
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
@@ -34,6 +34,18 @@ def test_no_point_of_a_trajectory_is_faster_than_the_joints_may_turn() -> None:
     for one in points(course(0.5).at, course(0.5).remaining_s(0.0)):
         for turns, may in zip(one["velocities"], limits.velocity, strict=True):
             assert abs(turns) <= 0.5 * may + 1e-6
+
+
+def test_a_lower_pace_slows_velocities_and_accelerations_on_the_same_path() -> None:
+    planned = course(1.0)
+    whole_s = planned.remaining_s(0.0)
+    full = points(planned.at, whole_s)
+    slow = points(at_rate(planned.at, 0.5), whole_s / 0.5)
+    assert slow[-1]["positions"] == full[-1]["positions"]
+    at_half, slow_at_half = planned.at(whole_s / 2), at_rate(planned.at, 0.5)(whole_s)
+    assert slow_at_half.positions == at_half.positions
+    assert slow_at_half.velocities == tuple(0.5 * value for value in at_half.velocities)
+    assert slow_at_half.accelerations == tuple(0.25 * value for value in at_half.accelerations)
 
 
 def test_joints_are_read_by_name_in_any_order_and_beside_other_joints() -> None:
