@@ -244,4 +244,4 @@ async def test_the_gripper_reports_whether_it_holds_a_part(shop: Shop, arm: Arm)
     freed = await asyncio.to_thread(httpx.post, free, timeout=120)
     assert freed.is_success, freed.text
     assert arm.grips == [0.0, 0.085]
-    assert freed.json()["gripper"] == {"closed": False, "holds": None}
+    assert freed.json()["gripper"] == {"closed": False, "holds": None, "interrupted": None}
