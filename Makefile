@@ -54,15 +54,18 @@ $(READY): $(LOCK) requirements/uv.lock pyproject.toml
 	$(call install,$(LOCK))
 
 # The demo needs fewer packages. If everything is installed already, it uses that.
-DEMO_LOCKS := requirements/run.lock requirements/build.lock
-DEMO_READY := $(if $(wildcard $(READY)),$(READY),$(VENV)/.ready-demo)
+# With SIM=physics the robot moves in simulated physics, which needs more packages.
+PHYSICS := $(filter physics,$(SIM))
+DEMO_LOCKS := requirements/$(or $(PHYSICS),run).lock requirements/build.lock
+DEMO_STAMP := $(VENV)/.ready-demo$(addprefix -,$(PHYSICS))
+DEMO_READY := $(if $(wildcard $(READY)),$(READY),$(DEMO_STAMP))
 
-$(VENV)/.ready-demo: $(DEMO_LOCKS) requirements/uv.lock pyproject.toml
+$(DEMO_STAMP): $(DEMO_LOCKS) requirements/uv.lock pyproject.toml
 	$(call install,$(DEMO_LOCKS))
 
-demo: $(DEMO_READY)  ## a person and a robot work through the bin-picking process (ONCE=1: end after it)
+demo: $(DEMO_READY)  ## a person and a robot work through the bin-picking process (ONCE=1: end after it; SIM=physics)
 	@$(PAGE)
-	@$(BIN)/handover demo $(if $(filter 1 yes true,$(ONCE)),--once) $(ARGS)
+	@$(if $(SIM),HANDOVER_ROBOT=$(SIM) )$(BIN)/handover demo $(if $(filter 1 yes true,$(ONCE)),--once) $(ARGS)
 
 up: setup  ## every service, with the simulated robot only
 	@$(BIN)/handover up $(ARGS)
