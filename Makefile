@@ -173,9 +173,10 @@ bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker,
 	@$(BIN)/python -m benchmarks.ros_graph
 	@$(BIN)/python -m benchmarks.ros_bridge $(ARGS)
 
-bench-motion: setup  ## motion planning: plans, inverse kinematics, collision checks (ARGS="--problems 100")
+bench-motion: setup  ## motion planning, and bin picking in simulated physics (ARGS="--problems 100")
 	@$(BIN)/python -m benchmarks.motion $(ARGS)
 	@$(BIN)/python -m benchmarks.universal_robots
+	@$(BIN)/python -m benchmarks.physics
 
 bench-screen: setup  ## the screen in Chromium: response times and memory
 	@$(BIN)/python -m benchmarks.screen $(ARGS)

@@ -1,10 +1,12 @@
 """`handover robot`: robots from URDFs, and checks of what they would do."""
 
+import asyncio
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from handover.cli.robot_task import perform
 from handover.errors import UsageError
 from handover.settings import Settings
 
@@ -96,6 +98,22 @@ def check(
         print(f"cycle time of the robots: {cycle_s:.2f} s{' (too long)' if is_slow else ''}")
     if is_slow or any(one.faults for one in checked):
         raise typer.Exit(1)
+
+
+@app.command("calibrate-camera")
+def calibrate_camera(
+    robot: Annotated[str, typer.Argument(help="The name of the robot.")] = "ur10-1",
+    target: Annotated[
+        str, typer.Option("--target", help="The ball: a spherical obstacle of the scene.")
+    ] = "calibration-ball",
+    timeout_s: Annotated[float, typer.Option("--timeout", help="Seconds to wait for the end.")] = 300.0,
+) -> None:
+    """Find out where the camera in the hand is mounted: the robot moves it around a ball."""
+    result = asyncio.run(perform(Settings.load(), robot, "calibrateCamera", {"target": target}, timeout_s))
+    print(
+        f"{robot}: the camera is {result['movedMm']} mm and {result['turnedDeg']} degrees from where it was "
+        f"assumed; {result['images']} images agree within {result['residualMm']} mm"
+    )
 
 
 def _data_dir(data_dir: Path | None) -> Path:

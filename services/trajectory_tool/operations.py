@@ -15,6 +15,7 @@ from handover.outcomes import outcome_unknown
 from handover.performer import TaskFailed
 from services.trajectory_tool import bin_search
 from services.trajectory_tool import parameters as given
+from services.trajectory_tool.calibration import calibrate_camera
 from services.trajectory_tool.metrics import SCANS
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import NO_TURN, Frame, Pose
@@ -256,6 +257,7 @@ OPERATIONS: Mapping[str, Operation] = {
     "place": Operation(given.Place, place),
     "home": Operation(given.Home, home),
     "handOver": Operation(given.HandOver, hand_over),
+    "calibrateCamera": Operation(given.CalibrateCamera, calibrate_camera),
 }
 
 

@@ -131,6 +131,12 @@ class Scan(Home):
     bin: Name
 
 
+class CalibrateCamera(Home):
+    """Find out where the camera in the hand is mounted: `target` is a spherical obstacle of the scene."""
+
+    target: Name = "calibration-ball"
+
+
 class Approaching(Home):
     """How the tool comes and leaves: `approachM` and `retreatM`, along the vertical or its own axis."""
 

@@ -4,13 +4,13 @@ A robot driver with a camera of its own implements it; otherwise the cell has th
 `camera.py`, which knows where the parts lie.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from handover.messages import Message
 from services.trajectory_tool.contents import Grip
-from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.poses import Frame, Pose, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +30,28 @@ class Sighting:
     reason: Message | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class SeenBall:
+    """The pose of the tip at an image, and the middle of a ball in the frame of the camera."""
+
+    tool: Frame
+    ball: Vector
+
+
 class Vision(Protocol):
     """Looks into bins. `fill`, `stir` and `clear` are what people do in a simulated cell."""
 
     async def look(self, bin_name: str) -> Sequence[Sighting]:
         """Return the parts that are seen in a bin, the topmost first."""
+
+    async def find_ball(self, place: Vector, radius_m: float) -> SeenBall | None:
+        """Return the ball that the camera in the hand sees near to a place of the cell; None without one."""
+
+    async def calibrate(self, seen: Sequence[SeenBall]) -> Mapping[str, float]:
+        """Store where the camera in the hand is mounted, and return figures for the result of the Task.
+
+        Raises `HandoverError` where the images do not determine it.
+        """
 
     async def fill(self, bin_name: str) -> None:
         """Have an empty bin filled."""

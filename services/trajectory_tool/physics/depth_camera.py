@@ -47,6 +47,10 @@ class DepthCamera:
 
     def image(self, believed: CameraMount | None = None) -> DepthImage:
         """Return an image, in the frame of the cell for a camera that is mounted as `believed`."""
+        return self.image_with_tool(believed or self.mount)[1]
+
+    def image_with_tool(self, believed: CameraMount) -> tuple[Frame, DepthImage]:
+        """Return the frame of the tip at the time of an image, and the image."""
         with self._simulation.lock:
             tool = self._simulation.tool
             camera = self.mount.camera(tool)
@@ -54,7 +58,7 @@ class DepthCamera:
             found = self._simulation.cast_rays(np.array(camera.position), rays, MAX_RANGE_M)
         depth = found / self._lengths + self._random.normal(0.0, self._noise_m, len(found))
         size = (self.intrinsics.height, self.intrinsics.width)
-        return DepthImage(depth.reshape(size), self.intrinsics, (believed or self.mount).camera(tool))
+        return tool, DepthImage(depth.reshape(size), self.intrinsics, believed.camera(tool))
 
 
 def misaligned(mount: CameraMount, seed: int, offset_m: float, angle_deg: float) -> CameraMount:

@@ -91,7 +91,9 @@ class PhysicsRobot(CyclicRobot):
             gripper_s=context.gripper_s,
             gripper_closed=context.gripper_closed,
             saved=saved,
-            vision=PhysicsVision(scene, model, parts, cameras, on_changed) if scene.bins else None,
+            vision=PhysicsVision(scene, model, simulation, parts, cameras, on_changed)
+            if scene.bins
+            else None,
         )
 
     async def __aenter__(self) -> Self:

@@ -1,19 +1,21 @@
 """The vision of the simulated cell: its depth camera, and the search for parts and grasps in the images."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 
 from handover.messages import Message
 from services.trajectory_tool.contents import Grip
+from services.trajectory_tool.perception import hand_eye
 from services.trajectory_tool.perception.grasps import GraspFinder
 from services.trajectory_tool.perception.segmentation import Inside, find_parts
 from services.trajectory_tool.physics.cameras import HAND_CAMERA, Cameras
 from services.trajectory_tool.physics.parts import Parts
 from services.trajectory_tool.physics.world_model import DEFAULT_PART_SIZE_M, fingers_of
-from services.trajectory_tool.poses import NO_TURN, Frame, Pose
+from services.trajectory_tool.poses import NO_TURN, Frame, Pose, Vector
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.scene import OpenBox, Scene
-from services.trajectory_tool.vision import SeenGrasp, Sighting
+from services.trajectory_tool.vision import SeenBall, SeenGrasp, Sighting
 
 MAX_GRASPS = 16
 MAX_REPEATS_M = 0.002
@@ -40,6 +42,30 @@ class PhysicsVision:
     async def look(self, bin_name: str) -> Sequence[Sighting]:
         """Return the parts that are seen in a bin, the topmost first."""
         return await asyncio.to_thread(self._look, bin_name)
+
+    async def find_ball(self, place: Vector, radius_m: float) -> SeenBall | None:
+        """Return the ball that the camera in the hand sees near to a place; None without one."""
+        return await asyncio.to_thread(self._find_ball, place, radius_m)
+
+    async def calibrate(self, seen: Sequence[SeenBall]) -> Mapping[str, float]:
+        """Store where the camera in the hand is mounted. Raises `NotCalibrated`."""
+        nominal = self.cameras.calibrated(HAND_CAMERA).frame
+        found = await asyncio.to_thread(hand_eye.in_hand, seen, nominal)
+        await asyncio.to_thread(self.cameras.calibrate, HAND_CAMERA, found.mount)
+        change = nominal.inverse() @ found.mount
+        trace = sum(change.rotation[axis][axis] for axis in range(3))
+        return {
+            "residualMm": round(1000 * found.residual_m, 2),
+            "movedMm": round(1000 * math.hypot(*change.position), 2),
+            "turnedDeg": round(math.degrees(math.acos(min((trace - 1) / 2, 1.0))), 3),
+        }
+
+    def _find_ball(self, place: Vector, radius_m: float) -> SeenBall | None:
+        mount = self.cameras.calibrated(HAND_CAMERA)
+        tool, image = self.cameras[HAND_CAMERA].image_with_tool(mount)
+        expected = (mount.camera(tool).inverse() @ Frame(NO_TURN, place)).position
+        ball = hand_eye.find_ball(image, expected, radius_m)
+        return None if ball is None else SeenBall(tool, ball)
 
     async def fill(self, bin_name: str) -> None:
         """Have an empty bin filled."""

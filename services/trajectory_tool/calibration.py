@@ -1,0 +1,93 @@
+"""The operation `calibrateCamera`: the camera in the hand looks at a ball from several poses.
+
+The ball is an obstacle of the scene with the shape of a sphere. Its place in the scene need not be exact: the
+calibration finds it together with the mount of the camera.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from handover.errors import HandoverError
+from handover.messages import message, text_of
+from handover.performer import TaskFailed
+from services.trajectory_tool import parameters as given
+from services.trajectory_tool.poses import Frame, Pose, Vector, turn
+from services.trajectory_tool.robot import NoPath, Unreachable
+from services.trajectory_tool.work import Work
+
+TILT_RAD = math.radians(18)
+TURN_RAD = 0.9
+NEAR_M, FAR_M = 0.25, 0.40
+ASIDE_M = 0.07
+
+VIEWS = (
+    # turn about the vertical, tilts about x and y of the tool, distance of the tip, and how far it is aside
+    (0.0, 0.0, 0.0, NEAR_M, 0.0, 0.0),
+    (0.0, TILT_RAD, 0.0, FAR_M, ASIDE_M, 0.0),
+    (0.0, -TILT_RAD, 0.0, NEAR_M, 0.0, -ASIDE_M),
+    (0.0, 0.0, TILT_RAD, FAR_M, 0.0, ASIDE_M),
+    (0.0, 0.0, -TILT_RAD, NEAR_M, -ASIDE_M, 0.0),
+    (TURN_RAD, 0.0, 0.0, FAR_M, -ASIDE_M, -ASIDE_M),
+    (TURN_RAD, TILT_RAD, TILT_RAD, NEAR_M, 0.0, 0.0),
+    (TURN_RAD, -TILT_RAD, 0.0, FAR_M, 0.0, ASIDE_M),
+    (-TURN_RAD, 0.0, TILT_RAD, NEAR_M, ASIDE_M, -ASIDE_M),
+    (-TURN_RAD, TILT_RAD, -TILT_RAD, FAR_M, -ASIDE_M, 0.0),
+    (-TURN_RAD, 0.0, -TILT_RAD, FAR_M, ASIDE_M, ASIDE_M),
+    (-TURN_RAD, -TILT_RAD, TILT_RAD, NEAR_M, 0.0, 0.0),
+)
+"""Poses around a ball. The ball must be at different places of the image: otherwise a turn of the camera
+about it looks like a shift."""
+
+
+async def calibrate_camera(work: Work, request: given.CalibrateCamera) -> dict[str, Any]:
+    """Look at a ball from several poses, and store where the camera is mounted."""
+    cell = work.cell
+    vision = cell.robot.vision
+    if vision is None:
+        raise TaskFailed(
+            message("robot.no_camera", "{robot} has no camera that can be calibrated", robot=cell.name)
+        )
+    ball = cell.scene.obstacles.get(request.target)
+    if ball is None or ball.sphere is None:
+        raise TaskFailed(
+            message(
+                "robot.no_ball",
+                'the scene has no sphere "{target}"; put a ball into the cell and add it to the obstacles',
+                target=request.target,
+            )
+        )
+    samples = []
+    for pose in views(ball.position):
+        try:
+            joints = await work.plan(lambda planner, pose=pose: planner.nearest_free(pose, cell.joints))  # type: ignore[misc]
+            work.intend(joints)
+            await work.go(joints)
+        except (Unreachable, NoPath, TaskFailed):
+            continue  # other poses are enough
+        sample = await vision.find_ball(ball.position, ball.sphere)
+        if sample is not None:
+            samples.append(sample)
+    try:
+        found = await vision.calibrate(samples)
+    except HandoverError as why:
+        raise TaskFailed(
+            message("robot.camera_not_calibrated", "the camera is not calibrated: {why}", why=text_of(why))
+        ) from None
+    return {**found, "images": len(samples)}
+
+
+def views(ball: Vector) -> Iterator[Pose]:
+    """Yield poses of the tool around a ball."""
+    for yaw, tilt_x, tilt_y, distance_m, aside_x, aside_y in VIEWS:
+        down = _turned((1.0, 0.0, 0.0), math.pi)
+        pointing = _turned((0.0, 0.0, 1.0), yaw) @ down @ _turned((1.0, 0.0, 0.0), tilt_x)
+        pointing = pointing @ _turned((0.0, 1.0, 0.0), tilt_y)
+        back = turn(pointing.rotation, (aside_x, aside_y, -distance_m))
+        at = (ball[0] + back[0], ball[1] + back[1], ball[2] + back[2])
+        yield Pose.of(Frame(pointing.rotation, at))
+
+
+def _turned(axis: Vector, angle_rad: float) -> Frame:
+    x, y, z = (math.sin(angle_rad / 2) * share for share in axis)
+    return Pose((0.0, 0.0, 0.0), (x, y, z, math.cos(angle_rad / 2))).frame()
