@@ -49,8 +49,7 @@ async def perform(
                 f"{robot} did not end {operation} within {timeout_s:.0f} s; is the trajectory tool running? "
                 f"The Task is {task.id}, {task.status.value.value}"
             ) from None
-    outputs = task.output_parameters.value if task.output_parameters is not None else {}
-    result: Mapping[str, Any] = outputs if isinstance(outputs, Mapping) else {}
+    result: Mapping[str, Any] = {} if task.output_parameters is None else task.output_parameters.value
     if task.status.value is not TaskStatus.COMPLETED:
         raise UsageError(f"{robot}: {operation} failed: {result.get('reason', 'no reason given')}")
     return result

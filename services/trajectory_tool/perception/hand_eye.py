@@ -121,7 +121,7 @@ def _checked(rotation: Array, translation: Array, residuals: Array) -> Calibrati
                 residual=f"{1000 * left_m:.1f}",
             )
         )
-    return Calibration(frame_of(*rotation.T, translation), left_m)
+    return Calibration(frame_of(rotation[:, 0], rotation[:, 1], rotation[:, 2], translation), left_m)
 
 
 def _too_few(seen: int, needed: int) -> NotCalibrated:

@@ -6,14 +6,12 @@ the same result.
 """
 
 import time
-from threading import Event, Thread
 
 from services.trajectory_tool.drivers import Clock
 from services.trajectory_tool.metrics import SIMULATED_SECONDS, SIMULATION_CPU_SECONDS
 from services.trajectory_tool.physics.simulation import Simulation
 from services.trajectory_tool.physics.world_model import STEP_S
 
-IDLE_EVERY_S = 0.02
 MAX_LAG_S = 0.1
 """A simulation that is slower than its pace by more than this does not catch up."""
 
@@ -21,29 +19,19 @@ MAX_LAG_S = 0.1
 class PacedSimulation:
     """A simulation that runs at `pace` simulated seconds in a second, or freely for None.
 
-    While it is started, it also runs between motions.
+    All methods are called in one thread, that of the control cycles.
     """
 
     def __init__(self, simulation: Simulation, pace: float | None) -> None:
         self.simulation = simulation
         self.clock = Clock(lambda: simulation.time_s, self.wait_s)
         self._pace = pace
-        self._stop = Event()
-        self._idle: Thread | None = None
         self.resync()
 
-    def start(self) -> None:
-        """Run between motions as well, until `stop`."""
-        self.resync()
-        if self._pace is not None:
-            self._idle = Thread(target=self._run_idle, name="physics", daemon=True)
-            self._idle.start()
-
-    def stop(self) -> None:
-        """Stop the simulation between motions."""
-        self._stop.set()
-        if self._idle is not None:
-            self._idle.join()
+    @property
+    def is_paced(self) -> bool:
+        """Return whether the simulation keeps a pace, so that it runs between motions as well."""
+        return self._pace is not None
 
     def wait_s(self, seconds: float) -> None:
         """Simulate a time, and wait as long as it takes at the pace."""
@@ -65,16 +53,15 @@ class PacedSimulation:
         SIMULATION_CPU_SECONDS.inc(time.thread_time() - began)
         SIMULATED_SECONDS.inc(max(simulation.time_s - began_s, 0.0))
 
-    def _run_idle(self) -> None:
-        assert self._pace is not None  # noqa: S101 - started only with a pace
-        while not self._stop.wait(IDLE_EVERY_S):
-            behind_s = (time.monotonic() - self._began_at) * self._pace - (
-                self.simulation.time_s - self._began_s
-            )
-            if behind_s > MAX_LAG_S * self._pace * 5:
-                self.resync()
-            elif behind_s > IDLE_EVERY_S / 2:
-                self._simulate(self.simulation.time_s + behind_s)
+    def catch_up(self) -> None:
+        """Simulate the time since the last motion; what is more than `MAX_LAG_S` is left out."""
+        if self._pace is None:
+            return
+        behind_s = (time.monotonic() - self._began_at) * self._pace - (self.simulation.time_s - self._began_s)
+        if behind_s > MAX_LAG_S * self._pace:
+            self.resync()
+        elif behind_s > STEP_S:
+            self._simulate(self.simulation.time_s + behind_s)
 
     def resync(self) -> None:
         """Keep the pace from now on, after the simulation has jumped ahead or fell behind."""

@@ -28,6 +28,7 @@ from services.trajectory_tool.vision import Vision
 
 GRIPPER_TIMEOUT_S = 3.0
 CHECK_GRIP_S = 0.02
+IDLE_EVERY_S = 0.03
 RELEASE_S = 0.3
 """After the gripper has opened: a part that falls out of it lies still."""
 
@@ -58,6 +59,7 @@ class PhysicsRobot(CyclicRobot):
         self._paced = paced
         self._saved = saved
         self._gripper_closed = gripper_closed
+        self._idle: asyncio.Task[None] | None = None
         finger = model.fingers[0] if model.fingers else None
         self._opened, self._closed = (finger.opened, finger.closed) if finger else (0.0, 0.0)
         self._finger_mps = max(abs(self._opened - self._closed) / max(gripper_s, 0.1), 0.001)
@@ -91,19 +93,21 @@ class PhysicsRobot(CyclicRobot):
             gripper_s=context.gripper_s,
             gripper_closed=context.gripper_closed,
             saved=saved,
-            vision=PhysicsVision(scene, model, simulation, parts, cameras, on_changed)
-            if scene.bins
-            else None,
+            vision=PhysicsVision(scene, model, parts, cameras, on_changed) if scene.bins else None,
         )
 
     async def __aenter__(self) -> Self:
         await super().__aenter__()
-        self._paced.start()
+        self._paced.resync()
+        if self._paced.is_paced:
+            self._idle = asyncio.create_task(self._run_between_motions())
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await super().__aexit__(*_)
-        await asyncio.to_thread(self._paced.stop)
+        if self._idle is not None:
+            self._idle.cancel()
+            await asyncio.wait([self._idle])
         await asyncio.to_thread(self._save)
 
     def command(self, setpoint: Setpoint) -> None:
@@ -154,6 +158,12 @@ class PhysicsRobot(CyclicRobot):
     def is_holding(self) -> bool:
         """Return whether all fingers touch the same part."""
         return self.simulation.gripped_part() is not None
+
+    async def _run_between_motions(self) -> None:
+        """Simulate while nothing is commanded; in the control thread, so that motions are never disturbed."""
+        while not self.switched_off.is_set():
+            await self.in_control(self._paced.catch_up)
+            await asyncio.sleep(IDLE_EVERY_S)
 
     def _move_fingers(self, target: float) -> None:
         self.simulation.move_fingers(target, self._finger_mps)
