@@ -17,7 +17,7 @@ from typing import Any
 from fastapi import Request
 
 from handover.alert_catalogue import ENTITY_FILTER_REFUSED
-from handover.alerts import clear_alert, raise_alert
+from handover.alerts import alert_id, clear_alert, raise_alert
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.errors import Problem
@@ -58,6 +58,8 @@ class EntityEvents:
         self._queried: set[str] = set()
         self._refused: set[str] = set()
         """The filters that the broker refuses; there is an Alert for each."""
+        self._alerts_known = False
+        """Whether the Alerts of an earlier run were compared with the filters."""
         self._to_read: dict[str, set[str]] = {}
         self._waits_changed = asyncio.Event()
         self._tasks = BackgroundTasks("entity-events")
@@ -105,6 +107,8 @@ class EntityEvents:
         await self._orchestrator.writer.recover()
         watched = self._watched = self._delivery.watched()
         await self._update_subscriptions(watched)
+        if not self._alerts_known:
+            await self._find_alerts(watched)
         failure: BrokerUnavailable | None = None
         moment = self._orchestrator.clock()
         since = self._delivery.contact() if self._was_disconnected else None
@@ -148,6 +152,19 @@ class EntityEvents:
             ),
         )
         self._refused.add(key)
+
+    async def _find_alerts(self, watched: Mapping[str, Watched]) -> None:
+        """Clear the Alerts of an earlier run about filters that are gone, and remember the others."""
+        pattern = f"^{alert_id(self._settings, _refused_key('.'))}$".replace("-.-", "-.*-")
+        alerts = await self._broker.query(type="Alert", id_pattern=pattern)
+        active = {str(alert["id"]) for alert in alerts if "validTo" not in alert}
+        for key in watched:
+            if (found := alert_id(self._settings, _refused_key(key))) in active:
+                active.discard(found)
+                self._refused.add(key)
+        for gone in active:
+            await clear_alert(self._broker, self._settings, key=gone.rpartition(":")[2])
+        self._alerts_known = True
 
     async def _clear_refused(self, key: str) -> None:
         if key in self._refused:

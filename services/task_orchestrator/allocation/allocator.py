@@ -29,6 +29,7 @@ from services.task_orchestrator.allocation.choice import (
     order_of,
     rank,
 )
+from services.task_orchestrator.allocation.hints import given_priority
 from services.task_orchestrator.allocation.reservations import (
     Hold,
     Holder,
@@ -76,8 +77,10 @@ class AskedReservation:
 
     @property
     def order(self) -> Order:
-        """Return the order in which it is served."""
-        return order_of(DEFAULT_PRIORITY, None, self.since, self.holder)
+        """Return the order in which it is served: by the highest priority of its activities."""
+        given = [given_priority(each, self.variables) for each in self.activities]
+        priority = max((each for each in given if each is not None), default=DEFAULT_PRIORITY)
+        return order_of(priority, None, self.since, self.holder)
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,7 +140,7 @@ def _call(machine: Machine, token: Token, call: Call) -> None:
     variables = machine.variables(token)
     try:
         with machine.failures(token):
-            plan = _called(machine, call, variables)
+            plan = called_plan(machine, call, variables)
             parameters = plan.definition.parameters
             given: dict[str, Any] = {}
             if call.all_inputs:
@@ -165,7 +165,8 @@ def _call_depth(machine: Machine, token: Token) -> int:
     return depth
 
 
-def _called(machine: Machine, call: Call, variables: Variables) -> Plan:
+def called_plan(machine: Machine, call: Call, variables: Variables) -> Plan:
+    """Return the process that a call runs; raise `ExpressionError`, `ValueError` or `RunFailed`."""
     name = call.process.value(variables)
     version = None if call.version is None else _whole_number(call.version.value(variables))
     if call.version is not None and version is None:

@@ -5,14 +5,17 @@ or waits there continues: Tasks, called processes, and the waits for events that
 versions. A wait for an event that differs is created again, at the moment of the migration. A token whose
 element is missing, is in another scope or is of another kind is an obstacle.
 
+A called process is migrated with its caller to the version that the new call activity names, unless one of
+its tokens cannot continue there; then it keeps its version.
+
 `migrate` changes the state that it is given, also if it finds obstacles: the caller then discards the state.
-Called processes keep their versions.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from handover.messages import Message, message, text_of
+from services.task_orchestrator.execution.activities import called_plan
 from services.task_orchestrator.execution.comparison import (
     comparable,
     difference,
@@ -25,6 +28,7 @@ from services.task_orchestrator.execution.machine import Machine
 from services.task_orchestrator.execution.state import (
     Completion,
     Frame,
+    RunFailed,
     Token,
     TokenState,
     Wait,
@@ -134,7 +138,13 @@ class Migration:
                 if inner is None:  # an obstacle of its host
                     continue
                 self._scopes[frame.id] = _Scopes(frame.graph, inner)
-            else:  # a called process, or within one
+            elif frame.process is not None and host.frame in self._scopes:
+                called = self._called(frame, host)
+                if called is None:
+                    continue
+                self._scopes[frame.id] = _Scopes(frame.graph, called.graph)
+                frame.process = (called.definition.name, called.version)
+            else:  # within a called process that keeps its version
                 continue
             scopes = self._scopes[frame.id]
             for token in frame.tokens.values():
@@ -150,6 +160,67 @@ class Migration:
                 frame.prefix = prefix_within(
                     state.frames[host.frame], host, is_call=frame.process is not None
                 )
+
+    def _called(self, frame: Frame, host: Token) -> Plan | None:
+        """Return the version in which a called process continues; None if it keeps its own."""
+        assert frame.process is not None  # noqa: S101 - it is called
+        name, version = frame.process
+        outer = self._state.frames[host.frame]
+        scopes = self._scopes[host.frame]
+        node = scopes.new.nodes.get(host.node)
+        if node is None or node.call is None or host.id not in self._old_ids:
+            return None  # an obstacle of its host
+        before = scopes.old.nodes[self._old_ids[host.id]]
+        try:
+            plan = called_plan(self._machine, node.call, self._machine.frame_variables(outer))
+        except (ExpressionError, ValueError, RunFailed) as error:
+            if comparable(before.call) == comparable(node.call):  # else the difference is reported
+                self._keep_called(outer, host, before, frame, text_of(error))
+            return None
+        if plan.definition.name != name or plan.version == version:
+            return None
+        reason = self._why_kept(frame, plan.graph)
+        if reason is not None:
+            self._keep_called(outer, host, before, frame, reason)
+            return None
+        found = message(
+            "migration.called_too",
+            'the called process "{name}" continues in version {version}',
+            name=name,
+            version=plan.version,
+        )
+        self._find(outer, host, before, found, target=host.node)
+        return plan
+
+    def _keep_called(self, outer: Frame, host: Token, node: Node, frame: Frame, why: str) -> None:
+        assert frame.process is not None  # noqa: S101 - it is called
+        reason = message(
+            "migration.called_keeps",
+            'the called process "{name}" keeps version {version}: {why}',
+            name=frame.process[0],
+            version=frame.process[1],
+            why=why,
+        )
+        self._find(outer, host, node, reason, target=host.node)
+
+    def _why_kept(self, frame: Frame, graph: Graph) -> str | None:
+        """Return why a token of a called process, or of its subprocesses, cannot continue in `graph`."""
+        for token in frame.tokens.values():
+            old, new = frame.graph.nodes[token.node], graph.nodes.get(self._target(token.node))
+            if new is None:
+                return message(
+                    "migration.called_lacks", 'its new version has no element "{element}"', element=token.node
+                )
+            obstacle = _obstacle(old, new, token)
+            if obstacle is not None:
+                return f"{old.name or old.id}: {obstacle}"
+            for inner in self._state.frames.values():
+                if inner.host == token.id and inner.process is None:
+                    within = graph.inner.get(new.id)
+                    why = None if within is None else self._why_kept(inner, within)
+                    if why is not None:
+                        return why
+        return None
 
     def _move_token(self, frame: Frame, token: Token, scopes: _Scopes) -> None:
         old = scopes.old.nodes[token.node]

@@ -632,6 +632,8 @@ class Process:
             groups = [each.group for _, each in levels[: level + 1] if each is not None and each.group]
             parameters = with_groups(task.entity, groups)
             if parameters is not None:
+                present = self.tasks[task.id]
+                self.record_task(present.changed(entity={**present.entity, **parameters}), step)
                 step.enqueue(task.stream, MessageKind.APPEND, task.id, parameters)
         if escalation is not None and escalation.code is not None:
             details = {"activity": task.element, "code": escalation.code, "task": task.id}

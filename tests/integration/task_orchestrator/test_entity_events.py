@@ -263,6 +263,8 @@ def test_a_filter_that_the_broker_refuses_does_not_stop_the_others(world: Cell) 
     raised = eventually(alert, "the Alert about the filter")
     assert raised["alertSource"]["object"] == "urn:ngsi-ld:ProcessDefinition:demo:wrong"
     assert "((" in raised["description"]["value"]
+    world.orchestrator.kill()
+    world.orchestrator.start()
     deploy(world, "wrong", starts_with(on("message", "Wrong")) + end() + path("start", "end"))
     eventually(lambda: "validTo" in (alert() or {}) or None, "the end of the Alert")
 

@@ -7,7 +7,7 @@ import httpx
 from handover.broker import BrokerClient
 from services.task_orchestrator.settings import OrchestratorSettings
 from tests.integration.task_orchestrator.rest import deployed, moved, service
-from tests.unit.task_orchestrator.drawing import activity, end, path, start
+from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path, start
 
 TWO_STEPS = start() + activity("work") + activity("check") + end() + path("start", "work", "check", "end")
 RENAMED = start() + activity("weld") + end() + path("start", "weld", "end")
@@ -45,6 +45,51 @@ async def test_a_process_continues_in_another_version_with_the_same_task(
     assert (act["act"], act["by"], act["to"], act["why"]) == ("migrate", "Anna", "2", ANNA["why"])
     await moved(joined, broker, task["id"], "completed")
     assert (await seen(joined, process["id"]))["waiting"] == ["check"]
+
+
+CALLING = start() + '<bpmn:callActivity id="c" calledElement="q"/>' + end() + path("start", "c", "end")
+
+
+async def called_process(api: httpx.AsyncClient, body: str, version: int) -> None:
+    """Deploy a version of the caller, and one of the called process."""
+    caller = CALLING.replace('id="end"', f'id="end" name="of version {version}"')
+    for name, content in (("q", body), ("p", caller)):
+        headers = {"Content-Type": "application/xml"}
+        answer = await api.post("/definitions", content=drawing(content, name=name), headers=headers)
+        assert answer.status_code == 201, answer.text
+
+
+async def test_a_called_process_is_migrated_with_its_caller(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    await called_process(joined, ONE_STEP, 1)
+    process = await started(joined)
+    (task,) = process["tasks"]
+    await called_process(joined, TWO_STEPS, 2)
+    url = f"/processes/{process['id']}/migration"
+    checked = (await joined.post(url, params={"dry": True}, json=ANNA)).json()
+    reasons = [finding["reason"] for finding in checked["findings"]]
+    assert reasons == ['the called process "q" continues in version 2']
+    assert checked["possible"]
+    assert (await joined.post(url, json=ANNA)).json()["migrated"]
+    await moved(joined, broker, task["id"], "completed")
+    assert (await seen(joined, process["id"]))["waiting"] == ["c", "c.check"]
+
+
+async def test_a_called_process_that_cannot_be_migrated_keeps_its_version_and_says_why(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    await called_process(joined, ONE_STEP, 1)
+    process = await started(joined)
+    (task,) = process["tasks"]
+    await called_process(joined, RENAMED, 2)
+    url = f"/processes/{process['id']}/migration"
+    checked = (await joined.post(url, params={"dry": True}, json=ANNA)).json()
+    reasons = [finding["reason"] for finding in checked["findings"]]
+    assert reasons == ['the called process "q" keeps version 1: its new version has no element "work"']
+    assert (await joined.post(url, json=ANNA)).json()["migrated"]
+    await moved(joined, broker, task["id"], "completed")
+    assert (await seen(joined, process["id"]))["status"] == "completed"
 
 
 async def test_a_migration_that_is_impossible_names_every_obstacle(joined: httpx.AsyncClient) -> None:

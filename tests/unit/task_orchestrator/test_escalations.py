@@ -4,6 +4,7 @@ from datetime import timedelta
 from typing import Any
 
 from datamodels.times import iso
+from services.task_orchestrator.people_acts import offer_of
 from services.task_orchestrator.process import interventions
 from services.task_orchestrator.records import Act, ActKind, MessageKind, Step
 from tests.unit.task_orchestrator.drawing import NOW, activity, boundary, end, path, start
@@ -85,6 +86,8 @@ def test_levels_follow_the_due_date_and_add_groups_to_a_task_for_people() -> Non
     wait(driver, minutes=5)
     (change,) = changes(driver.step)
     assert change["workParameters"]["value"]["candidates"]["groups"] == ["team", "leads"]
+    (known,) = driver.process.tasks.values()
+    assert offer_of(known).groups == ("team", "leads")
     wait(driver, minutes=25)
     (change,) = changes(driver.step)
     assert change["workParameters"]["value"]["candidates"]["groups"] == ["team", "leads", "managers"]

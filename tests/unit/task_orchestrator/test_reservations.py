@@ -225,6 +225,18 @@ def test_reservations_are_served_in_the_order_of_arrival_also_after_a_restart() 
     assert order == [name for name in names for _ in range(2)]
 
 
+def test_a_reservation_of_a_higher_priority_is_served_before_an_earlier_one() -> None:
+    urgent = TWO_STEPS.replace(b"<handover:task ", b'<handover:task priority="${priority}" ')
+    cell = SharedCell(urgent, a=agent("a", "robot"))
+    first, usual, express = (cell.start("p", priority=priority) for priority in (50, 50, 90))
+    order = []
+    while opened := cell.open():
+        ((name, task),) = opened
+        order.append(name)
+        cell.report_task(name, task)
+    assert order == [first, first, express, express, usual, usual]
+
+
 def test_a_fixed_robot_gets_one_task_at_a_time_and_a_person_all() -> None:
     body = start() + work("weld", "Device:a") + end() + path("start", "weld", "end")
     sign = start() + work("sign", "Person:ada") + end() + path("start", "sign", "end")
