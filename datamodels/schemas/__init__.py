@@ -8,10 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from datamodels.entities import TYPES, Entity
+from datamodels.streams import STREAMS
 
 FOLDER = Path(__file__).parent
 
@@ -38,18 +40,30 @@ def schema_of(model: type[Entity]) -> dict[str, Any]:
     }
 
 
-def written(model: type[Entity]) -> str:
-    """Return the text of the schema file of `model`."""
-    return json.dumps(schema_of(model), indent=2, ensure_ascii=False) + "\n"
+def stream_schema_of(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a message of a stream."""
+    name = model.__name__
+    return {
+        "$schema": GenerateJsonSchema.schema_dialect,
+        "$id": f"https://w3id.org/handover/schemas/{name}.json",
+        **model.model_json_schema(mode="validation"),
+        "title": name,
+    }
+
+
+def written(name: str) -> str:
+    """Return the text of the schema file of an entity type or a message."""
+    schema = stream_schema_of(STREAMS[name]) if name in STREAMS else schema_of(TYPES[name])
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def outdated(folder: Path = FOLDER) -> list[Path]:
     """Return the schema files in `folder` that are missing or outdated."""
     return [
         path
-        for name, model in TYPES.items()
+        for name in (*TYPES, *STREAMS)
         if not (path := folder / f"{name}.json").is_file()
-        or path.read_text(encoding="utf-8") != written(model)
+        or path.read_text(encoding="utf-8") != written(name)
     ]
 
 
@@ -57,7 +71,7 @@ def write(folder: Path = FOLDER) -> list[Path]:
     """Write every outdated schema file and return their paths."""
     paths = outdated(folder)
     for path in paths:
-        path.write_text(written(TYPES[path.stem]), encoding="utf-8", newline="\n")
+        path.write_text(written(path.stem), encoding="utf-8", newline="\n")
     return paths
 
 

@@ -6,11 +6,16 @@ from typing import Annotated
 
 import typer
 
+from handover.cli import robot_limits
 from handover.cli.robot_task import perform
 from handover.errors import UsageError
 from handover.settings import Settings
 
 app = typer.Typer(help="Robots: add one from a URDF, list them, check a process.", no_args_is_help=True)
+
+app.command("speed-limit")(robot_limits.speed_limit)
+app.command("people")(robot_limits.people)
+app.command("measure-stop")(robot_limits.measure_stop)
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 

@@ -8,6 +8,7 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import Any, Self
 
+from datamodels.streams import SpeedLimitReport
 from datamodels.times import iso
 from handover.alert_catalogue import ROBOT_STOPPED_BY_LIMIT
 from handover.alerts import clear_alert, raise_alert
@@ -16,7 +17,6 @@ from handover.latest_value_writer import LatestValueWriter
 from handover.messages import message
 from handover.settings import Settings
 from services.trajectory_tool.limits.robot_limits import RobotLimits
-from services.trajectory_tool.limits.speed_limits import SpeedLimitReport
 from services.trajectory_tool.metrics import DEVICE_WRITES_REJECTED
 
 WRITE_EVERY_S = 1.0

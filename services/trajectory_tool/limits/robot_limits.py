@@ -11,17 +11,17 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
+from datamodels.streams import PeopleReport, SpeedLimitReport
 from services.trajectory_tool.limits.separation import (
     RULE,
     Distance,
-    PeopleReport,
     Separation,
     SeparationRule,
     SeparationState,
     Stopping,
     distance_from,
 )
-from services.trajectory_tool.limits.speed_limits import Allowed, SpeedLimitReport, SpeedLimits
+from services.trajectory_tool.limits.speed_limits import Allowed, SpeedLimits
 from services.trajectory_tool.limits.store import LimitStore, MeasuredStop, Mode, RobotRecord, SafeSpeed
 from services.trajectory_tool.metrics import ALLOWED_PACE, LIMIT_STOPS
 from services.trajectory_tool.robot import Joints

@@ -15,11 +15,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from datamodels.streams import PeopleReport, SpeedLimitReport
 from handover.errors import Problem
 from handover.messages import message
 from services.trajectory_tool.limits.robot_limits import RobotLimits
-from services.trajectory_tool.limits.separation import PeopleReport
-from services.trajectory_tool.limits.speed_limits import RefusedReport, SpeedLimitReport
+from services.trajectory_tool.limits.speed_limits import RefusedReport
 from services.trajectory_tool.limits.store import MeasuredStop, Mode, SafeSpeed
 from services.trajectory_tool.metrics import LIMIT_REPORTS
 from services.trajectory_tool.robot import Robot

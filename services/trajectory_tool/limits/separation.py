@@ -16,16 +16,12 @@ reported for the hold.
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
-from pydantic.alias_generators import to_camel
-
+from datamodels.streams import PeopleReport
 from services.trajectory_tool.limits.speed_limits import (
     MAX_AHEAD_S,
     MAX_LATE_S,
     MAX_SOURCES,
-    SOURCE_PATTERN,
     Allowed,
     RefusedReport,
 )
@@ -35,14 +31,12 @@ Distance = Callable[[Point], float]
 """Returns the horizontal distance of a point from the nearest part of the robot, in m."""
 
 RULE = "separation"
-STALE_S, STALE_PERIODS = 0.5, 3.0
 MIN_PACE = 0.05
 """A lower pace is a stop."""
 MAX_PERSON_MPS, JUMP_M = 5.0, 0.3
 """A person who moves faster than this, and farther than the noise of a sensor, has jumped."""
 WARNING_MPS = 0.25
 """The speed of the tool while a warning field is infringed."""
-MAX_PEOPLE = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,46 +92,6 @@ class SeparationRule:
         b = self.person_mps / stopping.deceleration_mps2 + self.reaction_s + stopping.delay_s
         c = self.distance_m(0.0) - distance_m
         return 0.0 if c >= 0 else (-b + math.sqrt(b * b - 4 * a * c)) / (2 * a)
-
-
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
-
-
-class SeenPerson(_Message):
-    """A person at a place in m, in the frame of the cell.
-
-    The id is constant while the sensor follows them.
-    """
-
-    id: Annotated[str, Field(pattern=SOURCE_PATTERN)]
-    x: Annotated[FiniteFloat, Field(ge=-1000, le=1000)]
-    y: Annotated[FiniteFloat, Field(ge=-1000, le=1000)]
-
-    @property
-    def point(self) -> Point:
-        """Return the place."""
-        return self.x, self.y
-
-
-class PeopleReport(_Message):
-    """One message of the stream: everybody whom a sensor sees, and the fields of a safety scanner.
-
-    An empty `people` says that nobody is there. `stamp` is in s since 1970 and increases; `period` is the
-    time to the next report in s.
-    """
-
-    source: Annotated[str, Field(pattern=SOURCE_PATTERN)]
-    stamp: Annotated[FiniteFloat, Field(ge=0)]
-    people: Annotated[tuple[SeenPerson, ...], Field(max_length=MAX_PEOPLE)]
-    period: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.1
-    warning_field: bool = False
-    protective_field: bool = False
-
-    @property
-    def stale_s(self) -> float:
-        """Return the age at which the report is stale."""
-        return max(STALE_S, STALE_PERIODS * self.period)
 
 
 @dataclass(slots=True)

@@ -15,57 +15,18 @@ is stale from the start; its stop is not latched.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
-from pydantic.alias_generators import to_camel
+from datamodels.streams import DEFAULT_TIMEOUT_S, SpeedLimitReport
 
-STALE_S, STALE_PERIODS = 3.0, 3.0
 STALE_FRACTION = 0.25
 RAISE_PER_S = 0.05
-DEFAULT_TIMEOUT_S, MAX_TIMEOUT_S = 10.0, 20.0
 MAX_SOURCES = 32
 MAX_LATE_S, MAX_AHEAD_S = 2.0, 1.0
 """How far the stamp of a report may be from the time of its arrival."""
 
-SOURCE_PATTERN = r"^[A-Za-z0-9_.:-]{1,64}$"
-
 
 class RefusedReport(ValueError):
     """A report that has no effect; the text says why."""
-
-
-class SpeedLimitReport(BaseModel):
-    """One message of the stream: how fast a robot may move.
-
-    `stamp` is in s since 1970 and increases with each report of a source. `period` is the time to the next
-    report, `timeout` the age at which the robot stops, both in s. `fraction` is that of the speed of the
-    motion; `max_speed` that of the tool in m/s.
-    """
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True, title="SpeedLimitReport"
-    )
-
-    source: Annotated[str, Field(pattern=SOURCE_PATTERN)]
-    stamp: Annotated[FiniteFloat, Field(ge=0)]
-    fraction: Annotated[FiniteFloat, Field(ge=0, le=1)] = 1.0
-    max_speed: Annotated[FiniteFloat, Field(gt=0, le=10)] | None = None
-    reason: Annotated[str, Field(min_length=1, max_length=200)]
-    person: Annotated[str, Field(pattern=r"^urn:[!-~]{1,200}$")] | None = None
-    period: Annotated[FiniteFloat, Field(gt=0, le=5)] = 1.0
-    timeout: Annotated[FiniteFloat, Field(ge=1, le=MAX_TIMEOUT_S)] = DEFAULT_TIMEOUT_S
-
-    @model_validator(mode="after")
-    def _lowers(self) -> "SpeedLimitReport":
-        if self.stale_s >= self.timeout:
-            raise ValueError("timeout must be longer than 3 s and three periods")
-        return self
-
-    @property
-    def stale_s(self) -> float:
-        """Return the age at which the report is stale."""
-        return max(STALE_S, STALE_PERIODS * self.period)
 
 
 @dataclass(frozen=True, slots=True)

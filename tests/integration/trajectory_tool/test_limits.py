@@ -14,11 +14,10 @@ import pytest
 import uvicorn
 from websockets.sync.client import ClientConnection, connect
 
+from datamodels.streams import PeopleReport, SpeedLimitReport
 from services.trajectory_tool.app import make_app
 from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.limits.routes import MAX_REPORTS_PER_S, Rate
-from services.trajectory_tool.limits.separation import PeopleReport
-from services.trajectory_tool.limits.speed_limits import SpeedLimitReport
 from services.trajectory_tool.limits.store import LimitStore
 from services.trajectory_tool.robots import ROBOTS
 from services.trajectory_tool.settings import TrajectorySettings

@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
+from datamodels.streams import SpeedLimitReport
 from handover.outcomes import is_outcome_unknown
 from handover.performer import TaskCancelled, TaskFailed
-from services.trajectory_tool.limits.speed_limits import SpeedLimitReport
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.settings import TrajectorySettings
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from datamodels.streams import PeopleReport
 from services.trajectory_tool.limits.separation import (
-    PeopleReport,
     Separation,
     SeparationRule,
     SeparationState,

@@ -1,0 +1,122 @@
+"""Commands for the limits of robots: senders for tests, and the measurement of a stop."""
+
+import asyncio
+import json
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from websockets.asyncio.client import connect
+
+from handover.errors import UsageError
+
+Robot = Annotated[str, typer.Argument(help="The name of the robot, for example ur10-1.")]
+Url = Annotated[str | None, typer.Option("--url", help="The trajectory tool, else that of the settings.")]
+Source = Annotated[str, typer.Option("--source", help="The name of the source.")]
+Seconds = Annotated[float, typer.Option("--for", help="Send for this many seconds.")]
+Period = Annotated[float, typer.Option("--period", help="The time between two reports in s.")]
+
+
+def speed_limit(  # noqa: PLR0917 - options of a command
+    robot: Robot,
+    fraction: Annotated[float, typer.Argument(help="The allowed fraction of the speed, 0 to 1.")],
+    reason: Annotated[str, typer.Option("--reason", help="Why.")] = "test sender",
+    source: Source = "test",
+    seconds: Seconds = 10.0,
+    period: Period = 1.0,
+    url: Url = None,
+) -> None:
+    """Send speed limits to a robot, as human_state does; afterwards the source is required until removed."""
+    report = {"source": source, "fraction": fraction, "reason": reason, "period": period}
+    asyncio.run(_send(_stream(url, robot, "speed_limits"), report, seconds, period))
+
+
+def people(  # noqa: PLR0917 - options of a command
+    robot: Robot,
+    places: Annotated[
+        list[str] | None, typer.Argument(help="Places as x,y in m in the frame of the cell; none: nobody.")
+    ] = None,
+    source: Source = "test-lidar",
+    warning_field: Annotated[bool, typer.Option("--warning", help="The warning field is infringed.")] = False,
+    protective_field: Annotated[
+        bool, typer.Option("--protective", help="The protective field is infringed.")
+    ] = False,
+    seconds: Seconds = 10.0,
+    period: Period = 0.1,
+    url: Url = None,
+) -> None:
+    """Send the places of people to a robot, as a lidar does; afterwards the sensor is required."""
+    seen = [_person(number, place) for number, place in enumerate(places or [], 1)]
+    report = {
+        "source": source,
+        "people": seen,
+        "period": period,
+        "warningField": warning_field,
+        "protectiveField": protective_field,
+    }
+    asyncio.run(_send(_stream(url, robot, "people"), report, seconds, period))
+
+
+def measure_stop(
+    turn: Annotated[float, typer.Option("--turn", help="How far the first joint turns in rad.")] = 1.5,
+    speed: Annotated[float, typer.Option("--speed", help="The fraction of the joint limits.")] = 1.0,
+    cell: Annotated[
+        Path | None, typer.Option("--cell", help="The cell file, else that of the settings.")
+    ] = None,
+) -> None:
+    """Move each robot of the cell, stop it on the way, and print how it stopped.
+
+    The trajectory tool must not run. Enter the values with `PUT /robots/ROBOT/limits/stop`.
+    """
+    from services.trajectory_tool.limits.stop_measurement import measure_stop as measure  # noqa: PLC0415
+    from services.trajectory_tool.settings import TrajectorySettings  # noqa: PLC0415
+    from services.trajectory_tool.workcell import Workcell  # noqa: PLC0415
+
+    settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
+
+    async def run() -> None:
+        async with Workcell(settings) as workcell:
+            for name, one in workcell.cells.items():
+                target = (one.home[0] + turn, *one.home[1:])
+                found = await measure(one, target, speed)
+                print(
+                    f"{name}: from {found.speed_mps:.2f} m/s at rest after {found.duration_s:.3f} s and "
+                    f"{found.distance_m:.3f} m, delay {found.delay_s:.3f} s"
+                )
+                print(found.stored().model_dump_json())
+
+    asyncio.run(run())
+
+
+def _stream(url: str | None, robot: str, name: str) -> str:
+    from services.trajectory_tool.settings import TrajectorySettings  # noqa: PLC0415 - only these commands
+
+    base = url or TrajectorySettings.load().service_url
+    return f"{base.replace('http', 'ws', 1)}/robots/{robot}/{name}"
+
+
+def _person(number: int, place: str) -> dict[str, Any]:
+    try:
+        x, y = map(float, place.split(","))
+    except ValueError:
+        raise UsageError(f'the place "{place}" must be x,y in m, for example 1.5,-0.4') from None
+    return {"id": f"person-{number}", "x": x, "y": y}
+
+
+async def _send(url: str, report: dict[str, Any], seconds: float, period_s: float) -> None:
+    """Send a report each period; print answers that are refusals, and the last one."""
+    ends_s = time.monotonic() + seconds
+    try:
+        async with connect(url, proxy=None) as stream:
+            while True:
+                await stream.send(json.dumps({**report, "stamp": time.time()}))
+                answer = json.loads(await stream.recv())
+                if not answer["accepted"]:
+                    raise UsageError(f"refused: {answer['reason']}")
+                if time.monotonic() >= ends_s:
+                    break
+                await asyncio.sleep(period_s)
+    except OSError as error:
+        raise UsageError(f"{url} does not answer: {error}; start the trajectory tool") from None
+    print(f"accepted: {json.dumps(report)}")

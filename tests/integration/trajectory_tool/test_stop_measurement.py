@@ -1,0 +1,23 @@
+from pathlib import Path
+
+import pytest
+
+from services.trajectory_tool.limits.stop_measurement import StopMeasurement, measure_stop
+from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.workcell import Workcell
+
+
+async def test_the_stop_of_a_robot_is_measured(tmp_path: Path) -> None:
+    settings = TrajectorySettings.load(data_dir=tmp_path)
+    async with Workcell(settings) as workcell:
+        cell = workcell.only
+        found = await measure_stop(cell, (cell.home[0] + 3.0, *cell.home[1:]), 0.4)
+    assert found.speed_mps > 0.05
+    assert 0 <= found.delay_s <= found.duration_s
+    assert found.distance_m > 0.0
+
+
+def test_the_deceleration_leads_to_the_measured_way() -> None:
+    stop = StopMeasurement(speed_mps=1.0, delay_s=0.1, duration_s=0.8, distance_m=0.4)
+    assert stop.deceleration_mps2 == pytest.approx(1 / 0.6)
+    assert stop.speed_mps * stop.delay_s + 1.0 / (2 * stop.deceleration_mps2) == pytest.approx(0.4)
