@@ -132,7 +132,7 @@ def read_loop(element: etree._Element, context: Context) -> StandardLoop | Multi
     return None if multiple is None else _multi_instance(element, multiple, context)
 
 
-def _standard_loop(element: etree._Element, loop: etree._Element, context: Context) -> StandardLoop:
+def _standard_loop(element: etree._Element, loop: etree._Element, context: Context) -> StandardLoop | None:
     condition = child_text(loop, "loopCondition")
     maximum = (loop.get("loopMaximum") or "").strip()
     if maximum and not (maximum.isascii() and maximum.isdecimal() and len(maximum) < 10):
@@ -141,6 +141,9 @@ def _standard_loop(element: etree._Element, loop: etree._Element, context: Conte
             message("bpmn.wrong_loop_maximum", 'loopMaximum="{given}" is no number', given=maximum[:64]),
         )
         maximum = ""
+    elif not condition and not maximum and context.dialects.main.lenient:  # only a drawn marker
+        warn_without_effect(element, context.found, "a loop without loopCondition and loopMaximum")
+        return None
     elif not condition and not maximum:
         context.found.fault(
             element, message("bpmn.endless_loop", "a loop needs a loopCondition or loopMaximum")

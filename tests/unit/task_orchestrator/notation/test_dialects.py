@@ -206,3 +206,10 @@ def test_processes_of_one_file_may_use_the_same_ids() -> None:
     other = '</bpmn:process><bpmn:process id="q"><bpmn:task id="x"/>'
     found = read_bpmn(_declaring('<bpmn:task id="x"/>' + other, 'xmlns:a="http://activiti.org/bpmn"'))
     assert [list(each.scope.nodes) for each in found.definitions] == [["x"], ["x"]]
+
+
+def test_a_loop_of_other_tools_without_an_end_is_done_once() -> None:
+    loop = '<bpmn:task id="x"><bpmn:standardLoopCharacteristics/></bpmn:task>'
+    found = read_bpmn(_declaring(loop, ""))
+    assert found.definitions[0].scope.nodes["x"].loop is None
+    assert "a loop without loopCondition and loopMaximum has no effect" in str(found.warnings[0])
