@@ -15,6 +15,7 @@ from services.trajectory_tool.memory import Act, BegunAct, RobotMemory
 from services.trajectory_tool.motion import MotionPlanning
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.position_file import PositionFile
 from services.trajectory_tool.robot import Joints, Robot
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.scene import Scene
@@ -132,9 +133,10 @@ class Cell:
 
     def memory(self) -> RobotMemory:
         """Return the state of the robot that survives a power cut."""
+        joints = self.positions.base = self.joints
         return RobotMemory(
             joint_names=self.model.joint_names,
-            joints=self.joints,
+            joints=joints,
             gripper_closed=self.robot.gripper_closed,
             held=self.held,
             last_act=self.last_act,
@@ -272,6 +274,8 @@ class Cell:
         return nest
 
     def _robot(self, known: RobotMemory | None, clock: Clock | None, broker: BrokerClient | None) -> Robot:
+        joints = known.joints if known else self.home
+        self.positions = PositionFile(self._workcell.folder / f"{self.name}.joints", joints)
         context = RobotContext(
             settings=self._workcell.settings,
             robot_id=self.name,
@@ -279,13 +283,14 @@ class Cell:
             model=self.model,
             scene=self.scene,
             limits=self.limits,
-            joints=known.joints if known else self.home,
+            joints=joints,
             gripper_closed=known.gripper_closed if known else False,
             gripper_s=self.scene.gripper.acts_in_s,
             is_between_fingers=lambda joints: self._between_fingers(self.model.tool_pose(joints)) is not None,
             broker=broker,
             clock=clock,
             limiter=self._limiter(),
+            positions=self.positions,
         )
         factory: RobotFactory = DRIVERS.load(self.entry.driver)
         return factory(context)

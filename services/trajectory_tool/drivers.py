@@ -18,6 +18,7 @@ from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint
 from services.trajectory_tool.limits.limiter import Limiter
+from services.trajectory_tool.position_file import PositionFile
 from services.trajectory_tool.robot import Joints, Robot
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.scene import Scene
@@ -71,6 +72,8 @@ class RobotContext:
     clock: Clock | None = None
     limiter: Limiter | None = None
     """Every setpoint passes it before it is commanded."""
+    positions: PositionFile | None = None
+    """Where a simulated robot keeps its joints."""
 
     def read_options(self, form: type[Form]) -> Form:
         """Return the options as `form`. Raises `UsageError` that names each fault."""

@@ -7,6 +7,7 @@ from typing import Self
 from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.drivers import Clock, RobotContext
 from services.trajectory_tool.limits.limiter import Limiter
+from services.trajectory_tool.position_file import PositionFile
 from services.trajectory_tool.robot import Joints, JointState
 from services.trajectory_tool.trajectory import Limits, Setpoint
 
@@ -28,17 +29,19 @@ class SimulatedRobot(CyclicRobot):
         control_hz: float = 125.0,
         clock: Clock | None = None,
         limiter: Limiter | None = None,
+        positions: PositionFile | None = None,
     ) -> None:
         super().__init__(joints, limits, limiter=limiter, control_hz=control_hz, clock=clock)
+        self._positions = positions
         self._something_there = something_there
         self._gripper_closed = gripper_closed
         self._gripper_s = gripper_s
 
     @classmethod
     def from_context(cls, context: RobotContext) -> Self:
-        """Return the robot of a cell."""
+        """Return the robot of a cell, where it was when the tool stopped."""
         return cls(
-            context.joints,
+            context.joints if context.positions is None else context.positions.open(),
             context.limits,
             something_there=context.is_between_fingers,
             gripper_closed=context.gripper_closed,
@@ -46,10 +49,13 @@ class SimulatedRobot(CyclicRobot):
             control_hz=context.settings.control_hz,
             clock=context.clock,
             limiter=context.limiter,
+            positions=context.positions,
         )
 
     def command(self, setpoint: Setpoint) -> None:
-        """Do nothing: the joints are at the last setpoint."""
+        """Keep the setpoint, at which the joints are."""
+        if self._positions is not None:
+            self._positions.write(setpoint.positions)
 
     def measured(self) -> JointState:
         """Return the last setpoint."""

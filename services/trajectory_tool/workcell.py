@@ -56,6 +56,7 @@ class Workcell:
         if len(models) > 1 and not is_available():
             raise UsageError(f"several robots in one cell need motion planning; {INSTALL}")
         self.settings = settings
+        self.folder = folder
         self._models = list(models.values())
         configured = _scene(plan, self._models)
         self._origin = configured.digest

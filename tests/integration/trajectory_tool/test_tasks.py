@@ -2,6 +2,7 @@
 
 import asyncio
 import itertools
+import random
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime
@@ -12,7 +13,9 @@ import pytest
 
 from datamodels.entities import Device, DeviceState, Task, TaskStatus
 from handover.broker import BrokerClient, NotFound
+from handover.outcomes import is_outcome_unknown
 from handover.settings import Settings
+from handover.task_life import FINISHED
 from tests.kit.cell import Cell
 from tests.kit.waiting import until
 
@@ -225,6 +228,49 @@ async def test_a_motion_is_repeated_after_a_power_cut(shop: Shop) -> None:
     await shop.in_motion()
     shop.cell.restart("trajectory_tool")
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
+
+
+async def test_a_motion_continues_where_the_robot_was_when_the_tool_was_killed(new_shop: Shop) -> None:
+    task = await new_shop.ask("moveTo", joints=AWAY, speed=0.2)
+
+    def on_the_way() -> float:
+        position = new_shop.robot()["joints"]["position"][0]
+        return float(position) if position > 0.4 else 0.0
+
+    before = await until(on_the_way, why="the robot does not move")
+    new_shop.cell.restart("trajectory_tool")
+    assert new_shop.robot()["joints"]["position"][0] >= before
+    assert (await new_shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
+
+
+async def test_a_tool_that_is_killed_at_random_moments_repeats_no_act(cell: Cell) -> None:
+    """Each pick and place is done once, or fails with an unknown outcome; no part is in two places."""
+    chance = random.Random(7)
+    cell.extra["HANDOVER_DETECTION_RATE"] = "1.0"
+    async with at_work(cell) as shop:
+        free = f"{cell.url('trajectory_tool')}/robots/ur10-1/gripper/free"
+        for number in range(1, 6):
+            holds = shop.robot()["gripper"]["holds"]
+            asked = {"location": "fixture-1"} if holds else {"bin": "bin-1"}
+            task = await shop.ask("place" if holds else "pick", **asked)
+            await shop.in_motion()
+            await asyncio.sleep(chance.uniform(0.0, 3.0))
+            cell.restart("trajectory_tool")
+
+            async def ended(task: str = task) -> Task | None:
+                seen = await shop.broker.get(task, Task)
+                return seen if seen.status.value in FINISHED else None
+
+            seen: Task = await until(ended, 60, f"the Task {number} does not end")
+            if seen.status.value is TaskStatus.FAILED:
+                assert seen.output_parameters is not None
+                assert is_outcome_unknown(seen.output_parameters.value), seen.output_parameters.value
+                assert shop.robot()["gripper"]["interrupted"] is not None
+                httpx.post(free, timeout=120).raise_for_status()
+            robot = shop.robot()
+            parts = [part["part"] for part in httpx.get(f"{free[:-13]}/scene", timeout=120).json()["parts"]]
+            assert len(set(parts)) == len(parts)
+            assert robot["gripper"]["holds"] not in parts
 
 
 async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(new_shop: Shop) -> None:
