@@ -51,6 +51,7 @@ LOOKS = {
 }
 PAGES = {
     "start": "/", "work": "/work?glove=glove-1", "processes": "/processes", "tasks": "/tasks",
+    "cockpit": "/cockpit?of=bin-picking", "offers": "/processes/offers", "mapping": "/cockpit?view=mapping",
     "system": "/system", "alerts": "/system?tab=alerts", "events": "/system?tab=events",
     "robots": "/system?tab=robots",
     "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
@@ -303,6 +304,18 @@ def tasks(product: Product) -> None:
         product.keep(page, "tasks")
 
 
+def cockpit(product: Product) -> None:
+    """The heat map of a definition with completed and running processes."""
+    for _ in range(3):
+        product.complete(product.start_process())
+    running = product.start_process()
+    with product.page("/cockpit?of=bin-picking") as page:
+        page.locator(".diagram__badge--duration").first.wait_for()
+        time.sleep(3)
+        product.keep(page, "cockpit")
+    product.complete(running)
+
+
 def system(product: Product) -> None:
     """The robot in 3D while it picks a part."""
     process = product.start_process()
@@ -428,8 +441,8 @@ def all_looks(product: Product, folder: Path) -> None:
     product.complete(process)
 
 
-SCENES = {"people": people, "work": work, "processes": processes, "tasks": tasks, "system": system,
-          "calibrate": calibrate, "test": test, "study": study}  # fmt: skip
+SCENES = {"people": people, "work": work, "processes": processes, "tasks": tasks, "cockpit": cockpit,
+          "system": system, "calibrate": calibrate, "test": test, "study": study}  # fmt: skip
 
 
 def main() -> None:
