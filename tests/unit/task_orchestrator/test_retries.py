@@ -15,7 +15,7 @@ from services.task_orchestrator.process import interventions
 from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Act, ActKind
 from services.task_orchestrator.retries import MAX_DELAY_S, retry_at
-from tests.unit.task_orchestrator.drawing import NOW, ONE_STEP, activity, boundary, end, path, start
+from tests.unit.task_orchestrator.drawing import NOW, ONE_STEP, activity, boundary, end, path, start, timer
 from tests.unit.task_orchestrator.process_driver import ProcessDriver, alerts, created, task_id
 
 CAUGHT = "<bpmn:errorEventDefinition errorRef='e'/>"
@@ -104,6 +104,23 @@ def test_an_unknown_outcome_is_recognized_by_its_code() -> None:
     assert is_outcome_unknown({"reason": "unbekannt", "reasonCode": "task.outcome_unknown"})
     assert not is_outcome_unknown({"reason": "the outcome is bad"})
     assert not is_outcome_unknown({})
+
+
+@pytest.mark.parametrize(("act", "left_min"), [(ActKind.RETRY, 30), (ActKind.MOVE, 60)])
+def test_boundary_timers_continue_after_a_retry_and_begin_again_after_a_move(
+    act: ActKind, left_min: int
+) -> None:
+    driver = ProcessDriver(ONE_STEP + boundary("late", "work", timer("PT1H")) + path("late", "end"))
+    wait(driver, minutes=30)
+    fail(driver, "work-1")
+    (incident,) = driver.process.record.incidents
+    decided = Act(driver.now, act, "Eva", to="work" if act is ActKind.MOVE else None)
+    interventions.mend(driver.process, decided, incident.token, driver.next_step(), driver.now)
+    assert driver.open == ["work-2"]
+    wait(driver, minutes=left_min - 1)
+    assert driver.process.run is not None
+    wait(driver, minutes=1)
+    assert driver.process.run is None
 
 
 @pytest.mark.parametrize(("event", "is_caught"), [("<bpmn:errorEventDefinition/>", False), (CAUGHT, True)])
