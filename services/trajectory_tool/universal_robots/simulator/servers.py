@@ -18,7 +18,8 @@ from services.trajectory_tool.universal_robots.states import RuntimeState
 
 log = get_logger(__name__)
 
-VERSION = (5, 15, 0, 1)
+E_SERIES_VERSION, CB3_VERSION = (5, 15, 0, 1), (3, 15, 8, 1)
+CB3_HZ = 125.0
 MAX_WAITING_BYTES = 65_536
 MAX_LINE_BYTES = 4096
 SCRIPT_END = b"\nend\n"
@@ -39,6 +40,11 @@ _OUTPUTS: Mapping[str, tuple[str, Callable[[SimulatedController], Any]]] = {
     "actual_digital_output_bits": ("UINT64", lambda c: c.digital_outputs),
 }
 _INPUTS = {"tool_digital_output_mask": "UINT8", "tool_digital_output": "UINT8"}
+
+
+def version_of(controller: SimulatedController) -> tuple[int, int, int, int]:
+    """Return the version of the software: the CB3 series has 125 cycles a second."""
+    return CB3_VERSION if controller.frequency_hz <= CB3_HZ else E_SERIES_VERSION
 
 
 def _register(number: int) -> Callable[[SimulatedController], int]:
@@ -158,7 +164,9 @@ class _Session:
                 accepted = payload == struct.pack(">H", rtde.PROTOCOL_VERSION)
                 self._answer(PackageType.REQUEST_PROTOCOL_VERSION, bytes((accepted,)))
             case PackageType.GET_URCONTROL_VERSION:
-                self._answer(PackageType.GET_URCONTROL_VERSION, struct.pack(">IIII", *VERSION))
+                self._answer(
+                    PackageType.GET_URCONTROL_VERSION, struct.pack(">IIII", *version_of(self._controller))
+                )
             case PackageType.SETUP_OUTPUTS:
                 self._answer(PackageType.SETUP_OUTPUTS, self._set_up_outputs(payload))
             case PackageType.SETUP_INPUTS:
@@ -263,7 +271,7 @@ class DashboardServer:
             case "get serial number":
                 return "20170000000"
             case "polyscopeversion":
-                return f"URSoftware {'.'.join(map(str, VERSION))}"
+                return f"URSoftware {'.'.join(map(str, version_of(controller)))}"
             case _:
                 return f"could not understand: '{command[:100]}'"
 

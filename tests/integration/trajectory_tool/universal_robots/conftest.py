@@ -22,9 +22,15 @@ NewRobot = Callable[..., AbstractAsyncContextManager[UniversalRobot]]
 
 
 @pytest.fixture
-def controller() -> Iterator[RunningController]:
+def frequency_hz() -> float:
+    """Return the frequency of the CB3 series, which costs less CPU time than that of the e-Series."""
+    return 125.0
+
+
+@pytest.fixture
+def controller(frequency_hz: float) -> Iterator[RunningController]:
     """Return a controller whose arm is powered and at rest at home."""
-    with running_controller(SimulatedController(HOME)) as running:
+    with running_controller(SimulatedController(HOME, frequency_hz=frequency_hz)) as running:
         yield running
 
 

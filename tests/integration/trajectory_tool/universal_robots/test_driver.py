@@ -5,7 +5,6 @@ import os
 import signal
 import socket
 import threading
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +25,9 @@ from services.trajectory_tool.universal_robots.simulator.controller import Simul
 from services.trajectory_tool.universal_robots.states import RobotMode, RuntimeState, SafetyStatus
 from tests.integration.trajectory_tool.universal_robots.conftest import HOME, NewRobot
 from tests.kit.ur_controllers import RunningController
-from tests.kit.waiting import until
+from tests.kit.waiting import until, wait_for
+
+pytestmark = pytest.mark.slow
 
 AWAY = (1.5, *HOME[1:])
 FAR = (3.0, *HOME[1:])
@@ -230,15 +231,15 @@ async def test_the_arm_stops_when_no_setpoints_arrive_and_the_motion_can_be_cont
     async with new_robot(watchdog_s=0.5) as robot:
 
         def stall_once() -> float:
-            """Stand still in the control thread until the arm has stopped."""
+            """Stand still in the control thread until the exchange process has ended the motion."""
             if robot.state().positions[0] > 0.3 and not stalled.is_set():
                 stalled.set()
-                while not controller.do(lambda each: each.is_at_rest):
-                    time.sleep(0.05)
+                wait_for(lambda: robot.exchange.report().interruption)
             return 1.0
 
         assert not await robot.move(FAR, 0.5, stall_once)
         assert stalled.is_set()
+        await at_rest(controller)
         assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
         assert 0.3 < robot.state().positions[0] < FAR[0]
         while not await robot.move(AWAY, 1.0, lambda: 1.0):
