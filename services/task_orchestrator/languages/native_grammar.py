@@ -31,6 +31,8 @@ _RESERVED = frozenset({*CONSTANTS, *ARGUMENTS, "True", "False", "None", "and", "
 _RESERVED |= frozenset({"else", "defined", "lambda", "for", "while", "import", "from", "def", "class", "del"})
 
 _NAME = re.compile(r"[^\W\d][\w-]*")
+_RESERVED_EVERYWHERE = frozenset({*CONSTANTS, "and", "or", "not"})
+"""Words that no language can read as a variable."""
 
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.FloorDiv, ast.Mod)
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq, ast.In, ast.NotIn, ast.Is, ast.IsNot)
@@ -72,7 +74,7 @@ def is_name(name: str) -> bool:
 
     It may be a word that our language reserves, such as `from`, have hyphens, and letters of every script.
     """
-    return len(name) <= 100 and _NAME.fullmatch(name) is not None
+    return len(name) <= 100 and _NAME.fullmatch(name) is not None and name not in _RESERVED_EVERYWHERE
 
 
 def _check(tree: ast.expr) -> None:
