@@ -174,7 +174,7 @@ class Cell:
         await self.robot.open_gripper()
         self.begun = None
         if part is not None:
-            self.contents, self.held = self.contents.released(part, place, pose), None
+            self.contents, self.held = self.contents.released(part, place, pose, self.grip_of_part), None
             self.grip_of_part = None
             self.last_act = Act(task, "released", part, pose, place)
         await self.remember()

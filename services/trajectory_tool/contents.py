@@ -42,6 +42,13 @@ class Lying:
     pose: Pose
     grip: Grip | None = None
 
+    @property
+    def middle(self) -> Vector:
+        """Return where the part is."""
+        if self.grip is None:
+            return self.pose.position
+        return (self.pose.frame() @ self.grip.part.frame()).position
+
 
 @dataclass(frozen=True, slots=True)
 class Contents:
@@ -67,9 +74,9 @@ class Contents:
         """Return the contents after a gripper gripped `part`."""
         return replace(self, lying=tuple(lying for lying in self.lying if lying.part != part))
 
-    def released(self, part: str, place: str | None, pose: Pose) -> "Contents":
-        """Return the contents after a gripper released `part` at `pose`."""
-        return replace(self, lying=(*self.lying, Lying(part, place, pose)))
+    def released(self, part: str, place: str | None, pose: Pose, grip: Grip | None = None) -> "Contents":
+        """Return the contents after a gripper that was at `pose` released `part`."""
+        return replace(self, lying=(*self.lying, Lying(part, place, pose, grip)))
 
     def filled(self, scene: Scene, bin_name: str) -> "Contents":
         """Return the contents after a bin was filled with new parts."""
@@ -117,7 +124,7 @@ class Contents:
 
     def free_nest(self, scene: Scene, fixture: str) -> Pose | None:
         """Return the first free nest of a fixture."""
-        taken = [lying.pose.position[:2] for lying in self.lying]
+        taken = [lying.middle[:2] for lying in self.lying]
         for nest in scene.fixtures[fixture].nests:
             if all(math.dist(nest.position[:2], other) > SAME_NEST_M for other in taken):
                 return nest.pose

@@ -119,20 +119,35 @@ async def scan(work: Work, request: given.Scan) -> Result:
     if request.bin not in cell.scene.bins:
         raise TaskFailed(_unknown_bin("scan", request.bin, cell.scene.bins))
     seen_bin = cell.scene.bins[request.bin]
-    view = await _reach(work, seen_bin.view.pose, cell.joints, f"the view of {request.bin}")
+    views = (seen_bin.view, *seen_bin.more_views)
+    if request.view >= len(views):
+        raise TaskFailed(
+            message(
+                "robot.unknown_view",
+                'parameter "view" of scan: {bin} has {count} views, from 0 to {last}',
+                bin=request.bin,
+                count=len(views),
+                last=len(views) - 1,
+            )
+        )
+    pose = views[request.view].pose.moved(request.offset)
+    view = await _reach(work, pose, cell.joints, f"the view of {request.bin}")
     work.intend(view, seen_bin.looks_for_s)
     await work.go(view)
     await work.wait(seen_bin.looks_for_s)
     found, reason = await bin_search.search(cell, request.bin)
+    looked: Result = {"bin": request.bin}
+    if len(views) > 1:
+        looked |= {"view": request.view, "nextView": (request.view + 1) % len(views)}
     SCANS.labels(str(found is not None).lower()).inc()
     if found is not None:
         await cell.remember()
-        return {"found": True, "part": found.part, "pose": found.pose.written(), "bin": request.bin}
+        return {"found": True, "part": found.part, "pose": found.pose.written(), **looked}
     if not cell.parts_in(request.bin):
         reason = f"{request.bin} is empty"
         await cell.found_empty(request.bin)
         await cell.remember()
-    return {"found": False, "bin": request.bin, "reason": reason}
+    return {"found": False, "reason": reason, **looked}
 
 
 async def pick(work: Work, request: given.Pick) -> Result:

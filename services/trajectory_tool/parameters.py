@@ -126,9 +126,11 @@ class MoveLinear(Home):
 
 
 class Scan(Home):
-    """Look for a part in a bin."""
+    """Look for a part in a bin: from the position `view` of the camera, moved by `offset` in m."""
 
     bin: Name
+    view: Annotated[int, Field(ge=0, le=20)] = 0
+    offset: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
 
 
 class CalibrateCamera(Home):

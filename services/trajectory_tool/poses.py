@@ -61,6 +61,11 @@ class Pose:
         """Return the pose of `frame`; w of the quaternion is not negative."""
         return cls(frame.position, _quaternion(frame.rotation))
 
+    def moved(self, offset_m: Vector) -> "Pose":
+        """Return the pose moved along the axes of the cell."""
+        x, y, z = (here + by for here, by in zip(self.position, offset_m, strict=True))
+        return Pose((x, y, z), self.orientation)
+
     def raised(self, height_m: float) -> "Pose":
         """Return the pose `height_m` above this one, along the vertical of the base."""
         x, y, z = self.position

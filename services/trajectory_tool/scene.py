@@ -218,6 +218,8 @@ class Bin(_Written):
     """A bin, its camera position, and its initial parts, the topmost first."""
 
     view: Spot
+    more_views: Annotated[tuple[Spot, ...], Field(max_length=20)] = ()
+    """Further camera positions, for scans that name them."""
     looks_for_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = 0.5
     refilled: bool = False
     camera: Name | None = None
@@ -353,6 +355,8 @@ def _poses(scene: Scene) -> Iterator[tuple[str, Pose]]:
     approach_m = scene.gripper.approach_m
     for name, bin_ in scene.bins.items():
         yield f"bins.{name}.view", bin_.view.pose
+        for number, spot in enumerate(bin_.more_views):
+            yield f"bins.{name}.more_views.{number}", spot.pose
         for number, spot in enumerate(bin_.parts):
             yield f"bins.{name}.parts.{number}", spot.pose
             yield f"bins.{name}.parts.{number}, approached from above", spot.pose.raised(approach_m)

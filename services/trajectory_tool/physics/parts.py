@@ -38,7 +38,9 @@ class Parts:
         )
 
     def fill(self, bin_name: str) -> None:
-        """Drop new parts into a bin and wait until they lie still."""
+        """Drop new parts into a bin, if it is empty, and wait until they lie still."""
+        if self.in_bin(bin_name):
+            return
         walls = self._walls(bin_name)
         spare = [part for part in range(self._count) if self._simulation.is_parked(part)]
         spare += [part for part in range(self._count) if part not in spare and self._is_lost(part)]

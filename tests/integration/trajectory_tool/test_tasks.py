@@ -16,6 +16,7 @@ from handover.broker import BrokerClient, NotFound
 from handover.outcomes import is_outcome_unknown
 from handover.settings import Settings
 from handover.task_life import FINISHED
+from services.trajectory_tool.physics import is_available
 from tests.kit.cell import Cell
 from tests.kit.waiting import until
 
@@ -315,3 +316,18 @@ async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(new_shop
 
     freed = await until(free, why="the gripper is not freed")
     assert freed.json()["gripper"] == {"closed": False, "holds": None, "interrupted": None}
+
+
+async def test_a_part_is_found_picked_and_placed_in_simulated_physics(cell: Cell) -> None:
+    if not is_available():
+        pytest.skip("the extra physics is not installed")
+    cell.extra |= {"HANDOVER_ROBOT": "physics", "HANDOVER_ROBOT_SPEED": "1"}
+    async with at_work(cell) as shop:
+        seen = await shop.done("scan", bin="bin-1")
+        assert seen["found"] is True
+        assert (await shop.done("pick", part=seen["part"], pose=seen["pose"]))["gripped"] is True
+        assert shop.robot()["gripper"]["holds"] == seen["part"]
+        placed = await shop.done("place", location="fixture-1")
+        assert placed["part"] == seen["part"]
+        refused = await shop.refused("calibrateCamera", target="divider")
+        assert 'no sphere "divider"' in refused

@@ -1,4 +1,7 @@
-from services.trajectory_tool.contents import initial
+import pytest
+
+from services.trajectory_tool.contents import Contents, Grip, initial
+from services.trajectory_tool.poses import Pose, pointing_down
 from services.trajectory_tool.robots.ur10 import ROBOT
 from services.trajectory_tool.scene import load
 
@@ -43,3 +46,33 @@ def test_a_bin_that_is_filled_again_has_new_parts() -> None:
     contents = initial(SCENE).emptied("bin-1").filled(SCENE, "bin-1")
     assert contents.in_place("bin-1")[0].part == "part-7"
     assert len(contents.lying) == 6
+
+
+def test_a_nest_is_taken_by_a_part_that_is_held_beside_its_middle() -> None:
+    nest = initial(SCENE).free_nest(SCENE, "fixture-1")
+    assert nest is not None
+    beside = Grip(Pose((0.0, 0.02, -0.006), (0.0, 0.0, 0.0, 1.0)), (0.024, 0.06, 0.024))
+    x, y, z = nest.position
+    tool = Pose((x, y + 0.02, z), nest.orientation)  # the tool points down: its y is the other way round
+    contents = Contents().released("part-1", "fixture-1", tool, beside)
+    assert contents.find("part-1").middle[:2] == pytest.approx((x, y))  # type: ignore[union-attr]
+    assert contents.free_nest(SCENE, "fixture-1") != nest
+
+
+def test_a_part_that_is_seen_again_nearby_keeps_its_name() -> None:
+    before = Contents().observed("bin-1", [(at(0.0), None), (at(0.1), None)])
+    assert [one.part for one in before.in_place("bin-1")] == ["part-1", "part-2"]
+    after = before.observed("bin-1", [(at(0.3), None), (at(0.105), None)])
+    assert [one.part for one in after.in_place("bin-1")] == ["part-3", "part-2"]
+
+
+def test_a_standing_part_reaches_further_below_the_tips_than_a_lying_one() -> None:
+    size = (0.024, 0.06, 0.024)
+    lying = Grip(Pose((0.0, 0.0, -0.006), (0.0, 0.0, 0.0, 1.0)), size)
+    standing = Grip(Pose((0.0, 0.0, 0.012), (2**-0.5, 0.0, 0.0, 2**-0.5)), size)
+    assert lying.below_m == pytest.approx(0.006)
+    assert standing.below_m == pytest.approx(0.042)
+
+
+def at(x: float) -> Pose:
+    return pointing_down((x, 0.0, 0.1))

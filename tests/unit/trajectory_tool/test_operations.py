@@ -376,3 +376,14 @@ async def test_a_stop_by_a_limit_lasts_until_its_end_and_the_target_is_reached(w
     await worker.cell.speed.remove("heart", "Aino", "a test")
     await moving
     assert worker.cell.joints == tuple(target)
+
+
+async def test_a_scan_looks_from_an_adjusted_position(worker: Any) -> None:
+    view = worker.cell.scene.bins["bin-1"].view.pose
+    await worker.do("scan", bin="bin-1", offset=[0.02, -0.03, 0.04])
+    assert worker.cell.tool_pose.distance_m(view.moved((0.02, -0.03, 0.04))) < 0.001
+
+
+async def test_a_scan_from_a_view_that_the_bin_does_not_have_is_refused(worker: Any) -> None:
+    with pytest.raises(TaskFailed, match="bin-1 has 1 views, from 0 to 0"):
+        await worker.do("scan", bin="bin-1", view=1)
