@@ -1,8 +1,8 @@
 """Joint targets for every cycle of the controller, from setpoints that arrive irregularly.
 
-A setpoint is extrapolated for a short time. The tracker follows it exactly while the change of velocity is
-within the acceleration limit. Otherwise, after a gap or a jump, it approaches the setpoint within the limits
-of velocity and acceleration, so that no input causes a step of position or velocity.
+A setpoint is extrapolated for a short time, then the joints come to rest. The tracker follows it exactly
+while the change of velocity is within the acceleration limit. Otherwise, after a gap or a jump, it approaches
+the setpoint within the limits of velocity and acceleration; no input causes a step of position or velocity.
 """
 
 import math
@@ -12,6 +12,8 @@ EXTRAPOLATION_S = 0.010
 """A setpoint is extrapolated no further; without another, the joints then come to rest there."""
 CATCH_UP, CATCH_UP_RAD_S = 0.05, 0.02
 """A joint that is behind moves so much faster than its setpoint: a fraction of its speed, and rad/s."""
+GIVE_WAY = 0.5
+"""A joint that is ahead moves so much slower than its setpoint, likewise, and not backwards."""
 CLOCK_GAIN = 0.02
 MAX_CLOCK_ERROR_S = 0.02
 _SMALL = 1e-12
@@ -43,7 +45,7 @@ class Tracker:
         self.velocities: list[float] = [0.0] * len(self._max_rad_s)
         self._before = (list(self.positions), list(self.velocities))
         self.lag_rad = 0.0
-        """How far the joints are from the setpoint, at most."""
+        """How far a joint is behind its setpoint, at most."""
 
     def start(self, positions: Sequence[float]) -> None:
         """Begin at rest at `positions`."""
@@ -73,15 +75,33 @@ class Tracker:
         """
         ahead_s = min(max(age_s, -EXTRAPOLATION_S), EXTRAPOLATION_S)
         self._before = (list(self.positions), list(self.velocities))
+        if age_s > EXTRAPOLATION_S and (any(setpoint[1]) or any(setpoint[2])):
+            self._brake(cycle_s)
+            return tuple(self.positions)
         lag_rad = 0.0
-        is_fresh = age_s <= EXTRAPOLATION_S
         for joint, (position, velocity, acceleration) in enumerate(zip(*setpoint, strict=True)):
             goal = position + velocity * ahead_s + acceleration * ahead_s * ahead_s / 2
-            forward = velocity + acceleration * ahead_s if is_fresh else 0.0
+            forward = velocity + acceleration * ahead_s
             self._step_joint(joint, goal, forward, cycle_s)
-            lag_rad = max(lag_rad, abs(goal - self.positions[joint]))
+            behind = goal - self.positions[joint]
+            lag_rad = max(lag_rad, math.copysign(behind, behind * forward) if forward else abs(behind))
         self.lag_rad = lag_rad
         return tuple(self.positions)
+
+    def _brake(self, cycle_s: float) -> None:
+        """Come to rest without returning to the setpoint; all joints slow down in proportion."""
+        moving = [
+            limit * cycle_s / abs(velocity)
+            for velocity, limit in zip(self.velocities, self._max_rad_s2, strict=True)
+            if velocity
+        ]
+        kept = max(1.0 - min(moving, default=1.0), 0.0)
+        self.velocities = [kept * velocity for velocity in self.velocities]
+        self.positions = [
+            position + velocity * cycle_s
+            for position, velocity in zip(self.positions, self.velocities, strict=True)
+        ]
+        self.lag_rad = 0.0
 
     def _step_joint(self, joint: int, goal: float, forward: float, cycle_s: float) -> None:
         limit, max_rad_s2 = self._max_rad_s[joint], self._max_rad_s2[joint]
@@ -92,7 +112,8 @@ class Tracker:
             behind = error - forward * cycle_s
             approach = min(abs(behind) / cycle_s, math.sqrt(max_rad_s2 * abs(behind)))
             if forward:
-                approach = min(approach, CATCH_UP * abs(forward) + CATCH_UP_RAD_S)
+                share = CATCH_UP if behind * forward > 0 else GIVE_WAY
+                approach = min(approach, share * abs(forward) + CATCH_UP_RAD_S)
             wanted = forward + math.copysign(approach, behind)
             wanted = min(max(wanted, -limit), limit)
             wanted = min(max(wanted, before - change), before + change)

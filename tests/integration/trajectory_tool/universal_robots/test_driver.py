@@ -241,7 +241,7 @@ async def test_the_arm_stops_when_no_setpoints_arrive_and_the_motion_can_be_cont
         assert stalled.is_set()
         await at_rest(controller)
         assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
-        assert 0.2 < robot.state().positions[0] < FAR[0]
+        assert 0.28 < robot.state().positions[0] < FAR[0]
         while not await robot.move(AWAY, 1.0, lambda: 1.0):
             pass  # a busy machine may delay the setpoints again
         assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
