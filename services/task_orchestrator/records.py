@@ -16,7 +16,7 @@ from services.task_orchestrator.allocation.mapping import MappingTable
 from services.task_orchestrator.execution.machine import Effect
 from services.task_orchestrator.forms.registry import FormRecord
 from services.task_orchestrator.model import Fault
-from services.task_orchestrator.tally import Tally
+from services.task_orchestrator.tally import Tally, elapsed_ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,10 +310,8 @@ class TaskRecord:
 
     @property
     def took_ms(self) -> int | None:
-        """Return the time from its creation to its end."""
-        if self.ended_at is None:
-            return None
-        return round((self.ended_at - self.created_at).total_seconds() * 1000)
+        """Return the time from its creation to its end, as the statistics count it."""
+        return None if self.ended_at is None else elapsed_ms(self.created_at, self.ended_at)
 
     @property
     def involved(self) -> tuple[str, ...]:
