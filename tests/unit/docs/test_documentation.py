@@ -1,5 +1,6 @@
 """Links, commands and examples of the documentation are right."""
 
+import importlib.util
 import itertools
 import re
 import shlex
@@ -102,6 +103,8 @@ def test_every_command_exists(document: str, command: str) -> None:
         check_handover(words[1:])
     elif program == "glove_sdk_bridge":
         parse(words[1:], program)
+    elif program.startswith("services."):
+        assert importlib.util.find_spec(program) is not None, program
     elif program == "make":
         makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
         for target in words[1:]:
