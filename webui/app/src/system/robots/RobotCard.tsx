@@ -10,6 +10,7 @@ import { useTopicSelector, useTopic } from "~/live/hooks";
 import { useRobotDescription } from "~/robot/description";
 import { Gripper } from "./Gripper";
 import { JointTable } from "./JointTable";
+import { Limits } from "./Limits";
 
 const Robot3d = lazy(() => import("~/robot3d/Robot3d"));
 
@@ -34,6 +35,7 @@ export function RobotCard({ robot }: { robot: string }) {
         <div className="robot__facts">
           <Doing robot={robot} />
           <Gripper robot={robot} />
+          <Limits robot={robot} />
           <JointTable robot={robot} description={query.description} />
         </div>
       </div>
