@@ -93,6 +93,17 @@ class JointTrajectory:
             case _:
                 return np.asarray((d - 3 * c + 3 * b - a) / h**3)
 
+    def jerk_ranges(self, within_s: float) -> tuple[Array, Array]:
+        """Return the smallest and the largest jerk within `within_s` of each interval, one row each.
+
+        The jerk is constant in each interval of `spacing_s` and jumps between them.
+        """
+        jerks = np.diff(self.points, 3, axis=0) / self.spacing_s**3
+        reach = math.ceil(within_s / self.spacing_s)
+        padded = np.pad(jerks, ((reach, reach), (0, 0)), mode="edge")
+        near = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
+        return near.min(axis=2), near.max(axis=2)
+
     def ratios(self, limits: Limits) -> tuple[Array, Array, Array]:
         """Return bounds of velocity, acceleration and jerk of each joint, as fractions of the limits."""
         found = []

@@ -13,6 +13,7 @@ replaced only by another one that can be. At full speed the motion may have to e
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -92,6 +93,11 @@ class PlannedCourse:
         self._rate = _Rate(0.0, (1.0, 0.0, 0.0), 1.0)
         self._retry_s = began_s
 
+    @cached_property
+    def _jerk_ranges(self) -> tuple[Array, Array]:
+        # A sample counts with the jerks up to its neighbours: between them the jerk may jump and jump back.
+        return self._trajectory.jerk_ranges(SAMPLE_EVERY_S)
+
     def at(self, now_s: float, *, pace: float = 1.0) -> Setpoint:
         """Return the setpoint at a time, and continue with `pace`, the allowed fraction of the speed.
 
@@ -167,16 +173,21 @@ class PlannedCourse:
         places, rate, slope, curve = (np.concatenate(parts) for parts in zip(*samples, strict=True))
         end_s = self._trajectory.duration_s
         beyond = places >= end_s
-        q1, q2, q3 = (
+        q1, q2 = (
             np.where(beyond[:, None], 0.0, self._trajectory.derivative(np.minimum(places, end_s), order))
-            for order in (1, 2, 3)
+            for order in (1, 2)
         )
+        lowest, highest = self._jerk_ranges
+        interval = np.clip((places / self._trajectory.spacing_s).astype(np.int64), 0, len(lowest) - 1)
+        q3_low, q3_high = (np.where(beyond[:, None], 0.0, each[interval]) for each in (lowest, highest))
         r, r1, r2 = rate[:, None], slope[:, None], curve[:, None]
+        of_change = 3 * q2 * r * r1 + q1 * r2
         ratios = np.zeros(len(places))
         for value, limit in (
             (q1 * r, self._limits.velocity),
             (q2 * r**2 + q1 * r1, self._limits.acceleration),
-            (q3 * r**3 + 3 * q2 * r * r1 + q1 * r2, self._limits.jerk),
+            (q3_low * r**3 + of_change, self._limits.jerk),
+            (q3_high * r**3 + of_change, self._limits.jerk),
         ):
             np.maximum(ratios, (np.abs(value) / np.array(limit)).max(axis=1), out=ratios)
         peaks = np.maximum.reduceat(np.where(rate < -1e-9, np.inf, ratios), starts)

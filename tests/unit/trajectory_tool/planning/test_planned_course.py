@@ -53,9 +53,9 @@ def test_a_stop_stays_on_the_path_and_within_the_limits(name: str, speed: float)
         accelerations = np.array([one.accelerations for one in found])
         positions = np.array([one.positions for one in found])
         assert (np.abs(velocities) <= np.array(limits.velocity) * 1.001).all()
-        assert (np.abs(accelerations) <= np.array(limits.acceleration) * 1.01).all()
+        assert (np.abs(accelerations) <= np.array(limits.acceleration) * 1.001).all()
         jerks = np.abs(np.diff(accelerations, axis=0)) / EVERY_S
-        assert (jerks <= np.array(limits.jerk) * 1.05).all()
+        assert (jerks <= np.array(limits.jerk) * 1.002).all()
         assert (np.abs(np.diff(positions, axis=0)) <= np.array(limits.velocity) * EVERY_S * 1.01).all()
         path = trajectory.positions(EVERY_S)
         for one in positions[:: max(len(positions) // 20, 1)]:
@@ -64,6 +64,18 @@ def test_a_stop_stays_on_the_path_and_within_the_limits(name: str, speed: float)
         stops.append(BEGAN_S + len(found) * EVERY_S - at_s)
     if speed < 1:
         assert max(stops) < 1.0
+
+
+def test_a_stop_that_begins_while_the_jerk_changes_stays_within_the_limits() -> None:
+    limits = ROBOTS.load("ur10").limits
+    start = np.array([-0.178408, -1.207266, -0.017528, 1.747876, 1.287049, 1.005441])
+    target = np.array([1.769964, 1.686677, 0.212152, 0.766903, -0.589285, 0.153305])
+    trajectory = timing.line(start, target, limits)
+    for stop_s in np.arange(0.2, 0.3, 0.005):
+        found = until_rest(PlannedCourse(trajectory, limits, BEGAN_S), BEGAN_S + float(stop_s))
+        accelerations = np.array([one.accelerations for one in found])
+        jerks = np.abs(np.diff(accelerations, axis=0)) / EVERY_S
+        assert (jerks <= np.array(limits.jerk) * 1.002).all()
 
 
 def test_a_motion_without_a_stop_ends_at_its_target() -> None:
