@@ -12,7 +12,7 @@ from handover.errors import UsageError
 from handover.messages import message
 from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.drivers import RobotContext
-from services.trajectory_tool.limits.limiter import JointLimiter
+from services.trajectory_tool.limits.limiter import JointLimiter, Limiter
 from services.trajectory_tool.physics.cameras import Cameras
 from services.trajectory_tool.physics.pacing import PacedSimulation
 from services.trajectory_tool.physics.parts import Parts
@@ -46,11 +46,12 @@ class PhysicsRobot(CyclicRobot):
         gripper_closed: bool = False,
         saved: SavedState | None = None,
         vision: Vision | None = None,
+        limiter: Limiter | None = None,
     ) -> None:
         super().__init__(
             paced.simulation.positions,
             limits,
-            limiter=JointLimiter(limits, [(each.lower, each.upper) for each in model.joints]),
+            limiter=limiter or JointLimiter(limits, [(each.lower, each.upper) for each in model.joints]),
             control_hz=1 / STEP_S,
             clock=paced.clock,
         )
@@ -94,6 +95,7 @@ class PhysicsRobot(CyclicRobot):
             gripper_closed=context.gripper_closed,
             saved=saved,
             vision=PhysicsVision(scene, model, parts, cameras, on_changed) if scene.bins else None,
+            limiter=context.limiter,
         )
 
     async def __aenter__(self) -> Self:

@@ -17,6 +17,9 @@ PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "
 EXTRAS = {
     "ros_fiware_bridge": ("ros", "ros-rclpy"),
     "services/study": ("research",),
+    "services/trajectory_tool/onboarding": ("motion",),
+    "services/trajectory_tool/perception": ("physics",),
+    "services/trajectory_tool/physics": ("motion", "physics"),
     "services/trajectory_tool/planning": ("motion",),
 }
 """Which folders may import what an extra installs."""
@@ -48,7 +51,7 @@ def test_every_import_is_declared() -> None:
     assert undeclared == []
 
 
-@pytest.mark.parametrize("extra", ["motion", "research", "ros", "ros-rclpy"])
+@pytest.mark.parametrize("extra", ["motion", "physics", "research", "ros", "ros-rclpy"])
 def test_an_extra_repeats_no_dependency(extra: str) -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert set(map(_name, project["optional-dependencies"][extra])).isdisjoint(
