@@ -233,7 +233,10 @@ def test_settings_of_an_installed_service_are_listed(extended_cell: Cell) -> Non
     ("setting", "complaint"),
     [
         ("HANDOVER_ROBOT_MODEL", 'there is no robot "stedy"; there are: ur10, ur5e, panda, rail'),
-        ("HANDOVER_ROBOT", 'there is no robot driver "stedy"; there are: simulated, physics, ros, ur, steady'),
+        (
+            "HANDOVER_ROBOT",
+            'there is no robot driver "stedy"; there are: simulated, physics, ros, ur, steady',
+        ),
     ],
 )
 def test_unknown_robot_is_refused_with_the_names_there_are(
