@@ -2,12 +2,14 @@
 
 import json
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
 from playwright.sync_api import Page, expect
+from websockets.sync.client import connect
 
 from tests.e2e.conftest import OpenPage, answer
 from tests.kit.cell import Cell
@@ -130,6 +132,51 @@ def test_the_robot_moves_and_its_gripper_is_released_only_when_idle(
     accessible(page)
     dialog.get_by_role("button", name="Open the gripper").click()
     page.get_by_text("Open", exact=True).wait_for()
+
+
+@pytest.mark.usefixtures("quiet_screen")
+def test_the_stop_of_a_robot_for_a_body_signal_is_reset_by_a_person(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    page = open_page("/system?tab=robots")
+    limits = page.locator(".limits")
+    expect(limits).to_contain_text("Nothing limits the speed")
+    expect(limits).to_contain_text("not a safety-rated function")
+    url = f"{cell.url('trajectory_tool').replace('http', 'ws')}/robots/ur10-1/speed_limits"
+    with connect(url, proxy=None) as source:
+
+        def send(fraction: float) -> None:
+            report = {
+                "source": "strap-1",
+                "stamp": time.time(),
+                "fraction": fraction,
+                "reason": "heart rate 171 bpm",
+                "period": 3.0,
+                "timeout": 20.0,
+            }
+            source.send(json.dumps(report))
+            received = json.loads(source.recv(timeout=120))
+            assert received["accepted"], received
+
+        send(0.0)
+        expect(limits).to_contain_text("heart rate 171 bpm")
+        expect(limits.locator("[data-stopped]")).to_be_visible()
+        accessible(page)
+        keep(page, "system-robot-limits")
+        send(1.0)
+        page.get_by_role("button", name="Reset the stop").click()
+        dialog = page.get_by_role("dialog")
+        expect(dialog.get_by_role("button", name="Reset the stop")).to_be_disabled()
+        dialog.get_by_role("textbox").fill("Aino")
+        send(1.0)  # a silent source would stop the robot again
+        dialog.get_by_role("button", name="Reset the stop").click()
+        expect(limits.locator("[data-stopped]")).to_have_count(0)
+    removed = httpx.post(
+        f"{cell.url('trajectory_tool')}/robots/ur10-1/limits/sources/strap-1/remove",
+        json={"name": "Aino", "reason": "the test is over"},
+        timeout=120,
+    )
+    assert removed.is_success, removed.text
 
 
 @pytest.mark.usefixtures("screen")
