@@ -1,5 +1,5 @@
 /** The page of the study leader: sessions and results. */
-import { useState } from "react";
+import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { errorText } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
@@ -12,6 +12,8 @@ import { Field } from "~/design/Field";
 import { Select } from "~/design/Select";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
+import { DataTable, type Column } from "~/design/table/DataTable";
+import { useSorting } from "~/design/table/useSorting";
 import { useTopicSelector } from "~/live/hooks";
 import { useGloveNames } from "~/live/names";
 import { Results } from "./Results";
@@ -123,33 +125,25 @@ interface SessionsProps {
 }
 
 function Sessions({ sessions, open, onDeleted }: SessionsProps) {
-  const { t, i18n } = useTranslation("study");
+  const { t } = useTranslation("study");
   const [leaving, setLeaving] = useState<Session | null>(null);
+  const [sorting, setSorting] = useSorting("-began", "sessionSort");
+  const columns = useColumns(open, setLeaving);
   return (
     <Card title={t("sessions.title")}>
       {sessions.length === 0 && <EmptyState title={t("sessions.none.title")}>{t("sessions.none.means")}</EmptyState>}
-      <ul className="study__sessions">
-        {sessions.map((session) => (
-          <li key={session.id}>
-            <span className="study__who">
-              <strong>{session.pseudonym}</strong>
-              <span className="quiet">
-                {new Date(session.beganAt).toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "short" })}
-                {session.first !== null && ` · ${t(`sessions.first.${session.first}`)}`}
-              </span>
-            </span>
-            {session.endedAt === null ? (
-              <StatusBadge tone="accent">{t("sessions.at", { step: session.stepNumber, steps: session.steps })}</StatusBadge>
-            ) : (
-              <StatusBadge tone="ok">{t("sessions.finished")}</StatusBadge>
-            )}
-            {session.endedAt === null && <Button onPress={() => open(session.id)}>{t("sessions.goOn", { who: session.pseudonym })}</Button>}
-            <Button kind="quiet" onPress={() => setLeaving(session)}>
-              {t("sessions.delete", { who: session.pseudonym })}
-            </Button>
-          </li>
-        ))}
-      </ul>
+      {sessions.length > 0 && (
+        <DataTable
+          label={t("sessions.title")}
+          rows={sessions}
+          columns={columns}
+          keyOf={(session) => session.id}
+          nameOf={(session) => session.pseudonym}
+          rowHeight={56}
+          sorting={sorting}
+          onSort={setSorting}
+        />
+      )}
       <ConfirmDialog
         isOpen={leaving !== null}
         onClose={() => setLeaving(null)}
@@ -164,5 +158,47 @@ function Sessions({ sessions, open, onDeleted }: SessionsProps) {
         <p>{t("sessions.askMeans")}</p>
       </ConfirmDialog>
     </Card>
+  );
+}
+
+function useColumns(open: (session: string) => void, onDelete: (session: Session) => void): readonly Column<Session>[] {
+  const { t, i18n } = useTranslation("study");
+  return useMemo(
+    () => [
+      {
+        id: "who", name: t("sessions.column.who"), width: "minmax(140px, 1.4fr)", sortBy: (session) => session.pseudonym,
+        cell: (session) => (
+          <>
+            <span className="cell__name">{session.pseudonym}</span>
+            {session.first !== null && <p className="cell__detail">{t(`sessions.first.${session.first}`)}</p>}
+          </>
+        ),
+      },
+      {
+        id: "began", name: t("sessions.column.began"), width: "minmax(130px, 1fr)", isDescendingFirst: true, sortBy: (session) => Date.parse(session.beganAt),
+        cell: (session) => <span>{new Date(session.beganAt).toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "short" })}</span>,
+      },
+      {
+        id: "state", name: t("sessions.column.state"), width: "minmax(120px, 1fr)", sortBy: (session) => (session.endedAt === null ? session.stepNumber : session.steps + 1),
+        cell: (session) =>
+          session.endedAt === null ? (
+            <StatusBadge tone="accent">{t("sessions.at", { step: session.stepNumber, steps: session.steps })}</StatusBadge>
+          ) : (
+            <StatusBadge tone="ok">{t("sessions.finished")}</StatusBadge>
+          ),
+      },
+      {
+        id: "acts", name: t("sessions.column.acts"), width: "minmax(180px, 1.6fr)",
+        cell: (session) => (
+          <>
+            {session.endedAt === null && <Button onPress={() => open(session.id)}>{t("sessions.goOn", { who: session.pseudonym })}</Button>}
+            <Button kind="quiet" onPress={() => onDelete(session)}>
+              {t("sessions.delete", { who: session.pseudonym })}
+            </Button>
+          </>
+        ),
+      },
+    ],
+    [t, i18n.language, open, onDelete],
   );
 }

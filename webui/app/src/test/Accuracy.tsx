@@ -1,5 +1,5 @@
 /** Accuracy tests: starting one, and the list of earlier ones with their reports. */
-import { useState } from "react";
+import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { errorText } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
@@ -16,6 +16,9 @@ import { useTopicSelector } from "~/live/hooks";
 import { useQueryParameter } from "~/route/queryParameter";
 import { TestReport } from "./TestReport";
 import { Trial } from "./Trial";
+import { DataTable, type Column } from "~/design/table/DataTable";
+import { useSorting } from "~/design/table/useSorting";
+import { exactTime } from "~/design/times";
 import { beginTest, deleteTest, isPlain, leadTest, type Gesture, type Phase, type TestSummary } from "./tests";
 
 const rounds = ["1", "3", "5", "10"] as const;
@@ -108,30 +111,55 @@ interface EarlierProps {
 
 function Earlier({ tests, selected, show, reload }: EarlierProps) {
   const { t, i18n } = useTranslation("test");
-  const when = (at: string) => new Date(at).toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "short" });
+  const [sorting, setSorting] = useSorting("-began", "testSort");
   const [leaving, setLeaving] = useState<TestSummary | null>(null);
   const [failure, setFailure] = useState<string | null>(null);
-  const goOn = (test: TestSummary) => {
-    setFailure(null);
-    leadTest(test.id, "continue").catch((error: unknown) => setFailure(errorText(error)));
-  };
-  return (
-    <Card title={t("earlier.title")}>
-      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-      <ul className="test__list">
-        {tests.map((test) => (
-          <li key={test.id} aria-current={test.id === selected || undefined}>
-            <button type="button" className="test__open" onClick={() => show(test.id)}>
-              {when(test.beganAt)} · {t("earlier.size", { gestures: test.gestures.length, rounds: test.rounds })}
-            </button>
-            <StatusBadge tone={tones[test.phase] ?? "accent"}>{t(`phase.${test.phase}`)}</StatusBadge>
+  const columns: readonly Column<TestSummary>[] = useMemo(() => {
+    const goOn = (test: TestSummary) => {
+      setFailure(null);
+      leadTest(test.id, "continue").catch((error: unknown) => setFailure(errorText(error)));
+    };
+    return [
+      {
+        id: "began", name: t("earlier.column.began"), width: "minmax(140px, 1fr)", isDescendingFirst: true, sortBy: (test) => Date.parse(test.beganAt),
+        cell: (test) => <span className="cell__name">{new Date(test.beganAt).toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "short" })}</span>,
+      },
+      {
+        id: "size", name: t("earlier.column.size"), width: "minmax(120px, 1fr)", sortBy: (test) => test.gestures.length * test.rounds,
+        cell: (test) => <span>{t("earlier.size", { gestures: test.gestures.length, rounds: test.rounds })}</span>,
+      },
+      {
+        id: "state", name: t("earlier.column.state"), width: "minmax(120px, 1fr)", sortBy: (test) => t(`phase.${test.phase}`),
+        cell: (test) => <StatusBadge tone={tones[test.phase] ?? "accent"}>{t(`phase.${test.phase}`)}</StatusBadge>,
+      },
+      {
+        id: "acts", name: t("earlier.column.acts"), width: "minmax(160px, 1.4fr)",
+        cell: (test) => (
+          <>
             {test.phase === "interrupted" && <Button onPress={() => goOn(test)}>{t("earlier.continue")}</Button>}
             <Button kind="quiet" onPress={() => setLeaving(test)}>
               {t("earlier.delete")}
             </Button>
-          </li>
-        ))}
-      </ul>
+          </>
+        ),
+      },
+    ];
+  }, [t, i18n.language]);
+  return (
+    <Card title={t("earlier.title")}>
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+      <DataTable
+        label={t("earlier.title")}
+        rows={tests}
+        columns={columns}
+        keyOf={(test) => test.id}
+        nameOf={(test) => exactTime(test.beganAt, i18n.language)}
+        rowHeight={52}
+        sorting={sorting}
+        onSort={setSorting}
+        openKey={selected}
+        onOpen={(test) => show(test.id)}
+      />
       <ConfirmDialog
         isOpen={leaving !== null}
         onClose={() => setLeaving(null)}
