@@ -66,7 +66,8 @@ def rendered(entity: Entity, context: Context, view: View) -> bytes:
     if text is None:
         if len(entity.rendered) >= FORMS_KEPT:
             entity.rendered.clear()
-        text = entity.rendered[key] = orjson.dumps(render(entity, context.terms, view))
+        # A copy: the bytes of orjson keep their buffer of 4 KB.
+        text = entity.rendered[key] = bytes(memoryview(orjson.dumps(render(entity, context.terms, view))))
     return text
 
 
