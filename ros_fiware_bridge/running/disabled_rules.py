@@ -1,11 +1,11 @@
 """The names of the rules that a user has disabled, in a file; a power cut does not damage it."""
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
 import orjson
 
+from handover.durable_files import replace_durably
 from handover.errors import Problem, UsageError
 from handover.messages import message
 
@@ -32,14 +32,7 @@ class DisabledRules:
     def save(self, off: Iterable[str]) -> None:
         """Replace the file; it is on the disk when this returns. Raises `Problem`."""
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            new = self._path.with_suffix(".new")
-            with new.open("wb") as file:
-                file.write(orjson.dumps({"off": sorted(off)}))
-                file.flush()
-                os.fsync(file.fileno())
-            new.replace(self._path)
-            _sync_folder(self._path.parent)
+            replace_durably(self._path, orjson.dumps({"off": sorted(off)}))
         except OSError as error:
             raise Problem(
                 507,
@@ -51,13 +44,3 @@ class DisabledRules:
                     error=error.strerror,
                 ),
             ) from error
-
-
-def _sync_folder(folder: Path) -> None:
-    if not hasattr(os, "O_DIRECTORY"):  # Windows cannot open a directory
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

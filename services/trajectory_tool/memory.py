@@ -5,7 +5,6 @@ It includes the Task of each gripper's last action, so that no part is picked or
 that was begun, so that its unknown outcome is found after a crash.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Literal
 
 from pydantic import TypeAdapter, ValidationError
 
+from handover.durable_files import replace_durably
 from handover.errors import UsageError
 from handover.telemetry import get_logger
 from services.trajectory_tool.contents import Contents, Grip
@@ -111,19 +111,3 @@ class MemoryFile:
     def save(self, memory: Memory) -> None:
         """Write the memory atomically and durably. Raises `OSError`."""
         replace_durably(self.path, _FORM.dump_json(memory))
-
-
-def replace_durably(path: Path, content: bytes) -> None:
-    """Replace a file such that after a power cut it has either content as a whole. Raises `OSError`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_suffix(".new")
-    with new.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)

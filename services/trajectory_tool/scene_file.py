@@ -10,9 +10,9 @@ from typing import Any
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from handover.durable_files import replace_durably
 from handover.errors import UsageError
 from handover.telemetry import get_logger
-from services.trajectory_tool.memory import replace_durably
 
 log = get_logger(__name__)
 

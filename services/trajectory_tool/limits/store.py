@@ -4,13 +4,13 @@ It has the required sources, the mode, the validated speed of the end effector, 
 decided what and why. The file is replaced atomically.
 """
 
-import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from handover.durable_files import replace_durably
 from handover.errors import UsageError
 
 MAX_DECISIONS = 1000
@@ -93,16 +93,5 @@ class LimitStore:
     def put(self, robot: str, record: RobotRecord) -> None:
         """Store the record of a robot durably. Raises `OSError`; nothing is changed then."""
         file = _File(robots={**self._file.robots, robot: record})
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        new = self.path.with_suffix(".new")
-        with new.open("wb") as out:
-            out.write(file.model_dump_json(indent=1).encode())
-            out.flush()
-            os.fsync(out.fileno())
-        new.replace(self.path)
-        folder = os.open(self.path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        replace_durably(self.path, file.model_dump_json(indent=1).encode())
         self._file = file
