@@ -1,0 +1,174 @@
+"""Access tokens: short-lived tokens (JWT, RFC 7519), signed by `accounts`, verified by each service itself.
+
+The algorithm is pinned to EdDSA with Ed25519 (RFC 8037): the header of a token never chooses it. The public
+keys are a JSON Web Key Set in the file `public-keys.json` of the security directory, so that a service
+verifies tokens while `accounts` is down, and a new key is in use before the old one is removed.
+"""
+
+import base64
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import jwt
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+)
+
+from handover.errors import UsageError
+from handover.security.caller import Caller, CallerKind, InvalidToken
+from handover.security.permissions import Grant, Role
+
+ALGORITHM: Final = "EdDSA"
+ISSUER: Final = "handover-accounts"
+AUDIENCE: Final = "handover"
+USER_TOKEN_S: Final = 60.0
+"""Life of the token for which the page server exchanges a session."""
+SERVICE_TOKEN_S: Final = 300.0
+MAX_TOKEN_CHARACTERS: Final = 32_000
+LEEWAY_S: Final = 5.0
+"""Tolerated difference between the clocks of two machines."""
+
+
+class SigningKey:
+    """The private key of `accounts`."""
+
+    def __init__(self, key: Ed25519PrivateKey) -> None:
+        self._key = key
+        public = key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
+        self.public_jwk = _jwk(public)
+        self.key_id: str = self.public_jwk["kid"]
+
+    @classmethod
+    def generate(cls) -> "SigningKey":
+        """Return a new key."""
+        return cls(Ed25519PrivateKey.generate())
+
+    @classmethod
+    def from_pem(cls, pem: bytes) -> "SigningKey":
+        """Return the key in `pem`; raise `UsageError` if it is not an Ed25519 key."""
+        try:
+            key = load_pem_private_key(pem, None)
+        except ValueError as error:
+            raise UsageError(f"the signing key is no private key in PEM: {error}") from None
+        if not isinstance(key, Ed25519PrivateKey):
+            raise UsageError("the signing key must be an Ed25519 key")
+        return cls(key)
+
+    def pem(self) -> bytes:
+        """Return the private key; it belongs into a file that only its owner can read."""
+        return self._key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+    def issue(self, caller: Caller, *, valid_s: float) -> str:
+        """Return a token for `caller` that expires in `valid_s` seconds."""
+        now_s = time.time()
+        claims: dict[str, Any] = {
+            "iss": ISSUER,
+            "aud": AUDIENCE,
+            "sub": caller.subject,
+            "iat": int(now_s),
+            "exp": int(now_s + valid_s),
+            "kind": caller.kind,
+            "name": caller.name,
+            "grants": [[grant.role, grant.resource] for grant in caller.grants],
+            "rev": caller.revision,
+        }
+        if caller.person is not None:
+            claims["person"] = caller.person
+        if caller.session is not None:
+            claims["sid"] = caller.session
+        return jwt.encode(claims, self._key, algorithm=ALGORITHM, headers={"kid": self.key_id})
+
+
+class PublicKeys:
+    """The public keys of `accounts` by id."""
+
+    def __init__(self, keys: Mapping[str, Ed25519PublicKey]) -> None:
+        self._keys = dict(keys)
+
+    @classmethod
+    def parse(cls, document: bytes) -> "PublicKeys":
+        """Return the keys of a JSON Web Key Set; raise `UsageError` if it is invalid or empty."""
+        try:
+            listed = json.loads(document)["keys"]
+            keys = {
+                str(key["kid"]): Ed25519PublicKey.from_public_bytes(_from_base64(key["x"]))
+                for key in listed
+                if key.get("kty") == "OKP" and key.get("crv") == "Ed25519"
+            }
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise UsageError(f"the public keys are no JSON Web Key Set (RFC 7517): {error!r}") from None
+        if not keys:
+            raise UsageError("the JSON Web Key Set has no Ed25519 key")
+        return cls(keys)
+
+    def verify(self, token: str) -> Caller:
+        """Return the caller of `token`; raise `InvalidToken` with the reason."""
+        if len(token) > MAX_TOKEN_CHARACTERS:
+            raise InvalidToken("the token is too long")
+        try:
+            key_id = jwt.get_unverified_header(token).get("kid")
+            key = self._keys.get(str(key_id))
+            if key is None:
+                raise InvalidToken("the token is signed by an unknown key; sign in again")
+            claims = jwt.decode(
+                token,
+                key,
+                algorithms=[ALGORITHM],
+                audience=AUDIENCE,
+                issuer=ISSUER,
+                leeway=LEEWAY_S,
+                options={"require": ["exp", "iat", "sub", "aud", "iss"]},
+            )
+        except jwt.ExpiredSignatureError:
+            raise InvalidToken("the token has expired; sign in again") from None
+        except jwt.InvalidTokenError as error:
+            raise InvalidToken(f"the token is invalid: {error}") from None
+        return _caller_of(claims)
+
+
+def key_set(*keys: SigningKey) -> bytes:
+    """Return the JSON Web Key Set of `keys`."""
+    return json.dumps({"keys": [key.public_jwk for key in keys]}, indent=1).encode()
+
+
+def read_public_keys(file: Path) -> PublicKeys:
+    """Return the keys of a file; raise `UsageError` if it cannot be read."""
+    try:
+        return PublicKeys.parse(file.read_bytes())
+    except OSError as error:
+        raise UsageError(f"the public keys {file} cannot be read: {error.strerror}") from None
+    except UsageError as error:
+        raise UsageError(f"{file}: {error}; run `handover accounts set-up` again") from None
+
+
+def _caller_of(claims: Mapping[str, Any]) -> Caller:
+    try:
+        return Caller(
+            kind=CallerKind(claims["kind"]),
+            subject=str(claims["sub"]),
+            name=str(claims["name"]),
+            grants=tuple(Grant(Role(role), str(resource)) for role, resource in claims["grants"]),
+            person=claims.get("person"),
+            session=claims.get("sid"),
+            revision=int(claims["rev"]),
+            expires_s=float(claims["exp"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidToken(f"the token lacks a claim of ours: {error!r}") from None
+
+
+def _jwk(public: bytes) -> dict[str, str]:
+    x = base64.urlsafe_b64encode(public).rstrip(b"=").decode()
+    return {"kty": "OKP", "crv": "Ed25519", "alg": ALGORITHM, "use": "sig", "kid": x[:16], "x": x}
+
+
+def _from_base64(text: str) -> bytes:
+    return base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))

@@ -1,0 +1,359 @@
+"""The audit log: records of changes, chained by hashes, written in the transaction of the change.
+
+Each record has the hash of the record before it, so that a record that is changed, removed or inserted later
+breaks the chain (`verify`). A chain is complete only up to its head: a writer of the database can also
+shorten the chain, so the head is exported and logged once a day (`head`).
+
+Records name a random subject id. Free text (a name, a note) is kept beside the chain, and the record has only
+its salted hash: a person can be deleted, with the text and the salt, and the chain remains verifiable.
+
+    with engine.begin() as connection:
+        connection.execute(insert(grants)…)
+        audit.append(connection, caller.subject, "grant.added", resource=subject, text="operator on *")
+
+A resource that names a person (an id of a Person entity) is replaced by a random alias, if the log has a
+table of aliases: deleting the person deletes the alias, and the records name nobody any more.
+"""
+
+import hashlib
+import json
+import secrets
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sqlalchemy import (
+    BigInteger,
+    Column,
+    ColumnElement,
+    Connection,
+    Float,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+    delete,
+    func,
+    insert,
+    select,
+    update,
+)
+
+GENESIS: Final = "0" * 64
+"""The hash before the first record."""
+MAX_TEXT_CHARACTERS: Final = 2000
+_PERSON: Final = "urn:ngsi-ld:Person:"
+_SALT_BYTES: Final = 16
+_READ_ROWS: Final = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class AuditRecord:
+    """One record. `text` is None where there was none, or where it was deleted."""
+
+    seq: int
+    at_ms: int
+    subject: str
+    action: str
+    resource: str
+    outcome: str
+    method: str
+    text_hash: str
+    previous_hash: str
+    hash: str
+    text: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """The result of a check: how many records are intact, and the first fault."""
+
+    records: int
+    head: str
+    fault: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AuditFilter:
+    """Which records are read; None stands for all. `action` and `resource` are parts of the values."""
+
+    subject: str | None = None
+    action: str | None = None
+    resource: str | None = None
+    outcome: str | None = None
+    since_ms: int | None = None
+    until_ms: int | None = None
+
+
+class AuditTables:
+    """The tables of an audit log, whose names begin with `component`."""
+
+    def __init__(self, metadata: MetaData, component: str, *, has_aliases: bool = False) -> None:
+        self.records = Table(
+            f"{component}_audit",
+            metadata,
+            Column(
+                "seq", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=False
+            ),
+            Column("at_ms", BigInteger, nullable=False, index=True),
+            Column("subject", String(64), nullable=False, index=True),
+            Column("action", String(64), nullable=False, index=True),
+            Column("resource", String(400), nullable=False, index=True),
+            Column("outcome", String(16), nullable=False),
+            Column("method", String(32), nullable=False),
+            Column("text_hash", String(64), nullable=False),
+            Column("previous_hash", String(64), nullable=False),
+            Column("hash", String(64), nullable=False),
+        )
+        self.texts = Table(
+            f"{component}_audit_text",
+            metadata,
+            Column(
+                "seq", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=False
+            ),
+            Column("subject", String(64), nullable=False, index=True),
+            Column("about", String(400), nullable=False, index=True),
+            Column("salt", String(32), nullable=False),
+            Column("text", Text, nullable=False),
+        )
+        self.head = Table(
+            f"{component}_audit_head",
+            metadata,
+            Column("id", Integer, primary_key=True, autoincrement=False),
+            Column("seq", BigInteger, nullable=False),
+            Column("hash", String(64), nullable=False),
+            Column("first_seq", BigInteger, nullable=False),
+            Column("first_previous_hash", String(64), nullable=False),
+            Column("changed_s", Float, nullable=False),
+        )
+        self.aliases: Table | None = None
+        if has_aliases:
+            self.aliases = Table(
+                f"{component}_audit_alias",
+                metadata,
+                Column("name", String(400), primary_key=True),
+                Column("alias", String(64), nullable=False, unique=True),
+            )
+
+
+class AuditLog:
+    """Appends to, reads and verifies one audit log. Every method works on the connection of its caller."""
+
+    def __init__(self, tables: AuditTables) -> None:
+        self._tables = tables
+
+    def append(
+        self,
+        connection: Connection,
+        subject: str,
+        action: str,
+        *,
+        resource: str = "",
+        outcome: str = "done",
+        method: str = "",
+        text: str | None = None,
+    ) -> int:
+        """Append a record in the transaction of `connection`; return its number.
+
+        The row of the head is locked until the transaction ends, so that concurrent appends are ordered.
+        """
+        tables = self._tables
+        seq, previous = self._next(connection)
+        resource = self._aliased(connection, resource[:400])
+        text = text[:MAX_TEXT_CHARACTERS] if text is not None else None
+        salt = secrets.token_hex(_SALT_BYTES) if text is not None else ""
+        values: dict[str, Any] = {
+            "seq": seq,
+            "at_ms": time.time_ns() // 1_000_000,
+            "subject": subject,
+            "action": action,
+            "resource": resource,
+            "outcome": outcome,
+            "method": method,
+            "text_hash": "" if text is None else _text_hash(salt, text),
+            "previous_hash": previous,
+        }
+        values["hash"] = record_hash(values)
+        connection.execute(insert(tables.records).values(values))
+        if text is not None:
+            connection.execute(
+                insert(tables.texts).values(
+                    seq=seq, subject=subject, about=values["resource"], salt=salt, text=text
+                )
+            )
+        connection.execute(
+            update(tables.head)
+            .where(tables.head.c.id == 1)
+            .values(hash=values["hash"], changed_s=time.time())
+        )
+        return seq
+
+    def _next(self, connection: Connection) -> tuple[int, str]:
+        head = self._tables.head
+        step = (
+            update(head).where(head.c.id == 1).values(seq=head.c.seq + 1).returning(head.c.seq, head.c.hash)
+        )
+        row = connection.execute(step).first()
+        if row is None:
+            connection.execute(
+                insert(head).values(
+                    id=1, seq=1, hash=GENESIS, first_seq=1, first_previous_hash=GENESIS, changed_s=time.time()
+                )
+            )
+            return 1, GENESIS
+        return int(row[0]), str(row[1])
+
+    def _aliased(self, connection: Connection, resource: str) -> str:
+        """Return the alias of a resource that names a person, a new one if necessary; others unchanged."""
+        aliases = self._tables.aliases
+        if aliases is None or not resource.startswith(_PERSON):
+            return resource
+        found = connection.execute(select(aliases.c.alias).where(aliases.c.name == resource)).scalar()
+        if found is None:
+            found = f"person-{secrets.token_hex(12)}"
+            connection.execute(insert(aliases).values(name=resource, alias=found))
+        return str(found)
+
+    def forget(self, connection: Connection, name: str) -> int:
+        """Delete the texts by and about a subject or Person, and the alias of the Person.
+
+        The records remain, and the chain stays verifiable. Returns how many texts were deleted.
+        """
+        texts, aliases = self._tables.texts, self._tables.aliases
+        names = [name]
+        if aliases is not None:
+            names += connection.execute(select(aliases.c.alias).where(aliases.c.name == name)).scalars()
+            connection.execute(delete(aliases).where(aliases.c.name == name))
+        gone = connection.execute(delete(texts).where(texts.c.subject.in_(names) | texts.c.about.in_(names)))
+        return gone.rowcount
+
+    def expire(self, connection: Connection, before_ms: int) -> int:
+        """Delete the records older than `before_ms` from the start of the chain; return how many."""
+        records, texts, head = self._tables.records, self._tables.texts, self._tables.head
+        last = connection.execute(select(func.max(records.c.seq)).where(records.c.at_ms < before_ms)).scalar()
+        if last is None:
+            return 0
+        kept = connection.execute(
+            select(records.c.seq)
+            .where(records.c.seq <= last, records.c.at_ms >= before_ms)
+            .order_by(records.c.seq)
+        ).scalar()
+        last = kept - 1 if kept is not None else last  # the clock was set back: keep the rest of the chain
+        row = connection.execute(select(records.c.hash).where(records.c.seq == last)).scalar()
+        if row is None:
+            return 0
+        connection.execute(
+            update(head).where(head.c.id == 1).values(first_seq=last + 1, first_previous_hash=row)
+        )
+        connection.execute(delete(texts).where(texts.c.seq <= last))
+        return connection.execute(delete(records).where(records.c.seq <= last)).rowcount
+
+    def head(self, connection: Connection) -> tuple[int, str]:
+        """Return number and hash of the last record; (0, `GENESIS`) if there is none."""
+        head = self._tables.head
+        row = connection.execute(select(head.c.seq, head.c.hash).where(head.c.id == 1)).first()
+        return (0, GENESIS) if row is None else (int(row[0]), str(row[1]))
+
+    def read(
+        self,
+        connection: Connection,
+        *,
+        chosen: "AuditFilter | None" = None,
+        after: int = 0,
+        limit: int = 100,
+        newest_first: bool = False,
+    ) -> list[AuditRecord]:
+        """Return the records that pass a filter; `after` continues a list (before it if newest first)."""
+        records, texts, aliases = self._tables.records, self._tables.texts, self._tables.aliases
+        source = records.outerjoin(texts, texts.c.seq == records.c.seq)
+        resource: ColumnElement[str] = records.c.resource
+        if aliases is not None:
+            source = source.outerjoin(aliases, aliases.c.alias == records.c.resource)
+            resource = func.coalesce(aliases.c.name, records.c.resource)
+        others = [column for column in records.c if column.name != "resource"]
+        query = select(*others, resource.label("resource"), texts.c.text).select_from(source)
+        query = query.where(*_conditions(chosen or AuditFilter(), records, resource))
+        if newest_first:
+            query = query.where(records.c.seq < after) if after else query
+            query = query.order_by(records.c.seq.desc())
+        else:
+            query = query.where(records.c.seq > after).order_by(records.c.seq)
+        return [AuditRecord(**row) for row in connection.execute(query.limit(limit)).mappings()]
+
+    def verify(self, connection: Connection) -> Verification:
+        """Check every record, from the first to the head."""
+        head = self._tables.head
+        row = connection.execute(select(head).where(head.c.id == 1)).mappings().first()
+        if row is None:
+            return Verification(0, GENESIS)
+        expected, previous, count = int(row["first_seq"]), str(row["first_previous_hash"]), 0
+        for record, salt, text in self._chain(connection):
+            fault = _fault(record, expected, previous, salt, text)
+            if fault is not None:
+                return Verification(count, previous, fault)
+            expected, previous, count = expected + 1, record["hash"], count + 1
+        if previous != row["hash"] or expected != int(row["seq"]) + 1:
+            return Verification(
+                count,
+                previous,
+                f"records after number {expected - 1} are missing; the head names {row['seq']}",
+            )
+        return Verification(count, previous)
+
+    def _chain(self, connection: Connection) -> Iterator[tuple[dict[str, Any], str | None, str | None]]:
+        records, texts = self._tables.records, self._tables.texts
+        query = (
+            select(records, texts.c.salt, texts.c.text)
+            .select_from(records.outerjoin(texts, texts.c.seq == records.c.seq))
+            .order_by(records.c.seq)
+        )
+        for row in connection.execution_options(yield_per=_READ_ROWS).execute(query).mappings():
+            values = dict(row)
+            salt, text = values.pop("salt"), values.pop("text")
+            yield values, salt, text
+
+
+def _conditions(
+    chosen: AuditFilter, records: Table, resource: ColumnElement[str]
+) -> Iterator[ColumnElement[bool]]:
+    if chosen.subject is not None:
+        yield records.c.subject == chosen.subject
+    if chosen.action is not None:
+        yield records.c.action.contains(chosen.action, autoescape=True)
+    if chosen.resource is not None:
+        yield resource.contains(chosen.resource, autoescape=True)
+    if chosen.outcome is not None:
+        yield records.c.outcome == chosen.outcome
+    if chosen.since_ms is not None:
+        yield records.c.at_ms >= chosen.since_ms
+    if chosen.until_ms is not None:
+        yield records.c.at_ms < chosen.until_ms
+
+
+def record_hash(values: dict[str, Any]) -> str:
+    """Return the hash of a record: SHA-256 of its fields, except the hash, as JSON with sorted names."""
+    content = {name: value for name, value in values.items() if name != "hash"}
+    return hashlib.sha256(
+        json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+    ).hexdigest()
+
+
+def _text_hash(salt: str, text: str) -> str:
+    return hashlib.sha256(f"{salt}\n{text}".encode()).hexdigest()
+
+
+def _fault(
+    record: dict[str, Any], expected: int, previous: str, salt: str | None, text: str | None
+) -> str | None:
+    seq = record["seq"]
+    if seq != expected:
+        return f"record {expected} is missing"
+    if record["previous_hash"] != previous:
+        return f"record {seq} does not follow record {seq - 1}"
+    if record["hash"] != record_hash(record):
+        return f"record {seq} was changed"
+    if text is not None and _text_hash(salt or "", text) != record["text_hash"]:
+        return f"the text of record {seq} was changed"
+    return None

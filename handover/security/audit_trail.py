@@ -1,0 +1,234 @@
+"""The audit trail of a service: who changed something, and who read data of persons, on every route.
+
+A service gives its `AuditTrail` to `create_app`. Each request to a route with a permission is then recorded:
+
+- a change is recorded with its result, before the response is sent. A service with a database calls
+  `record_request(connection)` in the transaction of the change, so that both are committed or neither is;
+  otherwise the record has a transaction of its own;
+- reading health data or studies is recorded before the response is sent, once in `REPEAT_S` for the same
+  caller, route and resource, since pages ask again and again;
+- a refused change is recorded too.
+
+A request that cannot be recorded is answered with 503. Services and devices are not recorded: they act for
+processes and people whose acts are recorded where they are requested.
+
+The action of a record is the method and the path of the route, the resource is what the permission was
+required for, and the text is the path that was requested. A transaction in another thread finds the act by
+`asyncio.to_thread`, which copies the context; a queue of changes keeps `current_request()` itself.
+"""
+
+import asyncio
+import time
+from collections import OrderedDict
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import Any, Final, Self
+
+from sqlalchemy import Connection, Engine, MetaData
+from sqlalchemy.exc import SQLAlchemyError
+
+from handover.background_tasks import BackgroundTasks
+from handover.database import connect
+from handover.errors import Problem
+from handover.migrations import migrate
+from handover.security.audit import AuditLog, AuditTables
+from handover.security.caller import Caller, CallerKind
+from handover.security.permissions import READING, Permission
+from handover.security.resource_patterns import ANY_RESOURCE
+from handover.settings import Settings
+
+REPEAT_S: Final = 600.0
+MAX_REMEMBERED: Final = 10_000
+EXPIRE_EVERY_S: Final = 3600.0
+VERSION: Final = 1
+
+DONE, REFUSED, FAILED = "done", "refused", "failed"
+_PRIVATE: Final = frozenset({Permission.READ_HEALTH_DATA, Permission.READ_STUDIES})
+_UNRECORDED: Final = frozenset({CallerKind.SERVICE, CallerKind.DEVICE})
+_current: ContextVar["AuditedRequest | None"] = ContextVar("handover_act", default=None)
+
+
+@dataclass(slots=True)
+class AuditedRequest:
+    """What a caller does with a request; `Requirement` and `Guard` say who the caller is and what for."""
+
+    trail: "AuditTrail"
+    action: str
+    path: str
+    caller: Caller | None = None
+    permission: Permission | None = None
+    resource: str = ANY_RESOURCE
+    is_recorded: bool = field(default=False, init=False)
+    is_finished: bool = field(default=False, init=False)
+    _transaction: object = field(default=None, init=False)
+
+    @property
+    def is_change(self) -> bool:
+        """Return whether the permission is one to change something."""
+        return self.permission is not None and self.permission not in READING
+
+    @property
+    def is_relevant(self) -> bool:
+        """Return whether the audit trail has acts of this caller with this permission."""
+        if self.caller is None or self.caller.kind in _UNRECORDED:
+            return False
+        return self.is_change or self.permission in _PRIVATE
+
+    def append(self, connection: Connection) -> None:
+        """Append the record in the transaction of `connection`, once in each, until the act is finished.
+
+        A transaction that fails takes its record with it, and another attempt has another transaction.
+        """
+        transaction = connection.get_transaction()
+        if self.is_finished or not self.is_relevant or transaction is self._transaction:
+            return
+        self._transaction = transaction
+        self.is_recorded = True
+        self.write(connection, DONE)
+
+    def write(self, connection: Connection, outcome: str) -> None:
+        """Append the record with an outcome."""
+        assert self.caller is not None  # noqa: S101 - `is_relevant`
+        self.trail.log.append(
+            connection,
+            self.caller.subject,
+            self.action,
+            resource=self.resource,
+            outcome=outcome,
+            method=self.caller.kind,
+            text=self.path,
+        )
+
+
+def begin_request(trail: "AuditTrail", action: str, path: str) -> AuditedRequest:
+    """Begin the record of a request; it is the current one of this task and of threads it starts."""
+    act = AuditedRequest(trail, action[:64], path[:400])
+    _current.set(act)
+    return act
+
+
+def current_request() -> AuditedRequest | None:
+    """Return the act of the current request, if it has an audit trail."""
+    return _current.get()
+
+
+def record_request(connection: Connection, act: AuditedRequest | None = None) -> None:
+    """Record the current act (or `act`) in the transaction of `connection`; none outside of a request."""
+    act = act or _current.get()
+    if act is not None and act.is_change:
+        act.append(connection)
+
+
+def record_deletion(connection: Connection) -> None:
+    """Record the current act, which deletes a Person, and forget the Person's name."""
+    act = _current.get()
+    if act is not None:
+        record_request(connection)
+        act.trail.log.forget(connection, act.resource)
+
+
+class AuditTrail:
+    """The audit log of `service`, in its database `engine` or in one of its own; a context manager."""
+
+    def __init__(self, settings: Settings, service: str, engine: Engine | None = None) -> None:
+        self.service = service
+        self._name = service.replace("-", "_")
+        self._metadata = MetaData()
+        self.log = AuditLog(AuditTables(self._metadata, self._name, has_aliases=True))
+        self._settings = settings
+        self._given = engine
+        self._engine: Engine | None = None
+        self._opening = Lock()
+        self._repeated: OrderedDict[tuple[str, str, str], float] = OrderedDict()
+        self._tasks = BackgroundTasks(f"audit of {service}")
+
+    async def __aenter__(self) -> Self:
+        await asyncio.to_thread(self._opened)
+        await self._tasks.__aenter__()
+        self._tasks.start_restarting(self._expire)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._tasks.__aexit__(None, None, None)
+        if self._given is None and self._engine is not None:
+            self._engine.dispose()
+
+    def _opened(self) -> Engine:
+        """Return the database, with the tables of the log."""
+        with self._opening:
+            if self._engine is None:
+                engine = self._given or connect(self._settings.database(f"{self.service}-audit"))
+                migrate(engine, self._metadata, component=f"{self._name}_audit", version=VERSION)
+                self._engine = engine
+            return self._engine
+
+    async def finish(self, act: AuditedRequest, status: int) -> None:
+        """Record an act whose response has `status`, unless its transaction did. Raises `Problem` 503."""
+        act.is_finished = True
+        if not act.is_relevant or (act.is_recorded and status < 400):
+            return
+        outcome = DONE if status < 400 else REFUSED if status == 403 else FAILED
+        if outcome == FAILED and status < 500:
+            return  # the request was wrong and had no effect
+        if not act.is_change and (outcome != DONE or self._is_repeated(act)):
+            return
+        await self._store(act, outcome)
+
+    async def open(self, act: AuditedRequest) -> None:
+        """Record that a stream begins. Raises `Problem` 503."""
+        if act.is_relevant:
+            await self._store(act, DONE)
+
+    async def record(self, caller: Caller, action: str, resource: str) -> None:
+        """Record what is no request to a route. Raises `Problem` 503."""
+
+        def append(connection: Connection) -> None:
+            self.log.append(connection, caller.subject, action, resource=resource, method=caller.kind)
+
+        await self.read(append)
+
+    async def _store(self, act: AuditedRequest, outcome: str) -> None:
+        def append() -> None:
+            with self._opened().begin() as connection:
+                act.write(connection, outcome)
+
+        try:
+            await asyncio.to_thread(append)
+        except SQLAlchemyError as error:
+            reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
+            raise Problem(
+                503, "Not recorded", f"the audit log cannot be written, so the request is refused: {reason}"
+            ) from None
+
+    def _is_repeated(self, act: AuditedRequest) -> bool:
+        assert act.caller is not None  # noqa: S101 - `is_relevant`
+        key, now_s = (act.caller.subject, act.action, act.resource), time.monotonic()
+        last_s = self._repeated.get(key)
+        if last_s is not None and now_s - last_s < REPEAT_S:
+            return True
+        self._repeated[key] = now_s
+        self._repeated.move_to_end(key)
+        if len(self._repeated) > MAX_REMEMBERED:
+            self._repeated.popitem(last=False)
+        return False
+
+    async def _expire(self) -> None:
+        days = self._settings.audit_retention_days
+        while days:
+            await asyncio.to_thread(self._delete_old, days)
+            await asyncio.sleep(EXPIRE_EVERY_S)
+
+    def _delete_old(self, days: float) -> None:
+        with self._opened().begin() as connection:
+            if gone := self.log.expire(connection, int((time.time() - days * 86400) * 1000)):
+                self.log.append(connection, self.service, "audit.expired", text=f"{gone} records")
+
+    async def read(self, function: Any) -> Any:
+        """Return the result of `function` on a connection."""
+
+        def run() -> Any:
+            with self._opened().begin() as connection:
+                return function(connection)
+
+        return await asyncio.to_thread(run)

@@ -1,0 +1,1 @@
+"""Accounts: people, their rights, sessions and tokens, and the audit log of all of that."""

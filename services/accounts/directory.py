@@ -1,0 +1,367 @@
+"""The directory of accounts: changes and reads off the event loop, sign-in, tokens, and the revocations."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any, Final, Self, TypeVar
+
+from sqlalchemy import Column, Connection, select
+from sqlalchemy.exc import SQLAlchemyError
+
+from handover.background_tasks import BackgroundTasks
+from handover.errors import Problem
+from handover.security.access_tokens import SERVICE_TOKEN_S, USER_TOKEN_S
+from handover.security.caller import Caller, CallerKind
+from handover.security.permissions import Grant, Role
+from handover.security.revocations import FollowedRevocations
+from services.accounts import links, secret_token_store, sessions, stations, tables, users
+from services.accounts.changes import Change, Store, revision_of
+from services.accounts.grants import grants_of
+from services.accounts.identifiers import IdentifierHashes, IdentifierKind, identified
+from services.accounts.metrics import SIGN_INS
+from services.accounts.passwords import (
+    PasswordHashes,
+    normalized,
+    require_good_password,
+    too_many_attempts,
+)
+from services.accounts.sessions import SessionLimits
+from services.accounts.settings import AccountsSettings
+from services.accounts.sign_in_limits import SignInLimits
+from services.accounts.signing_keys import SigningKeys
+
+T = TypeVar("T")
+
+LOOK_EVERY_S: Final = 0.5
+"""Another process (a command, a replica) may revoke too."""
+NOTE_EVERY_S: Final = 5.0
+"""The times of the last use are written together: a request that only reads does not wait for the disk."""
+CLEAN_EVERY_S: Final = 600.0
+LEAVE_EVERY_S: Final = 2.0
+"""People leave stations by time at most so much later."""
+NOBODY: Final = "unknown"
+"""The actor of a failed sign-in."""
+
+
+class OwnRevocations(FollowedRevocations):
+    """The revocations of accounts itself, which knows its own at once, also while it is flooded."""
+
+    def is_current(self) -> bool:
+        """Return True."""
+        return True
+
+
+class Directory:
+    """All accounts; an asynchronous context manager."""
+
+    def __init__(self, settings: AccountsSettings) -> None:
+        self.settings = settings
+        self.store = Store(settings.database("accounts"))
+        self.keys = SigningKeys(settings.signing_keys_file, settings.security_folder)
+        self.revocations = OwnRevocations()
+        self.session_limits = SessionLimits(settings.session_idle_h * 3600, settings.session_max_h * 3600)
+        self.identifiers = IdentifierHashes(settings.identifier_key_file)
+        self._hashes = PasswordHashes(settings.password_workers)
+        self._limits = SignInLimits()
+        self._revoked = asyncio.Event()
+        self._uses: dict[Column[Any], dict[str, float]] = {}
+        self._tasks = BackgroundTasks("accounts")
+
+    async def __aenter__(self) -> Self:
+        await asyncio.to_thread(self.store.prepare)
+        await self._look()
+        await self._tasks.__aenter__()
+        self._tasks.start_restarting(self._follow)
+        self._tasks.start_restarting(self._note)
+        self._tasks.start_restarting(self._clean)
+        self._tasks.start_restarting(self._leave_by_time)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._tasks.__aexit__(None, None, None)
+        await self._note_uses()
+        self._hashes.close()
+        self.store.close()
+
+    async def change(self, actor: str, function: Callable[[Change], T], *, method: str = "") -> T:
+        """Run `function` in one transaction; its revocations are in force when this returns."""
+
+        def run() -> T:
+            with self.store.change(actor, method) as change:
+                return function(change)
+
+        result = await self._stored(run)
+        await self._look()
+        return result
+
+    async def read(self, function: Callable[[Connection], T]) -> T:
+        """Return the result of `function` on a connection."""
+
+        def run() -> T:
+            with self.store.read() as connection:
+                return function(connection)
+
+        return await self._stored(run)
+
+    @staticmethod
+    async def _stored(function: Callable[[], T]) -> T:
+        try:
+            return await asyncio.to_thread(function)
+        except SQLAlchemyError as error:
+            reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
+            raise Problem(
+                503, "Storage unavailable", f"the accounts cannot be stored now: {reason}"
+            ) from None
+
+    # Revocations
+
+    async def revocations_after(self, position: int, wait_s: float) -> dict[str, Any]:
+        """Return the revocations after `position`; wait up to `wait_s` for the first."""
+        deadline_s = time.monotonic() + wait_s
+        while position == self.revocations.position and time.monotonic() < deadline_s:
+            try:
+                async with asyncio.timeout(deadline_s - time.monotonic()):
+                    await self._revoked.wait()
+            except TimeoutError:
+                break
+        return await self.read(lambda connection: _revoked_after(connection, position))
+
+    async def _look(self) -> None:
+        known = self.revocations.position
+        document = await self.read(lambda connection: _revoked_after(connection, known))
+        self.revocations.apply(document)
+        if document["position"] != known:
+            self._revoked.set()
+            self._revoked = asyncio.Event()
+
+    async def _follow(self) -> None:
+        while True:
+            await asyncio.sleep(LOOK_EVERY_S)
+            await self._look()
+
+    async def _note(self) -> None:
+        while True:
+            await asyncio.sleep(NOTE_EVERY_S)
+            await self._note_uses()
+
+    async def _note_uses(self) -> None:
+        uses, self._uses = self._uses, {}
+        if uses:
+            await self._stored(lambda: self.store.note_uses(uses))
+
+    async def _clean(self) -> None:
+        while True:
+            await asyncio.to_thread(self._delete_old)
+            await asyncio.sleep(CLEAN_EVERY_S)
+
+    async def _leave_by_time(self) -> None:
+        while True:
+            await asyncio.sleep(LEAVE_EVERY_S)
+            if await self.read(stations.has_due):
+                await self.change("accounts", stations.leave_by_time, method="time")
+
+    def _delete_old(self) -> None:
+        if self.keys.exist():
+            self.keys.expire()
+        with self.store.change("accounts", "retention") as change:
+            sessions.delete_ended(change, self.session_limits)
+            days = self.settings.audit_retention_days
+            if days:
+                before_ms = int((time.time() - days * 86400) * 1000)
+                if gone := self.store.audit.expire(change.connection, before_ms):
+                    change.record("audit.expired", text=f"{gone} records older than {days:g} days")
+            change.is_recorded = True  # nothing may have been old
+
+    # Sign-in
+
+    def require_accounts(self) -> None:
+        """Raise `Problem` 409 in local mode."""
+        if not self.keys.exist():
+            raise Problem(
+                409,
+                "Local mode",
+                "there are no accounts yet: everybody on this machine is the owner; run `handover accounts "
+                "set-up`",
+            )
+
+    async def sign_in(self, name: str, password: str, address: str, device: str) -> dict[str, Any]:
+        """Open a session. Raises `Problem`: 401 for a wrong name or password, 429 for too many attempts."""
+        self.require_accounts()
+        key = users.name_key(name)
+        self.admit_attempt(address, key)
+
+        def found(connection: Connection) -> tuple[dict[str, Any] | None, bool]:
+            user = users.find_by_name(connection, name)
+            is_known = user is not None and sessions.is_known_place(connection, user["subject"], address)
+            return user, is_known
+
+        user, is_known = await self.read(found)
+        stored = None if user is None else user["password_hash"]
+        if not await self._hashes.verify(normalized(password), stored, is_known=is_known) or user is None:
+            SIGN_INS.labels("refused").inc()
+            about = "" if user is None else user["subject"]
+            text = f"{name[:64]} from {address[:64]}, {device[:300]}"
+            await self.change(
+                NOBODY, lambda change: change.record("signIn.failed", about, text=text, outcome="refused")
+            )
+            raise Problem(401, "Wrong name or password", "the name or the password is wrong; correct it")
+        self.sign_in_succeeded(address, key)
+        SIGN_INS.labels("accepted").inc()
+        return await self._open(user["subject"], "password", address, device)
+
+    def admit_attempt(self, address: str, account: str) -> None:
+        """Count an attempt to guess a secret; raise `Problem` 429 if it comes too early."""
+        wait_s = self._limits.attempt(address, account, time.monotonic())
+        if wait_s is not None:
+            SIGN_INS.labels("limited").inc()
+            raise too_many_attempts(wait_s)
+
+    def sign_in_succeeded(self, address: str, account: str) -> None:
+        """Forget the failures of an address for an account."""
+        self._limits.succeeded(address, account)
+
+    async def _open(self, subject: str, method: str, address: str, device: str) -> dict[str, Any]:
+        def opened(change: Change) -> tuple[str, str]:
+            users.find(change.connection, subject)  # deleted while the password was checked
+            return sessions.open_session(change, subject, method=method, address=address, device=device)
+
+        _, token = await self.change(subject, opened, method=method)
+        return {"session": token, "maxAgeS": int(self.session_limits.max_s)}
+
+    async def use_link(
+        self, secret: str, name: str | None, password: str, address: str, device: str
+    ) -> dict[str, Any]:
+        """Use a one-time link and open a session. Raises `Problem` 404, 409, 422, 429."""
+        self.require_accounts()
+        self.admit_attempt(address, "link")
+        link = await self.read(lambda connection: links.find_link(connection, secret))
+        if link["subject"] is not None:
+            owner = await self.read(lambda connection: users.find(connection, link["subject"]))
+            wanted = str(owner["name"])
+        else:
+            wanted = users.checked_name(name or link["name"] or "")
+        hashed = await self._hashes.hash(require_good_password(password, wanted))
+        subject = await self.change(
+            link["subject"] or link["id"],
+            lambda change: links.use_link(change, secret, wanted, hashed),
+            method="link",
+        )
+        self._limits.succeeded(address, "link")
+        return await self._open(subject, "link", address, device)
+
+    async def change_password(self, caller: Caller, current: str, new: str, address: str) -> None:
+        """Change the password of a user, and end the other sessions. Raises `Problem` 401, 422, 429."""
+        self.admit_attempt(address, caller.subject)
+        user = await self.read(lambda connection: users.find(connection, caller.subject))
+        if not await self._hashes.verify(normalized(current), user["password_hash"], is_known=True):
+            raise Problem(403, "Wrong password", "the current password is wrong; correct it")
+        self._limits.succeeded(address, caller.subject)
+        hashed = await self._hashes.hash(require_good_password(new, user["name"]))
+        await self.change(
+            caller.subject,
+            lambda change: users.set_password(change, caller.subject, hashed, kept_session=caller.session),
+            method="password",
+        )
+
+    async def end_session(self, token: str) -> None:
+        """Sign out; has no effect for a session that has ended."""
+
+        def end(change: Change) -> None:
+            row = sessions.find_session(change.connection, token, self.session_limits)
+            change.is_recorded = True
+            if row is not None:
+                change.actor = row["subject"]
+                sessions.end_session(change, row["id"])
+
+        await self.change(NOBODY, end)
+
+    # Stations
+
+    async def join(self, station: str, kind: IdentifierKind, value: str) -> None:
+        """Let the person join a station who has an identifier. Raises `Problem` 404, 409, 429."""
+        self.admit_attempt(station, "join")
+
+        def recognized(change: Change) -> None:
+            stations.require_station(change.connection, station)
+            change.actor = identified(change.connection, self.identifiers, kind, value)
+            stations.join(change, station, change.actor, kind)
+
+        await self.change(NOBODY, recognized, method=kind)
+        self._limits.succeeded(station, "join")
+
+    async def is_pin_of(self, person: str, pin: str) -> bool:
+        """Return whether a PIN is that of a Person. Raises `Problem` 429."""
+        self.admit_attempt(person, "pin")
+
+        def found(connection: Connection) -> str | None:
+            owner = identified(connection, self.identifiers, IdentifierKind.PIN, pin)
+            return str(users.find(connection, owner)["person"])
+
+        try:
+            is_right = await self.read(found) == person
+        except Problem:
+            is_right = False
+        if is_right:
+            self._limits.succeeded(person, "pin")
+        return is_right
+
+    # Access tokens
+
+    async def user_token(self, session_token: str) -> dict[str, Any]:
+        """Return the access token of a session, its user and its CSRF token. Raises `Problem` 401."""
+        self.require_accounts()
+
+        def found(connection: Connection) -> tuple[Caller, dict[str, Any]]:
+            revision = revision_of(connection)
+            session = sessions.find_session(connection, session_token, self.session_limits)
+            if session is None:
+                raise Problem(401, "Signed out", "the session has ended; sign in again")
+            user = users.find(connection, session["subject"])
+            is_station = stations.station_of(connection, user["subject"]) is not None
+            acting = (stations.joined(connection, user["subject"]) if is_station else None) or user
+            caller = Caller(
+                CallerKind.USER,
+                user["subject"],
+                acting["name"],
+                grants_of(connection, user["subject"]),
+                person=acting["person"],
+                session=session["id"],
+                revision=revision,
+            )
+            return caller, session
+
+        caller, session = await self.read(found)
+        self._uses.setdefault(tables.sessions.c.seen_s, {})[session["id"]] = time.time()
+        return {
+            "token": self.keys.signing_key().issue(caller, valid_s=USER_TOKEN_S),
+            "expiresInS": USER_TOKEN_S,
+            "csrf": sessions.csrf_token(session_token),
+            "endsInS": max(self.session_limits.ends_s(session) - time.time(), 0.0),
+        }
+
+    async def service_token(self, caller: Caller) -> dict[str, Any]:
+        """Return the access token of a service that was authenticated by its secret token."""
+        revision = await self.read(revision_of)
+        issued = Caller(
+            CallerKind.SERVICE, caller.subject, caller.name, (Grant(Role.SERVICE),), revision=revision
+        )
+        return {
+            "token": self.keys.signing_key().issue(issued, valid_s=SERVICE_TOKEN_S),
+            "expiresInS": SERVICE_TOKEN_S,
+        }
+
+    async def introspect(self, token: str) -> dict[str, Any]:
+        """Return what is known of a secret token."""
+        found = await self.read(lambda connection: secret_token_store.introspected(connection, token))
+        if found["active"]:
+            self._uses.setdefault(tables.tokens.c.used_s, {})[found["subject"]] = time.time()
+        return found
+
+
+def _revoked_after(connection: Connection, position: int) -> dict[str, Any]:
+    now = revision_of(connection)
+    table = tables.revocations
+    after = position if position <= now else 0  # the follower knows a database that was replaced by a backup
+    query = select(table.c.number, table.c.name).where(table.c.number > after, table.c.number <= now)
+    listed = [[number, name] for number, name in connection.execute(query.order_by(table.c.number))]
+    return {"position": now, "revoked": listed}

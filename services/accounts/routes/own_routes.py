@@ -1,0 +1,98 @@
+"""Routes for what is the caller's own: account, password, sessions."""
+
+from typing import Annotated, Any
+
+from fastapi import FastAPI, Request
+
+from handover.errors import Problem
+from handover.security.caller import Caller, CallerKind
+from handover.security.guard import require_signed_in
+from handover.security.permissions import Permission
+from services.accounts import sessions, users
+from services.accounts.changes import Change
+from services.accounts.directory import Directory
+from services.accounts.grants import admin_names
+from services.accounts.routes.bodies import PasswordChange
+from services.accounts.routes.views import MeView, SessionView, time_of
+from services.accounts.sessions import SessionLimits
+
+SignedIn = Annotated[Caller, require_signed_in()]
+
+
+def add_own_routes(app: FastAPI, directory: Directory) -> None:
+    """Add the routes for every caller."""
+
+    @app.get("/me", tags=["own account"])
+    async def me(caller: SignedIn) -> MeView:
+        """Return the caller."""
+        return {
+            "kind": caller.kind,
+            "subject": caller.subject,
+            "name": caller.name,
+            "person": caller.person,
+            "grants": [{"role": one.role, "resource": one.resource} for one in caller.grants],
+            "permissions": [one for one in Permission if caller.may_somewhere(one)],
+            "hasAccounts": directory.keys.exist(),
+        }
+
+    @app.get("/admins", tags=["own account"], dependencies=[require_signed_in()])
+    async def admins() -> list[str]:
+        """List the names of the users who can grant roles, for those who lack one."""
+        return await directory.read(admin_names)
+
+    @app.put("/me/password", status_code=204, tags=["own account"])
+    async def change_password(caller: SignedIn, body: PasswordChange, request: Request) -> None:
+        """Change the own password; all other sessions end."""
+        _require_user(caller)
+        address = request.client.host if request.client else ""
+        await directory.change_password(caller, body.current, body.new, address)
+
+    @app.get("/me/sessions", tags=["own account"])
+    async def own_sessions(caller: SignedIn) -> list[SessionView]:
+        """List the own sessions with their places and devices."""
+        _require_user(caller)
+        limits = directory.session_limits
+        rows = await directory.read(
+            lambda connection: sessions.sessions_of(connection, caller.subject, limits)
+        )
+        return [session_view(row, limits, caller) for row in rows]
+
+    @app.delete("/me/sessions/{session}", status_code=204, tags=["own account"])
+    async def end_own_session(caller: SignedIn, session: str) -> None:
+        """End one of the own sessions."""
+        _require_user(caller)
+
+        def end(change: Change) -> None:
+            sessions.end_session(change, session, subject=caller.subject)
+
+        await directory.change(caller.subject, end)
+
+    @app.delete("/me/sessions", status_code=204, tags=["own account"])
+    async def end_other_sessions(caller: SignedIn) -> None:
+        """End all own sessions but this one."""
+        _require_user(caller)
+
+        def end(change: Change) -> None:
+            users.end_sessions_of(change, caller.subject, kept_session=caller.session)
+            change.is_recorded = True  # there may be no other session
+
+        await directory.change(caller.subject, end)
+
+
+def session_view(row: dict[str, Any], limits: SessionLimits, caller: Caller) -> SessionView:
+    """Return a session."""
+    return {
+        "id": row["id"],
+        "method": row["method"],
+        "address": row["address"],
+        "device": row["device"],
+        "createdAt": time_of(row["created_s"]),
+        "seenAt": time_of(row["seen_s"]),
+        "endsAt": time_of(limits.ends_s(row)),
+        "isThis": row["id"] == caller.session,
+    }
+
+
+def _require_user(caller: Caller) -> None:
+    if caller.kind is not CallerKind.USER:
+        raise Problem(409, "No user", f'"{caller.name}" is no user with a password and sessions; sign in')

@@ -1,0 +1,118 @@
+"""Access tokens need our signature, algorithm, issuer and audience; secret tokens match by hash."""
+
+import base64
+import json
+import time
+from typing import Any
+
+import jwt
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1
+from cryptography.hazmat.primitives.asymmetric.ec import generate_private_key as new_ec_key
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+from handover.errors import UsageError
+from handover.security.access_tokens import PublicKeys, SigningKey, key_set
+from handover.security.caller import Caller, CallerKind, InvalidToken
+from handover.security.permissions import Grant, Role
+from handover.security.secret_tokens import is_secret_token, is_token, kind_of, new_token, token_hash
+
+KEY = SigningKey.generate()
+KEYS = PublicKeys.parse(key_set(KEY))
+ANNA = Caller(
+    CallerKind.USER,
+    "subject-7",
+    "Anna",
+    (Grant(Role.OPERATOR), Grant(Role.ENGINEER, "urn:ngsi-ld:Device:demo:ur10-*")),
+    person="urn:ngsi-ld:Person:demo:anna",
+    session="session-3",
+    revision=12,
+)
+
+
+def changed_claims(**claims: Any) -> str:
+    """Return a token with our key, whose claims were changed before it was signed."""
+    payload = jwt.decode(KEY.issue(ANNA, valid_s=60), options={"verify_signature": False})
+    for name, value in claims.items():
+        if value is None:
+            payload.pop(name)
+        else:
+            payload[name] = value
+    return jwt.encode(payload, KEY._key, algorithm="EdDSA", headers={"kid": KEY.key_id})
+
+
+def test_a_token_names_its_caller_with_all_grants() -> None:
+    found = KEYS.verify(KEY.issue(ANNA, valid_s=60))
+    assert found.expires_s is not None
+    assert (found.kind, found.subject, found.name, found.grants) == (
+        ANNA.kind,
+        ANNA.subject,
+        ANNA.name,
+        ANNA.grants,
+    )
+    assert (found.person, found.session, found.revision) == (ANNA.person, ANNA.session, ANNA.revision)
+
+
+def test_a_key_that_was_stored_signs_the_same_tokens() -> None:
+    again = SigningKey.from_pem(KEY.pem())
+    assert KEYS.verify(again.issue(ANNA, valid_s=60)).subject == ANNA.subject
+
+
+@pytest.mark.parametrize(
+    "token",
+    [
+        "",
+        "no.token.at-all",
+        SigningKey.generate().issue(ANNA, valid_s=60),
+        KEY.issue(ANNA, valid_s=-60),
+        KEY.issue(ANNA, valid_s=60)[:-4] + "AAAA",
+        changed_claims(aud="another"),
+        changed_claims(iss="another"),
+        changed_claims(sub=None),
+        changed_claims(exp=None),
+        changed_claims(grants=[["emperor", "*"]]),
+        changed_claims(kind="god"),
+        changed_claims(iat=int(time.time()) + 3600),
+        "x" * 40_000,
+    ],
+)
+def test_any_other_token_is_refused(token: str) -> None:
+    with pytest.raises(InvalidToken):
+        KEYS.verify(token)
+
+
+def test_the_header_of_a_token_never_chooses_the_algorithm() -> None:
+    payload = jwt.decode(KEY.issue(ANNA, valid_s=60), options={"verify_signature": False})
+    unsigned = jwt.encode(payload, None, algorithm="none", headers={"kid": KEY.key_id})
+    with pytest.raises(InvalidToken):
+        KEYS.verify(unsigned)
+    x = json.loads(key_set(KEY))["keys"][0]["x"]
+    secret = base64.urlsafe_b64decode(x + "==")  # the public key as the secret of an HMAC
+    with pytest.raises(InvalidToken):
+        KEYS.verify(jwt.encode(payload, secret, algorithm="HS256", headers={"kid": KEY.key_id}))
+
+
+@pytest.mark.parametrize(
+    "document", [b"", b"[]", b"{}", b'{"keys": []}', b'{"keys": [{"kty": "OKP"}]}', b"\xff"]
+)
+def test_damaged_public_keys_are_refused(document: bytes) -> None:
+    with pytest.raises(UsageError):
+        PublicKeys.parse(document)
+
+
+def test_a_signing_key_of_another_kind_is_refused() -> None:
+    ec = new_ec_key(SECP256R1()).private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    with pytest.raises(UsageError, match="Ed25519"):
+        SigningKey.from_pem(ec)
+    with pytest.raises(UsageError, match="PEM"):
+        SigningKey.from_pem(b"key")
+
+
+def test_secret_tokens_differ_and_match_their_hash_only() -> None:
+    token, other = new_token("device"), new_token("device")
+    assert token != other
+    assert is_secret_token(token)
+    assert kind_of(token) == "device"
+    assert is_token(token, token_hash(token))
+    assert not is_token(other, token_hash(token))
+    assert not is_secret_token(KEY.issue(ANNA, valid_s=60))
