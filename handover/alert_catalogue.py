@@ -107,6 +107,14 @@ ENTITY_FILTER_REFUSED: Final = AlertType(
     "The broker refuses the filter of an event that waits for entities, so the event never occurs.",
     "Correct the `q` or `idPattern` of `handover:on` and deploy the file again.",
 )
+DEVICE_ANOMALY: Final = AlertType(
+    AlertCategory.DEVICE,
+    "deviceAnomaly",
+    Severity.MEDIUM,
+    "Device",
+    "A value of a device is abnormal by a rule of the device gateway; the severity is that of the rule.",
+    "Look at the device and at the chart of the value; correct the rule if the value is usual.",
+)
 ROBOT_STOPPED_BY_LIMIT: Final = AlertType(
     AlertCategory.DEVICE,
     "robotStoppedByLimit",
@@ -131,6 +139,22 @@ SPECIFICATIONS_NOT_WRITTEN: Final = AlertType(
     "The orchestrator cannot write the specification database; Tasks whose specification it holds wait.",
     "Start the database, or correct HANDOVER_SPECIFICATION_URL; the Tasks are then posted by themselves.",
 )
+CERTIFICATE_EXPIRES: Final = AlertType(
+    AlertCategory.SYSTEM,
+    "certificateExpires",
+    Severity.HIGH,
+    "Device",
+    "The certificate of a server expires within a week, or has expired.",
+    "Renew it with `handover secure renew`, or replace the file; servers load it by themselves.",
+)
+CERTIFICATE_NOT_LOADED: Final = AlertType(
+    AlertCategory.SYSTEM,
+    "certificateNotLoaded",
+    Severity.HIGH,
+    "Device",
+    "The file of a server's certificate has changed and cannot be used; the former certificate stays in use.",
+    "Correct the certificate and its key; servers load them by themselves.",
+)
 ROS_PROBLEM: Final = AlertType(
     AlertCategory.ROS,
     None,
@@ -143,6 +167,7 @@ ROS_PROBLEM: Final = AlertType(
 CATALOGUE: Final = (
     GLOVE_SILENT,
     CALIBRATION_NEEDED,
+    DEVICE_ANOMALY,
     ROBOT_STOPPED_BY_LIMIT,
     UNKNOWN_GESTURE,
     TASK_NOT_ACCEPTED,
@@ -153,6 +178,8 @@ CATALOGUE: Final = (
     ENTITY_FILTER_REFUSED,
     SPECIFICATIONS_UNAVAILABLE,
     SPECIFICATIONS_NOT_WRITTEN,
+    CERTIFICATE_EXPIRES,
+    CERTIFICATE_NOT_LOADED,
     ROS_PROBLEM,
 )
 

@@ -9,14 +9,14 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from http import HTTPStatus
-from typing import Any, Self, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 from urllib.parse import quote, urlencode
 
 import httpx
 import orjson
 
 from datamodels.entities import Entity
-from handover.errors import Problem
+from handover.errors import HandoverError, Problem
 from handover.http_client import BodyReadingHttpClient, HttpResponse, SendError, address
 from handover.settings import Settings
 from handover.telemetry import get_logger
@@ -48,17 +48,27 @@ class BrokerUnavailable(BrokerError):
     """The broker is unreachable or cannot answer now; a retry may succeed."""
 
 
+class Credentials(Protocol):
+    """The credentials of a service for its requests, such as `handover.security.service_access`."""
+
+    async def headers(self) -> Mapping[str, str]:
+        """Return the headers of a request; empty while no account exists."""
+        ...
+
+
 class BrokerClient:
     """A client of the broker of `settings`; an asynchronous context manager.
 
     Every method raises `BrokerUnavailable` when the broker does not answer, and another `BrokerError` when
-    it refuses the request. `transport` replaces the HTTP client, for example by the ASGI transport of httpx.
+    it refuses the request. Each request carries the `credentials`. `transport` replaces the HTTP client, for
+    example by the ASGI transport of httpx.
     """
 
     def __init__(
         self,
         settings: Settings,
         *,
+        credentials: Credentials | None = None,
         transport: httpx.AsyncBaseTransport | None = None,
         timeout_s: float = 10.0,
     ) -> None:
@@ -69,8 +79,9 @@ class BrokerClient:
         self.url = settings.broker_url
         self._base = address(f"{settings.broker_url.rstrip('/')}/ngsi-ld/v1")
         self._timeout_s = timeout_s
+        self.credentials = credentials
         self._transport = transport
-        self._http = BodyReadingHttpClient(max_response_bytes=MAX_RESPONSE_BYTES)
+        self._http = BodyReadingHttpClient(ca_files=settings.ca_files, max_response_bytes=MAX_RESPONSE_BYTES)
         # A robot may be updated hundreds of times a second, so the headers are built once.
         self._headers = tuple(headers)
         self._with_body = (*headers, ("Content-Type", JSON))
@@ -223,6 +234,12 @@ class BrokerClient:
         query = f"?{urlencode(params, quote_via=quote, safe=':,')}" if params else ""
         url = replace(self._base, target=f"{self._base.target}{path}{query}")
         headers = self._headers if body is None else self._with_body
+        if self.credentials is not None:
+            try:
+                if own := await self.credentials.headers():
+                    headers = (*headers, *own.items())
+            except HandoverError as error:
+                raise BrokerUnavailable(503, "No credentials", str(error)) from error
         content = b"" if body is None else orjson.dumps(body)
         try:
             if self._transport is None:

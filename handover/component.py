@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 from handover.broker import BrokerClient
 from handover.performer import Performer
+from handover.security.guard import Guard
 from handover.service import create_app
 from handover.serving import serve as serve_app
 from handover.settings import Settings
@@ -27,7 +28,8 @@ def component_app(
 
     `acts_for` are the resources whose Tasks it executes: `Type:id` or URNs.
     """
-    broker = BrokerClient(settings)
+    guard = Guard(settings, name)
+    broker = BrokerClient(settings, credentials=guard.access)
     performer = performer_class(name, settings, broker, notify_url=f"{url}/notifications")
 
     @asynccontextmanager
@@ -43,6 +45,7 @@ def component_app(
         description=performer_class.__doc__ or name,
         lifespan=lifespan,
         checks={"tasks": performer.probe},
+        guard=guard,
     )
     performer.mount(app)
     return app

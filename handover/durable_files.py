@@ -4,11 +4,15 @@ import os
 from pathlib import Path
 
 
-def replace_durably(path: Path, content: bytes) -> None:
-    """Replace a file such that after a power cut it has either content as a whole. Raises `OSError`."""
+def replace_durably(path: Path, content: bytes, *, mode: int = 0o666) -> None:
+    """Replace a file such that after a power cut it has either content as a whole. Raises `OSError`.
+
+    `mode` are the permissions of the file, less the umask.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_suffix(".new")
-    with new.open("wb") as file:
+    new.unlink(missing_ok=True)
+    with os.fdopen(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode), "wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())

@@ -7,14 +7,20 @@ it runs every few seconds beside every service.
 """
 
 import json
+import os
+import ssl
 import sys
 import urllib.error
 import urllib.request
 from collections.abc import Sequence
+from pathlib import Path
 
 TIMEOUT_S = 3.0
 _USAGE = "usage: python -m handover.health URL [MEMBER]"
-_direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+AUTHORITY = "HANDOVER_TLS_AUTHORITY"
+"""The environment variable with the authorities that are trusted besides those of the system."""
+SERVICE_FILE = "HANDOVER_SERVICE_TOKEN_FILE"
+"""The environment variable with the file of the token of this service."""
 
 
 class NotReady(Exception):
@@ -24,7 +30,7 @@ class NotReady(Exception):
 def require_ready(url: str, must_be_true: str | None = None) -> None:
     """Raise `NotReady` if the service at `url` is not ready."""
     try:
-        with _direct.open(url, timeout=TIMEOUT_S) as answer:
+        with _opener(url, is_public=must_be_true is None).open(url, timeout=TIMEOUT_S) as answer:
             body = answer.read()
     except urllib.error.HTTPError as refusal:
         with refusal:
@@ -34,6 +40,22 @@ def require_ready(url: str, must_be_true: str | None = None) -> None:
         raise NotReady(f"{url} does not answer: {getattr(error, 'reason', error)}") from None
     if must_be_true is not None:
         _require_true(url, body, must_be_true)
+
+
+def _opener(url: str, *, is_public: bool) -> urllib.request.OpenerDirector:
+    """Return an opener that uses no proxy, and identifies this service for what is not public."""
+    handlers: list[urllib.request.BaseHandler] = [urllib.request.ProxyHandler({})]
+    if url.startswith("https:"):
+        context = ssl.create_default_context()
+        authority = os.environ.get(AUTHORITY)
+        if authority:
+            context.load_verify_locations(authority)
+        handlers.append(urllib.request.HTTPSHandler(context=context))
+    opener = urllib.request.build_opener(*handlers)
+    file = os.environ.get(SERVICE_FILE)
+    if file and not is_public:
+        opener.addheaders = [("Authorization", f"Bearer {Path(file).read_text(encoding='utf-8').strip()}")]
+    return opener
 
 
 def _require_true(url: str, body: bytes, name: str) -> None:

@@ -13,7 +13,7 @@ import select
 import socket
 import ssl
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from urllib.parse import urlsplit
 import httptools
 
 from handover.outbound_policy import AddressRefused
+from handover.tls_trust import client_context, handshake_fault
 
 MAX_IDLE: Final = 8
 """Idle connections kept open for each address."""
@@ -271,12 +272,12 @@ class _ReadingConnection(_Connection):
 
 
 class PooledHttpClient:
-    """Posts to many addresses over pooled connections. `ca_file` (PEM) names authorities that are trusted
+    """Posts to many addresses over pooled connections. `ca_files` (PEM) name authorities that are trusted
     besides those of the system."""
 
-    def __init__(self, resolver: Resolver = ANY_ADDRESS, ca_file: Path | None = None) -> None:
+    def __init__(self, resolver: Resolver = ANY_ADDRESS, ca_files: Sequence[Path] = ()) -> None:
         self._resolver = resolver
-        self._ca_file = ca_file
+        self._ca_files = ca_files
         self._make_connection: Callable[[], _Connection] = _Connection
         self._idle: dict[tuple[str, int, bool], list[_Connection]] = {}
         self._tls: ssl.SSLContext | None = None
@@ -312,7 +313,8 @@ class PooledHttpClient:
         except UnicodeError as error:
             raise SendError(f"{where.host} is no name of a machine ({error})") from None
         except OSError as error:
-            raise SendError(error.strerror or str(error) or type(error).__name__) from None
+            fault = handshake_fault(error, where.host_header) if where.tls else None
+            raise SendError(fault or error.strerror or str(error) or type(error).__name__) from None
 
     def close(self) -> None:
         """Close all connections."""
@@ -349,7 +351,7 @@ class PooledHttpClient:
         effect.
         """
         if where.tls and self._tls is None:
-            self._tls = await asyncio.to_thread(tls_context, self._ca_file)
+            self._tls = await asyncio.to_thread(client_context, *self._ca_files)
         loop = asyncio.get_running_loop()
         tls = self._tls if where.tls else None
         failure: OSError | None = None
@@ -383,10 +385,10 @@ class BodyReadingHttpClient(PooledHttpClient):
     def __init__(
         self,
         resolver: Resolver = ANY_ADDRESS,
-        ca_file: Path | None = None,
+        ca_files: Sequence[Path] = (),
         max_response_bytes: int = MAX_RESPONSE_BYTES,
     ) -> None:
-        super().__init__(resolver, ca_file)
+        super().__init__(resolver, ca_files)
         self._max_response_bytes = max_response_bytes
         self._make_connection = partial(_ReadingConnection, max_response_bytes)
 
@@ -427,11 +429,3 @@ def inflate(body: bytes, max_bytes: int) -> bytes:
     if not inflater.eof:
         raise SendError("the answer cannot be inflated (it is cut)")
     return text
-
-
-def tls_context(ca_file: Path | None) -> ssl.SSLContext:
-    """Return a TLS context with the system's authorities and those of `ca_file`."""
-    context = ssl.create_default_context()
-    if ca_file is not None:
-        context.load_verify_locations(ca_file)
-    return context

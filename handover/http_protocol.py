@@ -22,6 +22,7 @@ import math
 import os
 from collections import Counter as Tally
 from collections.abc import Iterator
+from ipaddress import ip_network
 from typing import TYPE_CHECKING, Any, Final
 
 import orjson
@@ -29,6 +30,7 @@ from prometheus_client import Counter, Gauge
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from handover.errors import Problem
+from handover.outbound_policy import address_of
 from handover.settings import Settings
 from handover.telemetry import get_logger
 
@@ -66,6 +68,7 @@ class Connections:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.max_open = max(16, min(settings.http_max_connections, raise_file_limit() - RESERVED_FILES))
+        self._proxies = tuple(ip_network(one) for one in settings.trusted_proxies)
         self._open: set[Any] = set()
         self._looked_s = 0.0
         self._is_looking = False
@@ -111,7 +114,9 @@ class Connections:
             if one.phase in UNFINISHED and now_s - one.since_s > YOUNG_S:
                 unfinished.setdefault(one.client[0] if one.client else "", []).append(one)
         states["websocket"] = len(self._open) - sum(1 for _ in self._http())
-        for waiting in unfinished.values():
+        for address, waiting in unfinished.items():
+            if self._is_proxy(address):
+                continue  # the connections of all its clients
             excess = len(waiting) - self._settings.http_max_unfinished_per_address
             if excess > 0:
                 waiting.sort(key=lambda one: one.since_s)
@@ -122,6 +127,10 @@ class Connections:
         self._is_looking = bool(self._open)
         if self._is_looking:
             loop.call_later(LOOK_EVERY_S, self._look, loop)
+
+    def _is_proxy(self, address: str) -> bool:
+        ip = address_of(address) if self._proxies else None
+        return ip is not None and any(ip in network for network in self._proxies)
 
 
 class HttpProtocol(HttpToolsProtocol):

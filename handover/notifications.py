@@ -22,11 +22,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import orjson
-from fastapi import Request
+from fastapi import Depends, Request
 from prometheus_client import Counter
 
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import Problem, UsageError
+from handover.security.guard import OtherCredential
 from handover.settings import Settings
 from handover.telemetry import get_logger
 
@@ -39,6 +40,9 @@ MAX_IDS_PER_QUERY: Final = 40
 """Entities per query; their ids are in its URL."""
 
 REFUSED = Counter("handover_notifications_refused_total", "Notifications that were refused", ["reason"])
+
+REQUIRES_NOTIFICATION_KEY: Final[Any] = Depends(OtherCredential("the key of the subscription"))
+"""The dependency that marks a route for notifications, which `NotificationReceiver.receive` protects."""
 
 _KEY: Final = re.compile(r"^[\x21-\x7e]{16,200}$")
 

@@ -2,21 +2,26 @@
 
 Clients name addresses in subscriptions, registrations, snapshots, @contexts and process definitions, and
 could make a service reach what they cannot reach themselves. Each address has an `AddressKind`. A service
-that listens on loopback refuses a few kinds; one that listens beyond loopback refuses all that are not
-public. Hosts and networks in HANDOVER_OUTBOUND_ALLOW are always allowed.
+that listens on loopback refuses a few kinds, and with accounts also this machine; one that listens beyond
+loopback refuses all that are not public. The endpoints of our own services are always allowed, and so are
+hosts, endpoints (`host:port`) and networks in HANDOVER_OUTBOUND_ALLOW.
 
 Names are checked by the addresses they resolve to, and the connection is made to a checked address, never to
 the name. A name that resolves to another address a moment later has no effect.
 """
 
 import asyncio
+import re
 import socket
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from pathlib import Path
 from typing import Final, Self
 
+_ENDPOINT: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\[\]/\s]+):(\d{1,5})")
 SETTING: Final = "HANDOVER_OUTBOUND_ALLOW"
 Address = IPv4Address | IPv6Address
 Network = IPv4Network | IPv6Network
@@ -79,15 +84,30 @@ class OutboundPolicy:
     listens_beyond_loopback: bool = False
     hosts: frozenset[str] = frozenset()
     networks: tuple[Network, ...] = ()
+    endpoints: frozenset[tuple[str, int]] = frozenset()
+    """Hosts (names or addresses, in lower case) with a port that are allowed."""
+    accounts_file: Path | None = None
+    """The file that exists as soon as there are accounts; then clients are no longer this machine's user."""
 
     @classmethod
-    def of(cls, host: str, allowed: str) -> Self:
+    def of(
+        cls,
+        host: str,
+        allowed: str,
+        *,
+        endpoints: Iterable[tuple[str, int]] = (),
+        accounts_file: Path | None = None,
+    ) -> Self:
         """Return the policy of a server that listens on `host`, with the setting's text `allowed`.
 
         Raises `ValueError` that names an entry which is neither a host nor a network.
         """
-        hosts, networks = set[str](), list[Network]()
+        hosts, networks, named = set[str](), list[Network](), set(endpoints)
         for entry in filter(None, (one.strip() for one in allowed.split(","))):
+            endpoint = _ENDPOINT.fullmatch(entry)
+            if endpoint is not None:
+                named.add((_plain(endpoint[1].strip("[]")), int(endpoint[2])))
+                continue
             try:
                 networks.append(ip_network(entry.strip("[]")))
             except ValueError as error:
@@ -96,10 +116,12 @@ class OutboundPolicy:
                         f"{entry!r} is neither a host name nor an address or network ({error})"
                     ) from None
                 hosts.add(_plain(entry))
-        return cls(not is_loopback(host), frozenset(hosts), tuple(networks))
+        return cls(not is_loopback(host), frozenset(hosts), tuple(networks), frozenset(named), accounts_file)
 
-    def fault_of(self, host: str) -> str | None:
+    def fault_of(self, host: str, port: int = 0) -> str | None:
         """Return why the address `host` is refused; None if it is allowed, or a name to resolve."""
+        if (_plain(host), port) in self.endpoints:
+            return None
         address = address_of(host)
         kind = None if address is None else kind_of(address)
         if address is None or kind is None or any(address in one for one in self.networks):
@@ -108,6 +130,10 @@ class OutboundPolicy:
             why = "a service that listens beyond loopback"
         elif kind in _ALWAYS_REFUSED or (kind is AddressKind.TRANSLATED and self._is_refused_within(address)):
             why = "this service"
+        elif (
+            self.accounts_file is not None and self._is_this_machine(address) and self.accounts_file.exists()
+        ):
+            why = "a service with accounts, for others than our own services,"
         else:
             return None
         return (
@@ -119,6 +145,13 @@ class OutboundPolicy:
     def _is_refused_within(address: Address) -> bool:
         return any(kind_of(one) in _ALWAYS_REFUSED for one in embedded_in(address))
 
+    def _has_accounts(self) -> bool:
+        return self.accounts_file is not None and self.accounts_file.exists()
+
+    @staticmethod
+    def _is_this_machine(address: Address) -> bool:
+        return any(kind_of(one) is AddressKind.LOOPBACK for one in (address, *embedded_in(address)))
+
     async def resolved(self, host: str, port: int) -> list[str]:
         """Return the allowed addresses of `host`, in the order to try them.
 
@@ -129,9 +162,9 @@ class OutboundPolicy:
         else:
             known = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
             found = list(dict.fromkeys(str(one[4][0]) for one in known))
-            if _plain(host) in self.hosts:
+            if _plain(host) in self.hosts or (_plain(host), port) in self.endpoints:
                 return found
-        faults = {one: self.fault_of(one) for one in found}
+        faults = {one: self.fault_of(one, port) for one in found}
         allowed = [one for one, fault in faults.items() if fault is None]
         if not allowed:
             why = next((fault for fault in faults.values() if fault), f"{host} has no address")
@@ -170,9 +203,14 @@ def embedded_in(address: Address) -> list[IPv4Address]:
     return list(address.teredo) if address.teredo is not None else [last]
 
 
+@lru_cache(maxsize=1024)
 def is_loopback(host: str) -> bool:
-    """Return whether a server that listens on `host` is reachable from its own machine only."""
-    address = address_of(host)
+    """Return whether `host` is this machine only: a loopback address (IPv4-mapped and scoped ones too), or
+    the name `localhost`.
+
+    It answers for the address on which a server listens as for the address of a peer.
+    """
+    address = address_of(host.partition("%")[0])
     return host == "localhost" if address is None else address.is_loopback
 
 

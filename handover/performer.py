@@ -35,7 +35,7 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFou
 from handover.finished_tasks import End, FinishedTasks
 from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed, TaskGone
 from handover.messages import with_code
-from handover.notifications import NotificationReceiver
+from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.resync import Resync
 from handover.retry import retry
 from handover.settings import Settings
@@ -140,7 +140,12 @@ class Performer(ABC):
     def mount(self, app: FastAPI) -> None:
         """Add the route for notifications at the path of `notify_url`."""
 
-        @app.post(urlsplit(self.notify_url).path, status_code=204, tags=["notifications"])
+        @app.post(
+            urlsplit(self.notify_url).path,
+            status_code=204,
+            tags=["notifications"],
+            dependencies=[REQUIRES_NOTIFICATION_KEY],
+        )
         async def notify(request: Request) -> Response:
             """Read the Tasks of a notification from the broker."""
             await self._read(await self._receiver.receive(request))

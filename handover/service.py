@@ -7,7 +7,8 @@ A route accepts only JSON, unless `accepts` names other media types: a page of a
 only as plain text or as a form.
 """
 
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
 from http import HTTPStatus
 from typing import Any, Final, TypeVar
 
@@ -19,10 +20,15 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 from starlette.types import Lifespan
+from starlette.websockets import WebSocket
 
 from handover.body_limit import limit_of, limited
 from handover.errors import Problem
 from handover.origin_guard import REFUSED
+from handover.security.audit_routes import add_audit_routes
+from handover.security.audit_trail import AuditTrail, begin_request
+from handover.security.guard import Guard
+from handover.security.open_streams import EndOfStreams
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
@@ -36,6 +42,8 @@ XML_TYPES: Final = ("application/xml", "text/xml", "application/*+xml")
 YAML_TYPES: Final = ("application/yaml", "application/x-yaml", "text/yaml")
 ANY_TYPE: Final = ("*/*",)
 _CHANGES: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+_WEBSOCKET_CODES_FROM: Final = 4000
+"""A refused WebSocket is closed with 4000 plus the HTTP status: 4401, 4403, 4503."""
 MAX_FAULTS_LISTED: Final = 20
 MAX_FAULT_CHARACTERS: Final = 1_000
 CLIENT_CLOSED_REQUEST: Final = 499
@@ -66,7 +74,19 @@ class TypedRoute(APIRoute):
         async def checked(request: Request) -> Response:
             if request.method in _CHANGES:
                 require_media_type(request, accepted)
-            return await answer(limited(request, max_bytes))
+            trail = getattr(request.app.state, "audit", None)
+            if trail is None:
+                return await answer(limited(request, max_bytes))
+            act = begin_request(trail, f"{request.method} {self.path}", request.url.path)
+            try:
+                response = await answer(limited(request, max_bytes))
+            except (RequestValidationError, HTTPException, ClientDisconnect):
+                raise  # the handler was not called
+            except Exception as error:
+                await trail.finish(act, error.status if isinstance(error, Problem) else 500)
+                raise
+            await trail.finish(act, response.status_code)
+            return response
 
         return checked
 
@@ -100,20 +120,45 @@ def create_app(
     description: str,
     lifespan: Lifespan[FastAPI] | None = None,
     checks: Mapping[str, Check] | None = None,
+    guard: Guard | None = None,
+    audit: AuditTrail | None = None,
 ) -> FastAPI:
     """Return a FastAPI application with health, metrics and problem details in place.
 
-    `checks` are the dependencies of the service by name; `/readyz` awaits each.
+    `checks` are the dependencies of the service by name; `/readyz` awaits each. `guard` authenticates the
+    callers of routes that `require` a permission; the application starts and ends it, and `audit`, which
+    records what callers change and which data of persons they read.
     """
-    app = FastAPI(title=title, description=description, lifespan=lifespan)
+    app = FastAPI(
+        title=title,
+        description=description,
+        lifespan=lifespan if guard is None else _guarded(guard, audit, lifespan),
+    )
+    app.state.guard = guard
+    app.state.audit = audit
+    if guard is not None:
+        app.add_middleware(EndOfStreams, guard=guard)
     app.router.route_class = TypedRoute
     add_operations(app, checks or {})
-    app.add_exception_handler(Problem, _on_problem)
+    if audit is not None:
+        add_audit_routes(app, audit)
+    app.add_exception_handler(Problem, _on_problem)  # type: ignore[arg-type]  # WebSockets as well
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_validation_error)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_unexpected)
     return app
+
+
+def _guarded(guard: Guard, audit: AuditTrail | None, lifespan: Lifespan[FastAPI] | None) -> Lifespan[FastAPI]:
+    @asynccontextmanager
+    async def guarded(app: FastAPI) -> AsyncIterator[Any]:
+        async with guard, AsyncExitStack() as stack:
+            if audit is not None:
+                await stack.enter_async_context(audit)
+            yield await stack.enter_async_context(lifespan(app)) if lifespan is not None else None
+
+    return guarded
 
 
 def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
@@ -151,11 +196,19 @@ def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
 
 def problem_response(problem: Problem) -> JSONResponse:
     """Return `problem` as an `application/problem+json` answer."""
-    return JSONResponse(problem.body(), problem.status, media_type="application/problem+json")
+    headers: dict[str, str] = {}
+    if problem.status == HTTPStatus.UNAUTHORIZED:
+        headers["WWW-Authenticate"] = "Bearer"
+    if (retry_after_s := (problem.extra or {}).get("retryAfterS")) is not None:
+        headers["Retry-After"] = str(retry_after_s)
+    return JSONResponse(problem.body(), problem.status, headers, media_type="application/problem+json")
 
 
-async def _on_problem(_: Request, error: Exception) -> Response:
+async def _on_problem(connection: Request | WebSocket, error: Exception) -> Response | None:
     assert isinstance(error, Problem)  # noqa: S101 - Starlette calls us with what we registered for
+    if isinstance(connection, WebSocket):
+        await connection.close(_WEBSOCKET_CODES_FROM + error.status, error.title)
+        return None
     return problem_response(error)
 
 

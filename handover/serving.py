@@ -1,8 +1,10 @@
 """Serving: runs the application of a service until SIGTERM or Ctrl-C, without importing a web framework."""
 
+import asyncio
 import errno
 import os
 import signal
+import socket
 import sys
 import tempfile
 import threading
@@ -10,17 +12,22 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import uvicorn
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
+from handover.certificate_watch import CertificateWatch
 from handover.errors import UsageError
 from handover.http_protocol import KEEP_ALIVE_S, Connections, HttpProtocol
 from handover.origin_guard import OriginGuard, OriginPolicy
 from handover.ports import hold_when_free
+from handover.security.protection import require_protection
 from handover.settings import LIFELINE, PREFIX, Settings
 from handover.telemetry import get_logger, set_up_logging
+from handover.transport_security.server_certificate import ServerCertificate
+from handover.transport_security.tls_listener import listen
 
 log = get_logger(__name__)
 
@@ -68,7 +75,9 @@ def serve(
     """
     try:
         set_up_logging(settings, service)
+        require_protection(settings, settings.host, "HANDOVER_HOST")
         require_writable(settings.data_dir)
+        certificate = ServerCertificate.of(settings)
         # Reserved until the server listens: otherwise a connection of the service itself could get the port.
         held_port = hold_when_free(settings.host, port, port_setting, say=log.warning)
         made = make_app()
@@ -78,18 +87,22 @@ def serve(
         raise SystemExit(_in_one_line(service, error)) from None
     if os.environ.get(LIFELINE):
         threading.Thread(target=_end_with_parent, daemon=True).start()
-    server = uvicorn.Server(
-        uvicorn.Config(
-            application,
-            host=settings.host,
-            port=port,
-            log_config=None,
-            access_log=False,
-            timeout_graceful_shutdown=1,
-            timeout_keep_alive=int(KEEP_ALIVE_S),
-            server_header=False,
-            http=_protocol(made, policy, Connections(settings)),
-        )
+    config = uvicorn.Config(
+        behind_proxies(application, settings),
+        host=settings.host,
+        port=port,
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=1,
+        timeout_keep_alive=int(KEEP_ALIVE_S),
+        server_header=False,
+        proxy_headers=False,  # uvicorn trusts every program of this machine by default
+        http=_protocol(made, policy, Connections(settings)),
+    )
+    server = (
+        uvicorn.Server(config)
+        if certificate is None
+        else TlsServer(config, settings, certificate, CertificateWatch(certificate, settings, service))
     )
     try:
         with held_port, suppress(KeyboardInterrupt):  # uvicorn has already shut down after Ctrl-C
@@ -101,6 +114,67 @@ def serve(
         raise SystemExit(_in_one_line(service, application.why))
     if not server.started:
         raise SystemExit(1)
+
+
+def behind_proxies(application: ASGIApp, settings: Settings) -> ASGIApp:
+    """Return `application` with the client's address and scheme from the headers of trusted proxies."""
+    if not settings.trusted_proxies:
+        return application
+    return cast("ASGIApp", ProxyHeadersMiddleware(cast("Any", application), list(settings.trusted_proxies)))
+
+
+class TlsServer(uvicorn.Server):
+    """A uvicorn server whose listener does TLS: handshakes are bounded, the certificate is watched.
+
+    `startup` with sockets, and `servers`, are no public API of uvicorn: pyproject.toml bounds its
+    version, and a test names it.
+    """
+
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        settings: Settings,
+        certificate: ServerCertificate,
+        watch: CertificateWatch,
+    ) -> None:
+        super().__init__(config)
+        self._settings = settings
+        self._certificate = certificate
+        self._watch = watch
+        self._watching: asyncio.Task[None] | None = None
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:  # noqa: ARG002 - see above
+        """Start the application, then listen with TLS."""
+        await super().startup(sockets=[])
+        config = self.config
+        try:
+            listener = await listen(
+                self._make_protocol,
+                config.host,
+                config.port,
+                self._certificate,
+                handshake_timeout_s=self._settings.tls_handshake_timeout_s,
+                backlog=config.backlog,
+            )
+        except OSError as error:
+            log.critical("cannot listen", host=config.host, port=config.port, error=error.strerror)
+            await self.lifespan.shutdown()
+            raise SystemExit(1) from None
+        self.servers = cast("list[asyncio.Server]", [listener])
+        self._watching = asyncio.create_task(self._watch.run())
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop to watch the certificate, and shut down."""
+        if self._watching is not None:
+            self._watching.cancel()
+        await super().shutdown(sockets)
+
+    def _make_protocol(self) -> asyncio.Protocol:
+        make: Any = self.config.http_protocol_class
+        made: asyncio.Protocol = make(
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+        return made
 
 
 def _protocol(made: ASGIApp, policy: OriginPolicy, connections: Connections) -> Any:

@@ -11,23 +11,29 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from dotenv import dotenv_values
-from pydantic import BeforeValidator, Field, SecretStr, ValidationError, field_validator
+from pydantic import BeforeValidator, Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
 
 from handover.errors import UsageError
-from handover.outbound_policy import OutboundPolicy
+from handover.outbound_policy import OutboundPolicy, is_loopback
 
 PREFIX = "HANDOVER_"
 LIFELINE = f"{PREFIX}LIFELINE"
 """Set by the launcher: the service ends when its standard input closes, so that no orphan remains."""
 ENV_FILE = ".env"
 SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
+PUBLIC_KEYS_FILE = "public-keys.json"
+"""In the security directory; it exists as soon as there are accounts."""
+DEFAULT_PORTS = (54100, 54200, 54210, 54220, 54230, 54240, 54270, 54280, 54400)
+"""The REST ports of our services, where no setting names others."""
+_OWN_PORT = re.compile(rf"{PREFIX}[A-Z_]+_PORT$")
 STARS = "********"
 PASSWORD_IN_URL = re.compile(r"(://[^:/@\s]*:)[^@\s]*@")
 USER_WITHOUT_PASSWORD = re.compile(r"^([^:/@\s]+://[^:/@\s]+)@")
@@ -94,6 +100,11 @@ class Settings(BaseSettings):
 
     factory: str = Field("demo", pattern=r"^[A-Za-z0-9_.-]+$", description="the factory part of entity ids")
     host: str = Field("127.0.0.1", description="the address that servers listen on")
+    instance: str = Field(
+        "",
+        pattern=r"^[A-Za-z0-9_.-]{0,63}$",
+        description="the name of this replica, where several of one service run: each subscribes for itself",
+    )
     data_dir: Path = Field(Path(".handover"), description="the directory of all persistent data")
     broker_url: str = Field("http://127.0.0.1:1026", description="the NGSI-LD broker, without /ngsi-ld/v1")
     broker_tenant: str | None = Field(None, description="NGSILD-Tenant to work in, if any")
@@ -116,6 +127,9 @@ class Settings(BaseSettings):
         description="an ended process and its Tasks are deleted from the broker after so many hours; "
         "the orchestrator keeps their history; 0: never",
     )
+    audit_retention_days: float = Field(
+        730.0, ge=0, description="audit records are deleted after so many days; 0: never"
+    )
     notification_key: SecretStr | None = Field(
         None,
         description="the key that the broker sends with each notification; "
@@ -131,12 +145,57 @@ class Settings(BaseSettings):
         description="origins (https://panel.example) whose requests are accepted besides each server's own, "
         "with commas: for a proxy that changes Host, and for WebSockets; CORS headers are not sent",
     )
+    tls_certificate: MaybePath = Field(
+        None,
+        description="the certificate of this server with its chain (PEM); with it servers and the glove port "
+        "speak TLS. `handover secure` makes one; a changed file is used for new connections",
+    )
+    tls_key: MaybePath = Field(
+        None, description="the private key of that certificate (PEM); by default in the same file"
+    )
+    tls_authority: MaybePath = Field(
+        None,
+        description="authorities (PEM) that clients of our services trust besides those of the system",
+    )
+    tls_proxy_url: str | None = Field(
+        None,
+        description="the https address of a proxy that does TLS for this server; with it a server may listen "
+        "beyond loopback without a certificate of its own",
+    )
+    trusted_proxies: Names = Field(
+        (),
+        description="addresses and networks of proxies, comma-separated, whose X-Forwarded-For and "
+        "X-Forwarded-Proto name the client and its scheme; from others these headers do not count",
+    )
+    tls_handshake_timeout_s: float = Field(10.0, gt=0, description="timeout for a TLS handshake, in seconds")
     outbound_allow: str = Field(
         "",
-        description="hosts, addresses and networks, comma-separated (task-orchestrator, 10.0.0.0/8), to "
-        "which a service may connect, besides public ones, where a client names the address (notifications, "
-        "context sources, @contexts, BPMN files). While it listens on loopback only, its own machine and "
-        "private networks are open without it",
+        description="hosts, endpoints and networks, comma-separated (mes, 127.0.0.1:1883, 10.0.0.0/8), to "
+        "which a service may connect, besides public ones and our own services, where a client names the "
+        "address (notifications, context sources, @contexts, BPMN files). While it listens on loopback only, "
+        "private networks, and without accounts its own machine, are open without it",
+    )
+    accounts_port: int = Field(54230, ge=1, le=65535, description="REST port of accounts")
+    accounts_url: str | None = Field(
+        None, description="the URL of accounts for others; by default http://host:port"
+    )
+    security_dir: MaybePath = Field(
+        None,
+        description="the directory of the public keys of accounts and of the services' tokens; "
+        "`security` in the data directory if absent",
+    )
+    service_token: SecretStr | None = Field(
+        None,
+        description="the token with which a service identifies itself to accounts; by default its file",
+    )
+    service_token_file: MaybePath = Field(
+        None,
+        description="the file of that token; by default `service-tokens/SERVICE` in the security directory",
+    )
+    authority_dir: MaybePath = Field(
+        None,
+        description="the directory of the local certificate authority of `handover secure`; `tls` in the "
+        "data directory if absent",
     )
     http_header_timeout_s: float = Field(
         10.0, gt=0, description="timeout for the head of a request, in seconds"
@@ -180,6 +239,35 @@ class Settings(BaseSettings):
             raise ValueError("must start with http:// or https://")
         return url.rstrip("/").removesuffix("/ngsi-ld/v1")
 
+    @field_validator("service_token")
+    @classmethod
+    def _is_token(cls, token: SecretStr | None) -> SecretStr | None:
+        return token if token is not None and token.get_secret_value() else None
+
+    @field_validator("tls_proxy_url")
+    @classmethod
+    def _is_https(cls, url: str | None) -> str | None:
+        if url and re.fullmatch(r"https://[^/@\s]+/?", url) is None:
+            raise ValueError(f'"{url}" is no https address; write it as https://cell-3.factory.example')
+        return url or None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _uses_tls_for_the_broker(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """With a certificate our own broker on this machine speaks TLS, too."""
+        if values.get("tls_certificate") and not values.get("broker_url"):
+            return {
+                **values,
+                "broker_url": cls.model_fields["broker_url"].default.replace("http", "https", 1),
+            }
+        return values
+
+    @model_validator(mode="after")
+    def _has_certificate_for_key(self) -> Self:
+        if self.tls_key is not None and self.tls_certificate is None:
+            raise ValueError("tls_key is set without tls_certificate; set both")
+        return self
+
     @field_validator("notification_key")
     @classmethod
     def _is_long_enough(cls, key: SecretStr | None) -> SecretStr | None:
@@ -198,6 +286,18 @@ class Settings(BaseSettings):
                     f'"{origin}" is no origin; write it as https://panel.example or http://host:8080'
                 )
         return origins
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _are_networks(cls, proxies: tuple[str, ...]) -> tuple[str, ...]:
+        for proxy in proxies:
+            try:
+                ip_network(proxy)
+            except ValueError:
+                raise ValueError(
+                    f'"{proxy}" is no address or network; write it as 127.0.0.1 or 10.0.3.0/24'
+                ) from None
+        return proxies
 
     @field_validator("outbound_allow")
     @classmethod
@@ -221,12 +321,41 @@ class Settings(BaseSettings):
         """Return the address of a server on `port`: `url`, or by default host and port."""
         if url:
             return url.rstrip("/")
+        scheme = "http" if self.tls_certificate is None else "https"
         host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)  # noqa: S104 - not bound
-        return f"http://{f'[{host}]' if ':' in host else host}:{port}"
+        return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
+
+    def expects_tls(self, host: str) -> bool:
+        """Return whether a server of ours on `host` is expected to speak TLS, where no URL says it."""
+        if self.tls_certificate is not None:
+            return True
+        return self.tls_authority is not None and not is_loopback(host)
 
     def outbound_policy(self) -> OutboundPolicy:
         """Return which addresses the service may connect to where a client names them."""
-        return OutboundPolicy.of(self.host, self.outbound_allow)
+        return OutboundPolicy.of(
+            self.host,
+            self.outbound_allow,
+            endpoints=self._own_endpoints(),
+            accounts_file=self.security_folder / PUBLIC_KEYS_FILE,
+        )
+
+    def _own_endpoints(self) -> Iterator[tuple[str, int]]:
+        """Yield host and port of our own services: those with a URL, and the ports on this machine."""
+        for url in self.own_urls():
+            parts = urlsplit(url)
+            if parts.hostname:
+                yield parts.hostname, parts.port or (443 if parts.scheme == "https" else 80)
+        given = {**dotenv_values(ENV_FILE), **os.environ}
+        own = (value or "" for name, value in given.items() if _OWN_PORT.match(name))
+        ports = {int(value) for value in own if value.isdigit()}
+        for port in (*DEFAULT_PORTS, *ports):
+            yield from ((host, port) for host in ("127.0.0.1", "localhost", "::1"))
+
+    @property
+    def ca_files(self) -> tuple[Path, ...]:
+        """The files with authorities that clients trust besides those of the system."""
+        return () if self.tls_authority is None else (self.tls_authority,)
 
     def own_urls(self) -> Iterator[str]:
         """Yield the addresses of our servers in these settings."""
@@ -238,6 +367,16 @@ class Settings(BaseSettings):
                 and str(url).startswith(("http://", "https://"))
             ):
                 yield url
+
+    @property
+    def accounts(self) -> str:
+        """The URL of accounts."""
+        return self.url_of(self.accounts_port, self.accounts_url)
+
+    @property
+    def security_folder(self) -> Path:
+        """The directory of public keys and service tokens."""
+        return self.security_dir or self.data_dir / "security"
 
     def database(self, component: str) -> str:
         """Return the SQLAlchemy URL of `component`'s database."""

@@ -9,8 +9,11 @@ from typing import Annotated, Any, TypeVar
 import httpx
 import typer
 
+from handover.cli.access import access_headers, cli_access
 from handover.cli.services import ROS_BRIDGE
 from handover.errors import UsageError
+from handover.settings import Settings
+from handover.tls_trust import client_context
 from ros_fiware_bridge.settings import BridgeSettings
 
 app = typer.Typer(
@@ -152,7 +155,13 @@ async def _on_the_graph(
 def _asked_of_bridge(path: str) -> Any:
     """Return the answer of a running bridge; None without one."""
     try:
-        answer = httpx.get(f"{ROS_BRIDGE.url()}{path}", timeout=5, trust_env=False)
+        answer = httpx.get(
+            f"{ROS_BRIDGE.url()}{path}",
+            headers=access_headers(Settings.load()),
+            timeout=5,
+            trust_env=False,
+            verify=client_context(*ROS_BRIDGE.settings.load().ca_files),
+        )
     except httpx.TransportError:
         return None
     return answer.json() if answer.is_success else None
@@ -162,7 +171,7 @@ async def _entities(settings: BridgeSettings) -> list[str]:
     from handover.broker import BrokerClient, BrokerError  # noqa: PLC0415
 
     try:
-        async with BrokerClient(settings) as broker:
+        async with cli_access(settings) as access, BrokerClient(settings, credentials=access) as broker:
             types = await broker.types()
     except BrokerError as error:
         return [f"the broker does not answer: {error}"]

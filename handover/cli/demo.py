@@ -12,12 +12,14 @@ import httpx
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient, BrokerError
+from handover.cli.access import AccessAuth, cli_access
 from handover.cli.glove import bridge_arguments
 from handover.cli.launcher import Launcher
 from handover.cli.progress import ProgressPrinter, Say
 from handover.cli.services import service_named, wanted
 from handover.errors import UsageError
 from handover.settings import Settings
+from handover.tls_trust import client_context
 
 DEFINITION = "bin-picking"
 GLOVE = "glove-1"
@@ -56,8 +58,14 @@ async def run_process(settings: Settings, say: Say) -> None:
     orchestrator = service_named("task-orchestrator").url()
     began = datetime.now(UTC)
     async with (
-        httpx.AsyncClient(base_url=orchestrator, trust_env=False) as http,
-        BrokerClient(settings) as broker,
+        cli_access(settings) as access,
+        httpx.AsyncClient(
+            base_url=orchestrator,
+            trust_env=False,
+            verify=client_context(*settings.ca_files),
+            auth=AccessAuth(access),
+        ) as http,
+        BrokerClient(settings, credentials=access) as broker,
     ):
         answer = await http.post("/processes", json={"definition": DEFINITION})
         if not answer.is_success:

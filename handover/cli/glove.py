@@ -4,9 +4,9 @@ import os
 from collections.abc import Callable, Sequence
 from urllib.parse import quote
 
-import httpx
-
+from glove_sdk_bridge.controller_client import ACCESS_TOKEN
 from glove_sdk_bridge.sources import source_kinds
+from handover.cli.access import ask_service, cli_access
 from handover.errors import UsageError
 from services.gesture_controller.settings import ControllerSettings
 
@@ -31,14 +31,21 @@ def bridge_arguments(arguments: Sequence[str]) -> list[str]:
     settings = ControllerSettings.load()
     if settings.token is not None and not os.environ.get("HANDOVER_GLOVE_TOKEN"):
         os.environ["HANDOVER_GLOVE_TOKEN"] = settings.token
+    access_token = cli_access(settings).secret_token()
+    if access_token is not None:
+        os.environ[ACCESS_TOKEN] = access_token
     known = {
         "host": {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.glove_host, settings.glove_host),  # noqa: S104
         "port": str(settings.glove_port),
         "controller": settings.url_of(settings.controller_port, settings.controller_url),
     }
+    if settings.tls_authority is not None:
+        os.environ["HANDOVER_TLS_AUTHORITY"] = str(settings.tls_authority)
     command, *options = arguments
     names = TALKS_TO.get(command, ("host", "port"))
     from_settings = [part for name in names for part in (f"--{name}", known[name])]
+    if "port" in names and settings.expects_tls(settings.glove_host):
+        from_settings.append("--tls")
     return [command, *from_settings, *options]
 
 
@@ -50,25 +57,12 @@ def change_token(words: Sequence[str], say: Callable[[str], None]) -> None:
         raise UsageError("name the glove: handover glove token NAME, or handover glove token NAME --remove")
     settings = ControllerSettings.load()
     controller = settings.url_of(settings.controller_port, settings.controller_url)
-    url = f"{controller}/gloves/{quote(names[0], safe='')}/token"
-    try:
-        answer = httpx.request("DELETE" if remove else "PUT", url, timeout=30, trust_env=False)
-    except httpx.TransportError:
-        raise UsageError(
-            f"the gesture controller does not answer at {controller}; start it with: handover up"
-        ) from None
-    if not answer.is_success:
-        raise UsageError(_reason(answer))
+    path = f"/gloves/{quote(names[0], safe='')}/token"
+    method = "DELETE" if remove else "PUT"
+    answer = ask_service("gesture controller", settings, method, controller, path)
     if remove:
         say(f"{names[0]} has no token any more")
         return
     say(f"The token of {names[0]} (it is shown only once):")
     say(str(answer.json()["token"]))
     say("Give it to the glove as HANDOVER_GLOVE_TOKEN; it connects with this token only.")
-
-
-def _reason(answer: httpx.Response) -> str:
-    try:
-        return str(answer.json()["detail"])
-    except (ValueError, KeyError, TypeError):
-        return f"the gesture controller answered {answer.status_code}"

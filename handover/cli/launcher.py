@@ -20,9 +20,11 @@ import httpx
 
 from handover.errors import UsageError
 from handover.extensions import Service
+from handover.outbound_policy import is_loopback
 from handover.ports import held
 from handover.retry import Backoff
 from handover.settings import LIFELINE, Settings
+from handover.tls_trust import client_context, handshake_fault
 from services.context_broker.settings import BrokerSettings
 
 READY_WITHIN_S = 30.0
@@ -30,7 +32,6 @@ STOP_WITHIN_S = 2.0
 MIN_FREE_BYTES = 50 * 1024 * 1024
 MAX_LOG_BYTES = 10 * 1024 * 1024
 BROKER = "context-broker"
-LOOPBACK = "localhost,127.0.0.0/8,::1"
 NO_USE = 2
 """The exit code of a process for which a restart does not help."""
 INITIAL_RESTART_S, MAX_RESTART_S = 0.2, 5.0
@@ -57,10 +58,14 @@ class Running:
         return f"no log line; see {self.log}"
 
 
-def _hosts_of(services: Sequence[Service]) -> set[str]:
-    """Return the host names and addresses of the services."""
-    urls = [url for one in services for url in (one.url(), *one.settings.load().own_urls())]
-    return {host for url in urls if (host := urlsplit(url).hostname)}
+def _places_of(services: Sequence[Service]) -> set[str]:
+    """Return the hosts of the services; on this machine with the port, since other programs are there too."""
+    parts = [urlsplit(url) for one in services for url in (one.url(), *one.settings.load().own_urls())]
+    return {
+        part.netloc.rpartition("@")[2] if is_loopback(part.hostname) else part.hostname
+        for part in parts
+        if part.hostname
+    }
 
 
 class Launcher:
@@ -72,7 +77,7 @@ class Launcher:
         self._settings = settings
         # The broker may notify the services at all their addresses.
         given = BrokerSettings.load().outbound_allow
-        self._broker_outbound_allow = ",".join(filter(None, (LOOPBACK, *sorted(_hosts_of(services)), given)))
+        self._broker_outbound_allow = ",".join(filter(None, (*sorted(_places_of(services)), given)))
         self._say = say
         self._running: list[Running] = []
         self._watchers: list[asyncio.Task[None]] = []
@@ -159,7 +164,9 @@ class Launcher:
 
     async def _all_ready(self) -> None:
         deadline_s = time.monotonic() + READY_WITHIN_S
-        async with httpx.AsyncClient(timeout=2.0, trust_env=False) as http:
+        async with httpx.AsyncClient(
+            timeout=2.0, trust_env=False, verify=client_context(*self._settings.ca_files)
+        ) as http:
             await asyncio.gather(*(self._ready(http, running, deadline_s) for running in self._running))
 
     async def _ready(self, http: httpx.AsyncClient, running: Running, deadline_s: float) -> None:
@@ -167,8 +174,11 @@ class Launcher:
         while time.monotonic() < deadline_s:
             if running.process is not None and running.process.returncode is not None:
                 raise UsageError(f"{running.name} could not start: {running.last_log_line()}")
-            with contextlib.suppress(httpx.TransportError):
+            try:
                 answer = await http.get(f"{running.url}/readyz")
+            except httpx.TransportError as error:
+                reason = handshake_fault(error, running.name) or reason
+            else:
                 if answer.is_success:
                     return
                 reason = answer.text

@@ -9,7 +9,18 @@ from typing import Annotated, Any
 
 import typer
 
-from handover.cli import bridge, broker, process, robot, secrets, specification
+from handover.cli import (
+    accounts,
+    audit,
+    bridge,
+    broker,
+    device,
+    process,
+    robot,
+    secrets,
+    secure,
+    specification,
+)
 from handover.cli.check import databases, faults_in
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
@@ -32,7 +43,11 @@ app.add_typer(bridge.app, name="bridge")
 app.add_typer(broker.app, name="broker")
 app.add_typer(specification.app, name="specification")
 app.add_typer(secrets.app, name="secrets")
+app.add_typer(secure.app, name="secure")
 app.add_typer(robot.app, name="robot")
+app.add_typer(accounts.app, name="accounts")
+app.add_typer(audit.app, name="audit")
+app.add_typer(device.app, name="device")
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 
@@ -88,6 +103,7 @@ def run(
     """Run one service in the foreground."""
     chosen = service_named(service)
     secrets.wait_for_secrets()
+    secure.wait_for_security("HANDOVER_TLS_KEY", "HANDOVER_TLS_CERTIFICATE")
     if port is not None:
         os.environ[chosen.port_setting] = str(port)
     _settings(data_dir)
@@ -105,6 +121,7 @@ def glove(context: typer.Context) -> None:
     from glove_sdk_bridge.__main__ import main as bridge  # noqa: PLC0415 - only this command needs it
 
     secrets.wait_for_secrets()
+    secure.wait_for_security()
     raise typer.Exit(bridge(bridge_arguments(context.args), program="handover glove"))
 
 

@@ -1,6 +1,7 @@
 """`handover process`: deploy BPMN files; start, list, show, cancel processes; mend what cannot continue."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,9 +10,12 @@ import orjson
 import typer
 import yaml
 
+from handover.cli.access import access_headers
 from handover.cli.exporters import EXPORTERS, Exporter
 from handover.cli.services import service_named
 from handover.errors import UsageError
+from handover.settings import Settings
+from handover.tls_trust import client_context, handshake_fault
 
 app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, mend.", no_args_is_help=True)
 
@@ -370,13 +374,22 @@ def _mend(
     print(f"{answer['id']} continues: {', '.join(answer['waiting']) or answer['status']}")
 
 
-def _ask(method: str, path: str, **content: Any) -> Any:
+def _ask(method: str, path: str, *, headers: Mapping[str, str] | None = None, **content: Any) -> Any:
     orchestrator = service_named("task-orchestrator").url()
     try:
-        answer = httpx.request(method, f"{orchestrator}{path}", timeout=30, trust_env=False, **content)
-    except httpx.TransportError:
+        answer = httpx.request(
+            method,
+            f"{orchestrator}{path}",
+            headers={**(headers or {}), **access_headers(Settings.load())},
+            timeout=30,
+            trust_env=False,
+            verify=client_context(*Settings.load().ca_files),
+            **content,
+        )
+    except httpx.TransportError as error:
         raise UsageError(
-            f"the task orchestrator does not answer at {orchestrator}; start it with: handover up"
+            handshake_fault(error, orchestrator)
+            or f"the task orchestrator does not answer at {orchestrator}; start it with: handover up"
         ) from None
     if answer.is_success:
         return answer.json() if answer.content else None

@@ -2,11 +2,11 @@
 
 import asyncio
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from handover.cli import robot_limits
+from handover.cli import case_study, robot_limits, robot_simulation
 from handover.cli.robot_task import perform
 from handover.errors import UsageError
 from handover.settings import Settings
@@ -16,6 +16,8 @@ app = typer.Typer(help="Robots: add one from a URDF, list them, check a process.
 app.command("speed-limit")(robot_limits.speed_limit)
 app.command("people")(robot_limits.people)
 app.command("measure-stop")(robot_limits.measure_stop)
+app.command("case-study")(case_study.case_study)
+app.command("simulate-ur")(robot_simulation.simulate_ur)
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 
@@ -111,13 +113,18 @@ def calibrate_camera(
     target: Annotated[
         str, typer.Option("--target", help="The ball: a spherical obstacle of the scene.")
     ] = "calibration-ball",
+    camera: Annotated[
+        str | None, typer.Option("--camera", help="A fixed camera of the scene, instead of that in the hand.")
+    ] = None,
     timeout_s: Annotated[float, typer.Option("--timeout", help="Seconds to wait for the end.")] = 300.0,
 ) -> None:
-    """Find out where the camera in the hand is mounted: the robot moves it around a ball."""
-    result = asyncio.run(perform(Settings.load(), robot, "calibrateCamera", {"target": target}, timeout_s))
+    """Find out where a camera is mounted: in the hand, moved around a ball, or fixed, from several balls."""
+    asked: dict[str, Any] = {"target": target} if camera is None else {"camera": camera}
+    result = asyncio.run(perform(Settings.load(), robot, "calibrateCamera", asked, timeout_s))
+    seen = f"{result['images']} images" if "images" in result else f"{result['balls']} balls"
     print(
         f"{robot}: the camera is {result['movedMm']} mm and {result['turnedDeg']} degrees from where it was "
-        f"assumed; {result['images']} images agree within {result['residualMm']} mm"
+        f"assumed; {seen} agree within {result['residualMm']} mm"
     )
 
 

@@ -3,13 +3,18 @@
 import asyncio
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
+import httpx
 import typer
 from websockets.asyncio.client import connect
 
+from handover.cli.access import cli_access
 from handover.errors import UsageError
+from handover.settings import Settings
+from handover.tls_trust import client_context, tls_of
 
 Robot = Annotated[str, typer.Argument(help="The name of the robot, for example ur10-1.")]
 Url = Annotated[str | None, typer.Option("--url", help="The trajectory tool, else that of the settings.")]
@@ -29,7 +34,7 @@ def speed_limit(  # noqa: PLR0917 - options of a command
 ) -> None:
     """Send speed limits to a robot, as human_state does; afterwards the source is required until removed."""
     report = {"source": source, "fraction": fraction, "reason": reason, "period": period}
-    asyncio.run(_send(_stream(url, robot, "speed_limits"), report, seconds, period))
+    asyncio.run(_send(_stream(url, robot, "speed_limits"), lambda: report, seconds, period))
 
 
 def people(  # noqa: PLR0917 - options of a command
@@ -42,20 +47,30 @@ def people(  # noqa: PLR0917 - options of a command
     protective_field: Annotated[
         bool, typer.Option("--protective", help="The protective field is infringed.")
     ] = False,
+    sensor: Annotated[
+        str | None,
+        typer.Option("--sensor", help="Send what this lidar or depth camera of the scene would measure."),
+    ] = None,
     seconds: Seconds = 10.0,
     period: Period = 0.1,
     url: Url = None,
 ) -> None:
-    """Send the places of people to a robot, as a lidar does; afterwards the sensor is required."""
+    """Send the places of people to a robot, as a lidar does; afterwards the sensor is required.
+
+    With `--sensor`, scans or depth images of them are simulated and sent to all robots of the cell.
+    """
+    if sensor is not None:
+        asyncio.run(_send_measured(_base(url), sensor, places or [], seconds, period))
+        return
     seen = [_person(number, place) for number, place in enumerate(places or [], 1)]
     report = {
         "source": source,
         "people": seen,
         "period": period,
-        "warningField": warning_field,
-        "protectiveField": protective_field,
     }
-    asyncio.run(_send(_stream(url, robot, "people"), report, seconds, period))
+    if warning_field or protective_field:
+        report |= {"warningField": warning_field, "protectiveField": protective_field}
+    asyncio.run(_send(_stream(url, robot, "people"), lambda: report, seconds, period))
 
 
 def measure_stop(
@@ -69,8 +84,8 @@ def measure_stop(
 
     The trajectory tool must not run. Enter the values with `PUT /robots/ROBOT/limits/stop`.
     """
-    from services.trajectory_tool.limits.stop_measurement import measure_stop as measure  # noqa: PLC0415
     from services.trajectory_tool.settings import TrajectorySettings  # noqa: PLC0415
+    from services.trajectory_tool.stop_measurement import measure_stop as measure  # noqa: PLC0415
     from services.trajectory_tool.workcell import Workcell  # noqa: PLC0415
 
     settings = TrajectorySettings.load(**({} if cell is None else {"cell_file": cell}))
@@ -90,10 +105,46 @@ def measure_stop(
 
 
 def _stream(url: str | None, robot: str, name: str) -> str:
+    return f"{_base(url).replace('http', 'ws', 1)}/robots/{robot}/{name}"
+
+
+def _base(url: str | None) -> str:
     from services.trajectory_tool.settings import TrajectorySettings  # noqa: PLC0415 - only these commands
 
-    base = url or TrajectorySettings.load().service_url
-    return f"{base.replace('http', 'ws', 1)}/robots/{robot}/{name}"
+    return url or TrajectorySettings.load().service_url
+
+
+async def _send_measured(base: str, name: str, places: list[str], seconds: float, period_s: float) -> None:
+    from services.trajectory_tool.people.simulation import SimulatedSensor  # noqa: PLC0415
+    from services.trajectory_tool.scene import Scene  # noqa: PLC0415
+    from services.trajectory_tool.workcell import VIEW_ONLY  # noqa: PLC0415
+
+    try:
+        async with httpx.AsyncClient(
+            trust_env=False,
+            verify=client_context(*Settings.load().ca_files),
+            headers=await _headers(),
+        ) as client:
+            written = (await client.get(f"{base}/cell/scene")).raise_for_status().json()
+    except httpx.HTTPError as error:
+        raise UsageError(f"{base} does not answer: {error}; start the trajectory tool") from None
+    scene = Scene.model_validate({key: each for key, each in written.items() if key not in VIEW_ONLY})
+    if name not in scene.people_sensors:
+        known = ", ".join(scene.people_sensors) or "none"
+        raise UsageError(f'the scene has no sensor "{name}"; it has {known}; add it to people_sensors')
+    simulated = SimulatedSensor(scene, name)
+    people = [(each["x"], each["y"]) for each in (_person(1, place) for place in places)]
+    stream = "scans" if simulated.sensor.kind == "lidar" else "depth_images"
+
+    def measured() -> dict[str, Any]:
+        return simulated.measure(people, time.time()).model_dump(mode="json", by_alias=True)
+
+    await _send(f"{base.replace('http', 'ws', 1)}/cell/{stream}", measured, seconds, period_s)
+
+
+async def _headers() -> dict[str, str]:
+    async with cli_access(Settings.load()) as access:
+        return await access.headers()
 
 
 def _person(number: int, place: str) -> dict[str, Any]:
@@ -104,13 +155,15 @@ def _person(number: int, place: str) -> dict[str, Any]:
     return {"id": f"person-{number}", "x": x, "y": y}
 
 
-async def _send(url: str, report: dict[str, Any], seconds: float, period_s: float) -> None:
+async def _send(url: str, report: Callable[[], dict[str, Any]], seconds: float, period_s: float) -> None:
     """Send a report each period; print answers that are refusals, and the last one."""
     ends_s = time.monotonic() + seconds
     try:
-        async with connect(url, proxy=None) as stream:
+        async with connect(
+            url, proxy=None, ssl=tls_of(url, Settings.load().ca_files), additional_headers=await _headers()
+        ) as stream:
             while True:
-                await stream.send(json.dumps({**report, "stamp": time.time()}))
+                await stream.send(json.dumps({**report(), "stamp": time.time()}))
                 answer = json.loads(await stream.recv())
                 if not answer["accepted"]:
                     raise UsageError(f"refused: {answer['reason']}")
@@ -119,4 +172,4 @@ async def _send(url: str, report: dict[str, Any], seconds: float, period_s: floa
                 await asyncio.sleep(period_s)
     except OSError as error:
         raise UsageError(f"{url} does not answer: {error}; start the trajectory tool") from None
-    print(f"accepted: {json.dumps(report)}")
+    print(f"accepted by {url}")

@@ -9,6 +9,7 @@ from typing import Any
 from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
 from handover.broker import BrokerClient
+from handover.cli.access import cli_access
 from handover.errors import UsageError
 from handover.settings import Settings
 from handover.task_life import FINISHED
@@ -37,7 +38,7 @@ async def perform(
             "workParameters": {"type": "Property", "value": {"operation": operation, **parameters}},
         }
     )
-    async with BrokerClient(settings) as broker:
+    async with cli_access(settings) as access, BrokerClient(settings, credentials=access) as broker:
         await broker.create(task)
         try:
             async with asyncio.timeout(timeout_s):

@@ -26,13 +26,17 @@ app = typer.Typer(help="Random secrets as files.", no_args_is_help=True)
 @app.command()
 def make() -> None:
     """Create the missing secrets; change none."""
-    folder = _folder()
+    make_in(_folder())
+    typer.echo("To read them: handover secrets show (containers: docker compose run --rm init secrets show)")
+
+
+def make_in(folder: Path) -> None:
+    """Create the missing secrets in `folder`, and say which were created."""
     for name in SECRETS:
         if write_once(folder / name, os.environ.get(name) or secrets.token_hex(RANDOM_BYTES)):
             typer.echo(f"{name}: created in {folder / name}")
         else:
             typer.echo(f"{name}: exists in {folder / name}")
-    typer.echo("To read them: handover secrets show (containers: docker compose run --rm secrets show)")
 
 
 @app.command()
@@ -56,7 +60,7 @@ def wait_for_secrets(*, timeout_s: float = READY_TIMEOUT_S) -> None:
             if time.monotonic() > deadline_s:
                 raise UsageError(
                     f"there is no secret {file}; make it with: handover secrets make "
-                    "(containers: docker compose up secrets)"
+                    "(containers: docker compose up init)"
                 )
             time.sleep(CHECK_EVERY_S)
 

@@ -1,15 +1,24 @@
 """The services of a cell: name, module and port."""
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from handover.errors import UsageError
 from handover.extensions import EXTRA_SERVICES, Service
 from handover.settings import Settings
 from ros_fiware_bridge.settings import BridgeSettings
+from services.accounts.settings import AccountsSettings
+from services.alert_router.settings import RouterSettings
 from services.context_broker.settings import BrokerSettings
+from services.device_gateway.settings import GatewaySettings
 from services.gesture_controller.settings import ControllerSettings
 from services.study.settings import StudySettings
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.trajectory_tool.settings import TrajectorySettings
 from webui.settings import WebuiSettings
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
 
 SERVICES = (
     Service("context-broker", "services.context_broker", BrokerSettings, "broker_port"),
@@ -22,6 +31,15 @@ SERVICES = (
         (("glove_host", "glove_port"),),
     ),
     Service("trajectory-tool", "services.trajectory_tool", TrajectorySettings, "trajectory_port"),
+    Service(
+        "device-gateway",
+        "services.device_gateway",
+        GatewaySettings,
+        "gateway_port",
+        (("device_host", "device_port"),),
+    ),
+    Service("alert-router", "services.alert_router", RouterSettings, "alert_router_port"),
+    Service("accounts", "services.accounts", AccountsSettings, "accounts_port"),
     Service("study", "services.study", StudySettings, "study_port"),
     Service("webui", "webui", WebuiSettings, "webui_port"),
 )
@@ -50,6 +68,23 @@ def service_named(name: str) -> Service:
         return _extra(name)
     known = ", ".join((*(one.name for one in (*SERVICES, *OPTIONAL_SERVICES)), *EXTRA_SERVICES.names()))
     raise UsageError(f'there is no service "{name}"; the services are {known}')
+
+
+def application_of(service: Service) -> "FastAPI | None":
+    """Return the application of a service with the present settings; None if FastAPI does not answer it."""
+    from fastapi import FastAPI  # noqa: PLC0415 - the command line starts without it
+
+    for module in ("app", "server"):
+        try:
+            make = getattr(importlib.import_module(f"{service.module}.{module}"), "make_app", None)
+        except ModuleNotFoundError:
+            continue
+        if make is not None:
+            made: Any = make(service.settings.load())
+            while not isinstance(made, FastAPI):  # a wrapper of the application
+                made = next(value for name, value in vars(made).items() if name.lstrip("_") == "app")
+            return made
+    return None
 
 
 def _extra(name: str) -> Service:

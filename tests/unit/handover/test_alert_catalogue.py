@@ -19,12 +19,13 @@ def test_the_reference_shows_the_catalogue() -> None:
     assert as_markdown() in page
 
 
-def test_every_alert_is_raised_by_a_service() -> None:
+def test_every_alert_is_raised_by_a_service_or_by_the_server_of_all() -> None:
     sources = [
         file.read_text()
         for folder in ("services", "ros_fiware_bridge")
         for file in (ROOT / folder).rglob("*.py")
     ]
+    sources.append((ROOT / "handover" / "certificate_watch.py").read_text())
     catalogue = (ROOT / "handover" / "alert_catalogue.py").read_text()
     for name in re.findall(r"^([A-Z_]+): Final = AlertType", catalogue, flags=re.MULTILINE):
         assert any(re.search(rf"\b{name}\b", source) for source in sources), name

@@ -97,9 +97,12 @@ def test_a_connection_that_lasts_is_waited_for_as_long_as_it_does(
 
 
 def test_a_program_that_listens_on_another_of_our_addresses_is_not_waited_for() -> None:
-    with socket.create_server(("127.0.0.2", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(UsageError, match=rf"port {port} .* taken"):
+    with hold(HERE, 0, SETTING) as unused:  # so that no other program listens at the first address
+        port = unused.getsockname()[1]
+        with (
+            socket.create_server(("127.0.0.2", port)),
+            pytest.raises(UsageError, match=rf"port {port} .* taken"),
+        ):
             hold_when_free("0.0.0.0", port, SETTING, say=pytest.fail)
         hold_when_free(HERE, port, SETTING, say=pytest.fail).close()
 

@@ -44,17 +44,17 @@ def test_a_new_directory_is_made_and_left_clean(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("own", [None, "10.0.0.0/8,scada.example"])
-def test_the_broker_may_connect_to_this_machine_and_to_what_is_set(
+def test_the_broker_may_connect_to_the_services_and_to_what_is_set(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("HANDOVER_OUTBOUND_ALLOW", raising=False)
     if own is not None:
         (tmp_path / ".env").write_text(f"HANDOVER_OUTBOUND_ALLOW={own}\n")
-    allowed = asyncio.run(allowed_by_the_launcher(tmp_path, []))
+    allowed = asyncio.run(allowed_by_the_launcher(tmp_path, SERVICES))
     policy = BrokerSettings.load(host="0.0.0.0", outbound_allow=allowed).outbound_policy()
-    assert [policy.fault_of(one) for one in ("127.0.0.1", "127.8.8.8", "::1")] == [None] * 3
-    assert "localhost" in policy.hosts
+    assert policy.fault_of("127.0.0.1", 54200) is None
+    assert policy.fault_of("127.0.0.1", 9) is not None, "another program of this machine"
     assert (policy.fault_of("10.1.2.3") is None, "scada.example" in policy.hosts) == (bool(own), bool(own))
 
 

@@ -1,0 +1,128 @@
+"""The certificate of a server: loaded from its files, and loaded again when they change.
+
+`context` is the TLS context of a listener and lives as long as it does. OpenSSL asks its callback at each
+ClientHello, and the callback selects the context of the newest certificate. So a new certificate takes effect
+for new connections at once, open ones keep theirs, and a broken file changes nothing.
+"""
+
+import ssl
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Final, Self
+
+from handover.errors import UsageError
+from handover.settings import Settings
+from handover.telemetry import get_logger
+
+log = get_logger(__name__)
+
+EXPIRES_SOON: Final = timedelta(days=7)
+CIPHERS: Final = "ECDHE+AESGCM:ECDHE+CHACHA20"
+"""The ciphers of TLS 1.2: forward secrecy and authenticated encryption. Those of TLS 1.3 all have both."""
+
+Signature = tuple[tuple[int, int, int], ...]
+
+
+class CertificateInvalid(UsageError):
+    """A certificate or its key cannot be used; the text names the file, the rule and the way out."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Loaded:
+    context: ssl.SSLContext
+    expires: datetime
+    signature: Signature
+
+
+class ServerCertificate:
+    """The certificate in `certificate` (PEM, with its chain) and its key; raises `CertificateInvalid`."""
+
+    def __init__(self, certificate: Path, key: Path | None = None) -> None:
+        self.path = certificate
+        self._key = key or certificate
+        self._loaded = self._load()
+        if self.expires <= datetime.now(UTC):
+            raise CertificateInvalid(
+                f"the certificate {self.path} expired on {self.expires:%Y-%m-%d}; renew it with "
+                "`handover secure renew`, or replace the file"
+            )
+        self.context = self._loaded.context
+        self.context.sni_callback = self._select_newest
+
+    @classmethod
+    def of(cls, settings: Settings) -> Self | None:
+        """Return the certificate of `settings`; None without one."""
+        if settings.tls_certificate is None:
+            return None
+        return cls(settings.tls_certificate, settings.tls_key)
+
+    @property
+    def expires(self) -> datetime:
+        """When the certificate in use expires."""
+        return self._loaded.expires
+
+    def reload(self) -> bool:
+        """Load changed files; return whether new connections have another certificate from now on.
+
+        Raises `CertificateInvalid` for files that cannot be used; the former certificate stays in use.
+        """
+        if self._signature() == self._loaded.signature:
+            return False
+        self._loaded = self._load()
+        log.info("certificate loaded", file=str(self.path), expires=str(self.expires))
+        return True
+
+    def _select_newest(self, connection: Any, _: str | None, __: ssl.SSLContext) -> None:
+        connection.context = self._loaded.context
+
+    def _signature(self) -> Signature:
+        found = []
+        for path in (self.path, self._key):
+            try:
+                status = path.stat()
+            except OSError as error:
+                raise self._unreadable(path, error) from None
+            found.append((status.st_ino, status.st_mtime_ns, status.st_size))
+        return tuple(found)
+
+    def _load(self) -> _Loaded:
+        signature = self._signature()
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        context.set_ciphers(CIPHERS)
+        context.options |= ssl.OP_NO_RENEGOTIATION | ssl.OP_NO_COMPRESSION
+        try:
+            context.load_cert_chain(self.path, self._key, password=self._refuse_encrypted_key)
+            pem = self.path.read_bytes()
+        except ssl.SSLError as error:
+            reason = (error.reason or str(error)).replace("_", " ").lower()
+            raise CertificateInvalid(
+                f"the certificate {self.path} with the key {self._key} cannot be used: {reason}; both must "
+                "be PEM and belong together. `handover secure` makes them"
+            ) from None
+        except OSError as error:
+            raise self._unreadable(self.path, error) from None
+        if signature != self._signature():
+            raise CertificateInvalid(f"the certificate {self.path} changed while it was read; try again")
+        return _Loaded(context, _expiry(pem), signature)
+
+    def _refuse_encrypted_key(self) -> str:
+        raise CertificateInvalid(
+            f"the key {self._key} is encrypted; servers start without a person, so store it unencrypted, "
+            "readable only by the user of the service"
+        )
+
+    @staticmethod
+    def _unreadable(path: Path, error: OSError) -> CertificateInvalid:
+        return CertificateInvalid(
+            f"{path} cannot be read: {error.strerror}; make it readable for the user of this service, or "
+            "set HANDOVER_TLS_CERTIFICATE and HANDOVER_TLS_KEY to files of `handover secure`"
+        )
+
+
+def _expiry(pem: bytes) -> datetime:
+    """Return when the first certificate, that of the server, expires."""
+    from cryptography.x509 import load_pem_x509_certificates  # noqa: PLC0415 - 30 ms, only with TLS
+
+    return load_pem_x509_certificates(pem)[0].not_valid_after_utc
