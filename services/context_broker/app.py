@@ -5,13 +5,16 @@ import gc
 import time
 from collections.abc import Coroutine
 from functools import partial
-from typing import Final
+from typing import Any, Final, TypeVar
 
 from prometheus_client import Gauge
 from starlette.types import Receive
 
 from handover.errors import Problem
+from handover.security.authentication import Guard
+from handover.security.caller import Caller
 from handover.telemetry import get_logger
+from services.context_broker.access.authorization import Authorization
 from services.context_broker.api.application import BrokerApplication
 from services.context_broker.api.request_metrics import RequestMetrics
 from services.context_broker.contexts.context_resolver import ContextResolver
@@ -49,6 +52,8 @@ from services.context_broker.tenants import Tenants
 
 log = get_logger(__name__)
 
+Result = TypeVar("Result")
+
 ENTITIES = Gauge("handover_broker_entities", "Entities in the broker")
 REQUESTS: Final = RequestMetrics()
 GC_THRESHOLDS: Final = (20_000, 20, 50)
@@ -60,18 +65,20 @@ class Broker:
 
     def __init__(self, settings: BrokerSettings, journal: Journal) -> None:
         self.settings = settings
+        self.guard = Guard(settings, "context-broker")
+        self.authorization = Authorization(self.guard, settings)
         self.journal = journal
         self.tenants = Tenants(journal, settings)
-        policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
+        policy, ca_files = settings.outbound_policy(), settings.ca_files
         self.contexts = ContextResolver(
             self._keep_documents,
             lambda documents: self.tenants.commits.store_later(Entries(documents=dict(documents))),
-            Fetcher(settings.broker_context_timeout_s, policy, ca_file),
+            Fetcher(settings.broker_context_timeout_s, policy, ca_files),
             OwnAddress(settings.broker_public_url, settings.url_of(settings.broker_port)),
             settings.broker_default_context,
         )
         self.contexts.on_renewal = self._renew
-        self._running: set[asyncio.Task[Response]] = set()
+        self._running: set[asyncio.Task[Any]] = set()
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.federation = self._federation()
         self.tenants.federation_of = self.federation.tenant_state
@@ -100,6 +107,7 @@ class Broker:
 
     async def start(self) -> None:
         """Load the journal, and start to notify."""
+        await self.guard.__aenter__()
         for tenant, key, stored in self.journal.documents(DocumentKind.CONTEXT):
             self.contexts.remember(tenant, key, stored)
         for _, key, stored in self.journal.documents(DocumentKind.CONTEXT_USAGE):
@@ -122,6 +130,7 @@ class Broker:
 
     async def stop(self) -> None:
         """Commit what is pending, and close."""
+        await self.guard.__aexit__()
         for task in self._running:
             task.cancel("the broker stops")
         self.tenants.ends.stop()
@@ -141,22 +150,28 @@ class Broker:
         if request.method == "OPTIONS":
             allowed = self.router.allowed(request)
             return Response(204, b"", [(b"allow", ", ".join(allowed).encode())])
+        caller = self.guard.authenticate_now(request.address, request.headers)
+        if caller is None:  # `accounts` has to be asked
+            caller = await self._in_own_task(self.guard.authenticate(request.address, request.headers))
         operation, names = self.router.find(request)
         await read(request, body, self.settings.broker_max_body_bytes)
         started_s = time.perf_counter()
         try:
-            answer = await self._execute(operation, request, names)
+            answer = await self._execute(operation, request, names, caller)
         except Problem as problem:
             answer = problem_response(problem)
         answer = with_echoed_headers(request, answer)
         REQUESTS.note(operation.title, answer.status, time.perf_counter() - started_s)
         return answer
 
-    async def _execute(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Response:
+    async def _execute(
+        self, operation: Operation, request: Request, names: tuple[str, ...], caller: Caller
+    ) -> Response:
         named = b"" if operation.of_no_tenant else request.headers.get(b"ngsild-tenant", b"")
         tenant = self.tenants.of(named, makes=operation.makes_tenant)
         try:
-            context = RequestContext(request, names, self.contexts, tenant)
+            visible = self.authorization.tenant_for(caller, operation, request, names, tenant)
+            context = RequestContext(request, names, self.contexts, visible)
             if request.parameters:
                 context.require_known(operation.parameters)
             if tenant.notifier.passes_headers_on:
@@ -171,7 +186,7 @@ class Broker:
         finally:
             self.tenants.leave(tenant)
 
-    async def _in_own_task(self, work: Coroutine[None, None, Response]) -> Response:
+    async def _in_own_task(self, work: Coroutine[None, None, Result]) -> Result:
         """Run work that may wait for others in a task of its own."""
         task = asyncio.get_running_loop().create_task(work)
         self._running.add(task)

@@ -1,10 +1,11 @@
 """The settings of the embedded broker."""
 
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, FilePath, field_validator
 
-from handover.settings import Settings
+from handover.settings import Names, Settings
 
 
 class BrokerSettings(Settings):
@@ -59,6 +60,11 @@ class BrokerSettings(Settings):
         "their URLs there, and context sources notify it there; if absent, where it was called",
     )
 
+    @property
+    def ca_files(self) -> tuple[Path, ...]:
+        """The files with authorities that the broker trusts where it is a client."""
+        return tuple(file for file in (self.tls_authority, self.broker_notification_ca_file) if file)
+
     @field_validator("broker_public_url", "broker_default_context")
     @classmethod
     def _is_address(cls, url: str | None) -> str | None:
@@ -77,6 +83,11 @@ class BrokerSettings(Settings):
         "and distributes operations",
     )
     broker_snapshots: bool = Field(default=True, description="whether the broker has snapshots")
+    broker_health_types: Names = Field(
+        ("HumanState", "PhysiologicalSession", "PressureMat"),
+        description="types of entities about the body of a person, comma-separated; with accounts they are "
+        "visible with the permission readHealthData only",
+    )
     broker_history: bool = Field(
         default=True, description="whether the broker records changes for the temporal API"
     )

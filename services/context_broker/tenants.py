@@ -117,12 +117,12 @@ class Tenants:
         journal, settings = self._journal, self._settings
         identities = [body for _, _, body in journal.documents(DocumentKind.IDENTITY)]
         self.identify(identities[0] if identities else uuid4().hex[:12].encode())
-        policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
+        policy, ca_files = settings.outbound_policy(), settings.ca_files
         self.places = itertools.count(journal.last_sequence() + 1)
         self.outbound = Outbound(
             journal,
-            PooledHttpClient(policy, ca_file),
-            MqttSender(policy, ca_file),
+            PooledHttpClient(policy, ca_files),
+            MqttSender(policy, ca_files),
             policy,
             timeout_s=settings.broker_notification_timeout_s,
             keep_s=settings.broker_notification_keep_h * 3600,

@@ -103,7 +103,14 @@ class BrokerProtocol(HttpProtocol):
         method = self.parser.get_method().decode("ascii")
         before: Any = self.cycle
         cycle: Any = RequestCycle(
-            self, Request(method, target.path, target.query or b"", by_name(self.headers))
+            self,
+            Request(
+                method,
+                target.path,
+                target.query or b"",
+                by_name(self.headers),
+                address=None if self.client is None else self.client[0],
+            ),
         )
         self.cycle = cycle
         if before is None or before.response_complete:

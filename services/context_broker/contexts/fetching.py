@@ -6,7 +6,7 @@ A failure is remembered for twice the time that it took, so that ten requests do
 import asyncio
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from pathlib import Path
@@ -55,9 +55,9 @@ class Fetched:
 class Fetcher:
     """Fetches documents from addresses that `policy` allows."""
 
-    def __init__(self, timeout_s: float, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
+    def __init__(self, timeout_s: float, policy: OutboundPolicy, ca_files: Sequence[Path] = ()) -> None:
         self._timeout_s = timeout_s
-        self._asker = BodyReadingHttpClient(policy, ca_file, MAX_CONTEXT_BYTES)
+        self._asker = BodyReadingHttpClient(policy, ca_files, MAX_CONTEXT_BYTES)
         self._on_their_way: dict[str, asyncio.Task[Fetched]] = {}
         self._failed: dict[str, tuple[float, Problem]] = {}
 

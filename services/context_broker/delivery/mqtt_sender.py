@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import ssl
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self
@@ -27,11 +28,11 @@ class _NamedTls(ssl.SSLContext):
     def __new__(cls, *_: Any) -> Self:
         return super().__new__(cls, ssl.PROTOCOL_TLS_CLIENT)
 
-    def __init__(self, name: str, ca_file: Path | None) -> None:
+    def __init__(self, name: str, ca_files: Sequence[Path]) -> None:
         self.name = name
         self.load_default_certs()
-        if ca_file is not None:
-            self.load_verify_locations(ca_file)
+        for file in ca_files:
+            self.load_verify_locations(file)
 
     def wrap_socket(self, sock: socket.socket, *args: Any, **kwargs: Any) -> ssl.SSLSocket:
         return super().wrap_socket(sock, *args, **{**kwargs, "server_hostname": self.name})
@@ -89,7 +90,7 @@ class _Connection:
         from aiomqtt import Client, MqttError, ProtocolVersion  # noqa: PLC0415 - see above
 
         where = self._where
-        tls = await asyncio.to_thread(_NamedTls, where.host, self._sender.ca_file) if where.tls else None
+        tls = await asyncio.to_thread(_NamedTls, where.host, self._sender.ca_files) if where.tls else None
         failure: MqttError | None = None
         for address in await self._sender.policy.resolved(where.host, where.port):
             client = Client(
@@ -125,11 +126,11 @@ async def _say_goodbye(connecting: "asyncio.Task[Any]") -> None:
 
 
 class MqttSender:
-    """Publishes to many servers. `ca_file` (PEM) names certificate authorities besides the system's."""
+    """Publishes to many servers. `ca_files` (PEM) name certificate authorities besides the system's."""
 
-    def __init__(self, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
+    def __init__(self, policy: OutboundPolicy, ca_files: Sequence[Path] = ()) -> None:
         self.policy = policy
-        self.ca_file = ca_file
+        self.ca_files = ca_files
         self._connections: dict[tuple[Any, ...], _Connection] = {}
 
     async def publish(self, where: MqttAddress, payload: bytes, timeout_s: float) -> None:

@@ -47,7 +47,7 @@ class BrokerFederation:
         self._registrations = RegistrationOperations(contexts)
         self._source_subscriptions = SourceSubscriptionOperations(contexts)
         self._entity_maps = EntityMapOperations(perform)
-        client = BodyReadingHttpClient(settings.outbound_policy(), settings.broker_notification_ca_file)
+        client = BodyReadingHttpClient(settings.outbound_policy(), settings.ca_files)
         self._forwarder = Forwarder(contexts, settings.broker_source_timeout_s, client)
         self._subscription_forwarder = SubscriptionForwarder(
             tenants, contexts, self._forwarder, settings.broker_public_url

@@ -218,7 +218,7 @@ class SubscriptionOperations:
     @staticmethod
     async def _require_open(tenant: Tenant, candidate: Subscription) -> None:
         policy = tenant.notifier.outbound.policy
-        await require_allowed(policy, candidate.endpoint.host, "notification.endpoint.uri")
+        await require_allowed(policy, candidate.endpoint.uri, "notification.endpoint.uri")
 
     async def keep(self, tenant: Tenant, current: Subscription) -> None:
         """Store a new or changed subscription, and activate it once it is durable."""

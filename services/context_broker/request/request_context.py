@@ -94,12 +94,21 @@ class Request:
     headers: dict[bytes, bytes]
     parameters: Mapping[str, str] = field(default_factory=dict)
     body: bytes = b""
+    address: str | None = None
+    """The IP address of the client."""
 
     @classmethod
     def of_scope(cls, scope: Scope) -> "Request":
         """Return the request of an ASGI scope."""
         path = scope.get("raw_path") or scope["path"].encode()
-        return cls(scope["method"], path.partition(b"?")[0], scope["query_string"], by_name(scope["headers"]))
+        client = scope.get("client")
+        return cls(
+            scope["method"],
+            path.partition(b"?")[0],
+            scope["query_string"],
+            by_name(scope["headers"]),
+            address=None if client is None else client[0],
+        )
 
     @property
     def path(self) -> str:

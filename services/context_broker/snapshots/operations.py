@@ -21,7 +21,7 @@ import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote
 from uuid import uuid4
 
 from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryOut
@@ -195,8 +195,7 @@ class BrokerSnapshots:
 
     async def _require_open(self, tenant: Tenant, document: Mapping[str, Any]) -> None:
         if document.get("endpoint") is not None:
-            host = urlsplit(document["endpoint"]).hostname or ""
-            await require_allowed(tenant.notifier.outbound.policy, host, '"endpoint"')
+            await require_allowed(tenant.notifier.outbound.policy, document["endpoint"], '"endpoint"')
 
     def _existing(self, tenant: Tenant, snapshot_id: str) -> Snapshot:
         require_uri(snapshot_id, "the id of a snapshot")

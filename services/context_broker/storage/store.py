@@ -119,6 +119,10 @@ class Store:
     def __len__(self) -> int:
         return len(self._every.by_id)
 
+    def shows(self, entity: Entity) -> bool:  # noqa: ARG002 - a restricted store decides
+        """Return whether the reader of this store may see `entity`."""
+        return True
+
     def get(self, entity_id: str) -> Entity | None:
         """Return the committed entity."""
         return self._every.by_id.get(entity_id)

@@ -106,10 +106,15 @@ class TemporalOperations:
         entity_id = require_uri(request.names[0], "the entity id in the path")
         live = request.tenant.store.get(entity_id)
         history_request = HistoryRequest(options.query, options.view.wants, None, options.view.view.datasets)
+        shows = request.tenant.store.shows
 
         def look() -> tuple[EvolutionPage, list[bytes]] | None:
             temporal_only = self._archive.temporal_only_entities(request.tenant.name, entity_id)
-            subjects = subjects_of(() if live is None else (live,), temporal_only)
+            subjects = [
+                one
+                for one in subjects_of(() if live is None else (live,), temporal_only)
+                if shows(one.as_entity())
+            ]
             if not subjects:
                 return None
             found = read_evolution(self._archive, subjects[0], history_request)
@@ -167,7 +172,7 @@ class TemporalOperations:
             selection.scopes,
         )
         live = request.tenant.store.candidates(selection.ids, selection.types)
-        name = request.tenant.name
+        name, shows = request.tenant.name, request.tenant.store.shows
 
         def look() -> tuple[EvolutionPage, list[bytes]]:
             ids: tuple[str | None, ...] = (
@@ -176,7 +181,7 @@ class TemporalOperations:
             known = subjects_of(
                 live, chain.from_iterable(self._archive.temporal_only_entities(name, one) for one in ids)
             )
-            wanted = [one for one in known if narrowing.wants(one.as_entity())]
+            wanted = [one for one in known if narrowing.wants(one.as_entity()) and shows(one.as_entity())]
             if order is not None:
                 wanted.sort(key=lambda one: order.place_of(one.as_entity()))
             found = read_evolutions(

@@ -235,7 +235,8 @@ def test_throttled_changes_are_sent_together_and_the_last_state_is_never_lost(
         patch(http, second, n=number)
     eventually(lambda: [one["n"]["value"] for one in subscriber.entities()][-2:] == [19, 19])
     assert len(subscriber.received) < 20
-    assert {one["id"] for one in subscriber.received[-1]["data"]} == {first, second}
+    together = [{one["id"] for one in received["data"]} for received in subscriber.received]
+    assert {first, second} in together
 
 
 def test_a_changed_endpoint_counts_at_once_also_for_what_waits(

@@ -3,6 +3,7 @@
 import gzip
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,19 @@ import httpx
 import orjson
 import pytest
 
+from services.accounts.set_up import set_up
+from services.accounts.settings import AccountsSettings
 from tests.integration.context_broker.acts import Eventually, create, subscribe
 from tests.integration.context_broker.conftest import BrokerProcess
+from tests.kit import processes
 from tests.kit.context_sources import put, register
+from tests.kit.ports import next_free_port
+from tests.kit.waiting import wait_for
 
 SETTING = "HANDOVER_OUTBOUND_ALLOW"
-BEYOND_LOOPBACK = {"HANDOVER_HOST": "127.1"}
+BEYOND_LOOPBACK = {"HANDOVER_HOST": "127.1", "HANDOVER_TLS_PROXY_URL": "https://cell.example"}
 """Listens on 127.0.0.1 by a name that is no loopback address as it is written, so it counts as any other."""
+CLIENT = "cli"
 CONTEXT = orjson.dumps({"@context": {"speed": "https://a.example/speed"}})
 BOMB = gzip.compress(bytes(200 * 1024 * 1024))
 Page = tuple[int, dict[str, str], bytes]
@@ -75,10 +82,39 @@ def pages() -> Iterator[Pages]:
 
 
 @pytest.fixture(scope="module")
-def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
-    """A client of a broker that listens beyond loopback, with nothing allowed."""
-    broker = BrokerProcess(tmp_path_factory.mktemp("strict"), extra=dict(BEYOND_LOOPBACK)).start()
+def accounts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """Accounts, which a broker beyond loopback needs; the settings of that broker."""
+    folder, port = tmp_path_factory.mktemp("accounts"), next_free_port()
+    set_up(AccountsSettings.load(data_dir=folder), ["context-broker", CLIENT])
+    environment = processes.clean_environment() | {
+        "HANDOVER_DATA_DIR": str(folder),
+        "HANDOVER_ACCOUNTS_PORT": str(port),
+    }
+    process = processes.spawn_module("services.accounts", environment, folder / "log", folder)
+    processes.wait_ready(process, f"http://127.0.0.1:{port}/readyz", (folder / "log").read_text, 60)
+    yield {
+        **BEYOND_LOOPBACK,
+        "HANDOVER_ACCOUNTS_URL": f"http://127.0.0.1:{port}",
+        "HANDOVER_SECURITY_DIR": str(folder / "security"),
+    }
+    processes.stop(process)
+
+
+@contextmanager
+def client_of(broker: BrokerProcess) -> Iterator[httpx.Client]:
+    """Yield a client with the token of a service, once the broker knows the revocations."""
+    token = Path(broker.extra["HANDOVER_SECURITY_DIR"], "service-tokens", CLIENT).read_text().strip()
     with broker.client() as client:
+        client.headers["Authorization"] = f"Bearer {token}"
+        wait_for(lambda: client.delete("/subscriptions/urn:x:none").status_code == 404)
+        yield client
+
+
+@pytest.fixture(scope="module")
+def strict(tmp_path_factory: pytest.TempPathFactory, accounts: dict[str, str]) -> Iterator[httpx.Client]:
+    """A client of a broker that listens beyond loopback, with nothing allowed."""
+    broker = BrokerProcess(tmp_path_factory.mktemp("strict"), extra=dict(accounts)).start()
+    with client_of(broker) as client:
         yield client
     broker.stop()
 
@@ -131,12 +167,12 @@ def test_no_context_is_fetched_from_a_refused_address(strict: httpx.Client, page
 
 
 def test_the_setting_allows_hosts_until_it_changes(
-    tmp_path: Path, pages: Pages, subscriber: Any, eventually: Eventually
+    tmp_path: Path, pages: Pages, subscriber: Any, eventually: Eventually, accounts: dict[str, str]
 ) -> None:
-    broker = BrokerProcess(tmp_path, extra={**BEYOND_LOOPBACK, SETTING: "scada.example,127.0.0.1"}).start()
+    broker = BrokerProcess(tmp_path, extra={**accounts, SETTING: "scada.example,127.0.0.1"}).start()
     pages.pages["/c.jsonld"] = 200, {}, CONTEXT
     try:
-        with broker.client() as http:
+        with client_of(broker) as http:
             assert fetched(http, f"{pages.url}/c.jsonld").status_code == 200
             path = f"/subscriptions/{subscribe(http, 'Open', subscriber.url)}"
             registered = register(http, pages.url, {"type": "There"})
@@ -146,10 +182,10 @@ def test_the_setting_allows_hosts_until_it_changes(
             http.get("/entities/urn:x:there")
             assert "/ngsi-ld/v1/entities/urn:x:there" in pages.asked
         broker.stop()
-        broker.extra = dict(BEYOND_LOOPBACK)
+        broker.extra = dict(accounts)
         broker.start()
         before = len(pages.asked)
-        with broker.client() as http:
+        with client_of(broker) as http:
             create(http, "Open", "2", n=2)
             eventually(lambda: http.get(path).json()["notification"].get("timesFailed", 0) >= 1)
             assert SETTING in broker.log()

@@ -5,6 +5,7 @@ import gzip
 import socket
 import tracemalloc
 import zlib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,6 +24,7 @@ from handover.outbound_policy import (
     OutboundPolicy,
     is_loopback,
 )
+from handover.settings import PUBLIC_KEYS_FILE
 from services.context_broker.network.endpoints import require_allowed
 from services.context_broker.settings import BrokerSettings
 
@@ -99,13 +101,13 @@ def test_names_and_odd_spellings_are_checked_by_their_address(host: str) -> None
     with pytest.raises(AddressRefused, match="this machine"):
         asyncio.run(BEYOND.resolved(host, 80))
     with pytest.raises(Problem) as refused:
-        asyncio.run(require_allowed(BEYOND, host, "the endpoint"))
+        asyncio.run(require_allowed(BEYOND, f"http://{host}/", "the endpoint"))
     assert refused.value.status == 400
     assert SETTING in refused.value.detail
 
 
 def test_an_unresolved_name_is_accepted_and_fails_when_used() -> None:
-    asyncio.run(require_allowed(BEYOND, "nobody.invalid", "the endpoint"))
+    asyncio.run(require_allowed(BEYOND, "http://nobody.invalid/", "the endpoint"))
     with pytest.raises(SendError):
         asyncio.run(PooledHttpClient(BEYOND).post("http://nobody.invalid/", [], b"", 5))
 
@@ -159,6 +161,9 @@ def test_a_connection_uses_the_checked_address() -> None:
         ("127.0.0.1", False),
         ("localhost", False),
         ("::1", False),
+        ("::1%lo", False),
+        ("::ffff:127.0.0.1", False),
+        ("::ffff:10.0.0.1", True),
         ("0.0.0.0", True),
         ("::", True),
         ("192.168.1.4", True),
@@ -168,6 +173,28 @@ def test_a_connection_uses_the_checked_address() -> None:
 def test_the_address_that_the_broker_listens_on_decides(host: str, *, beyond: bool) -> None:
     assert BrokerSettings.load(host=host).outbound_policy().listens_beyond_loopback is beyond
     assert is_loopback(host) is not beyond
+
+
+def test_with_accounts_only_our_own_services_are_reached_on_this_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HANDOVER_ORCHESTRATOR_PORT", "15200")
+    policy = BrokerSettings.load(
+        data_dir=tmp_path, outbound_allow="127.0.0.1:1883,[::1]:1884,mes:80"
+    ).outbound_policy()
+    others = ("127.0.0.1", "::1", "127.8.8.8", "::ffff:127.0.0.1", "64:ff9b::7f00:1")
+    assert [policy.fault_of(one, 9) for one in others] == [None] * len(others), "local mode"
+    (tmp_path / "security").mkdir()
+    (tmp_path / "security" / PUBLIC_KEYS_FILE).touch()
+    assert all(SETTING in (policy.fault_of(one, 9) or "") for one in others)
+    for port in (54200, 54400, 15200, 1883):
+        assert policy.fault_of("127.0.0.1", port) is None
+    assert policy.fault_of("::1", 1884) is None
+    assert policy.fault_of("192.168.7.4", 9) is None
+    assert ("mes", 80) in policy.endpoints
+    with pytest.raises(AddressRefused, match="with accounts"):
+        asyncio.run(policy.resolved("localhost", 9))
+    assert asyncio.run(policy.resolved("localhost", 54200))
 
 
 @pytest.mark.parametrize("pack", [gzip.compress, zlib.compress])

@@ -8,7 +8,7 @@ import asyncio
 import time
 from collections.abc import Iterable
 from typing import Final
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote
 from uuid import uuid4
 
 import orjson
@@ -204,8 +204,7 @@ class RegistrationOperations:
 
 async def _require_open(tenant: Tenant, candidate: Registration) -> None:
     """Raise a problem (400) if the outbound policy refuses the address of the source."""
-    host = urlsplit(candidate.endpoint).hostname or ""
-    await require_allowed(tenant.notifier.outbound.policy, host, '"endpoint"')
+    await require_allowed(tenant.notifier.outbound.policy, candidate.endpoint, '"endpoint"')
 
 
 def _existing(request: RequestContext) -> Registration:

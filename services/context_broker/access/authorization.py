@@ -1,0 +1,218 @@
+"""Authorization: which tenant, operation and entity a caller may use.
+
+A resource is the id of an entity; in a tenant other than that of our own services it is `<tenant>/<id>`. A
+caller with all rights for the tenant gets its store itself; any other caller gets a `RestrictedStore`.
+
+Entities about the body of a person (`broker_health_types`) are visible with the permission `readHealthData`
+only. A Person is created, changed and deleted by our services, or with the permission `managePeople`.
+"""
+
+import copy
+import re
+from dataclasses import dataclass
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from handover.security.authentication import Guard
+from handover.security.caller import LOCAL_OWNER, Caller, CallerKind
+from handover.security.permissions import Permission
+from handover.security.resource_patterns import ANY_RESOURCE
+from services.context_broker.access.operation_access import OperationAccess, access_of
+from services.context_broker.access.restricted_store import RestrictedStore
+from services.context_broker.model.entity import Entity, Event
+from services.context_broker.model.problems import access_denied
+from services.context_broker.request.request_context import Request
+from services.context_broker.request.routing import Operation
+from services.context_broker.settings import BrokerSettings
+from services.context_broker.tenants import Tenant
+
+PERSON: Final = "Person"
+_PEOPLE: Final = frozenset({PERSON})
+_SUBSCRIBING: Final = frozenset({"createSubscription", "updateSubscription"})
+_NAME: Final = re.compile(r"[^\s()|,;]+")
+"""A name in a type selection such as `(Robot|Device);Task`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rights:
+    """The rights of a caller in one tenant, whose resources begin with `prefix`."""
+
+    caller: Caller
+    prefix: str
+    health_types: frozenset[str]
+
+    @property
+    def everything(self) -> str:
+        """The resource for all entities of the tenant."""
+        return f"{self.prefix}{ANY_RESOURCE}"
+
+    def may(self, permission: Permission, entity_id: str) -> bool:
+        """Return whether the caller has `permission` for an entity."""
+        return self.caller.may(permission, self.prefix + entity_id)
+
+    def may_everywhere(self, permission: Permission) -> bool:
+        """Return whether the caller has `permission` for all entities of the tenant."""
+        return self.caller.may(permission, self.everything)
+
+    def shows(self, entity: Entity) -> bool:
+        """Return whether the caller may see `entity`."""
+        if not self.may(Permission.READ, entity.id):
+            return False
+        return not _is_of(entity, self.health_types) or self.may(Permission.READ_HEALTH_DATA, entity.id)
+
+    def refusal(self, event: Event) -> Problem | None:
+        """Return why the caller may not make a change; None if it may."""
+        entity = event.after or event.before
+        assert entity is not None  # noqa: S101 - a change has at least one end
+        if not self.may(Permission.WRITE_ENTITIES, entity.id):
+            return self.denied(Permission.WRITE_ENTITIES, entity.id)
+        ends = [one for one in (event.before, event.after) if one is not None]
+        is_service = self.caller.kind is CallerKind.SERVICE
+        if not is_service and any(_is_of(one, _PEOPLE) for one in ends):
+            return (
+                None
+                if self.may(Permission.MANAGE_PEOPLE, entity.id)
+                else self.denied(Permission.MANAGE_PEOPLE, entity.id)
+            )
+        if any(_is_of(one, self.health_types) for one in ends) and not self.may(
+            Permission.READ_HEALTH_DATA, entity.id
+        ):
+            return self.denied(Permission.READ_HEALTH_DATA, entity.id)
+        return None
+
+    def denied(self, permission: Permission, entity_id: str = ANY_RESOURCE) -> Problem:
+        """The caller lacks a permission."""
+        resource = self.prefix + entity_id
+        where = "everything" if resource == ANY_RESOURCE else resource
+        return access_denied(
+            f'"{self.caller.name}" has no permission "{permission}" for {where}; an admin can grant a role '
+            "that has it"
+        )
+
+    def is_unrestricted(self) -> bool:
+        """Return whether the caller may see and change every entity of the tenant."""
+        return (
+            self.may_everywhere(Permission.READ)
+            and self.may_everywhere(Permission.WRITE_ENTITIES)
+            and self.may_everywhere(Permission.READ_HEALTH_DATA)
+            and (self.caller.kind is CallerKind.SERVICE or self.may_everywhere(Permission.MANAGE_PEOPLE))
+        )
+
+
+class Authorization:
+    """Checks the requests of a broker."""
+
+    def __init__(self, guard: Guard, settings: BrokerSettings) -> None:
+        self._guard = guard
+        self._own_tenant = settings.broker_tenant or ""
+        self._health_types = frozenset(settings.broker_health_types)
+
+    def tenant_for(
+        self, caller: Caller, operation: Operation, request: Request, names: tuple[str, ...], tenant: Tenant
+    ) -> Tenant:
+        """Return `tenant` as `caller` may use it for an operation.
+
+        Raises a problem: 403 without the permission, 503 if a revocation may have been missed.
+        """
+        if caller is LOCAL_OWNER:
+            return tenant
+        if access_of(operation) is OperationAccess.OWN_CREDENTIAL:
+            return tenant
+        prefix = "" if tenant.name in {"", self._own_tenant} else f"{tenant.name}/"
+        if tenant.name == "" and self._own_tenant:
+            prefix = "default/"
+        rights = Rights(caller, prefix, self._health_types)
+        self._require(rights, operation, request, names)
+        if rights.is_unrestricted():
+            return tenant
+        if b"ngsild-snapshot" in request.headers:
+            raise rights.denied(Permission.WRITE_ENTITIES)
+        restricted = copy.copy(tenant)
+        restricted.store = RestrictedStore(tenant.store, rights.shows, rights.refusal)
+        return restricted
+
+    def _require(
+        self, rights: Rights, operation: Operation, request: Request, names: tuple[str, ...]
+    ) -> None:
+        access = access_of(operation)
+        if access is OperationAccess.READ_ENTITIES:
+            if not rights.caller.may_somewhere(Permission.READ):
+                raise rights.denied(Permission.READ)
+        elif access is OperationAccess.READ_TENANT:
+            if not rights.may_everywhere(Permission.READ):
+                raise rights.denied(Permission.READ)
+        elif access is OperationAccess.WRITE_ENTITIES:
+            self._guard.require_current(Permission.WRITE_ENTITIES)
+            if not rights.may_everywhere(Permission.WRITE_ENTITIES):
+                _require_each(rights, names[:1] or _ids_in(request.body))
+        else:
+            self._guard.require_current(Permission.WRITE_ENTITIES)
+            if not rights.may_everywhere(Permission.WRITE_ENTITIES):
+                raise rights.denied(Permission.WRITE_ENTITIES)
+            if operation.name in _SUBSCRIBING and not rights.may_everywhere(Permission.READ_HEALTH_DATA):
+                self._require_other_types(rights, operation, request.body)
+
+    def _require_other_types(self, rights: Rights, operation: Operation, body: bytes) -> None:
+        """Refuse a subscription that may notify about the body of a person.
+
+        A change without `entities` keeps the selection of the subscription.
+        """
+        try:
+            document: Any = orjson.loads(body)
+        except orjson.JSONDecodeError:
+            return
+        if not isinstance(document, dict) or (
+            operation.name == "updateSubscription" and "entities" not in document
+        ):
+            return
+        selectors = document.get("entities")
+        types: list[Any] = (
+            [one.get("type") for one in selectors if isinstance(one, dict)]
+            if isinstance(selectors, list)
+            else []
+        )
+        texts = [one for one in types if isinstance(one, str) and one != ANY_RESOURCE]
+        if not texts or len(texts) < len(types):
+            raise access_denied(
+                f'"{rights.caller.name}" has no permission "{Permission.READ_HEALTH_DATA}", so each selector '
+                "of a subscription names a type; add `entities` with a `type` each"
+            )
+        named = {_short_name(name) for one in texts for name in _NAME.findall(one)}
+        if not named.isdisjoint(self._health_types):
+            raise rights.denied(Permission.READ_HEALTH_DATA)
+
+
+def _require_each(rights: Rights, ids: tuple[str, ...]) -> None:
+    """Check ids before anything is forwarded to a context source, which knows nothing of our rights."""
+    if not ids:
+        raise rights.denied(Permission.WRITE_ENTITIES)
+    for entity_id in ids:
+        if not rights.may(Permission.WRITE_ENTITIES, entity_id):
+            raise rights.denied(Permission.WRITE_ENTITIES, entity_id)
+
+
+def _ids_in(body: bytes) -> tuple[str, ...]:
+    """Return the ids of a body: an entity, a list of entities or a list of ids; none if it is unreadable."""
+    try:
+        document: Any = orjson.loads(body)
+    except orjson.JSONDecodeError:
+        return ()
+    found: list[str] = []
+    for one in document if isinstance(document, list) else [document]:
+        given = one.get("id", one.get("@id")) if isinstance(one, dict) else one
+        if not isinstance(given, str):
+            return ()
+        found.append(given)
+    return tuple(found)
+
+
+def _is_of(entity: Entity, kinds: frozenset[str]) -> bool:
+    """Return whether one of the types of an entity (IRIs) has a name of `kinds`, in any vocabulary."""
+    return any(_short_name(kind) in kinds for kind in entity.types)
+
+
+def _short_name(kind: str) -> str:
+    """Return the last part of a type, which may be an IRI of any vocabulary."""
+    return kind.rpartition("/")[2].rpartition("#")[2]

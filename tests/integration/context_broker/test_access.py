@@ -1,0 +1,220 @@
+"""With accounts, callers see and change what their grants include, and nothing else."""
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from handover.security import revocations
+from handover.security.access_tokens import SigningKey, key_set
+from handover.security.caller import Caller, CallerKind
+from handover.security.keys_in_force import PUBLIC_KEYS_FILE
+from handover.security.permissions import OWNER_GRANTS, Grant, Role
+from services.context_broker.app import create_broker
+from services.context_broker.settings import BrokerSettings
+
+KEY = SigningKey.generate()
+ROBOT = "urn:ngsi-ld:Device:demo:ur10-1"
+OTHER_ROBOT = "urn:ngsi-ld:Device:demo:ur10-2"
+ANNA = "urn:ngsi-ld:Person:demo:anna"
+STATE = "urn:ngsi-ld:HumanState:demo:anna"
+HEALTH = {
+    "type": "HumanState",
+    "heartRate": {"type": "Property", "value": 72, "observedAt": "2026-11-01T10:00:00Z"},
+}
+
+
+def entity(entity_id: str, kind: str, **attributes: Any) -> dict[str, Any]:
+    return {"id": entity_id, "type": kind, **attributes}
+
+
+def token(*grants: Grant, kind: CallerKind = CallerKind.USER) -> dict[str, str]:
+    caller = Caller(kind, "subject-1", "Anna", grants)
+    return {"Authorization": f"Bearer {KEY.issue(caller, valid_s=600)}"}
+
+
+SERVICE = token(Grant(Role.SERVICE), kind=CallerKind.SERVICE)
+OWNER = token(*OWNER_GRANTS)
+ENGINEER = token(Grant(Role.ENGINEER))
+ENGINEER_OF_ONE = token(Grant(Role.ENGINEER, ROBOT))
+VIEWER = token(Grant(Role.VIEWER))
+RESEARCHER = token(Grant(Role.RESEARCHER))
+NOBODY = token()
+
+
+@pytest.fixture
+async def http(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[httpx.AsyncClient]:
+    monkeypatch.setattr(revocations, "MAX_SILENCE_S", 1e9)  # no accounts service answers here
+    (tmp_path / "security").mkdir()
+    (tmp_path / "security" / PUBLIC_KEYS_FILE).write_bytes(key_set(KEY))
+    application = create_broker(
+        BrokerSettings(data_dir=tmp_path, outbound_allow="127.0.0.1:9", _env_file=None)
+    )
+    await application._serve()
+    guard = application._broker.guard  # type: ignore[attr-defined]
+    guard._followed.apply({"position": 0, "revoked": []})
+    transport = httpx.ASGITransport(application)
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost/ngsi-ld/v1") as client:
+        for one in (
+            entity(ROBOT, "Device", worksWith={"type": "Relationship", "object": STATE}),
+            entity(OTHER_ROBOT, "Device"),
+            entity(ANNA, "Person"),
+            {"id": STATE, **HEALTH},
+        ):
+            assert (await client.post("/entities", json=one, headers=SERVICE)).status_code == 201
+        yield client
+    await application._broker.stop()
+
+
+async def ids(http: httpx.AsyncClient, headers: dict[str, str], **parameters: str) -> set[str]:
+    answer = await http.get("/entities", params={"local": "true", **parameters}, headers=headers)
+    assert answer.status_code == 200, answer.text
+    return {one["id"] for one in answer.json()}
+
+
+async def test_nothing_is_answered_without_a_token(http: httpx.AsyncClient) -> None:
+    for method, path in (
+        ("GET", "/entities"),
+        ("POST", "/entities"),
+        ("GET", "/subscriptions"),
+        ("GET", "/types"),
+    ):
+        answer = await http.request(method, path, headers={"Content-Length": "0"})
+        assert answer.status_code == 401, path
+
+
+async def test_entities_about_the_body_are_visible_with_a_permission_only(http: httpx.AsyncClient) -> None:
+    everything = {ROBOT, OTHER_ROBOT, ANNA, STATE}
+    assert await ids(http, SERVICE) == everything
+    assert await ids(http, RESEARCHER) == everything
+    assert await ids(http, VIEWER) == everything - {STATE}
+    assert await ids(http, ENGINEER, type="HumanState") == set()
+    assert (await http.get(f"/entities/{STATE}", headers=VIEWER)).status_code == 404
+    assert (await http.get(f"/entities/{STATE}", headers=RESEARCHER)).status_code == 200
+    posted = {"type": "Query", "entities": [{"type": "HumanState"}]}
+    answer = await http.post("/entityOperations/query", json=posted, headers=VIEWER)
+    assert answer.json() == []
+    history = {"type": "HumanState", "timerel": "after", "timeAt": "1970-01-01T00:00:00Z"}
+    assert (await http.get("/temporal/entities", params=history, headers=VIEWER)).json() == []
+    assert len((await http.get("/temporal/entities", params=history, headers=RESEARCHER)).json()) == 1
+    assert (await http.get(f"/temporal/entities/{STATE}", headers=VIEWER)).status_code == 404
+    joined = {"join": "inline", "joinLevel": "1"}
+    answer = await http.get(f"/entities/{ROBOT}", params=joined, headers=VIEWER)
+    assert "heartRate" not in answer.text, "a link leads to it"
+    answer = await http.get(f"/entities/{ROBOT}", params=joined, headers=RESEARCHER)
+    assert "heartRate" in answer.text
+
+
+async def test_a_grant_for_one_robot_shows_and_changes_that_robot_only(http: httpx.AsyncClient) -> None:
+    assert await ids(http, ENGINEER_OF_ONE) == {ROBOT}
+    change = {"deviceState": {"type": "Property", "value": "busy"}}
+    path = "/entities/{}/attrs"
+    mine = await http.patch(path.format(ROBOT), json=change, headers=ENGINEER_OF_ONE)
+    assert mine.status_code in {204, 207}
+    for other in (OTHER_ROBOT, ANNA, STATE):
+        answer = await http.post(path.format(other), json=change, headers=ENGINEER_OF_ONE)
+        assert answer.status_code == 403, other
+        assert (await http.delete(f"/entities/{other}", headers=ENGINEER_OF_ONE)).status_code == 403
+    batch = [entity(ROBOT, "Device", **change), entity(OTHER_ROBOT, "Device", **change)]
+    answer = await http.post("/entityOperations/upsert", json=batch, headers=ENGINEER_OF_ONE)
+    assert answer.status_code == 403
+    found = (await http.get(f"/entities/{OTHER_ROBOT}", headers=SERVICE)).json()
+    assert "deviceState" not in found
+    for method, target in (
+        ("GET", "/subscriptions"),
+        ("GET", "/types"),
+        ("DELETE", "/entities?type=Device"),
+        ("GET", "/csourceRegistrations"),
+    ):
+        assert (await http.request(method, target, headers=ENGINEER_OF_ONE)).status_code == 403, target
+
+
+async def test_a_person_is_changed_by_services_and_with_the_permission_for_people(
+    http: httpx.AsyncClient,
+) -> None:
+    assert (await http.delete(f"/entities/{ANNA}", headers=ENGINEER)).status_code == 403
+    purge = await http.delete("/entities", params={"type": "Person"}, headers=ENGINEER)
+    assert purge.status_code == 207
+    assert purge.json()["errors"][0]["error"]["status"] == 403
+    batch = await http.post("/entityOperations/delete", json=[ANNA], headers=ENGINEER)
+    assert batch.status_code == 207
+    assert (await http.get(f"/entities/{ANNA}", headers=VIEWER)).status_code == 200
+    assert (await http.delete(f"/entities/{ANNA}", headers=OWNER)).status_code == 204
+
+
+async def test_a_subscription_needs_types_unless_its_owner_may_read_health_data(
+    http: httpx.AsyncClient,
+) -> None:
+    def subscription(**members: Any) -> dict[str, Any]:
+        return {
+            "type": "Subscription",
+            "notification": {"endpoint": {"uri": "http://127.0.0.1:9/notifications"}},
+            **members,
+        }
+
+    for refused in (
+        subscription(entities=[{"type": "HumanState"}]),
+        subscription(entities=[{"type": "Device"}, {"type": "(Task|HumanState)"}]),
+        subscription(entities=[{"type": "https://example.org/vocabulary/HumanState"}]),
+        subscription(entities=[{"type": "*"}]),
+        subscription(watchedAttributes=["heartRate"]),
+    ):
+        answer = await http.post("/subscriptions", json=refused, headers=ENGINEER)
+        assert answer.status_code == 403, refused
+        assert (await http.post("/subscriptions", json=refused, headers=VIEWER)).status_code == 403
+    accepted = subscription(id="urn:ngsi-ld:Subscription:1", entities=[{"type": "Device"}])
+    assert (await http.post("/subscriptions", json=accepted, headers=ENGINEER)).status_code == 201
+    change = {"entities": [{"type": "HumanState"}]}
+    at = "/subscriptions/urn:ngsi-ld:Subscription:1"
+    assert (await http.patch(at, json=change, headers=ENGINEER)).status_code == 403
+    assert (await http.patch(at, json={"description": "mine"}, headers=ENGINEER)).status_code == 204
+    assert (await http.patch(at, json=change, headers=OWNER)).status_code == 204
+
+
+async def test_a_grant_for_a_tenant_is_for_that_tenant(http: httpx.AsyncClient) -> None:
+    clinic = {"NGSILD-Tenant": "clinic"}
+    one = entity(ROBOT, "Device")
+    assert (await http.post("/entities", json=one, headers=SERVICE | clinic)).status_code == 201
+    of_clinic = token(Grant(Role.ENGINEER, "clinic/*"))
+    assert await ids(http, of_clinic | clinic) == {ROBOT}
+    assert await ids(http, of_clinic) == set()
+    assert (await http.delete(f"/entities/{ROBOT}", headers=of_clinic)).status_code == 403
+    assert await ids(http, ENGINEER_OF_ONE | clinic) == set()
+    assert (await http.delete(f"/entities/{ROBOT}", headers=ENGINEER_OF_ONE | clinic)).status_code == 403
+    assert (await http.delete(f"/entities/{ROBOT}", headers=of_clinic | clinic)).status_code == 204
+
+
+@pytest.mark.parametrize("caller", [NOBODY, VIEWER, RESEARCHER, ENGINEER_OF_ONE])
+async def test_no_operation_of_a_caller_without_a_grant_changes_anything(
+    http: httpx.AsyncClient, caller: dict[str, str]
+) -> None:
+    async def content() -> list[dict[str, Any]]:
+        found = await http.get("/entities", params={"local": "true", "options": "sysAttrs"}, headers=SERVICE)
+        return [one for one in found.json() if one["id"] != ROBOT]
+
+    before = await content()
+    value = {"state": {"type": "Property", "value": 1}}
+    bodies: list[Any] = [
+        entity(OTHER_ROBOT, "Device", **value),
+        [entity(OTHER_ROBOT, "Device", **value)],
+        [OTHER_ROBOT],
+    ]
+    from services.context_broker.app import operations_of
+
+    for operation in operations_of(BrokerSettings(_env_file=None)):
+        if operation.method == "GET" or operation.name == "receiveSourceNotification":
+            continue
+        path = (
+            operation.path.replace("{id}", OTHER_ROBOT)
+            .replace("{name}", "state")
+            .replace("{instance}", "urn:x:1")
+        )
+        for body in bodies:
+            answer = await http.request(
+                operation.method, f"/{path.replace('{contextId}', 'x')}", json=body, headers=caller
+            )
+            is_query = "query" in operation.path or "entityMaps" in operation.path
+            assert is_query or answer.status_code in {400, 401, 403, 404}, (operation.title, answer.text)
+    assert await content() == before
