@@ -1,0 +1,1 @@
+"""Adapters: devices that speak another protocol than the gateway's own."""

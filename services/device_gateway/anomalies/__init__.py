@@ -1,0 +1,1 @@
+"""Anomalies: rules on the values of devices, which raise Alerts and may start a process."""

@@ -1,0 +1,402 @@
+"""The dispatcher: sends commands to devices and follows them to their end.
+
+A command is durable before it is sent: after `kill -9` the gateway knows each command that a device may have
+received. `next_step` decides what happens to each; a task asks it several times a second, and at once when a
+device connects.
+"""
+
+import asyncio
+import time
+from collections import OrderedDict, defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Final, Protocol
+from uuid import uuid4
+
+import orjson
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import ValidationError, best_match
+from sqlalchemy import Engine
+
+from handover.errors import Problem
+from handover.telemetry import get_logger
+from services.device_gateway import metrics
+from services.device_gateway.commands.command import (
+    OPEN,
+    Command,
+    CommandState,
+    Sent,
+    Step,
+    answered,
+    next_step,
+)
+from services.device_gateway.model.description import CANCEL, CommandKind, DeviceDescription
+from services.device_gateway.protocol.messages import CommandAnswer
+from services.device_gateway.storage import device_store
+from services.device_gateway.storage.history_writer import CommandRow, HistoryWriter, MessageRow
+
+log = get_logger(__name__)
+
+TICK_S: Final = 0.2
+MAX_OPEN: Final = 64
+"""Open commands of one device."""
+MAX_ENDED: Final = 2_000
+"""Ended commands that are kept in memory; the database has all."""
+MAX_PARAMETERS_BYTES: Final = 32 * 1024
+CANCEL_TIMEOUT_S: Final = 10.0
+
+
+class CommandLink(Protocol):
+    """The connection of a device; `boot` is the run of its program."""
+
+    boot: str
+
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send a message."""
+
+
+class _Open:
+    """A command with what is not stored: how it was sent, and who waits for it."""
+
+    def __init__(self, command: Command) -> None:
+        self.command = command
+        self.sent = Sent()
+        self.is_cancelling = False
+        self.is_busy = False
+        self.changed = asyncio.Event()
+
+    def change(self, command: Command) -> bool:
+        """Replace the command; return whether it differs."""
+        if command == self.command:
+            return False
+        self.command = command
+        self.changed.set()
+        self.changed = asyncio.Event()
+        return True
+
+
+class Dispatcher:
+    """All open commands; run `run` as a task. `clock` is the time since 1970."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        writer: HistoryWriter,
+        ack_timeout_s: float,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._engine = engine
+        self._writer = writer
+        self._ack_timeout_s = ack_timeout_s
+        self._clock = clock
+        self._links: dict[str, CommandLink] = {}
+        self._open: defaultdict[str, dict[str, _Open]] = defaultdict(dict)
+        self._ended: OrderedDict[tuple[str, str], _Open] = OrderedDict()
+        self._ordering = asyncio.Lock()
+        self._wake = asyncio.Event()
+
+    async def load(self) -> None:
+        """Read the open commands of an earlier run."""
+        for row in await asyncio.to_thread(device_store.commands, self._engine, OPEN):
+            self._open[row.device][row.id] = _Open(command_of(row))
+
+    async def run(self) -> None:
+        """Process open commands until cancelled."""
+        while True:
+            for device in [name for name, opened in self._open.items() if opened]:
+                for one in tuple(self._open[device].values()):
+                    if not one.is_busy:
+                        await self._proceed(one)
+            try:
+                async with asyncio.timeout(TICK_S if any(self._open.values()) else None):
+                    await self._wake.wait()
+            except TimeoutError:
+                pass
+            self._wake.clear()
+
+    def connect(self, device: str, link: CommandLink) -> None:
+        """Send commands of `device` over `link` from now on."""
+        self._links[device] = link
+        for one in self._open[device].values():
+            one.sent = Sent()
+        self._wake.set()
+
+    def disconnect(self, device: str, link: CommandLink) -> None:
+        """Stop using `link`, unless a newer one has replaced it."""
+        if self._links.get(device) is link:
+            del self._links[device]
+
+    async def order(
+        self,
+        device: str,
+        description: DeviceDescription,
+        name: str,
+        parameters: Mapping[str, Any],
+        *,
+        timeout_s: float,
+        identifier: str | None = None,
+    ) -> Command:
+        """Accept a command; it is durable when this returns. The same id again returns the same command.
+
+        Raises `Problem`: 404 for a command that the device does not take, 422 for wrong parameters, 409 for a
+        motion while the device is away and for an id with other content, 429 for too many open commands.
+        """
+        specification = description.command(name)
+        if specification is None:
+            known = ", ".join(command.name for command in description.commands) or "none"
+            raise Problem(404, "No such command", f'{device} takes no command "{name}"; it takes {known}')
+        _require_valid(name, parameters, specification.parameters)
+        identifier = identifier or uuid4().hex
+        async with self._ordering:
+            known_one = await self._find(device, identifier)
+            if known_one is not None:
+                if (known_one.name, dict(known_one.parameters)) != (name, dict(parameters)):
+                    raise Problem(
+                        409,
+                        "Another command",
+                        f'the id "{identifier}" is that of another command; use a new one',
+                    )
+                return known_one
+            if len(self._open[device]) >= MAX_OPEN:
+                raise Problem(
+                    429,
+                    "Too many commands",
+                    f"{device} has {MAX_OPEN} open commands; wait until some have ended",
+                )
+            now_s = self._clock()
+            link = self._links.get(device)
+            command = Command(
+                device, identifier, name, specification.kind, dict(parameters), now_s, now_s + timeout_s
+            )
+            if specification.kind is CommandKind.MOTION:
+                if link is None:
+                    raise Problem(
+                        409,
+                        "Device away",
+                        f'{device} is not connected, and "{name}" is a motion, which is never queued; '
+                        "connect the device and send the command again",
+                    )
+                command = command.sent_to(link.boot)
+            one = _Open(command)
+            one.is_busy = True
+            self._open[device][identifier] = one
+            try:
+                await self._write(command, messages=[self._logged(command)] if command.boot else [])
+                if command.boot and link is not None:
+                    self._send_motion(one, link)
+            finally:
+                one.is_busy = False
+        self._wake.set()
+        return one.command
+
+    async def cancel(self, device: str, identifier: str) -> Command:
+        """Cancel a command: one that was not sent ends at once, another one when the device answers."""
+        one = self._open[device].get(identifier)
+        if one is None:
+            found = await self._find(device, identifier)
+            if found is None:
+                raise _no_command(device, identifier)
+            return found
+        if one.command.state is CommandState.QUEUED and one.command.boot is None and not one.is_busy:
+            await self._end(one, CommandState.CANCELLED, "cancelled before it was sent")
+        elif not one.is_cancelling:
+            self._cancel_sent(one)
+        return one.command
+
+    def answer(self, device: str, answer: CommandAnswer) -> bool:
+        """Process an answer of a device; return whether it concerns a command of this device."""
+        one = self._open[device].get(answer.id)
+        if one is None:
+            own = answer.id.removesuffix(f":{CANCEL}")
+            return (device, answer.id) in self._ended or own != answer.id
+        if one.change(answered(one.command, answer, is_cancelling=one.is_cancelling)):
+            self._writer.add(commands=[_row(one.command)])
+            self._close_if_ended(one)
+        return True
+
+    async def find(self, device: str, identifier: str) -> Command:
+        """Return a command; raise `Problem` 404."""
+        found = await self._find(device, identifier)
+        if found is None:
+            raise _no_command(device, identifier)
+        return found
+
+    async def wait(self, device: str, identifier: str, since: Command, timeout_s: float) -> Command:
+        """Return the command when it differs from `since` or has ended, at the latest after `timeout_s`."""
+        one = self._open[device].get(identifier) or self._ended.get((device, identifier))
+        if one is None:
+            return await self.find(device, identifier)
+        try:
+            async with asyncio.timeout(timeout_s):
+                while one.command.is_open and one.command == since:
+                    await one.changed.wait()
+        except TimeoutError:
+            pass
+        return one.command
+
+    def forget(self, device: str) -> None:
+        """Forget the commands of a device that was deleted."""
+        for one in self._open.pop(device, {}).values():
+            one.change(one.command.ended(CommandState.CANCELLED, "the device was deleted"))
+
+    async def _proceed(self, one: _Open) -> None:
+        command = one.command
+        link = self._links.get(command.device)
+        now_s = self._clock()
+        step = next_step(command, now_s, link.boot if link else None, one.sent, self._ack_timeout_s)
+        if step is Step.EXPIRE:
+            if command.boot is not None and link is not None and not one.is_cancelling:
+                link.send(_cancel_message(command))
+            reason = (
+                "the device did not connect before the deadline"
+                if command.boot is None
+                else "the device reported no end before the deadline; what it did is unknown"
+            )
+            await self._end(one, CommandState.EXPIRED, reason)
+        elif step is Step.GIVE_UP:
+            reason = "the device started again; whether it executed the command is unknown"
+            if command.boot is None:
+                reason = "the gateway stopped before it sent the motion"
+            await self._end(one, CommandState.UNKNOWN if command.boot else CommandState.FAILED, reason)
+        elif step is Step.SEND and link is not None:
+            one.is_busy = True
+            try:
+                if command.boot != link.boot:
+                    one.change(command.sent_to(link.boot))
+                    await self._write(one.command, messages=[self._logged(one.command)])
+                if self._links.get(command.device) is link and one.command.is_open:
+                    one.sent = Sent(one.sent.times + 1, now_s)
+                    link.send(_message(one.command, now_s))
+            finally:
+                one.is_busy = False
+
+    def _send_motion(self, one: _Open, link: CommandLink) -> None:
+        """Send a motion once, if the connection that it was accepted for still exists."""
+        if self._links.get(one.command.device) is link:
+            one.sent = Sent(1, self._clock())
+            link.send(_message(one.command, self._clock()))
+            return
+        one.change(one.command.ended(CommandState.FAILED, "the device disconnected; the motion was not sent"))
+        self._writer.add(commands=[_row(one.command)])
+        self._close_if_ended(one)
+
+    def _cancel_sent(self, one: _Open) -> None:
+        one.is_cancelling = True
+        link = self._links.get(one.command.device)
+        if link is not None:
+            link.send(_cancel_message(one.command))
+        deadline_s = min(one.command.deadline_s, self._clock() + CANCEL_TIMEOUT_S)
+        one.command = replace(one.command, deadline_s=deadline_s)
+        self._writer.add(commands=[_row(one.command)])
+
+    async def _end(self, one: _Open, state: CommandState, reason: str) -> None:
+        one.change(one.command.ended(state, reason))
+        await self._write(one.command)
+        self._close_if_ended(one)
+
+    def _close_if_ended(self, one: _Open) -> None:
+        command = one.command
+        if command.is_open or self._open[command.device].pop(command.id, None) is None:
+            return
+        metrics.COMMANDS.labels(command.state.value).inc()
+        log.info("command ended", device=command.device, command=command.id, state=command.state.value)
+        self._ended[command.device, command.id] = one
+        while len(self._ended) > MAX_ENDED:
+            self._ended.popitem(last=False)
+
+    async def _write(self, command: Command, messages: list[MessageRow] | None = None) -> None:
+        await asyncio.shield(self._writer.add(messages=messages or [], commands=[_row(command)]))
+
+    def _logged(self, command: Command) -> MessageRow:
+        now_s = self._clock()
+        body = orjson.dumps(_message(command, now_s)).decode()
+        return MessageRow(command.device, int(now_s * 1e6), "out", "command", body, None)
+
+    async def _find(self, device: str, identifier: str) -> Command | None:
+        one = self._open[device].get(identifier) or self._ended.get((device, identifier))
+        if one is not None:
+            return one.command
+        row = await asyncio.to_thread(device_store.command, self._engine, device, identifier)
+        return None if row is None else command_of(row)
+
+
+def _message(command: Command, now_s: float) -> dict[str, Any]:
+    return {
+        "type": "command",
+        "id": command.id,
+        "name": command.name,
+        "parameters": dict(command.parameters),
+        "deadline": round(command.deadline_s, 3),
+        "remaining": round(max(command.deadline_s - now_s, 0.0), 3),  # for devices without a clock
+    }
+
+
+def _cancel_message(command: Command) -> dict[str, Any]:
+    return {
+        "type": "command",
+        "id": f"{command.id}:{CANCEL}",
+        "name": CANCEL,
+        "parameters": {"id": command.id},
+    }
+
+
+def _require_valid(name: str, parameters: Mapping[str, Any], schema: Mapping[str, Any] | None) -> None:
+    try:
+        size = len(orjson.dumps(dict(parameters)))
+    except TypeError as error:
+        raise Problem(422, "Wrong parameters", f"the parameters are no plain JSON: {error}") from None
+    if size > MAX_PARAMETERS_BYTES:
+        raise Problem(
+            422,
+            "Wrong parameters",
+            f"the parameters have {size} bytes, and at most {MAX_PARAMETERS_BYTES} fit",
+        )
+    if schema is None:
+        return
+    fault: ValidationError | None = best_match(Draft202012Validator(schema).iter_errors(dict(parameters)))
+    if fault is not None:
+        where = "".join(f", {part}" for part in fault.absolute_path)
+        raise Problem(
+            422,
+            "Wrong parameters",
+            f"parameters of {name}{where}: {fault.message[:300]}",
+        )
+
+
+def _no_command(device: str, identifier: str) -> Problem:
+    return Problem(404, "No such command", f'{device} has no command with the id "{identifier}"')
+
+
+def _row(command: Command) -> CommandRow:
+    return CommandRow(
+        command.device,
+        command.id,
+        command.name,
+        command.kind.value,
+        orjson.dumps(dict(command.parameters)).decode(),
+        int(command.created_s * 1e6),
+        int(command.deadline_s * 1e6),
+        command.state.value,
+        command.progress,
+        None if command.result is None else orjson.dumps(dict(command.result)).decode(),
+        command.reason,
+        command.boot,
+    )
+
+
+def command_of(row: CommandRow) -> Command:
+    """Return the command of a row of the database."""
+    return Command(
+        row.device,
+        row.id,
+        row.name,
+        CommandKind(row.kind),
+        orjson.loads(row.parameters),
+        row.created_us / 1e6,
+        row.deadline_us / 1e6,
+        CommandState(row.state),
+        row.progress,
+        None if row.result is None else orjson.loads(row.result),
+        row.reason,
+        row.boot,
+    )

@@ -1,0 +1,1 @@
+"""Transports: how devices reach the gateway."""

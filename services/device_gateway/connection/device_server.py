@@ -1,0 +1,303 @@
+"""The device server: devices on TCP or TLS, one JSON object a line.
+
+Bounds, for one connection and for all:
+
+- a connection without a hello in time is closed, and so is the oldest of too many that wait for one;
+- a line has at most 64 KiB, and an incomplete one is the only thing that is kept of the input;
+- a device that sends faster than its rate, or faster than the database writes, is read no further until it
+  may send again: TCP makes it wait, and nothing is lost;
+- a device that does not read its answers is read no further, and is disconnected after the idle time;
+- a device that sends many invalid lines is disconnected.
+"""
+
+import asyncio
+import socket
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, Self, cast
+
+from handover.errors import UsageError
+from handover.outbound_policy import is_loopback
+from handover.security.protection import require_protection
+from handover.telemetry import get_logger
+from handover.transport_security.server_certificate import ServerCertificate
+from handover.transport_security.tls_listener import Listener, listen
+from services.device_gateway import metrics
+from services.device_gateway.gateway import DeviceGateway, Refused, Session, encoded
+from services.device_gateway.protocol.lines import LineBuffer
+from services.device_gateway.protocol.messages import MAX_LINE_BYTES, BadMessage, encode, parse_hello
+from services.device_gateway.protocol.rates import DeviceRates
+from services.device_gateway.settings import GatewaySettings
+
+log = get_logger(__name__)
+
+MAX_WAITING_FOR_HELLO: Final = 128
+REFUSAL_LINGER_S: Final = 1.0
+"""How long a refused connection stays open, so that the other side can read the reason."""
+CHECK_S: Final = 1.0
+"""Period of the check for idle connections."""
+HIGH_WATER_BYTES: Final = 256 * 1024
+KEEPALIVE: Final = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
+
+
+class DeviceServer:
+    """Listens for devices; an asynchronous context manager."""
+
+    def __init__(self, settings: GatewaySettings, gateway: DeviceGateway) -> None:
+        self.gateway = gateway
+        self.settings = settings
+        self.waiting: dict[DeviceConnection, None] = {}
+        self.open: set[DeviceConnection] = set()
+        self._certificate = _certificate_of(settings)
+        require_protection(settings, settings.device_host, "HANDOVER_DEVICE_HOST", has_tls=True)
+        self._server: Listener | None = None
+        self._checker: asyncio.TimerHandle | None = None
+
+    async def __aenter__(self) -> Self:
+        settings = self.settings
+        try:
+            self._server = await listen(
+                lambda: DeviceConnection(self),
+                settings.device_host,
+                settings.device_port,
+                self._certificate,
+                handshake_timeout_s=settings.tls_handshake_timeout_s,
+            )
+        except OSError as error:
+            raise UsageError(
+                f"the device server cannot listen on {settings.device_host}:{settings.device_port} "
+                f"({error.strerror or error}); set HANDOVER_DEVICE_HOST and HANDOVER_DEVICE_PORT to an "
+                "address and port that are free"
+            ) from None
+        log.info(
+            "device server listens",
+            host=settings.device_host,
+            port=settings.device_port,
+            tls=self._certificate is not None,
+        )
+        self.gateway.writer.on_room = self._read_on
+        self._check_idle()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        if self._checker is not None:
+            self._checker.cancel()
+        if self._server is not None:
+            self._server.close()
+        for connection in tuple(self.open):
+            connection.end("stopping", "the gateway stops; connect again in a moment", retry=True)
+
+    def add(self, connection: "DeviceConnection") -> None:
+        """Add a connection that has not sent its hello."""
+        self.open.add(connection)
+        self.waiting[connection] = None
+        if len(self.open) > self.settings.device_max_connections:
+            connection.refuse(
+                "tooManyConnections",
+                f"there are {self.settings.device_max_connections} connections already; try again later, or "
+                "raise HANDOVER_DEVICE_MAX_CONNECTIONS",
+                retry=True,
+            )
+        elif len(self.waiting) > MAX_WAITING_FOR_HELLO:
+            oldest = next(iter(self.waiting))
+            reason = f"more than {MAX_WAITING_FOR_HELLO} connections have sent no hello; send it at once"
+            oldest.refuse("noHello", reason, retry=True)
+
+    def _read_on(self) -> None:
+        for connection in tuple(self.open):
+            connection.read_on()
+
+    def _check_idle(self) -> None:
+        loop = asyncio.get_running_loop()
+        now_s = loop.time()
+        for connection in tuple(self.open):
+            connection.check(now_s)
+        self._checker = loop.call_later(CHECK_S, self._check_idle)
+
+
+class DeviceConnection(asyncio.Protocol):
+    """One connection: a hello, then messages. It is the `Link` of its device."""
+
+    def __init__(self, server: DeviceServer) -> None:
+        self.boot = ""
+        self._server = server
+        self._settings = server.settings
+        self._loop = asyncio.get_running_loop()
+        self._transport: asyncio.Transport | None = None
+        self._lines = LineBuffer()
+        self._session: Session | None = None
+        now_s = self._loop.time()
+        self._rates = DeviceRates.of(server.settings.device_max_messages_per_s, now_s)
+        self._active_s = now_s
+        self._until_s = 0.0
+        """Nothing is read until this time: the device has sent faster than its rate."""
+        self._cannot_write = False
+        self._is_paused = False
+        self._ended = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Expect the hello."""
+        self._transport = cast("asyncio.Transport", transport)  # uvloop's is one in all but its class
+        self._transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
+        _keep_alive(self._transport)
+        self._server.add(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
+        """Note the end; the device connects again by itself."""
+        self._ended = True
+        self._server.waiting.pop(self, None)
+        self._server.open.discard(self)
+        if self._session is not None:
+            self._session.end()
+
+    def data_received(self, data: bytes) -> None:
+        """Process the complete lines."""
+        if self._ended:
+            return
+        lines = self._lines.feed(data)
+        self._active_s = self._loop.time()
+        if self._session is None and lines:
+            self._process_hello(lines[0])
+            lines = lines[1:]
+        messages = [line for line in lines if line]  # an empty line only shows that the device is there
+        if messages and self._session is not None and not self._ended:
+            wait_s = self._rates.messages.spend(len(messages), self._active_s)
+            self._until_s = self._active_s + wait_s
+            self._session.receive(messages, self._respond)
+            self._pause_if_needed(wait_s)
+        if self._lines.has_overflowed:
+            self.refuse(
+                "tooLong",
+                f"a line has at most {MAX_LINE_BYTES} bytes; end each with a newline and send less at once",
+                retry=True,
+            )
+
+    def pause_writing(self) -> None:
+        """The device does not read its answers: read no more of it."""
+        self._cannot_write = True
+        self._pause_if_needed(0.0)
+
+    def resume_writing(self) -> None:
+        """The device reads again."""
+        self._cannot_write = False
+        self.read_on()
+
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send a message."""
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.write(encode(message))
+
+    def end(self, code: str, reason: str, *, retry: bool) -> None:
+        """Send the reason, and whether to connect again, and close."""
+        self.refuse(code, reason, retry=retry)
+
+    def refuse(self, code: str, reason: str, *, retry: bool) -> None:
+        """Send the reason and close our direction; wait so that the other side can read it."""
+        if self._ended or self._transport is None:
+            return
+        metrics.CONNECTIONS_REFUSED.labels(code).inc()
+        log.warning("connection ended", code=code, reason=reason, peer=self._peer())
+        self.send({"type": "error", "code": code, "reason": reason, "retry": retry})
+        self._ended = True
+        self._server.waiting.pop(self, None)
+        if self._session is not None:
+            self._session.end()
+        if self._transport.can_write_eof():
+            self._transport.write_eof()
+        self._loop.call_later(REFUSAL_LINGER_S, self._transport.abort)
+
+    def check(self, now_s: float) -> None:
+        """End the connection if its hello is missing or it was idle for too long."""
+        settings = self._settings
+        if self._session is None:
+            if now_s - self._active_s > settings.device_hello_timeout_s:
+                self.refuse("noHello", f"no hello within {settings.device_hello_timeout_s:g} s", retry=True)
+        elif self._is_paused and not self._cannot_write:
+            self._active_s = now_s  # it waits for us
+        elif now_s - self._active_s > settings.device_idle_timeout_s:
+            self.refuse(
+                "idle",
+                f"nothing was received for {settings.device_idle_timeout_s:g} s; send a message or an empty "
+                "line more often",
+                retry=True,
+            )
+
+    def read_on(self) -> None:
+        """Read again, if nothing speaks against it any more."""
+        if not self._is_paused or self._ended or self._transport is None:
+            return
+        is_early = self._loop.time() < self._until_s
+        if not (is_early or self._cannot_write or self._server.gateway.writer.is_full):
+            self._is_paused = False
+            self._transport.resume_reading()
+
+    def _pause_if_needed(self, wait_s: float) -> None:
+        if self._ended or self._transport is None:
+            return
+        if wait_s > 0 or self._cannot_write or self._server.gateway.writer.is_full:
+            if not self._is_paused:
+                self._is_paused = True
+                self._transport.pause_reading()
+            if wait_s > 0:
+                self._loop.call_later(wait_s, self.read_on)
+
+    def _process_hello(self, line: bytes) -> None:
+        gateway = self._server.gateway
+        try:
+            hello = parse_hello(line)
+            self._session = gateway.connect(hello, self)
+        except BadMessage as bad:
+            self.refuse(bad.code, str(bad), retry=False)
+            return
+        except Refused as refused:
+            self.refuse(refused.code, str(refused), retry=refused.retry)
+            return
+        self._server.waiting.pop(self, None)
+        self.send(gateway.greeting(hello, self._session.device))
+
+    def _respond(self, answers: Sequence[Mapping[str, Any]]) -> None:
+        if self._transport is None or self._transport.is_closing() or self._ended:
+            return
+        self._transport.write(encoded(answers))
+        faults = sum(answer["type"] == "error" for answer in answers)
+        if faults and self._rates.faults.spend(faults, self._loop.time()) > 0:
+            self.refuse(
+                "tooManyErrors",
+                "too many invalid messages; correct the device, see the errors before",
+                retry=True,
+            )
+
+    def _peer(self) -> str:
+        peer = self._transport.get_extra_info("peername") if self._transport else None
+        return f"{peer[0]}:{peer[1]}" if isinstance(peer, tuple) else str(peer)
+
+
+def _certificate_of(settings: GatewaySettings) -> ServerCertificate | None:
+    """Return the certificate of the port: its own, else that of the service; raise `UsageError`."""
+    if settings.device_tls_certificate is not None:
+        return ServerCertificate(settings.device_tls_certificate, settings.device_tls_key)
+    certificate = None if settings.device_plain else ServerCertificate.of(settings)
+    if certificate is None:
+        _require_plain_allowed(settings)
+    return certificate
+
+
+def _require_plain_allowed(settings: GatewaySettings) -> None:
+    host = settings.device_host
+    if settings.device_plain or is_loopback(host):
+        return
+    raise UsageError(
+        f"devices would send their tokens in clear to {host}:{settings.device_port}; set "
+        "HANDOVER_DEVICE_TLS_CERTIFICATE and HANDOVER_DEVICE_TLS_KEY, or HANDOVER_DEVICE_PLAIN=true behind a "
+        "proxy that ends TLS"
+    )
+
+
+def _keep_alive(transport: asyncio.Transport) -> None:
+    """Detect a peer that has vanished without closing the connection."""
+    connection = transport.get_extra_info("socket")
+    if connection is None:
+        return
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in KEEPALIVE.items():
+        if hasattr(socket, option):
+            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)

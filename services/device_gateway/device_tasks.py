@@ -1,0 +1,100 @@
+"""Tasks of devices: a Task that involves a registered device becomes a command.
+
+The command's name is the `operation` of the workParameters, else the last part of the TaskDefinition's id.
+Its id is computed from that of the Task: after a crash the Task finds its command and waits for it again, and
+the device receives it once. What the device reports is the Task's progress and result.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from typing import Any, Final
+
+from handover.broker import BrokerClient
+from handover.errors import Problem
+from handover.outcomes import outcome_unknown
+from handover.performer import Job, Performer, RequestedAction, TaskFailed
+from handover.telemetry import get_logger
+from services.device_gateway.commands.command import Command, CommandState
+from services.device_gateway.gateway import DeviceGateway
+from services.device_gateway.registry.entities import SOURCE, device_id
+from services.device_gateway.settings import GatewaySettings
+
+log = get_logger(__name__)
+
+MAX_TIMEOUT_S: Final = 86_400.0
+WAIT_S: Final = 0.5
+"""Period in which a running command is compared with the requests of clients."""
+_NOT_PARAMETERS: Final = frozenset({"operation", "timeoutS", "description"})
+
+
+class DeviceTasks(Performer):
+    """Performs the Tasks of all registered devices that take commands."""
+
+    def __init__(self, settings: GatewaySettings, broker: BrokerClient, gateway: DeviceGateway) -> None:
+        super().__init__(SOURCE, settings, broker, notify_url=f"{settings.service_url}/notifications")
+        self._gateway = gateway
+        self._timeout_s = settings.device_task_timeout_s
+        self._names: dict[str, str] = {}
+
+    async def follow(self, name: str) -> None:
+        """Act for a device if it takes commands."""
+        resource = device_id(self.settings, name)
+        device = self._gateway.devices.get(name)
+        if device is not None and device.stored.description.commands:
+            self._names[resource] = name
+            await self.act_for(resource)
+        elif self.stop_acting_for(resource):
+            self._names.pop(resource, None)
+
+    async def perform(self, job: Job) -> Mapping[str, Any] | None:
+        """Send the command of a Task and wait for its end."""
+        parameters = job.parameters
+        operation = str(parameters.get("operation") or job.task.is_defined_by.object.rpartition(":")[2])
+        timeout_s = parameters.get("timeoutS", self._timeout_s)
+        if (
+            isinstance(timeout_s, bool)
+            or not isinstance(timeout_s, int | float)
+            or not 0 < timeout_s <= 86_400
+        ):
+            raise TaskFailed("timeoutS must be a number of seconds, more than 0 and at most 86400")
+        identifier = f"task-{hashlib.sha256(job.task.id.encode()).hexdigest()[:32]}"
+        try:
+            device = self._gateway.device(self._names[job.resource])
+            command = await self._gateway.dispatcher.order(
+                device.name,
+                device.stored.description,
+                operation,
+                {name: value for name, value in parameters.items() if name not in _NOT_PARAMETERS},
+                timeout_s=float(timeout_s),
+                identifier=identifier,
+            )
+        except Problem as problem:
+            raise TaskFailed(problem.detail) from None
+        command = await self._follow_to_end(job, command)
+        return self._outputs(command)
+
+    async def _follow_to_end(self, job: Job, command: Command) -> Command:
+        dispatcher = self._gateway.dispatcher
+        cancelled = False
+        while command.is_open:
+            if command.progress is not None:
+                job.report_progress(command.progress)
+            if job.requested_action is RequestedAction.CANCEL and not cancelled:
+                cancelled = True
+                command = await dispatcher.cancel(command.device, command.id)
+                continue
+            command = await dispatcher.wait(command.device, command.id, command, WAIT_S)
+        if cancelled and command.state is CommandState.CANCELLED:
+            await job.checkpoint()  # raises TaskCancelled
+        return command
+
+    @staticmethod
+    def _outputs(command: Command) -> Mapping[str, Any]:
+        if command.state is CommandState.DONE:
+            return {**(command.result or {}), "progress": 1.0}
+        reason = command.reason or f"the command ended as {command.state}"
+        if command.state is CommandState.UNKNOWN or (
+            command.state is CommandState.EXPIRED and command.boot is not None
+        ):
+            raise TaskFailed(outcome_unknown(reason))
+        raise TaskFailed(reason)

@@ -1,0 +1,27 @@
+"""The metrics of the device gateway."""
+
+from prometheus_client import Counter, Gauge, Histogram
+
+CONNECTED = Gauge("handover_devices_connected", "Devices with a connection")
+CONNECTIONS_REFUSED = Counter(
+    "handover_device_connections_refused_total", "Connections of devices that were refused or ended", ["kind"]
+)
+MESSAGES = Counter("handover_device_messages_total", "Messages of devices that were accepted", ["type"])
+MESSAGES_REFUSED = Counter(
+    "handover_device_messages_refused_total", "Messages of devices that were refused", ["code"]
+)
+VALUES = Counter("handover_device_values_total", "Values of devices that were stored")
+COMMIT = Histogram(
+    "handover_device_commit_seconds",
+    "Time of a group commit of the history",
+    buckets=(0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10),
+)
+BACKLOG = Gauge("handover_device_history_backlog", "Rows of the history that wait for a commit")
+COMMANDS = Counter("handover_device_commands_total", "Commands that ended", ["state"])
+REPORTS = Counter("handover_device_reports_total", "Devices written to the broker", ["outcome"])
+ADAPTER_CONNECTED = Gauge(
+    "handover_device_adapter_connected", "Whether an adapter reaches its devices or server", ["adapter"]
+)
+ANOMALIES = Counter("handover_device_anomalies_total", "Alarms of rules that went on or off", ["change"])
+WATCHES = Gauge("handover_device_watches", "Values of devices that rules watch")
+PROCESSES = Counter("handover_device_processes_total", "Processes that alarms were to start", ["outcome"])

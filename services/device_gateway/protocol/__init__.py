@@ -1,0 +1,1 @@
+"""The protocol of devices: messages, times and rates, without I/O."""

@@ -1,0 +1,1 @@
+"""The registry: what each device is, its token, and its entities."""

@@ -1,0 +1,67 @@
+"""URDF files: checked when uploaded, and read for the joints of a robot.
+
+A file comes from a client, so entities and external references are not resolved.
+"""
+
+import math
+from typing import Final
+
+from lxml import etree
+
+from handover.errors import Problem
+from services.device_gateway.model.description import Joint
+
+MAX_URDF_BYTES: Final = 4 * 1024 * 1024
+_MOVING: Final = frozenset({"revolute", "continuous", "prismatic"})
+
+
+def joints_in(urdf: bytes) -> tuple[Joint, ...]:
+    """Return the moving joints of a URDF in the order of the file; raise `Problem` 422 for a bad file."""
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
+    try:
+        root = etree.fromstring(urdf, parser)
+    except etree.XMLSyntaxError as error:
+        raise _refused(f"it is no XML: {str(error)[:200]}") from None
+    if root.tag != "robot":
+        raise _refused(f"its root element is {str(root.tag)[:40]}, not robot")
+    if root.getroottree().docinfo.internalDTD is not None:
+        raise _refused("it has a document type; remove that")
+    found: list[Joint] = []
+    for element in root.findall("joint"):
+        kind = element.get("type")
+        if kind not in _MOVING or element.find("mimic") is not None:
+            continue
+        limit = element.find("limit")
+        bounded = kind != "continuous"
+        try:
+            found.append(
+                Joint.model_validate(
+                    {
+                        "name": element.get("name", ""),
+                        "type": kind,
+                        "lower": _limit(limit, "lower", 0.0) if bounded else None,
+                        "upper": _limit(limit, "upper", 0.0) if bounded else None,
+                        "max_velocity": _limit(limit, "velocity", None) or None,
+                        "max_effort": _limit(limit, "effort", None) or None,
+                    }
+                )
+            )
+        except ValueError as error:
+            reason = str(error).splitlines()
+            text = next((line.strip() for line in reason if "Value error" in line), reason[0])
+            raise _refused(f"joint {element.get('name')}: {text[:200]}") from None
+    return tuple(found)
+
+
+def _limit(element: "etree._Element | None", name: str, default: float | None) -> float | None:
+    text = None if element is None else element.get(name)
+    if text is None:
+        return default
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"Value error: {name} is not finite")
+    return value
+
+
+def _refused(reason: str) -> Problem:
+    return Problem(422, "No URDF", f"the URDF cannot be used: {reason}")

@@ -1,0 +1,1 @@
+"""The REST interface: devices, their commands and their history."""

@@ -1,0 +1,191 @@
+"""REST of the registry: devices are added, viewed, edited and deleted; their tokens, URDFs and pictures."""
+
+import asyncio
+import time
+from typing import Annotated
+
+from fastapi import FastAPI, Query, Request, Response
+from pydantic import BaseModel, ConfigDict
+from sqlalchemy import Engine
+
+from handover.body_limit import max_body
+from handover.broker import BrokerClient, NotFound
+from handover.errors import Problem
+from handover.security.guard import in_path, require, require_by_handler, require_somewhere
+from handover.security.permissions import Permission
+from handover.service import XML_TYPES, accepts
+from services.device_gateway.gateway import DeviceGateway
+from services.device_gateway.model.description import DeviceDescription
+from services.device_gateway.model.units import SYMBOLS
+from services.device_gateway.registry.device import Device
+from services.device_gateway.registry.entities import SOURCE, device_id
+from services.device_gateway.registry.pictures import MAX_PICTURE_BYTES, PICTURE_TYPES, media_type_of
+from services.device_gateway.registry.templates import template, templates
+from services.device_gateway.registry.urdf import MAX_URDF_BYTES, joints_in
+from services.device_gateway.routes.views import (
+    DeviceDetails,
+    DeviceView,
+    TokenView,
+    device_details,
+    device_view,
+    token_view,
+)
+from services.device_gateway.settings import GatewaySettings
+from services.device_gateway.storage import device_store
+from services.device_gateway.storage.device_store import DeviceFile
+
+MAX_DESCRIPTION_BYTES = 512 * 1024
+OF_DEVICE = in_path("Device", "device")
+CAN_READ = require(Permission.READ, OF_DEVICE)
+CAN_CONFIGURE = require(Permission.CONFIGURE, OF_DEVICE)
+URDF, PICTURE = "urdf", "picture"
+
+
+class NewDevice(BaseModel):
+    """A device to add: its name, and a template or a description."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str
+    template: str | None = None
+    description: DeviceDescription | None = None
+
+    def described(self) -> DeviceDescription:
+        """Return the description; raise `Problem` if there is none, or two."""
+        if (self.template is None) == (self.description is None):
+            raise Problem(422, "No description", "give either a template or a description")
+        if self.template is not None:
+            return template(self.template)
+        assert self.description is not None  # noqa: S101 - one of them is given
+        return self.description
+
+
+def add_device_routes(
+    app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway, engine: Engine, broker: BrokerClient
+) -> None:
+    """Add the routes of the registry."""
+    _add_catalogues(app)
+
+    def entity_of(name: str) -> str:
+        return device_id(settings, name)
+
+    async def details(device: Device) -> DeviceDetails:
+        files = await asyncio.to_thread(device_store.files_of, engine, device.name)
+        return device_details(device, entity_of(device.name), time.time(), files)
+
+    @app.get("/devices", tags=["devices"], dependencies=[require(Permission.READ)])
+    async def devices(
+        limit: Annotated[int, Query(ge=1, le=1000)] = 1000, after: str = ""
+    ) -> list[DeviceView]:
+        """List the devices with their latest values, by name; `after` is the last name of the page before."""
+        names = sorted(name for name in gateway.devices if name > after)[:limit]
+        now_s = time.time()
+        return [device_view(gateway.devices[name], entity_of(name), now_s) for name in names]
+
+    @app.post("/devices", status_code=201, tags=["devices"], dependencies=[require(Permission.CONFIGURE)])
+    @max_body(MAX_DESCRIPTION_BYTES)
+    async def add(new: NewDevice) -> TokenView:
+        """Register a device; its token is shown only once. Its entities are written to the broker."""
+        description = new.described()
+        await _require_free(broker, entity_of(new.name))
+        made = await gateway.add(new.name, description)
+        return token_view(new.name, made.token, settings)
+
+    @app.get("/devices/{device}", tags=["devices"], dependencies=[CAN_READ])
+    async def one(device: str) -> DeviceDetails:
+        """Return a device with its description."""
+        return await details(gateway.device(device))
+
+    @app.put("/devices/{device}", tags=["devices"], dependencies=[CAN_CONFIGURE])
+    @max_body(MAX_DESCRIPTION_BYTES)
+    async def describe(device: str, description: DeviceDescription) -> DeviceDetails:
+        """Replace the description of a device."""
+        return await details(await gateway.describe(device, description))
+
+    @app.delete("/devices/{device}", status_code=204, tags=["devices"], dependencies=[CAN_CONFIGURE])
+    async def remove(device: str) -> None:
+        """Delete a device with its history, its token and its entities."""
+        await gateway.remove(device)
+
+    @app.post("/devices/{device}/token", tags=["devices"], dependencies=[CAN_CONFIGURE])
+    async def change_token(device: str) -> TokenView:
+        """Make a new token, shown only once; the old one and its connection end."""
+        made = await gateway.change_token(device)
+        return token_view(device, made.token, settings)
+
+    @app.delete("/devices/{device}/token", status_code=204, tags=["devices"], dependencies=[CAN_CONFIGURE])
+    async def revoke_token(device: str) -> None:
+        """Revoke the token: the device is disconnected and cannot connect until it gets a new one."""
+        await gateway.revoke_token(device)
+
+    @app.put("/devices/{device}/urdf", tags=["devices"], dependencies=[CAN_CONFIGURE])
+    @max_body(MAX_URDF_BYTES)
+    @accepts(*XML_TYPES)
+    async def set_urdf(
+        device: str,
+        request: Request,
+        joints: Annotated[bool, Query(description="also replace the joints by those of the URDF")] = False,
+    ) -> DeviceDetails:
+        """Store the URDF of a robot."""
+        known = gateway.device(device)
+        urdf = await request.body()
+        found = await asyncio.to_thread(joints_in, urdf)
+        await gateway.save_file(device, URDF, DeviceFile("application/xml", urdf))
+        if joints:
+            changed = known.stored.description.model_dump() | {"joints": found}
+            await gateway.describe(device, DeviceDescription.model_validate(changed))
+        return await details(known)
+
+    @app.get("/devices/{device}/urdf", tags=["devices"], response_class=Response, dependencies=[CAN_READ])
+    async def urdf(device: str) -> Response:
+        """Return the URDF of a robot."""
+        return await _file(device, URDF)
+
+    @app.put("/devices/{device}/picture", status_code=204, tags=["devices"], dependencies=[CAN_CONFIGURE])
+    @max_body(MAX_PICTURE_BYTES)
+    @accepts(*PICTURE_TYPES)
+    async def set_picture(device: str, request: Request) -> None:
+        """Store a picture of a device: PNG, JPEG or WebP."""
+        content = await request.body()
+        await gateway.save_file(device, PICTURE, DeviceFile(media_type_of(content), content))
+
+    @app.get("/devices/{device}/picture", tags=["devices"], response_class=Response, dependencies=[CAN_READ])
+    async def picture(device: str) -> Response:
+        """Return the picture of a device."""
+        return await _file(device, PICTURE)
+
+    async def _file(device: str, kind: str) -> Response:
+        gateway.device(device)
+        found = await asyncio.to_thread(device_store.file_of, engine, device, kind)
+        if found is None:
+            raise Problem(404, f"No {kind}", f"{device} has no {kind}; upload one with PUT on this address")
+        return Response(
+            found.content, media_type=found.media_type, headers={"X-Content-Type-Options": "nosniff"}
+        )
+
+
+def _add_catalogues(app: FastAPI) -> None:
+    @app.get("/templates", tags=["devices"], dependencies=[require_by_handler(Permission.READ)])
+    async def list_templates() -> dict[str, DeviceDescription]:
+        """Return the descriptions of known robots by name."""
+        return templates()
+
+    @app.get("/units", tags=["devices"], dependencies=[require_somewhere(Permission.READ)])
+    async def list_units() -> dict[str, str]:
+        """Return the symbols of units by their UN/CEFACT codes; other codes are accepted as well."""
+        return dict(SYMBOLS)
+
+
+async def _require_free(broker: BrokerClient, entity: str) -> None:
+    """Raise `Problem` 409 if another component performs the Tasks of the Device."""
+    try:
+        found = await broker.retrieve(entity)
+    except NotFound:
+        return
+    performer = found.get("performer", {}).get("value")
+    if performer not in {None, SOURCE}:
+        raise Problem(
+            409,
+            "Name taken",
+            f"{entity} belongs to {performer}, which performs its Tasks; choose another name for this device",
+        )

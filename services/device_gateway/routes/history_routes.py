@@ -1,0 +1,162 @@
+"""REST of the history: messages, values over time, CSV; and telemetry by HTTP for small devices."""
+
+import asyncio
+import csv
+import io
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from itertools import islice
+from typing import Annotated, Any, Final, Literal
+
+from fastapi import Depends, FastAPI, Header, Query, Request, Response
+from sqlalchemy import Engine
+from starlette.responses import StreamingResponse
+
+from datamodels.times import iso
+from handover.body_limit import max_body
+from handover.errors import Problem
+from handover.security.guard import OtherCredential, in_path, require
+from handover.security.permissions import Permission
+from services.device_gateway.gateway import DeviceGateway
+from services.device_gateway.protocol.messages import MAX_LINE_BYTES
+from services.device_gateway.routes.views import MessageView, SeriesView
+from services.device_gateway.storage import history
+
+OF_DEVICE = in_path("Device", "device")
+INGEST: Final = "/ingest/{device}"
+DAY_S: Final = 86_400.0
+MAX_TIME_S: Final = 1e11
+ROWS_AT_ONCE: Final = 2_000
+
+Time = Annotated[float | None, Query(ge=0, le=MAX_TIME_S, description="seconds since 1970")]
+
+
+def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> None:
+    """Add the routes of the history."""
+    may_read = require(Permission.READ, OF_DEVICE)
+
+    @app.get("/devices/{device}/messages", tags=["history"], dependencies=[may_read])
+    async def messages(
+        device: str,
+        before: Annotated[int | None, Query(description="number of the last message seen")] = None,
+        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+        type: Annotated[list[str] | None, Query()] = None,  # noqa: A002 - the name of the parameter
+        direction: Annotated[Literal["in", "out"] | None, Query(description="in: from the device")] = None,
+    ) -> list[MessageView]:
+        """List messages that the device sent and received, newest first."""
+        gateway.device(device)
+        found = await asyncio.to_thread(
+            lambda: history.messages(
+                engine, device, before=before, limit=limit, types=type or (), direction=direction
+            )
+        )
+        return [MessageView(**row) for row in found]  # type: ignore[typeddict-item]
+
+    @app.get("/devices/{device}/values", tags=["history"], dependencies=[may_read])
+    async def values(
+        device: str,
+        name: Annotated[list[str] | None, Query(description="names of values; all without it")] = None,
+        begin: Time = None,
+        end: Time = None,
+        points: Annotated[int, Query(ge=1, le=history.MAX_POINTS)] = 500,
+    ) -> list[SeriesView]:
+        """Return values over time in at most so many intervals, each with mean, minimum and maximum.
+
+        Without times, those of the last 24 hours.
+        """
+        known = gateway.device(device).values
+        series = await _series(device, name)
+        begin_us, end_us = _interval(begin, end)
+
+        def read() -> list[SeriesView]:
+            return [
+                {
+                    "name": one,
+                    "unit": known[one].unit if one in known else None,
+                    "points": [
+                        {"t": p.t_us / 1e6, "n": p.n, "mean": p.mean, "min": p.min, "max": p.max}
+                        for p in history.points(engine, number, begin_us, end_us, points)
+                    ],
+                }
+                for one, number in series.items()
+            ]
+
+        return await asyncio.to_thread(read)
+
+    @app.get(
+        "/devices/{device}/values.csv", tags=["history"], response_class=Response, dependencies=[may_read]
+    )
+    async def values_csv(
+        device: str,
+        name: Annotated[list[str] | None, Query()] = None,
+        begin: Time = None,
+        end: Time = None,
+    ) -> Response:
+        """Return every stored value as CSV: time, name, mean, count, minimum, maximum."""
+        series = await _series(device, name)
+        rows = _csv(engine, series, *_interval(begin, end))
+        headers = {"Content-Disposition": f'attachment; filename="{device}.csv"'}
+        # Starlette iterates over it in a thread.
+        return StreamingResponse(rows, media_type="text/csv; charset=utf-8", headers=headers)
+
+    @app.post(INGEST, tags=["devices"], dependencies=[Depends(OtherCredential("the token of the device"))])
+    @max_body(MAX_LINE_BYTES)
+    async def ingest(
+        device: str, request: Request, authorization: Annotated[str, Header()] = ""
+    ) -> dict[str, Any]:
+        """Receive a telemetry, state or event message of a device; `Authorization: Bearer` has its token.
+
+        The message is durable when this returns.
+        """
+        scheme, _, token = authorization.partition(" ")
+        known = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
+        if gateway.writer.is_full:
+            raise Problem(
+                503, "Too much at once", "the database is behind; send the message again in a second"
+            )
+        answered: asyncio.Future[Sequence[Mapping[str, Any]]] = asyncio.get_running_loop().create_future()
+        gateway.receive(known, [await request.body()], answered.set_result)
+        answer = dict((await answered)[0])
+        if answer["type"] == "error":
+            raise Problem(422, "Message refused", answer["reason"], extra={"code": answer["code"]})
+        return answer
+
+    async def _series(device: str, names: list[str] | None) -> dict[str, int]:
+        gateway.device(device)
+        found = await asyncio.to_thread(history.series_of, engine, device)
+        if names is None:
+            return found
+        missing = [name for name in names if name not in found]
+        if missing:
+            known = ", ".join(found) or "none"
+            raise Problem(
+                404, "No such value", f'{device} has no stored value "{missing[0]}"; it has {known}'
+            )
+        return {name: found[name] for name in names}
+
+
+def _interval(begin: float | None, end: float | None) -> tuple[int, int]:
+    end_s = time.time() + 1 if end is None else end
+    begin_s = end_s - DAY_S if begin is None else begin
+    if begin_s >= end_s:
+        raise Problem(422, "No interval", "begin must be before end, both in seconds since 1970")
+    return int(begin_s * 1e6), int(end_s * 1e6)
+
+
+def _csv(engine: Engine, series: Mapping[str, int], begin_us: int, end_us: int) -> Iterator[bytes]:
+    text = io.StringIO()
+    lines = csv.writer(text)
+    lines.writerow(("time", "name", "value", "count", "minimum", "maximum"))
+    found = history.every_value(engine, series, begin_us, end_us)
+    while True:
+        yield text.getvalue().encode()
+        text.seek(0)
+        text.truncate()
+        page = list(islice(found, ROWS_AT_ONCE))
+        if not page:
+            return
+        lines.writerows(
+            (iso(datetime.fromtimestamp(p.t_us / 1e6, UTC)), name, p.mean, p.n, p.min, p.max)
+            for name, p in page
+        )

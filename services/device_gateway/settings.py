@@ -1,0 +1,108 @@
+"""The settings of the device gateway, in addition to the common ones."""
+
+from pydantic import Field, SecretStr
+
+from handover.settings import MaybePath, Settings
+
+
+class GatewaySettings(Settings):
+    """Addresses, limits and retention of the device gateway."""
+
+    gateway_port: int = Field(54240, ge=1, le=65535, description="REST port of the device gateway")
+    gateway_url: str | None = Field(
+        None, description="where the broker reaches the device gateway; http://host:port of it if absent"
+    )
+    trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
+    trajectory_url: str | None = Field(
+        None, description="where input devices reach the trajectory tool; http://host:port of it if absent"
+    )
+    device_host: str = Field("127.0.0.1", description="the address on which devices connect")
+    device_port: int = Field(54010, ge=1, le=65535, description="the TCP or TLS port for devices")
+    device_tls_certificate: MaybePath = Field(
+        None,
+        description="PEM file of the certificate chain for devices; that of the service if absent",
+    )
+    device_tls_key: MaybePath = Field(None, description="PEM file of the private key of that certificate")
+    device_plain: bool = Field(
+        False,
+        description="allow devices beyond this machine without TLS: behind a proxy that ends TLS, or in a "
+        "network that is trusted",
+    )
+    device_mqtt_url: str | None = Field(
+        None,
+        description="an MQTT 5 server for devices, such as mqtts://user@host:8883; none if absent",
+    )
+    device_mqtt_password: SecretStr | None = Field(
+        None, description="the password of the gateway at the MQTT server"
+    )
+    device_mqtt_topic: str = Field(
+        "handover",
+        pattern=r"^[^/+#\s\x00]+(/[^/+#\s\x00]+)*$",
+        max_length=200,
+        description="the first part of the topics of devices",
+    )
+    device_rules: MaybePath = Field(
+        None, description="YAML file of rules for anomalies; rules can be added by REST as well"
+    )
+    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
+    orchestrator_url: str | None = Field(
+        None, description="where the broker reaches the orchestrator; host and port if absent"
+    )
+    device_hello_timeout_s: float = Field(
+        5.0, gt=0, description="how long a device may take to send its hello"
+    )
+    device_idle_timeout_s: float = Field(
+        60.0, gt=0, description="a device that sends nothing for this time is disconnected"
+    )
+    device_max_connections: int = Field(2000, ge=1, description="maximum connections of devices")
+    device_max_messages_per_s: float = Field(
+        200.0, gt=0, description="rate of messages of one device; the gateway reads no faster"
+    )
+    device_max_ahead_s: float = Field(
+        60.0, ge=0, description="how far the time of a message may be ahead of the gateway's clock"
+    )
+    device_max_age_h: float = Field(
+        48.0, gt=0, description="how old a message may be, for devices that buffer while they are away"
+    )
+    device_ack_timeout_s: float = Field(
+        2.0, gt=0, description="a command without an answer for this time is sent again, where that is safe"
+    )
+    device_task_timeout_s: float = Field(
+        600.0, gt=0, description="deadline of a Task's command if the Task has no timeoutS"
+    )
+    device_report_interval_s: float = Field(
+        1.0, gt=0, description="the values of a device are written to the broker at most this often"
+    )
+    device_reports_per_s: float = Field(
+        100.0, gt=0, description="maximum Devices written to the broker a second, of all devices"
+    )
+    device_keep_messages_h: float = Field(
+        720.0, gt=0, description="commands, states, events and errors of devices are kept for so many hours"
+    )
+    device_keep_telemetry_h: float = Field(
+        24.0, gt=0, description="telemetry messages, whose values are kept apart, are kept for so many hours"
+    )
+    device_keep_values_h: float = Field(
+        168.0, gt=0, description="values are kept at full rate for so many hours, then a mean for each minute"
+    )
+    device_keep_minutes_h: float = Field(
+        2160.0, gt=0, description="minutes are kept for so many hours, then hours"
+    )
+    device_keep_hours_h: float = Field(
+        26280.0, gt=0, description="hours of values are kept for so many hours, then deleted"
+    )
+
+    @property
+    def has_device_tls(self) -> bool:
+        """Whether devices connect by TLS."""
+        return bool(self.device_tls_certificate or (self.tls_certificate and not self.device_plain))
+
+    @property
+    def service_url(self) -> str:
+        """The URL of the device gateway."""
+        return self.url_of(self.gateway_port, self.gateway_url)
+
+    @property
+    def orchestrator(self) -> str:
+        """The URL of the orchestrator."""
+        return self.url_of(self.orchestrator_port, self.orchestrator_url)

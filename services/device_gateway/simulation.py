@@ -1,0 +1,161 @@
+"""Simulated devices of every kind: values within their ranges, and commands that take their time.
+
+They use the client that robots use. What a device is comes from its registration, so any registered device
+can be simulated.
+"""
+
+import math
+import random
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from services.device_gateway.device_client import DeviceClient, Run
+from services.device_gateway.model.description import CommandKind, DeviceDescription, DeviceKind
+from services.device_gateway.registry.templates import templates
+
+STEP_S: Final = 0.1
+COMMAND_S: Final = 2.0
+"""How long a command takes."""
+DEFAULT_RANGE: Final = (0.0, 100.0)
+
+
+class SimulatedDevice:
+    """A device that sends its values every `period_s`, in a thread of its own."""
+
+    def __init__(self, client: DeviceClient, description: DeviceDescription, period_s: float = 1.0) -> None:
+        self.client = client
+        self._values = description.values
+        self._joints = [joint.name for joint in description.joints]
+        self._positions = dict.fromkeys(self._joints, 0.0)
+        self._period_s = period_s
+        self._phase = random.uniform(0, 2 * math.pi)  # noqa: S311 - not used for security
+        self._moving = threading.Lock()
+        self._stopped = threading.Event()
+        for command in description.commands:
+            is_motion = command.kind is CommandKind.MOTION
+            client.command(command.name)(self._move if is_motion else self._act)
+
+    def start(self) -> None:
+        """Connect and send."""
+        self.client.start()
+        threading.Thread(target=self._send_values, daemon=True).start()
+
+    def stop(self) -> None:
+        """Disconnect."""
+        self._stopped.set()
+        self.client.stop()
+
+    def values_at(self, now_s: float) -> dict[str, float]:
+        """Return the values at a time: positions of joints, and slow waves within the ranges of sensors."""
+        found = dict(self._positions)
+        for number, (name, sensor) in enumerate(self._values.items()):
+            if name not in found:
+                low = DEFAULT_RANGE[0] if sensor.minimum is None else sensor.minimum
+                high = low + DEFAULT_RANGE[1] if sensor.maximum is None else sensor.maximum
+                wave = math.sin(now_s / 30 + self._phase + number)
+                found[name] = round(low + (high - low) * (0.5 + 0.3 * wave), 4)
+        return found
+
+    def _send_values(self) -> None:
+        self.client.state("idle", 0.9)
+        while not self._stopped.wait(self._period_s):
+            now_s = time.time()
+            values = self.values_at(now_s)
+            if values:
+                self.client.send(values, now_s)
+
+    def _move(self, parameters: Mapping[str, Any], run: Run) -> dict[str, Any]:
+        if not self._moving.acquire(blocking=False):
+            raise RuntimeError("the device is moving already")
+        try:
+            self.client.state("busy")
+            begin, target = dict(self._positions), self._target(parameters)
+            for fraction in _fractions(run):
+                for name, position in target.items():
+                    self._positions[name] = begin[name] + (position - begin[name]) * fraction
+            return {"joints": dict(self._positions)} if self._joints else {}
+        finally:
+            self._moving.release()
+            self.client.state("idle")
+
+    def _target(self, parameters: Mapping[str, Any]) -> dict[str, float]:
+        """Return the positions that a motion asks for, within the limits of the joints."""
+        joints = parameters.get("joints", [0.0] * len(self._joints))
+        named = joints if isinstance(joints, Mapping) else dict(zip(self._joints, joints, strict=False))
+        target: dict[str, float] = {}
+        for name, position in named.items():
+            if name not in self._positions:
+                raise ValueError(f'there is no joint "{name}"; there are {", ".join(self._joints)}')
+            limits = self._values[name]
+            low = -math.inf if limits.minimum is None else limits.minimum
+            high = math.inf if limits.maximum is None else limits.maximum
+            if not low <= float(position) <= high:
+                raise ValueError(f"{name}: {position} is not within {low:g} and {high:g}")
+            target[name] = float(position)
+        return target
+
+    @staticmethod
+    def _act(_: Mapping[str, Any], run: Run) -> dict[str, Any]:
+        for _fraction in _fractions(run):
+            pass
+        return {}
+
+
+def _fractions(run: Run) -> Iterator[float]:
+    """Yield growing fractions until 1 during `COMMAND_S`, and report them; end when cancelled."""
+    steps = round(COMMAND_S / STEP_S)
+    for step in range(1, steps + 1):
+        if run.cancelled.wait(STEP_S):
+            return
+        run.progress(step / steps)
+        yield step / steps
+
+
+def examples() -> dict[str, DeviceDescription]:
+    """Return a simulated device of each kind, by name, and one of each template."""
+
+    def described(kind: DeviceKind, **members: Any) -> DeviceDescription:
+        return DeviceDescription.model_validate({"kind": kind, "title": f"Simulated {kind}", **members})
+
+    stop = {"name": "stop", "kind": "action"}
+    found = {f"sim-{name}": one for name, one in templates().items()}
+    found["sim-sensor"] = described(
+        DeviceKind.SENSOR,
+        sensors=[
+            {"name": "temperature", "unit": "CEL", "minimum": -20, "maximum": 60, "deadBand": 0.2},
+            {"name": "humidity", "unit": "P1", "minimum": 0, "maximum": 100, "deadBand": 1},
+        ],
+        commands=[{"name": "setInterval", "kind": "setting"}],
+    )
+    found["sim-mobile-robot"] = described(
+        DeviceKind.MOBILE_ROBOT,
+        sensors=[
+            {"name": "x", "unit": "MTR", "deadBand": 0.05},
+            {"name": "y", "unit": "MTR", "deadBand": 0.05},
+            {"name": "speed", "unit": "MTS", "minimum": 0, "maximum": 1.5, "deadBand": 0.05},
+        ],
+        commands=[{"name": "driveTo", "kind": "motion"}, stop],
+    )
+    found["sim-gripper"] = described(
+        DeviceKind.GRIPPER,
+        joints=[{"name": "finger", "type": "prismatic", "lower": 0, "upper": 0.04}],
+        gripper={"maxWidth": 0.08},
+        commands=[{"name": "grip", "kind": "motion"}],
+    )
+    found["sim-actuator"] = described(
+        DeviceKind.ACTUATOR,
+        sensors=[{"name": "opening", "unit": "P1", "minimum": 0, "maximum": 100, "deadBand": 1}],
+        commands=[{"name": "open", "kind": "action"}, {"name": "close", "kind": "action"}],
+    )
+    found["sim-wearable"] = described(
+        DeviceKind.WEARABLE, sensors=[{"name": "steps", "minimum": 0, "maximum": 20000, "deadBand": 10}]
+    )
+    found["sim-camera"] = described(
+        DeviceKind.CAMERA,
+        sensors=[{"name": "framesPerSecond", "unit": "HTZ", "minimum": 0, "maximum": 60, "deadBand": 1}],
+        commands=[{"name": "takePicture", "kind": "action"}],
+    )
+    found["sim-other"] = described(DeviceKind.OTHER, sensors=[{"name": "level", "unit": "LTR"}])
+    return found

@@ -1,0 +1,1 @@
+"""The database: devices, their commands, all messages, and values as time series."""
