@@ -1,0 +1,1 @@
+"""The alert router: sends Alerts to people by mail, webhook and messenger."""

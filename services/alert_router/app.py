@@ -1,0 +1,60 @@
+"""The alert router: sends Alerts to people by mail, webhook and messenger, by rules, and keeps a log."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from handover.background_tasks import BackgroundTasks
+from handover.broker import BrokerClient
+from handover.database import connect
+from handover.security.audit_trail import AuditTrail
+from handover.security.guard import Guard
+from handover.service import create_app
+from handover.storage import storage_check
+from services.alert_router import tables
+from services.alert_router.directory import Directory
+from services.alert_router.follower import Follower
+from services.alert_router.model import Configuration, read_configuration
+from services.alert_router.rest import add_routes
+from services.alert_router.senders import Senders
+from services.alert_router.sending import Sending
+from services.alert_router.settings import RouterSettings
+from services.alert_router.store import Store
+
+
+def make_app(settings: RouterSettings) -> FastAPI:
+    """Return the application; raise `UsageError` if it cannot work with these settings."""
+    engine = connect(settings.database("alerts"))
+    guard = Guard(settings, "alert-router")
+    broker = BrokerClient(settings, credentials=guard.access)
+    store = Store(engine)
+    file = settings.alert_routes
+    directory = Directory(store, Configuration() if file is None else read_configuration(file))
+    senders = Senders(settings)
+    sending = Sending(store, senders, directory.channels.get)
+    follower = Follower(settings, broker, store, lambda: directory.routes, sending.wake)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        tables.prepare(engine)
+        follower.receiver.require_key()
+        await directory.load()
+        await follower.load()
+        async with broker, BackgroundTasks("alert router") as tasks:
+            for work in (sending.run, follower.run, follower.take_steps, follower.keep_retention):
+                tasks.start_restarting(work)
+            yield
+        senders.close()
+        engine.dispose()
+
+    app = create_app(
+        "Alert router",
+        description=__doc__ or "",
+        lifespan=lifespan,
+        checks={"broker": broker.probe, "storage": storage_check(settings.data_dir)},
+        guard=guard,
+        audit=AuditTrail(settings, "alert-router", engine),
+    )
+    add_routes(app, store, directory, senders, follower)
+    return app

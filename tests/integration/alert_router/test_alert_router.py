@@ -1,0 +1,217 @@
+"""Alerts of the broker reach a real mail server and a real webhook, once, also if servers hang."""
+
+import asyncio
+import hashlib
+import hmac
+import json
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from email import message_from_bytes
+from email.message import Message
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from aiosmtpd.smtp import SMTP
+from fastapi import FastAPI
+from starlette.requests import Request
+
+from handover.alert_catalogue import DEVICE_ANOMALY
+from handover.alerts import clear_alert, raise_alert
+from handover.broker import BrokerClient
+from services.alert_router.app import make_app
+from services.alert_router.settings import RouterSettings
+from tests.kit.cell import Cell
+from tests.kit.ports import next_free_port
+from tests.kit.waiting import until
+
+SECRET = "a-secret-of-the-receiver"
+
+
+class Mailbox:
+    """A mail server that keeps what it accepts; it refuses mails to `refused@…`."""
+
+    def __init__(self) -> None:
+        self.mails: list[Message] = []
+
+    async def handle_RCPT(  # noqa: N802 - the name of the hook
+        self, server: Any, session: Any, envelope: Any, address: str, options: Any
+    ) -> str:
+        if address.startswith("refused@"):
+            return "550 no such user"
+        envelope.rcpt_tos.append(address)
+        return "250 OK"
+
+    async def handle_DATA(self, server: Any, session: Any, envelope: Any) -> str:  # noqa: N802
+        self.mails.append(message_from_bytes(envelope.content))
+        return "250 OK"
+
+    def subjects(self) -> list[str]:
+        return [str(mail["Subject"]) for mail in self.mails]
+
+
+@pytest.fixture
+async def mailbox() -> AsyncIterator[tuple[Mailbox, int]]:
+    box = Mailbox()
+    server = await asyncio.get_running_loop().create_server(
+        lambda: SMTP(box, loop=asyncio.get_running_loop()), "127.0.0.1", 0
+    )
+    async with server:
+        yield box, server.sockets[0].getsockname()[1]
+
+
+@asynccontextmanager
+async def running(cell: Cell, folder: Path, **members: Any) -> AsyncIterator[httpx.AsyncClient]:
+    """Run the real application in this process, with a client of its REST interface."""
+    settings = RouterSettings.load(
+        broker_url=cell.url("context_broker"),
+        broker_tenant=cell.tenant or None,
+        data_dir=folder,
+        reconcile_s=1,
+        **members,
+    )
+    app = make_app(settings)
+    transport = httpx.ASGITransport(app, client=("127.0.0.1", 1))
+    async with (
+        app.router.lifespan_context(app),
+        httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1", timeout=60) as rest,
+    ):
+        yield rest
+
+
+async def log_of(rest: httpx.AsyncClient, **filters: Any) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = (await rest.get("/messages", params=filters)).raise_for_status().json()
+    return found
+
+
+async def test_alerts_are_sent_once_by_mail_and_webhook_and_a_hanging_server_delays_nothing(
+    shared_cell: Cell, tmp_path: Path, mailbox: tuple[Mailbox, int]
+) -> None:
+    shared_cell.run("context_broker")
+    box, port = mailbox
+    received: list[tuple[dict[str, str], bytes]] = []
+    hook_port = next_free_port()
+    hanging = socket.create_server(("127.0.0.1", 0))  # accepts connections and never answers
+    members = {"smtp_url": f"smtp://127.0.0.1:{port}", "send_timeout_s": 2.0}
+
+    async with receiver(hook_port, received), running(shared_cell, tmp_path, **members) as rest:
+        for name, channel in (
+            ("ops", {"type": "mail", "to": ["ops@example.org"]}),
+            ("wrong", {"type": "mail", "to": ["refused@example.org"]}),
+            ("hook", {"type": "webhook", "url": f"http://127.0.0.1:{hook_port}/in", "secret": SECRET}),
+            ("hangs", {"type": "webhook", "url": f"http://127.0.0.1:{hanging.getsockname()[1]}/"}),
+        ):
+            (await rest.put(f"/channels/{name}", json=channel)).raise_for_status()
+        route = {
+            "channels": ["hangs", "ops", "hook", "wrong"],
+            "minimumSeverity": "medium",
+            "escalations": [{"afterS": 0.5, "channels": ["ops"]}],
+        }
+        (await rest.put("/routes/all", json=route)).raise_for_status()
+        async with BrokerClient(shared_cell.settings) as broker:
+            await _raise(broker, shared_cell, "hot")
+            await until(lambda: len(box.mails) == 2 and received)
+            assert [subject.partition("[")[0] for subject in box.subjects()] == ["", "Not acknowledged: "]
+            assert "too hot" in str(box.mails[0].get_payload())
+            headers, body = received[0]
+            signature = hmac.new(SECRET.encode(), body, hashlib.sha256).hexdigest()
+            assert headers["handover-signature"] == f"sha256={signature}"
+            assert json.loads(body)["alerts"][0]["severity"] == "medium"
+            (failed,) = await until(lambda: log_of(rest, state="failed"))
+            assert (failed["channel"], "refuses" in failed["error"]) == ("wrong", True)
+            (waiting,) = await until(lambda: _tried(rest))
+            assert (waiting["channel"], "no answer" in waiting["error"]) == ("hangs", True)
+            await clear_alert(broker, shared_cell.settings, key="hot")
+            await until(lambda: len(box.mails) == 3)
+            assert box.subjects()[2].startswith("Returned to normal: ")
+        assert (await rest.put("/routes/x", json={"channels": ["no"]})).json()[
+            "detailCode"
+        ] == "alert_router.unknown"
+        assert (await rest.delete("/channels/ops")).json()["detailCode"] == "alert_router.channel_in_use"
+        messenger = {"type": "apprise", "url": "json://127.0.0.1"}
+        refused = await rest.put("/channels/m", json=messenger)
+        assert refused.json()["detailCode"] == "alert_router.apprise_in_file"
+        assert SECRET not in (await rest.get("/channels")).text
+        tested = (await rest.post("/channels/ops/test")).json()
+        assert tested == {"sent": True, "reason": None}
+        assert not (await rest.post("/channels/hangs/test")).json()["sent"]
+        example = {"severity": "low"}
+        assert (await rest.post("/routes/test", json=example)).json() == []
+    hanging.close()
+    async with running(shared_cell, tmp_path, **members) as rest:  # another run knows what was sent
+        assert {one["name"] for one in (await rest.get("/channels")).json()} == {
+            "ops",
+            "wrong",
+            "hook",
+            "hangs",
+        }
+        await until(lambda: _has_looked(rest))
+        assert len(box.mails) == 4
+
+
+async def test_many_alerts_are_sent_together(
+    shared_cell: Cell, tmp_path: Path, mailbox: tuple[Mailbox, int]
+) -> None:
+    shared_cell.run("context_broker")
+    box, port = mailbox
+    file = tmp_path / "routes.yaml"
+    file.write_text(
+        "channels:\n  ops: {type: mail, to: [ops@example.org], throttle: {maximum: 2, perS: 5}}\n"
+        "routes:\n  all: {channels: [ops], sendCleared: false, sources: ['*:oven-9']}\n"
+    )
+    members = {"smtp_url": f"smtp://127.0.0.1:{port}", "alert_routes": file}
+    async with BrokerClient(shared_cell.settings) as broker:
+        for number in range(30):
+            await _raise(broker, shared_cell, f"many-{number}", source="oven-9")
+        async with running(shared_cell, tmp_path, **members) as rest:
+            await until(lambda: _all_sent(rest, 30))
+            assert len(box.mails) < 30
+            text = "".join(str(mail.get_payload()) for mail in box.mails)
+            assert all(f"many-{number} is too hot" in text for number in range(30))
+            assert (await rest.delete("/routes/all")).json()["detailCode"] == "alert_router.in_file"
+
+
+async def _raise(broker: BrokerClient, cell: Cell, key: str, source: str = "oven-1") -> None:
+    await raise_alert(
+        broker,
+        cell.settings,
+        DEVICE_ANOMALY,
+        key=key,
+        source=f"urn:ngsi-ld:Device:demo:{source}",
+        description=f"{key} is too hot",
+    )
+
+
+async def _tried(rest: httpx.AsyncClient) -> list[dict[str, Any]]:
+    found = await log_of(rest, state="waiting")
+    return found if [one["channel"] for one in found] == ["hangs"] and found[0]["attempts"] else []
+
+
+async def _has_looked(rest: httpx.AsyncClient) -> bool:
+    """Return whether the message to the server that has ended was tried again."""
+    return any(one["attempts"] > 1 for one in await log_of(rest) if one["channel"] == "hangs")
+
+
+async def _all_sent(rest: httpx.AsyncClient, count: int) -> bool:
+    return len(await log_of(rest, state="sent")) == count
+
+
+@asynccontextmanager
+async def receiver(port: int, received: list[tuple[dict[str, str], bytes]]) -> AsyncIterator[None]:
+    """Run a web server that keeps what is posted to it."""
+    import uvicorn
+
+    app = FastAPI()
+
+    @app.post("/in")
+    async def accept(request: Request) -> None:
+        received.append((dict(request.headers), await request.body()))
+
+    server = uvicorn.Server(uvicorn.Config(app, port=port, log_level="error", lifespan="off"))
+    task = asyncio.create_task(server.serve())
+    await until(lambda: server.started)
+    yield
+    server.should_exit = True
+    await task
