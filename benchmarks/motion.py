@@ -1,6 +1,6 @@
 """Motion planning among the 30 obstacles of a bin-picking cell, beside the defaults of OMPL in Python.
 
-    python -m benchmarks.motion [--problems 1000] [--moves 10000] [--robots ur10 ur5e panda] [--seed 1]
+    python -m benchmarks.motion [--problems 1000] [--peers 100] [--robots ur10 ur5e panda] [--seed 1]
 
 A problem is a pair of poses, from one bin or fixture to another, that both have a free position of the arm. A
 plan is the whole way from a pose to a trajectory: inverse kinematics, path, timing, and check. Each plan is
@@ -19,15 +19,17 @@ from typing import Any
 import numpy as np
 from ompl import base, geometric
 
+from benchmarks.jerk_reference import optimal_duration_s
 from benchmarks.steal_time import report_steal_time
 from handover.errors import HandoverError
+from services.trajectory_tool.limits.guards import TorqueGuard
 from services.trajectory_tool.obstacles import Box, Cylinder, Obstacle, World
-from services.trajectory_tool.planned_course import PlannedCourse
 from services.trajectory_tool.planning import timing
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions
 from services.trajectory_tool.planning.inverse import Inverse
 from services.trajectory_tool.planning.planner import Options, Planner
+from services.trajectory_tool.planning.torques import Torques
 from services.trajectory_tool.poses import Pose, pointing_down
 from services.trajectory_tool.robots import ROBOTS
 from services.trajectory_tool.trajectory import duration_s
@@ -35,13 +37,11 @@ from services.trajectory_tool.trajectory import duration_s
 SCALES = {"ur10": 1.0, "ur5e": 0.7, "panda": 0.6}
 """The size of the cell for the reach of each robot."""
 
-OMPL_PROBLEMS = 100
+REFERENCES = 40
+"""The plans of each kind whose duration is compared with the optimum of their path."""
 OMPL_TIMEOUT_S = 5.0
+PINK_STEPS, PINK_STEP_S, PINK_TOLERANCE = 200, 0.1, 1e-4
 EVERY_S = 0.001
-CYCLE_S = 0.008
-CURVED_SHARE = 0.2
-LIMIT_TOLERANCE = 1e-3
-"""Of a limit: the tolerance of the execution of a stop."""
 
 
 def bin_walls(name: str, x: float, y: float, size: float, height: float) -> Iterator[Obstacle]:
@@ -121,7 +121,8 @@ def cpu_s(work: Callable[[], Any], times: int = 1) -> float:
 
 def measure_plans(planner: Planner, places: list[tuple[Pose, Any]]) -> None:
     """Plan from each pose to the next."""
-    cpu, clock, ratios, violations, contacts, refused = [], [], [], 0, 0, 0
+    cpu, clock, violations, contacts, refused = [], [], 0, 0, 0
+    ratios: dict[str, list[tuple[float, float]]] = {"lines": [], "curves": []}
     for (_, start), (target, _) in pairwise(places):
         began_cpu, began = time.thread_time(), time.perf_counter()
         try:
@@ -133,14 +134,22 @@ def measure_plans(planner: Planner, places: list[tuple[Pose, Any]]) -> None:
         clock.append(time.perf_counter() - began)
         violations += len(list(plan.trajectory.violations(planner.limits)))
         contacts += not all(planner.collisions.is_free(one) for one in plan.trajectory.positions(EVERY_S))
-        ratios.append(plan.trajectory.duration_s / without_jerk_s(planner, list(plan.path)))
+        kind = ratios["lines" if len(plan.path) == 2 else "curves"]
+        if len(kind) < REFERENCES:
+            duration = plan.trajectory.duration_s
+            optimal_s = optimal_duration_s(plan.trajectory, planner.limits)
+            kind.append((duration / optimal_s, duration / without_jerk_s(planner, list(plan.path))))
     problems = len(places) - 1
     print(f"  plan: {shown(cpu)} CPU; {shown(clock)} on the clock")
     print(f"  success {100 * len(cpu) / problems:.1f} % of {problems}; refused {refused}")
     print(f"  exceeded limits {violations}, trajectories with a contact {contacts} (every 1 ms)")
-    print(
-        f"  duration over toppra without a limit of jerk: mean {np.mean(ratios):.3f}, max {max(ratios):.3f}"
-    )
+    for what, pairs in ratios.items():
+        if pairs:
+            (jerk, toppra), (most, _) = np.mean(pairs, axis=0), np.max(pairs, axis=0)
+            print(
+                f"  duration of {len(pairs)} {what} over the optimum of their path with the limit of jerk: "
+                f"mean {jerk:.3f}, max {most:.3f}; over toppra without a limit of jerk: mean {toppra:.3f}"
+            )
 
 
 def without_jerk_s(planner: Planner, path: list[Any]) -> float:
@@ -159,11 +168,11 @@ def measure_lines(planner: Planner, random: Any) -> None:
     print(f"  line: duration over the optimum with the limit of jerk: mean {np.mean(ratios):.3f}")
 
 
-def measure_ompl(planner: Planner, places: list[tuple[Pose, Any]]) -> None:
+def measure_ompl(planner: Planner, places: list[tuple[Pose, Any]], count: int) -> None:
     """Plan the same problems as the documentation of OMPL shows it: a validity check, else defaults."""
     arm = planner.arm
     cpu, solved = [], 0
-    problems = list(pairwise(places))[:OMPL_PROBLEMS]
+    problems = list(pairwise(places))[:count]
     for (_, start), (target, _) in problems:
         space = base.RealVectorStateSpace(arm.n)
         bounds = base.RealVectorBounds(arm.n)
@@ -216,6 +225,53 @@ def measure_inverse(name: str, random: Any) -> None:
         )
 
 
+def measure_pink(name: str, random: Any) -> None:
+    """Solve reachable poses from home with pink, if it is installed: differential steps with a QP solver."""
+    try:
+        import pink  # noqa: PLC0415 - a peer, which is not a dependency
+        from pink.tasks import FrameTask  # noqa: PLC0415
+    except ImportError:
+        print("  pink: not installed (pip install pin-pink daqp)")
+        return
+    model = ROBOTS.load(name)
+    arm = Arm(model)
+    home, tip = np.array(model.home), arm.pin_model.frames[arm.tip].name
+    low, high = np.maximum(arm.lower, -math.pi), np.minimum(arm.upper, math.pi)
+    spent, solved, count = [], 0, 200
+    for joints in random.uniform(low, high, (count, arm.n)):
+        target = arm.tool(joints)
+        began = time.thread_time()
+        task = FrameTask(tip, position_cost=1.0, orientation_cost=1.0)
+        task.set_target(target)
+        there = pink.Configuration(arm.pin_model, arm.pin_model.createData(), home)
+        for _ in range(PINK_STEPS):
+            if float(np.linalg.norm(task.compute_error(there))) < PINK_TOLERANCE:
+                solved += 1
+                break
+            with suppress(pink.PinkError):
+                there.integrate_inplace(pink.solve_ik(there, [task], PINK_STEP_S, solver="daqp"), PINK_STEP_S)
+        spent.append(time.thread_time() - began)
+    print(
+        f"  pink, one start, {PINK_STEPS} steps: p50 {1000 * float(np.median(spent)):.2f} ms, "
+        f"solved {100 * solved / count:.1f} %"
+    )
+
+
+def measure_torques(planner: Planner, places: list[tuple[Pose, Any]]) -> None:
+    """Check the torques of plans, and of setpoints as the limiter does."""
+    plans = []
+    for (_, start), (target, _) in list(pairwise(places))[:30]:
+        with suppress(HandoverError):
+            plans.append(planner.to_pose(tuple(start.tolist()), target).trajectory)
+    torques = Torques(planner.arm)
+    per_plan = cpu_s(lambda: [torques.allowed_speed(one) for one in plans]) / len(plans)
+    guard = TorqueGuard(planner.model, World)
+    setpoints = [plans[0].at(time_s) for time_s in np.arange(0.0, plans[0].duration_s, 0.002).tolist()]
+    guard.start(plans[0].start)
+    per_setpoint = cpu_s(lambda: [guard.violation(one) for one in setpoints]) / len(setpoints)
+    print(f"  torques: {1e3 * per_plan:.2f} ms a plan, {1e6 * per_setpoint:.1f} µs a setpoint of the limiter")
+
+
 def measure_checks(planner: Planner, random: Any) -> None:
     """Check configurations, and compute all distances."""
     arm = planner.arm
@@ -224,69 +280,13 @@ def measure_checks(planner: Planner, random: Any) -> None:
     collisions = Collisions(arm, planner.world)
     free = [joints for joints in states if collisions.is_free(joints, 0.01)]
     check = cpu_s(lambda: [collisions.is_free(joints, 0.01) for joints in free]) / len(free)
-    distances = cpu_s(lambda: [collisions.closest_index(joints) for joints in free[:500]]) / min(
-        len(free), 500
-    )
+    some = free[:500]
+    closest = cpu_s(lambda: [collisions.closest(joints) for joints in some]) / len(some)
+    distances = cpu_s(lambda: [collisions.closest_index(joints) for joints in some]) / len(some)
     print(
         f"  {len(planner.world.obstacles)} obstacles, {collisions.pairs} pairs: free configuration "
-        f"{1e6 * check:.1f} µs, all distances {1e6 * distances:.0f} µs"
-    )
-
-
-def measure_nearest(planner: Planner, places: list[tuple[Pose, Any]]) -> None:
-    """Compute the smallest distance in each control cycle of motions, as a limiter does."""
-    paths = []
-    for (_, start), (target, _) in list(pairwise(places))[:20]:
-        with suppress(HandoverError):
-            plan = planner.to_pose(tuple(start.tolist()), target)
-            paths.append(plan.trajectory.slowed(0.6).positions(CYCLE_S))
-    collisions = Collisions(planner.arm, planner.world)
-    spent = cpu_s(lambda: [collisions.nearest(joints) for path in paths for joints in path])
-    cycles = sum(map(len, paths))
-    print(f"  smallest distance in each of {cycles} cycles of motions: {1e6 * spent / cycles:.1f} µs")
-
-
-def measure_moves(planner: Planner, random: Any, moves: int) -> None:
-    """Execute random moves with a pause in each, and compare every sample of 1 ms with the limits."""
-    limits, arm = planner.limits, planner.arm
-    maxima = [np.array(one) for one in (limits.velocity, limits.acceleration, limits.jerk)]
-    low, high = np.maximum(arm.lower, -2.0), np.minimum(arm.upper, 2.0)
-    worst, violations, samples = 0.0, 0, 0
-    began = time.thread_time()
-    for _ in range(moves):
-        ends = random.uniform(low, high, (3, arm.n))
-        curved = random.random() < CURVED_SHARE
-        trajectory = (
-            timing.along(timing.BlendedLines(list(ends), limits), limits)
-            if curved
-            else timing.line(ends[0], ends[1], limits)
-        )
-        pause_s = random.uniform(0.0, trajectory.duration_s)
-        course = PlannedCourse(trajectory, limits, 0.0)
-        # Until the pause the course is the trajectory, which is evaluated for all times at once.
-        before_s = np.arange(0.0, pause_s, EVERY_S)
-        now_s, states = float(before_s[-1]) if len(before_s) else 0.0, []
-        course.at(now_s)
-        while not course.is_over(now_s):
-            now_s += EVERY_S
-            states.append(course.at(now_s, pace=0.0))
-        velocity, acceleration = (
-            np.concatenate([trajectory.derivative(before_s, order), np.array(stop).reshape(-1, arm.n)])
-            for order, stop in (
-                (1, [state.velocities for state in states]),
-                (2, [state.accelerations for state in states]),
-            )
-        )
-        jerk = np.diff(acceleration, axis=0) / EVERY_S
-        peaks = [
-            float((np.abs(values) / limit).max(initial=0.0))
-            for values, limit in zip((velocity, acceleration, jerk), maxima, strict=True)
-        ]
-        worst, samples = max(worst, *peaks), samples + len(velocity)
-        violations += max(peaks) > 1 + LIMIT_TOLERANCE
-    print(
-        f"  {moves} random moves with a pause, {samples} samples of 1 ms: {violations} exceeded a limit, the "
-        f"highest value is {worst:.4f} of its limit ({time.thread_time() - began:.0f} s CPU)"
+        f"{1e6 * check:.1f} µs, smallest distance {1e6 * closest:.1f} µs, all distances "
+        f"{1e6 * distances:.0f} µs"
     )
 
 
@@ -294,7 +294,7 @@ def main() -> None:
     """Print the measurements of each robot."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.motion", description=__doc__)
     parser.add_argument("--problems", type=int, default=1000)
-    parser.add_argument("--moves", type=int, default=10_000)
+    parser.add_argument("--peers", type=int, default=100, help="the problems that OMPL's defaults plan")
     parser.add_argument("--robots", nargs="+", default=list(SCALES), choices=list(SCALES))
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
@@ -304,14 +304,17 @@ def main() -> None:
             model, scale = ROBOTS.load(name), SCALES[name]
             planner = Planner(model, world=cell(scale, given.seed), options=Options())
             places = poses(planner, scale, given.problems + 1, random)
-            print(f"{model.name} among {len(planner.world.obstacles)} obstacles")
+            print(
+                f"{model.name} among {len(planner.world.obstacles)} obstacles, seed {given.seed}", flush=True
+            )
             measure_plans(planner, places)
-            measure_ompl(planner, places)
+            if given.peers:
+                measure_ompl(planner, places, given.peers)
             measure_lines(planner, random)
             measure_inverse(name, random)
+            measure_pink(name, random)
             measure_checks(planner, random)
-            measure_nearest(planner, places)
-            measure_moves(planner, random, given.moves // len(given.robots))
+            measure_torques(planner, places)
 
 
 if __name__ == "__main__":

@@ -20,10 +20,12 @@ import numpy as np
 from benchmarks.steal_time import report_steal_time
 from handover.performer import TaskFailed
 from services.trajectory_tool import operations, parameters
+from services.trajectory_tool.cell_file import Base, CellPlan, RobotEntry
 from services.trajectory_tool.physics.parts import Parts
 from services.trajectory_tool.physics.robot import PhysicsRobot
 from services.trajectory_tool.physics.simulation import Simulation
 from services.trajectory_tool.physics.world_model import STEP_S, build
+from services.trajectory_tool.poses import NO_TURN, Frame
 from services.trajectory_tool.robots.ur10 import FOLDER, ROBOT
 from services.trajectory_tool.scene import Scene, load
 from services.trajectory_tool.settings import TrajectorySettings
@@ -32,6 +34,11 @@ from services.trajectory_tool.work import Work
 from services.trajectory_tool.workcell import Workcell
 
 MAX_SCANS_WITHOUT_PART = 5
+NAME = "ur10-1"
+FACING = (
+    Frame(NO_TURN, (0.0, 0.0, 0.0)),
+    Frame(((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)), (-1.3, 0.9, 0.0)),
+)
 
 
 class Freely:
@@ -50,39 +57,68 @@ def random_moves(count: int, random: Any) -> list[tuple[float, ...]]:
     return [tuple((np.array(ROBOT.home) + random.uniform(-0.6, 0.6, 6)).tolist()) for _ in range(count)]
 
 
-def measure_pace(scene: Scene, seed: int) -> None:
-    """Simulate a cell with a full bin while the arm moves."""
-    simulation = Simulation(build(ROBOT, scene, Parts.needed(scene)), ROBOT.home)
-    Parts(simulation, scene, seed).fill("bin-1")
+def measure_pace(scene: Scene, seed: int, arms: int) -> None:
+    """Simulate a cell with a full bin while its arms move."""
+    models = {f"ur10-{number + 1}": ROBOT.mounted(FACING[number]) for number in range(arms)}
+    homes = dict.fromkeys(models, ROBOT.home)
+    simulation = Simulation(build(models, scene, Parts.needed(scene)), homes)
+    simulation.run(Parts(simulation, scene, seed).fill("bin-1"))
     target = (ROBOT.home[0] + 2.0, *ROBOT.home[1:])
     course = Course(ROBOT.home, target, ROBOT.limits, ROBOT.limits, simulation.time_s)
     steps, began = 0, time.thread_time()
     while steps < 2000:
-        simulation.command(course.at(simulation.time_s))
+        for arm in simulation.arms.values():
+            arm.command(course.at(simulation.time_s))
         simulation.step()
         steps += 1
     cpu_s = time.thread_time() - began
     print(
-        f"  {steps} steps of {1000 * STEP_S:.0f} ms at 500 Hz: {1e6 * cpu_s / steps:.0f} µs CPU a step, "
-        f"{steps * STEP_S / cpu_s:.0f} times real time on one core"
+        f"  {arms} arm{'s' * (arms > 1)}, {steps} steps of {1000 * STEP_S:.0f} ms at 500 Hz: "
+        f"{1e6 * cpu_s / steps:.0f} µs CPU a step, {steps * STEP_S / cpu_s:.0f} times real time on one core"
+    )
+
+
+async def measure_drivers(scene: Scene, folder: Path) -> None:
+    """Move two arms at once by their drivers, with all that a cycle of the tool does."""
+    robots = {
+        f"ur10-{number + 1}": RobotEntry(
+            driver="physics", speed=1.0, base=Base(position=frame.position, yaw_deg=180 * number)
+        )
+        for number, frame in enumerate(FACING)
+    }
+    settings = TrajectorySettings(data_dir=folder, simulation_pace=0)
+    plan = CellPlan(robots, scene.model_dump(mode="json"), FOLDER)
+    async with Workcell(settings, plan=plan) as workcell:
+        world = next(iter(workcell.cells.values())).robot.world  # type: ignore[attr-defined]
+        targets = (tuple(turn + away for turn in ROBOT.home[:1]) + ROBOT.home[1:] for away in (0.5, 0.0) * 5)
+        began, began_s = time.process_time(), world.simulation.time_s
+        for target in targets:
+            await asyncio.gather(
+                *(cell.robot.move(target, 0.5, lambda: 1.0) for cell in workcell.cells.values())
+            )
+        cpu_s, simulated_s = time.process_time() - began, world.simulation.time_s - began_s
+    print(
+        f"  2 arms by their drivers, with limiter and collision check: "
+        f"{1e6 * cpu_s / simulated_s * STEP_S:.0f} µs CPU a step, "
+        f"{simulated_s / cpu_s:.1f} times real time on one core"
     )
 
 
 def measure_agreement(moves: int, random: Any) -> None:
     """Compare the servo in physics with the setpoints that the kinematic robot shows."""
-    simulation = Simulation(build(ROBOT, Scene(name="empty"), 1), ROBOT.home)
+    simulation = Simulation(build({NAME: ROBOT}, Scene(name="empty"), 1), {NAME: ROBOT.home})
     worst_m = worst_s = 0.0
     here = ROBOT.home
     for target in random_moves(moves, random):
         course = Course(here, target, ROBOT.limits, ROBOT.limits, simulation.time_s)
         while not course.is_over(simulation.time_s):
             setpoint = course.at(simulation.time_s)
-            wanted, reached = ROBOT.tool_pose(setpoint.positions), ROBOT.tool_pose(simulation.positions)
+            wanted, reached = ROBOT.tool_pose(setpoint.positions), ROBOT.tool_pose(simulation.arm.positions)
             worst_m = max(worst_m, wanted.distance_m(reached))
-            worst_s = max(worst_s, lag_s(setpoint, simulation.positions))
-            simulation.command(setpoint)
+            worst_s = max(worst_s, lag_s(setpoint, simulation.arm.positions))
+            simulation.arm.command(setpoint)
             simulation.step()
-        simulation.command(Setpoint.at_rest(target))
+        simulation.arm.command(Setpoint.at_rest(target))
         here = target
     print(
         f"  {moves} random moves at full speed: the tool is at most {1000 * worst_m:.2f} mm "
@@ -138,7 +174,7 @@ class Picking:
     async def _pick_and_place(self, found: dict[str, Any]) -> None:
         try:
             await self.do("pick", part=found["part"], pose=found["pose"])
-            held = self.simulation.gripped_part()
+            held = self.simulation.gripped_part(NAME)
             await self.do("place", location="fixture-1")
         except TaskFailed as failure:
             self.reasons[str(getattr(failure.args[0], "code", failure))] += 1
@@ -174,7 +210,10 @@ def main() -> None:
     scene = load(FOLDER / "bin_picking_physics.yaml", ROBOT)
     with report_steal_time():
         print(f"{ROBOT.name} in simulated physics")
-        measure_pace(scene, given.seed)
+        for arms in (1, 2):
+            measure_pace(scene, given.seed, arms)
+        with tempfile.TemporaryDirectory() as folder:
+            asyncio.run(measure_drivers(scene, Path(folder)))
         measure_agreement(given.moves, np.random.default_rng(given.seed))
         measure_picking(given.parts, given.seed)
 

@@ -2,23 +2,33 @@
 
 import inspect
 import math
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
 from fastapi import FastAPI, Response, WebSocket
+from pydantic import BaseModel, ConfigDict
+from starlette.requests import HTTPConnection
 
+from datamodels.entities import DeviceState
 from handover.broker import BrokerClient
+from handover.control.lease import Leases
 from handover.errors import Problem
 from handover.messages import message, text_of
+from handover.security.audit_trail import AuditTrail
+from handover.security.guard import Guard, ResourceOf, require, require_somewhere
+from handover.security.permissions import Permission
 from handover.service import create_app
 from handover.storage import storage_check
+from services.trajectory_tool.cell import Cell
+from services.trajectory_tool.control import routes as control_routes
 from services.trajectory_tool.controller import Controller, Controllers
 from services.trajectory_tool.device import description
 from services.trajectory_tool.joint_states import stream, written
 from services.trajectory_tool.limits import routes as limit_routes
 from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.operations import OPERATIONS
+from services.trajectory_tool.people import routes as people_routes
 from services.trajectory_tool.robot import Robot, RobotFault
 from services.trajectory_tool.scene_routes import add_scene_routes, scene_view
 from services.trajectory_tool.settings import TrajectorySettings
@@ -26,13 +36,25 @@ from services.trajectory_tool.settings import TrajectorySettings
 STREAM_HZ = 30.0
 MAX_HZ = 125.0
 
+of_robot = limit_routes.of_robot
+
 RobotView = dict[str, Any]
+
+
+class Seen(BaseModel):
+    """The Task that a person has confirmed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    task: str
 
 
 def make_app(settings: TrajectorySettings) -> FastAPI:
     """Return the application; raise `UsageError` for settings that do not work."""
-    broker = BrokerClient(settings)
+    guard = Guard(settings, "trajectory-tool")
+    broker = BrokerClient(settings, credentials=guard.access)
     controllers = Controllers(settings, broker)
+    leases = Leases()
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -48,18 +70,26 @@ def make_app(settings: TrajectorySettings) -> FastAPI:
             "tasks": controllers.probe,
             "storage": storage_check(settings.data_dir),
         },
+        guard=guard,
+        audit=AuditTrail(settings, "trajectory-tool"),
     )
+    app.state.controllers = controllers
     controllers.mount(app)
     add_scene_routes(app, controllers.workcell)
-    _add_robots(app, controllers)
+    _add_robots(app, controllers, leases)
     _add_stream(app, controllers)
+    people_routes.add_routes(app, controllers.workcell.people_sensors, controllers.workcell.receive_people)
     limit_routes.add_routes(app, lambda robot: _limits_of(_known(controllers, robot)))
+    control_routes.add_routes(
+        app, lambda robot: _controlled(controllers, _known(controllers, robot)), leases, settings.data_dir
+    )
     return app
 
 
-def view_of(controller: Controller) -> RobotView:
+def view_of(controller: Controller, leases: Leases) -> RobotView:
     """Return the present state of the robot."""
     cell, work = controller.cell, controller.work
+    lease = leases.of(cell.name)
     return {
         "id": controller.robot_name,
         "device": controller.device.id,
@@ -79,21 +109,25 @@ def view_of(controller: Controller) -> RobotView:
         "operation": None if work is None else work.operation,
         "progress": None if work is None else round(work.progress(), 3),
         "remainingS": None if work is None else round(work.remaining_s(), 2),
+        "controlledBy": None if lease is None else lease.name,
+        "waitingForControl": [{"id": one.session, "name": one.name} for one in leases.waiting(cell.name)],
     }
 
 
-def _add_robots(app: FastAPI, controllers: Controllers) -> None:
-    @app.get("/robots", tags=["robots"])
+def _add_robots(app: FastAPI, controllers: Controllers, leases: Leases) -> None:
+    @app.get("/robots", tags=["robots"], dependencies=[require(Permission.READ)])
     async def robots() -> list[RobotView]:
         """Return the state of every robot."""
-        return [view_of(controller) for controller in controllers.by_name.values()]
+        return [view_of(controller, leases) for controller in controllers.by_name.values()]
 
-    @app.get("/robots/{robot}", tags=["robots"])
+    @app.get("/robots/{robot}", tags=["robots"], dependencies=[require(Permission.READ, of_robot)])
     async def one_robot(robot: str) -> RobotView:
         """Return the state of a robot: joints, tool pose, gripper, and its Task."""
-        return view_of(_known(controllers, robot))
+        return view_of(_known(controllers, robot), leases)
 
-    @app.get("/robots/{robot}/description", tags=["robots"])
+    @app.get(
+        "/robots/{robot}/description", tags=["robots"], dependencies=[require(Permission.READ, of_robot)]
+    )
     async def describe(robot: str) -> dict[str, Any]:
         """Return what the robot is: joints with limits, home, gripper, and the URDF that draws it.
 
@@ -102,18 +136,23 @@ def _add_robots(app: FastAPI, controllers: Controllers) -> None:
         controller = _known(controllers, robot)
         return {"id": controller.robot_name, **description(controller.cell)}
 
-    @app.get("/robots/{robot}/urdf", tags=["robots"], response_class=Response)
+    @app.get(
+        "/robots/{robot}/urdf",
+        tags=["robots"],
+        response_class=Response,
+        dependencies=[require(Permission.READ, of_robot)],
+    )
     async def urdf(robot: str) -> Response:
         """Return the URDF of the robot."""
         return Response(_known(controllers, robot).cell.model.urdf, media_type="application/xml")
 
-    @app.get("/robots/{robot}/scene", tags=["robots"])
+    @app.get("/robots/{robot}/scene", tags=["robots"], dependencies=[require(Permission.READ, of_robot)])
     async def scene(robot: str) -> dict[str, Any]:
         """Return the cell in its own frame: bins, fixtures, obstacles, and the pose of each part."""
         _known(controllers, robot)
         return scene_view(controllers.workcell)
 
-    @app.get("/operations", tags=["robots"])
+    @app.get("/operations", tags=["robots"], dependencies=[require_somewhere(Permission.READ)])
     async def operations_known() -> dict[str, Any]:
         """Return the operations of robots, each with the JSON Schema of its workParameters."""
         return {
@@ -124,19 +163,32 @@ def _add_robots(app: FastAPI, controllers: Controllers) -> None:
             for name, operation in OPERATIONS.items()
         }
 
-    @app.post("/robots/{robot}/confirm", tags=["robots"])
-    async def confirm(robot: str) -> RobotView:
-        """Confirm a hand-over: the person holds the part; 409 while there is nothing to confirm."""
+    @app.post(
+        "/robots/{robot}/confirm",
+        tags=["robots"],
+        dependencies=[require(Permission.PERFORM_TASKS, _of_work(controllers))],
+    )
+    async def confirm(robot: str, seen: Seen | None = None) -> RobotView:
+        """Confirm a hand-over: the person holds the part; 409 while there is nothing to confirm.
+
+        With `task`, only that Task is confirmed: another one may have begun since the person looked.
+        """
         controller = _known(controllers, robot)
-        if controller.work is None or not controller.work.confirm():
+        work = controller.work
+        is_other = seen is not None and work is not None and work.task != seen.task
+        if work is None or is_other or not work.confirm():
             raise Problem(
                 409,
                 "Nothing to confirm",
                 message("robot.nothing_to_confirm", "{robot} waits for no confirmation", robot=robot),
             )
-        return view_of(controller)
+        return view_of(controller, leases)
 
-    @app.post("/robots/{robot}/gripper/free", tags=["robots"])
+    @app.post(
+        "/robots/{robot}/gripper/free",
+        tags=["robots"],
+        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
+    )
     async def free(robot: str) -> RobotView:
         """Open the gripper so that a person can remove the part; 409 while the robot executes a Task."""
         controller = _known(controllers, robot)
@@ -160,11 +212,11 @@ def _add_robots(app: FastAPI, controllers: Controllers) -> None:
                 message("robot.robot_fault", "the gripper cannot be opened: {fault}", fault=text_of(fault)),
             ) from fault
         controller.device.set_state(controller.device.state)
-        return view_of(controller)
+        return view_of(controller, leases)
 
 
 def _add_stream(app: FastAPI, controllers: Controllers) -> None:
-    @app.websocket("/robots/{robot}/joint_states")
+    @app.websocket("/robots/{robot}/joint_states", dependencies=[require(Permission.READ, of_robot)])
     async def joint_states(reader: WebSocket, robot: str) -> None:
         try:
             controller = _known(controllers, robot)
@@ -174,6 +226,16 @@ def _add_stream(app: FastAPI, controllers: Controllers) -> None:
             await reader.close(4000 + problem.status, problem.detail[:120])
             return
         await stream(controller.cell.robot, controller.cell.model.joint_names, reader, hz)
+
+
+def _of_work(controllers: Controllers) -> ResourceOf:
+    def resources(connection: HTTPConnection) -> tuple[str, ...]:
+        controller = controllers.of(str(connection.path_params["robot"]))
+        work = None if controller is None else controller.work
+        return (of_robot(connection), *(() if work is None else work.involves))
+
+    resources.__doc__ = "Device `{robot}`, or a resource that its Task involves"
+    return resources
 
 
 def _known(controllers: Controllers, robot: str) -> Controller:
@@ -190,6 +252,13 @@ def _known(controllers: Controllers, robot: str) -> Controller:
             ),
         )
     return controller
+
+
+def _controlled(
+    controllers: Controllers, controller: Controller
+) -> tuple[Cell, tuple[Cell, ...], Callable[[DeviceState], None]]:
+    others = (one.cell for one in controllers.by_name.values() if one is not controller)
+    return controller.cell, tuple(others), controller.device.set_state
 
 
 def _limits_of(controller: Controller) -> tuple[RobotLimits, Robot]:

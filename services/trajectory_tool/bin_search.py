@@ -18,16 +18,17 @@ MAX_TRIED = 60
 """Grasps of one image for which the way of the arm is checked."""
 
 
-async def search(cell: Cell, bin_name: str) -> tuple[Lying | None, str]:
-    """Look into a bin; return a part, or None and the reason."""
+async def search(cell: Cell, bin_name: str, view: int) -> tuple[Lying | None, str]:
+    """Look into a bin from a view; return a part, or None and the reason."""
     vision = cell.robot.vision
     if vision is None:
         return cell.look_into(bin_name), f"no part lies free in {bin_name}"
-    if bin_name in cell.to_stir and cell.scene.bins[bin_name].refilled:
-        await vision.stir(bin_name)
-        cell.missed.clear()
-    cell.to_stir.discard(bin_name)
-    sightings = await vision.look(bin_name)
+    if view == 0:
+        if bin_name in cell.to_stir and cell.scene.bins[bin_name].refilled:
+            await vision.stir(bin_name)
+            cell.missed.clear()
+        cell.to_stir.discard(bin_name)
+    sightings = await vision.look(bin_name, view)
     chosen = await _first_reachable(cell, sightings)
     ordered = sorted(sightings, key=lambda one: chosen is None or one is not chosen[0])
     seen = [
@@ -36,6 +37,7 @@ async def search(cell: Cell, bin_name: str) -> tuple[Lying | None, str]:
     ]
     cell.contents = cell.contents.observed(bin_name, seen)
     if chosen is not None:
+        cell.to_stir.discard(bin_name)
         found = cell.parts_in(bin_name)[0]
         cell.seen = found.part
         return found, ""

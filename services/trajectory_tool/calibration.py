@@ -1,20 +1,26 @@
-"""The operation `calibrateCamera`: the camera in the hand looks at a ball from several poses.
+"""The operation `calibrateCamera`: where a camera is mounted, from balls that it sees.
 
-The ball is an obstacle of the scene with the shape of a sphere. Its place in the scene need not be exact: the
-calibration finds it together with the mount of the camera.
+The camera in the hand looks at one ball from several poses. The ball is an obstacle of the scene with the
+shape of a sphere. Its place in the scene need not be exact: the calibration finds it together with the mount
+of the camera. A fixed camera sees several balls at once, whose places in the scene must be exact.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from handover.errors import HandoverError
 from handover.messages import message, text_of
 from handover.performer import TaskFailed
 from services.trajectory_tool import parameters as given
+from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.poses import Frame, Pose, Vector, turn
 from services.trajectory_tool.robot import NoPath, Unreachable
+from services.trajectory_tool.vision import Vision
 from services.trajectory_tool.work import Work
+
+HAND = "hand"
+"""The name of the camera in the hand."""
 
 TILT_RAD = math.radians(18)
 TURN_RAD = 0.9
@@ -41,40 +47,79 @@ about it looks like a shift."""
 
 
 async def calibrate_camera(work: Work, request: given.CalibrateCamera) -> dict[str, Any]:
-    """Look at a ball from several poses, and store where the camera is mounted."""
+    """Find out where a camera is mounted from balls that it sees, and store it."""
     cell = work.cell
     vision = cell.robot.vision
     if vision is None:
         raise TaskFailed(
             message("robot.no_camera", "{robot} has no camera that can be calibrated", robot=cell.name)
         )
-    ball = cell.scene.obstacles.get(request.target)
-    if ball is None or ball.sphere is None:
-        raise TaskFailed(
-            message(
-                "robot.no_ball",
-                'the scene has no sphere "{target}"; put a ball into the cell and add it to the obstacles',
-                target=request.target,
-            )
-        )
+    if request.camera is not None and request.camera != HAND:
+        return await _calibrate_fixed(work, vision, request.camera, request.targets)
+    place, radius_m = _ball(cell, request.target)
     samples = []
-    for pose in views(ball.position):
+    for pose in views(place):
         try:
             joints = await work.plan(lambda planner, pose=pose: planner.nearest_free(pose, cell.joints))  # type: ignore[misc]
             work.intend(joints)
             await work.go(joints)
         except (Unreachable, NoPath, TaskFailed):
             continue  # other poses are enough
-        sample = await vision.find_ball(ball.position, ball.sphere)
+        sample = await vision.find_ball(place, radius_m)
         if sample is not None:
             samples.append(sample)
     try:
         found = await vision.calibrate(samples)
     except HandoverError as why:
-        raise TaskFailed(
-            message("robot.camera_not_calibrated", "the camera is not calibrated: {why}", why=text_of(why))
-        ) from None
+        raise _not_calibrated(why) from None
     return {**found, "images": len(samples)}
+
+
+async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Sequence[str]) -> dict[str, Any]:
+    """Look at balls with a fixed camera; the robot stays where it is."""
+    cell = work.cell
+    if camera not in vision.fixed_cameras:
+        raise TaskFailed(
+            message(
+                "robot.unknown_camera",
+                'parameter "camera" of calibrateCamera: there is no camera "{camera}"; the scene has {known}',
+                camera=camera,
+                known=", ".join(vision.fixed_cameras) or "none",
+            )
+        )
+    spheres = [name for name, thing in cell.scene.obstacles.items() if thing.sphere is not None]
+    places: list[Vector] = []
+    seen: list[Vector] = []
+    for place, radius_m in [_ball(cell, name) for name in targets or spheres]:
+        ball = await vision.find_ball(place, radius_m, camera)
+        if ball is not None:
+            places.append(place)
+            seen.append(ball.ball)
+    try:
+        found = await vision.calibrate_fixed(camera, places, seen)
+    except HandoverError as why:
+        raise _not_calibrated(why) from None
+    return {**found, "balls": len(seen)}
+
+
+def _ball(cell: Cell, name: str) -> tuple[Vector, float]:
+    """Return the place and the radius of a ball of the scene. Raises `TaskFailed`."""
+    ball = cell.scene.obstacles.get(name)
+    if ball is None or ball.sphere is None:
+        raise TaskFailed(
+            message(
+                "robot.no_ball",
+                'the scene has no sphere "{target}"; put a ball into the cell and add it to the obstacles',
+                target=name,
+            )
+        )
+    return ball.position, ball.sphere
+
+
+def _not_calibrated(why: HandoverError) -> TaskFailed:
+    return TaskFailed(
+        message("robot.camera_not_calibrated", "the camera is not calibrated: {why}", why=text_of(why))
+    )
 
 
 def views(ball: Vector) -> Iterator[Pose]:

@@ -1,18 +1,24 @@
 """One robot in the cell: its gripper, driver and planner, with the scene and the parts around it."""
 
 import asyncio
+from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Self
 
+from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.telemetry import get_logger
 from services.trajectory_tool.cell_file import RobotEntry
 from services.trajectory_tool.contents import Contents, Grip, Lying
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
-from services.trajectory_tool.limits.guards import CollisionGuard, Guard, ToolSpeedGuard
+from services.trajectory_tool.limits.contact_force import ContactForce
+from services.trajectory_tool.limits.contact_table import ContactSpeed, read_contact_speed
+from services.trajectory_tool.limits.guards import CollisionGuard, Guard, ToolSpeedGuard, TorqueGuard
 from services.trajectory_tool.limits.limiter import JointLimiter, Limiter
 from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.memory import Act, BegunAct, RobotMemory
 from services.trajectory_tool.motion import MotionPlanning
+from services.trajectory_tool.people.entities import SOURCE as PEOPLE_IN_BROKER
+from services.trajectory_tool.people.scanner_fields import read_fields
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.position_file import PositionFile
@@ -75,37 +81,51 @@ class Cell:
             grip=lambda: self.grip_of_part,
         )
         settings = workcell.settings
+        sensors = set(settings.people_sensors)
+        if settings.people_entities:
+            sensors.add(PEOPLE_IN_BROKER)
+        if entry.safety_scanner is not None:
+            sensors.add(entry.safety_scanner.name)
         self.speed = RobotLimits(
             name,
             model,
             lambda: self.joints,
             workcell.limit_store,
             limit_sources=settings.limit_sources,
-            people_sensors=settings.people_sensors,
+            people_sensors=sensors,
             hold_s=settings.separation_hold_s,
             zones=workcell.scene.all_zones(),
+            end_effector=entry.end_effector,
+            contact_speed=_contact_speed(entry, workcell, name),
+            contact=ContactForce(entry.contact_force_n, self._wrist_force_n),
         )
-        self._evaluating: asyncio.Task[None] | None = None
+        self._monitoring = AsyncExitStack()
         self.robot: Robot = self._robot(known, clock, broker)
 
     async def __aenter__(self) -> Self:
         await self.robot.__aenter__()
-        self._evaluating = asyncio.create_task(self.speed.run())
+        tasks = await self._monitoring.enter_async_context(BackgroundTasks(f"limits of {self.name}"))
+        tasks.start(self.speed.run)
+        if self.entry.safety_scanner is not None:
+            scanner, inputs = self.entry.safety_scanner, self.robot.digital_inputs
+            tasks.start(read_fields, scanner, inputs, self.speed.receive_people)
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        if self._evaluating is not None:
-            self._evaluating.cancel()
+        await self._monitoring.aclose()
         await self.robot.__aexit__(*_)
         try:
             await self.remember()
         except OSError:
             log.exception("state of the cell not stored", file=str(self.file.path))
 
+    def _wrist_force_n(self) -> float | None:
+        return self.robot.wrist_force_n()
+
     @property
     def home(self) -> Joints:
         """Return the home position."""
-        return self.model.home if self.scene.home is None else self.scene.home
+        return self._workcell.home_of(self.model)
 
     @property
     def scene(self) -> Scene:
@@ -149,11 +169,18 @@ class Cell:
         """Store the state of the cell durably. Raises `OSError`."""
         await self._workcell.remember()
 
-    async def grip(self, task: str) -> str | None:
-        """Close the gripper for `task`; return the gripped part, None (and open again) without one."""
+    async def grip(self, task: str, *, may_be_unknown: bool = False) -> str | None:
+        """Close the gripper for `task`; return the gripped part, None (and open again) without one.
+
+        Something between the fingers that no camera has seen counts only where it `may_be_unknown`, as for a
+        person who sees what is gripped; it gets a name.
+        """
         await self._begin(BegunAct(task, "grip"))
         pose = self.tool_pose
-        part = self._between_fingers(pose) if await self.robot.close_gripper() else None
+        is_gripped = await self.robot.close_gripper()
+        part = self._between_fingers(pose) if is_gripped else None
+        if part is None and is_gripped and may_be_unknown:
+            self.contents, part = self.contents.named()
         if part is None:
             self.missed.append(pose)
             await self.robot.open_gripper()
@@ -274,7 +301,7 @@ class Cell:
         return nest
 
     def _robot(self, known: RobotMemory | None, clock: Clock | None, broker: BrokerClient | None) -> Robot:
-        joints = known.joints if known else self.home
+        joints = self._workcell.stored_joints(self.name)
         self.positions = PositionFile(self._workcell.folder / f"{self.name}.joints", joints)
         context = RobotContext(
             settings=self._workcell.settings,
@@ -291,17 +318,27 @@ class Cell:
             clock=clock,
             limiter=self._limiter(),
             positions=self.positions,
+            peers=self._workcell.peers_of(self.entry.driver),
+            shared=self._workcell.shared.setdefault(self.entry.driver, {}),
         )
         factory: RobotFactory = DRIVERS.load(self.entry.driver)
         return factory(context)
 
     def _limiter(self) -> Limiter:
-        """Return the limiter: joint limits, and collisions where the motion is planned."""
+        """Return the limiter: joint limits, collisions, also with itself, and torques of planned motions."""
         ranges = [(joint.lower, joint.upper) for joint in self.model.joints]
-        guards: list[Guard] = [ToolSpeedGuard(self.model, self.speed.tool_limit_mps)]
-        if self.planning.avoids_obstacles and is_available():
+        guards: list[Guard] = [
+            ToolSpeedGuard(self.model, self.speed.tool_limit_mps, lambda: self.speed.zones)
+        ]
+        if is_available():
             guards.append(CollisionGuard(self.model, self.planning.world))
+        if self.planning.avoids_obstacles and is_available():
+            guards.append(TorqueGuard(self.model, self.planning.world))
         return JointLimiter(self.limits, ranges, guards)
 
     def _between_fingers(self, tool: Pose) -> str | None:
         return self.contents.between_fingers(tool, self.scene.gripper.opening_m)
+
+
+def _contact_speed(entry: RobotEntry, workcell: "Workcell", name: str) -> ContactSpeed | None:
+    return None if entry.contact is None else read_contact_speed(entry.contact, workcell.plan_folder, name)

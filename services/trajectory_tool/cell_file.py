@@ -11,6 +11,9 @@
         settings: {arm: arm-2}        # of the driver
         speed: 0.4
         limits: {velocity: [1, 1, 1, 1, 2, 2, 2]}
+        end_effector: gripper-a       # its validated speed holds
+        safety_scanner: {warning_input: 1, protective_input: 0}
+        contact_force_n: 60           # at the wrist
 
 Without a file, a cell has one robot, which the settings name.
 """
@@ -25,6 +28,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from handover.errors import UsageError
+from services.trajectory_tool.limits.contact_table import ContactEntry
+from services.trajectory_tool.people.scanner_fields import SafetyScanner
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints
 from services.trajectory_tool.robot_model import RobotModel
@@ -87,6 +92,13 @@ class RobotEntry(_Written):
     speed: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.6
     limits: RobotLimits = RobotLimits()
     home: tuple[FiniteFloat, ...] | None = None
+    end_effector: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    """The mounted end effector, whose validated speed holds."""
+    safety_scanner: SafetyScanner | None = None
+    contact_force_n: Positive | None = None
+    """A change of the force at the wrist that stops a motion."""
+    contact: ContactEntry | None = None
+    """How people may be touched."""
 
     def limits_of(self, name: str, model: RobotModel) -> Limits:
         """Return the limits of motion. Raises `UsageError` for another number of values than joints."""

@@ -74,6 +74,11 @@ class Contents:
         """Return the contents after a gripper gripped `part`."""
         return replace(self, lying=tuple(lying for lying in self.lying if lying.part != part))
 
+    def named(self) -> "tuple[Contents, str]":
+        """Return the contents after a part that was unknown got a name, and that name."""
+        number = self.numbered + 1
+        return replace(self, numbered=number), f"part-{number}"
+
     def released(self, part: str, place: str | None, pose: Pose, grip: Grip | None = None) -> "Contents":
         """Return the contents after a gripper that was at `pose` released `part`."""
         return replace(self, lying=(*self.lying, Lying(part, place, pose, grip)))

@@ -21,6 +21,7 @@ from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.device import RobotDevice
 from services.trajectory_tool.limits.records import LimitRecords
 from services.trajectory_tool.metrics import TASKS
+from services.trajectory_tool.people.entities import PersonEntities
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.scene_entities import SceneEntities
 from services.trajectory_tool.settings import TrajectorySettings
@@ -47,6 +48,9 @@ class Controllers:
             name: Controller(settings, cell, broker) for name, cell in self.workcell.cells.items()
         }
         self._scene = SceneEntities(settings, broker)
+        self._people = (
+            PersonEntities(broker, self.workcell.receive_people) if settings.people_entities else None
+        )
         self._on = AsyncExitStack()
 
     def mount(self, app: FastAPI) -> None:
@@ -71,6 +75,9 @@ class Controllers:
         workcell.on_scene_change()
         for controller in self.by_name.values():
             await self._on.enter_async_context(controller)
+        tasks = await self._on.enter_async_context(BackgroundTasks("sensors of people"))
+        if self._people is not None:
+            tasks.start(self._people.run)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -144,7 +151,8 @@ class Controller(Performer):
             operation = operations.known(name)
             values = parameters.read(operation.parameters, name, _parameters_of(job, name))
             speed = self.cell.entry.speed * values.speed
-            self.work = work = Work(job.task.id, name, self.cell, _Steering(job, self.device), speed)
+            steering, involves = _Steering(job, self.device), _involved(job)
+            self.work = work = Work(job.task.id, name, self.cell, steering, speed, involves=involves)
             log.info("robot starts", task=job.task.id, operation=name, again=job.resumed)
             async with self.cell.in_hand, _progress_reports(job, work):
                 result = await operation.perform(work, values)
@@ -199,13 +207,16 @@ def _operation_of(job: Job) -> str:
     return str(named) if named is not None else job.task.is_defined_by.object.rsplit(":", 1)[-1]
 
 
+def _involved(job: Job) -> list[str]:
+    return [link.object for link in job.task.involves or ()]
+
+
 def _parameters_of(job: Job, operation: str) -> Mapping[str, Any]:
     """Return the workParameters; a pick without a target takes the only Material of the Task as its part."""
     values = job.parameters
     if operation != "pick" or PICK_TARGETS & values.keys():
         return values
-    involved = (link.object for link in job.task.involves or ())
-    materials = [each for each in involved if type_of(each) == "Material"]
+    materials = [each for each in _involved(job) if type_of(each) == "Material"]
     return {**values, "part": materials[0]} if len(materials) == 1 else values
 
 

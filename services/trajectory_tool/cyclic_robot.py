@@ -3,12 +3,15 @@
 The cycles run in a separate thread, so that HTTP requests do not delay them. In each cycle the setpoint of
 the motion at this time passes the limiter and is given to `command`. A motion is one of three: a straight
 line in joint space (`Course`), a planned trajectory (`PlannedCourse`), or commanded velocities (`Jog`).
+
+A motion is a generator (`Cycles`) that yields until when to wait. By default a thread of the robot runs it; a
+simulation runs those of all its robots in one thread.
 """
 
 import asyncio
 from abc import abstractmethod
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 from typing import Protocol, Self, TypeVar
 
@@ -31,6 +34,9 @@ from services.trajectory_tool.robot import (
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
 T = TypeVar("T")
+
+Cycles = Generator[float, None, T]
+"""Work in control cycles: it yields the time on the clock of the robot at which it continues."""
 
 
 class Motion(Protocol):
@@ -99,6 +105,10 @@ class CyclicRobot(Robot):
         """Return the present joints."""
         return self.measured()
 
+    def commanded(self) -> Joints:
+        """Return the joints of the last setpoint."""
+        return self.setpoint.positions
+
     def remaining_s(self) -> float:
         """Return the remaining time of the motion."""
         motion = self._motion
@@ -113,7 +123,9 @@ class CyclicRobot(Robot):
         cruise = self.limits.slowed(speed)
 
         def course(start: Joints, now_s: float) -> Course:
-            return Course(start, target, cruise, self.limits, now_s)
+            line = Course(start, target, cruise, self.limits, now_s)
+            self.limiter.require_line(start, target)
+            return line
 
         return await self._run(course, pace)
 
@@ -151,10 +163,14 @@ class CyclicRobot(Robot):
         if category == 1:
             await self.power_off()
 
-    async def in_control(self, work: Callable[[], T], give_up: Callable[[], None] | None = None) -> T:
-        """Run `work` in the control thread, after what runs there.
+    async def in_control(self, work: Callable[[], T]) -> T:
+        """Run `work` in the control thread, after what runs there; see `in_cycles`."""
+        return await self.in_cycles(_at_once(work))
 
-        A cancelled caller calls `give_up` and waits for the end of the work. Raises `RobotFault` when the
+    async def in_cycles(self, cycles: Cycles[T], give_up: Callable[[], None] | None = None) -> T:
+        """Run `cycles` in the control thread, after what runs there.
+
+        A cancelled caller calls `give_up` and waits for the end of the cycles. Raises `RobotFault` when the
         robot is switched off.
         """
         if self.switched_off.is_set():
@@ -164,7 +180,7 @@ class CyclicRobot(Robot):
                     "the robot is switched off; start the trajectory tool again",
                 )
             )
-        doing = asyncio.get_running_loop().run_in_executor(self._control, work)
+        doing = asyncio.wrap_future(self.submit(cycles))
         try:
             return await asyncio.shield(doing)
         except asyncio.CancelledError:
@@ -172,6 +188,18 @@ class CyclicRobot(Robot):
                 give_up()
             await asyncio.wait([doing])
             raise
+
+    def submit(self, cycles: Cycles[T]) -> "Future[T]":
+        """Run `cycles` in the control thread, after what runs there."""
+        return self._control.submit(self._run_cycles, cycles)
+
+    def _run_cycles(self, cycles: Cycles[T]) -> T:
+        while True:
+            try:
+                due_s = next(cycles)
+            except StopIteration as end:
+                return end.value  # type: ignore[no-any-return]
+            self.clock.wait_s(max(due_s - self.clock.now_s(), 0.0))
 
     async def _run(self, make: Callable[[Joints, float], Motion], pace: Pace) -> bool:
         if self._stopping is not None:
@@ -187,17 +215,19 @@ class CyclicRobot(Robot):
             return 0.0 if stopping.is_set() or self.switched_off.is_set() else pace()
 
         try:
-            return await self.in_control(lambda: self._drive(make, allowed), stopping.set)
+            return await self.in_cycles(self._drive(make, allowed), stopping.set)
         finally:
             self._stopping = None
 
-    def _drive(self, make: Callable[[Joints, float], Motion], pace: Pace) -> bool:
-        started_s = self.clock.now_s()
+    def _drive(self, make: Callable[[Joints, float], Motion], pace: Pace) -> Cycles[bool]:
         start = self._start()
+        self.setpoint = Setpoint.at_rest(start)
+        self.limiter.start(start, self.clock.now_s())  # the first time it builds the collision model
+        started_s = self.clock.now_s()
         self._motion = motion = make(start, started_s)
         self.limiter.start(start, started_s)
         try:
-            self._follow(motion, pace, started_s)
+            yield from self._follow(motion, pace, started_s)
         finally:
             self._motion = None
             MOTION_SECONDS.inc(self.clock.now_s() - started_s)
@@ -209,7 +239,7 @@ class CyclicRobot(Robot):
         commanded = self.setpoint.positions
         return commanded if _distance_rad(measured, commanded) <= START_TOLERANCE_RAD else measured
 
-    def _follow(self, motion: Motion, pace: Pace, now_s: float) -> None:
+    def _follow(self, motion: Motion, pace: Pace, now_s: float) -> Cycles[None]:
         """Command the setpoints of a motion; after a fault of the limiter, come to rest, then raise it."""
         due_s = now_s
         fault: RobotFault | None = None
@@ -228,7 +258,7 @@ class CyclicRobot(Robot):
             if fault is None and motion.is_over(now_s):
                 return
             due_s = self._next_cycle(due_s)
-            self.clock.wait_s(max(due_s - self.clock.now_s(), 0.0))
+            yield due_s
             now_s = self.clock.now_s()
 
     def _next_cycle(self, due_s: float) -> float:
@@ -239,6 +269,12 @@ class CyclicRobot(Robot):
             OVERRUNS.inc(missed)
             due_s += missed * self._cycle_s
         return due_s
+
+
+def _at_once(work: Callable[[], T]) -> Cycles[T]:
+    """Return work without waiting as cycles."""
+    return work()
+    yield
 
 
 def _distance_rad(one: Joints, other: Joints) -> float:

@@ -9,7 +9,7 @@ A driver moves the joints of any robot model. A package registers a factory, whi
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -48,6 +48,14 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True)
+class Peer:
+    """A robot of the cell with the same driver, and its joints: those that were stored last, or home."""
+
+    model: RobotModel
+    joints: Joints
+
+
+@dataclass(frozen=True, slots=True)
 class RobotContext:
     """What a robot is made from.
 
@@ -74,6 +82,10 @@ class RobotContext:
     """Every setpoint passes it before it is commanded."""
     positions: PositionFile | None = None
     """Where a simulated robot keeps its joints."""
+    peers: Mapping[str, Peer] = field(default_factory=dict)
+    """The robots of the cell with this driver, this one included, in the order of the cell file."""
+    shared: dict[str, Any] = field(default_factory=dict)
+    """What the driver keeps for all of them, such as a simulated world."""
 
     def read_options(self, form: type[Form]) -> Form:
         """Return the options as `form`. Raises `UsageError` that names each fault."""

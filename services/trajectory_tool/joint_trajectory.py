@@ -62,12 +62,19 @@ class JointTrajectory:
         time_s = min(max(time_s, 0.0), self.duration_s)
         first = min(int(time_s / h), len(self.points) - 4)
         u = time_s / h - first
-        a, b, c, d = self.points[first : first + 4]
         v = 1 - u
-        position = (v**3 * a + (3 * u**3 - 6 * u**2 + 4) * b + (3 * v**3 - 6 * v**2 + 4) * c + u**3 * d) / 6
-        velocity = (v**2 * (b - a) + (1 + 2 * u * v) * (c - b) + u**2 * (d - c)) / (2 * h)
-        acceleration = (v * (c - 2 * b + a) + u * (d - 2 * c + b)) / (h * h)
-        return Setpoint(tuple(position.tolist()), tuple(velocity.tolist()), tuple(acceleration.tolist()))
+        weights = (
+            (v**3 / 6, (3 * u**3 - 6 * u**2 + 4) / 6, (3 * v**3 - 6 * v**2 + 4) / 6, u**3 / 6),
+            (
+                -(v**2) / (2 * h),
+                (v**2 - 1 - 2 * u * v) / (2 * h),
+                (1 + 2 * u * v - u**2) / (2 * h),
+                u**2 / (2 * h),
+            ),
+            (v / h**2, (u - 2 * v) / h**2, (v - 2 * u) / h**2, u / h**2),
+        )
+        position, velocity, acceleration = (np.array(weights) @ self.points[first : first + 4]).tolist()
+        return Setpoint(tuple(position), tuple(velocity), tuple(acceleration))
 
     def positions(self, step_s: float) -> Array:
         """Return the positions every `step_s` and at the end, one row each."""

@@ -1,6 +1,6 @@
 """The metrics of the trajectory tool."""
 
-from prometheus_client import Counter, Gauge
+from prometheus_client import Counter, Gauge, Histogram
 
 TASKS = Counter(
     "handover_trajectory_tool_tasks_total", "Tasks by operation and outcome", ["operation", "outcome"]
@@ -33,6 +33,26 @@ ALLOWED_PACE = Gauge(
     "handover_trajectory_tool_allowed_speed_ratio",
     "The fraction of its speed that a robot may use",
     ["robot"],
+)
+CONTROL_INPUTS = Counter(
+    "handover_trajectory_tool_control_inputs_total",
+    "Inputs of people who control a robot, by outcome",
+    ["outcome"],
+)
+CONTROL_LATENCY = Histogram(
+    "handover_trajectory_tool_control_latency_seconds",
+    "From the arrival of the input that begins a motion to its first command",
+    buckets=(0.001, 0.002, 0.004, 0.008, 0.015, 0.04, 0.1, 0.3),
+)
+CONTROL_STOP_BEGIN = Histogram(
+    "handover_trajectory_tool_control_stop_begin_seconds",
+    "From a release of the dead-man control, or the loss of its messages, to the begin of the stop",
+    buckets=(0.001, 0.002, 0.004, 0.008, 0.015, 0.04, 0.1, 0.3),
+)
+CONTROL_STOP = Histogram(
+    "handover_trajectory_tool_control_stop_seconds",
+    "From a release of the dead-man control, or the loss of its messages, to the rest of the robot",
+    buckets=(0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0, 2.0),
 )
 LIMIT_REPORTS = Counter(
     "handover_trajectory_tool_limit_reports_total",

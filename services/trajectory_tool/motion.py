@@ -87,6 +87,7 @@ class MotionPlanning:
         self._model = model
         self._limits = limits
         self._part_size_m = scene.gripper.part_size_m
+        self.part_mass_kg = scene.gripper.part_mass_kg or 0.0
         self._name = name
         self._joints = joints or (lambda: model.home)
         self._held = held
@@ -112,7 +113,7 @@ class MotionPlanning:
 
     def world(self) -> World:
         """Return the obstacles and the part in the gripper, without other robots; thread-safe."""
-        return World(self.obstacles, self._attached())
+        return self._world(self.obstacles)
 
     async def plan(self, make: Callable[["Planner"], T]) -> T:
         """Return what `make` plans. Raises `Unreachable` or `NoPath`; `BlockedByNeighbour` if others move."""
@@ -161,7 +162,7 @@ class MotionPlanning:
         if not is_available():
             raise UsageError(f"motion planning is not installed; {INSTALL}")
         others = self.neighbours()
-        self._planner.world = World(self.obstacles + others, self._attached())
+        self._planner.world = self._world(self.obstacles + others)
         try:
             return make(self._planner)
         except (NoPath, Unreachable) as why:
@@ -170,7 +171,7 @@ class MotionPlanning:
             raise
 
     def _is_possible_alone(self, make: Callable[["Planner"], object]) -> bool:
-        self._planner.world = World(self.obstacles, self._attached())
+        self._planner.world = self.world()
         try:
             make(self._planner)
         except (NoPath, Unreachable):
@@ -183,6 +184,10 @@ class MotionPlanning:
         planner = importlib.import_module("services.trajectory_tool.planning.planner")
         made: Planner = planner.Planner(self._model, self._limits)
         return made
+
+    def _world(self, obstacles: tuple[Obstacle, ...]) -> World:
+        payload_kg = self.part_mass_kg if self._held() is not None else 0.0
+        return World(obstacles, self._attached(), payload_kg=payload_kg)
 
     def _attached(self) -> tuple[Attached, ...]:
         held = self._held()

@@ -73,12 +73,14 @@ class Attached:
 class World:
     """The obstacles, what the tool carries, and the pairs that may touch.
 
-    `allowed` has pairs of names of obstacles, attached shapes and links of the robot.
+    `allowed` has pairs of names of obstacles, attached shapes and links of the robot. `payload_kg` is the
+    mass of what the tool carries.
     """
 
     obstacles: tuple[Obstacle, ...] = ()
     attached: tuple[Attached, ...] = ()
     allowed: frozenset[tuple[str, str]] = field(default_factory=frozenset)
+    payload_kg: float = 0.0
 
     def may_touch(self, first: str, second: str) -> bool:
         """Return whether two things may touch."""

@@ -135,7 +135,7 @@ async def scan(work: Work, request: given.Scan) -> Result:
     work.intend(view, seen_bin.looks_for_s)
     await work.go(view)
     await work.wait(seen_bin.looks_for_s)
-    found, reason = await bin_search.search(cell, request.bin)
+    found, reason = await bin_search.search(cell, request.bin, request.view)
     looked: Result = {"bin": request.bin}
     if len(views) > 1:
         looked |= {"view": request.view, "nextView": (request.view + 1) % len(views)}

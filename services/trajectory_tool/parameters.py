@@ -134,9 +134,15 @@ class Scan(Home):
 
 
 class CalibrateCamera(Home):
-    """Find out where the camera in the hand is mounted: `target` is a spherical obstacle of the scene."""
+    """Find out where a camera is mounted: the one in the hand, or the fixed `camera` of the scene.
+
+    The camera in the hand is moved around `target`, a spherical obstacle of the scene. A fixed camera sees at
+    least three balls in their places, by default all spherical obstacles; the robot does not move.
+    """
 
     target: Name = "calibration-ball"
+    camera: Name | None = None
+    targets: Annotated[tuple[Name, ...], Field(max_length=100)] = ()
 
 
 class Approaching(Home):

@@ -88,6 +88,12 @@ def pointing_down(position: Vector, yaw_rad: float = 0.0) -> Pose:
     return Pose(position, (math.cos(yaw_rad / 2), math.sin(yaw_rad / 2), 0.0, 0.0))
 
 
+def cross(one: Vector, other: Vector) -> Vector:
+    """Return the cross product."""
+    (a, b, c), (x, y, z) = one, other
+    return (b * z - c * y, c * x - a * z, a * y - b * x)
+
+
 def turn(rotation: Rotation, vector: Vector) -> Vector:
     """Return `vector` turned by `rotation`."""
     x, y, z = vector

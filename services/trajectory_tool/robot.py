@@ -5,7 +5,7 @@ another motion to the same target.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:  # the settings import this module, and with them each command
     from fastapi import FastAPI
 
     from services.trajectory_tool.joint_trajectory import JointTrajectory
+    from services.trajectory_tool.poses import Pose
+    from services.trajectory_tool.scene import Scene
     from services.trajectory_tool.vision import Vision
 
 Joints = tuple[float, ...]
@@ -50,7 +52,8 @@ class NoPath(HandoverError):
 class JointState:
     """The joints at one time: `stamp_s` in s since 1970, positions in rad, velocities in rad/s.
 
-    `efforts` are torques in Nm, None for a robot that does not measure them. Prismatic joints: m, m/s, N.
+    `efforts` are torques in Nm, measured or computed by the controller; None where it reports none.
+    Prismatic joints: m, m/s, N.
     """
 
     stamp_s: float
@@ -65,20 +68,19 @@ class SafetyStatus:
 
     emergency_stop: bool = False
     protective_stop: bool = False
+    safeguard_stop: bool = False
     mode: str = ""
     speed: float | None = None
     """The fraction of the speed that is set at the robot."""
     detail: str = ""
 
-    def written(self) -> dict[str, object]:
-        """Return it as JSON."""
-        return {
-            "emergencyStop": self.emergency_stop,
-            "protectiveStop": self.protective_stop,
-            "mode": self.mode,
-            "speed": self.speed,
-            "detail": self.detail,
-        }
+
+@dataclass(frozen=True, slots=True)
+class TruePart:
+    """A part of a simulation: the pose of its middle in the cell, and its size along its axes in m."""
+
+    pose: "Pose"
+    size: tuple[float, float, float]
 
 
 class Robot(ABC):
@@ -93,6 +95,10 @@ class Robot(ABC):
     @abstractmethod
     def state(self) -> JointState:
         """Return the present joints; cheap and thread-safe."""
+
+    def commanded(self) -> Joints:
+        """Return the joints that were commanded last, after the limiter; cheap and thread-safe."""
+        return self.state().positions
 
     def safety_status(self) -> SafetyStatus | None:
         """Return what the controller of a real robot reports; None where there is none. Cheap."""
@@ -156,8 +162,23 @@ class Robot(ABC):
             )
         )
 
+    def digital_inputs(self) -> int | None:
+        """Return the digital inputs of the controller, one bit each; None while they are unknown."""
+        return None
+
+    def prepare_scene(self, scene: "Scene") -> "Callable[[], Awaitable[None]] | None":  # noqa: ARG002
+        """Return what brings a changed scene to the robot, once it is at rest; None where nothing does.
+
+        Raises `UsageError` for a scene in which the robot cannot be. It may take a second.
+        """
+        return None
+
+    def true_parts(self) -> "Sequence[TruePart] | None":
+        """Return where the loose parts of a simulation really are; None for a robot that cannot know."""
+        return None
+
     def wrist_force_n(self) -> float | None:
-        """Return the measured force at the wrist in N; None for a robot without such a sensor."""
+        """Return the measured force at the wrist in N; None without a measurement. Cheap and thread-safe."""
         return None
 
     @abstractmethod

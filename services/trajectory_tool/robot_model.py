@@ -19,7 +19,7 @@ from lxml import etree
 from handover.errors import UsageError
 from handover.messages import message, text_of
 from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.poses import Frame, Pose, Vector
+from services.trajectory_tool.poses import Frame, Pose, Vector, cross, turn
 from services.trajectory_tool.robot import Joints, Unreachable
 from services.trajectory_tool.srdf import InvalidSrdf, LinkPair, Srdf, read_srdf
 from services.trajectory_tool.trajectory import Limits
@@ -34,6 +34,10 @@ AllSolutions = Callable[[Frame, Joints], list[Joints]]
 
 MAX_URDF_BYTES = 4 * 1024 * 1024
 IDENTITY = Frame(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
+
+
+MEASURING_ERROR = 0.002
+"""A joint at its limit is measured at most this far beyond it, in rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +106,8 @@ class RobotModel:
     """Named positions of the joints."""
     _to_flange: tuple[_Segment, ...] = field(repr=False)
     _tool: Frame = field(repr=False)
+    driver_scenes: Mapping[str, Path] = field(default_factory=dict)
+    """The scene for a driver in place of `scene`, by the name of the driver."""
     base: Frame = IDENTITY
     """Where the root link stands in the frame of the cell; all poses of the model are in that frame."""
 
@@ -156,6 +162,27 @@ class RobotModel:
             found.append(reached.position)
         return [*found, (reached @ self._tool).position]
 
+    def jacobian(self, joints: Joints) -> list[tuple[Vector, Vector]]:
+        """Return for each joint the linear and the angular velocity of the tool's tip in axes of the cell.
+
+        They are for a velocity of 1 rad/s, for prismatic joints 1 m/s.
+        """
+        tip = (self.flange(joints) @ self._tool).position
+        reached = IDENTITY
+        columns: dict[int, tuple[Vector, Vector]] = {}
+        for segment in self._to_flange:
+            before = reached @ segment.origin
+            reached = reached @ segment.frame(joints)
+            if segment.number is None:
+                continue
+            axis = turn(before.rotation, segment.axis)
+            if segment.kind == "prismatic":
+                columns[segment.number] = axis, (0.0, 0.0, 0.0)
+            else:
+                (x, y, z), (x0, y0, z0) = tip, before.position
+                columns[segment.number] = cross(axis, (x - x0, y - y0, z - z0)), axis
+        return [columns[number] for number in range(len(self.joints))]
+
     def tool_pose(self, joints: Joints) -> Pose:
         """Return the pose of the tool's tip."""
         return Pose.of(self.flange(joints) @ self._tool)
@@ -198,6 +225,17 @@ class RobotModel:
     def _planner(self) -> Any:
         # Imported here: it needs the extra, and a second to start.
         return import_module("services.trajectory_tool.planning.planner").Planner(self)
+
+    def measured_within(self, joints: Joints) -> Joints:
+        """Return measured joints without what they are beyond a limit by the errors of servo and encoder."""
+
+        def within(joint: Joint, position: float) -> float:
+            if joint.lower is None or joint.upper is None:
+                return position
+            nearest = min(max(position, joint.lower), joint.upper)
+            return nearest if abs(nearest - position) < MEASURING_ERROR else position
+
+        return tuple(within(joint, position) for joint, position in zip(self.joints, joints, strict=True))
 
     def allow(self, joints: Joints) -> Joints:
         """Return `joints` if there is one for each joint, within its limits. Raises `Unreachable`."""
@@ -244,6 +282,7 @@ def read_model(
     inverse: InverseKinematics | None = None,
     solutions: AllSolutions | None = None,
     scene: Path | None = None,
+    driver_scenes: Mapping[str, Path] | None = None,
     srdf: Path | None = None,
 ) -> RobotModel:
     """Return the model of the robot in a URDF file.
@@ -251,14 +290,15 @@ def read_model(
     `tip` and `flange` are links; `inverse` and `solutions` solve for the flange, by default the tip. A URDF
     has no limits of acceleration and jerk: give one for all joints, or one for each by name. Joints that
     `home` does not name are at 0. An SRDF names pairs of links that never collide, and positions; its "home"
-    is used without `home`. Raises `UsageError` that names the file and the fault.
+    is used without `home`. `driver_scenes` take the place of `scene` for drivers by name.
+    Raises `UsageError` that names the file and the fault.
     """
     semantics = _semantics(srdf) if srdf is not None else Srdf()
     try:
         if urdf.stat().st_size > MAX_URDF_BYTES:
             raise UsageError(f"the robot description {urdf} has more than {MAX_URDF_BYTES >> 20} MB")
         text = urdf.read_text(encoding="utf-8")
-        return _model(
+        model = _model(
             text,
             name=name,
             flange=flange or tip,
@@ -272,6 +312,7 @@ def read_model(
             scene=scene,
             semantics=semantics,
         )
+        return replace(model, driver_scenes=driver_scenes or {})
     except OSError as error:
         raise UsageError(f"the robot description {urdf} cannot be read: {error.strerror}") from None
     except (etree.XMLSyntaxError, UnicodeDecodeError) as error:

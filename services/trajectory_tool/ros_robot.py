@@ -1,99 +1,154 @@
-"""A robot behind ROS 2: its trajectory controller follows the plan of the tool through the ROS bridge.
+"""A robot behind ROS 2: its controllers follow what the tool plans and limits, through the ROS bridge.
 
-The bridge maintains a Device of the arm (`jointNames`, `jointPositions`, `jointVelocities`) and executes
-three kinds of Tasks: `followTrajectory`, `closeGripper`, `openGripper` (the mapping `arm`). The tool plans as
-for its own robots: a straight line in joint space within the limits. A motion starts only from current joint
-positions.
+A motion is sent as a goal of `FollowJointTrajectory`, since a trajectory controller interpolates without the
+jitter of a network. It is computed on a grid of control cycles: each setpoint of a goal has passed the
+limiter before the goal is sent. A change of the pace, or a stop, computes the rest of the motion at the new
+pace and sends it as the next goal, which takes the place of the one before. So the arm slows down and stops
+within its limits, on its path.
+
+    grid      0   1   2   3   4   5   6 ...   setpoints of the first goal, all limited
+    pace          1   1   0.5                 the motion has been advanced to 3; goal 2 begins there
+    goal 2                3'  4'  5' ...      times of the points count from its sending
+
+Commanded velocities (`servo`) go to a velocity topic in each cycle. The bridge commands 0 when they cease,
+and stops the arm when the tool ends. The gripper is operated by Tasks of the bridge (the mapping `arm`).
 """
 
 import asyncio
+import copy
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from fastapi import FastAPI, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from handover.broker import BrokerClient, BrokerError, NotFound
+from datamodels.arm_stream import JOINT_VELOCITIES, ArmSetup, TrajectoryPoint, VelocityOutput
+from handover.broker import BrokerClient, BrokerError
 from handover.errors import UsageError
 from handover.messages import message
-from handover.notifications import NotificationReceiver
+from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.resync import Resync
 from handover.telemetry import get_logger
+from services.trajectory_tool.cyclic_robot import Cycles, CyclicRobot, Motion
 from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.joint_trajectory import JointTrajectory
-from services.trajectory_tool.metrics import MOTION_SECONDS
+from services.trajectory_tool.limits.jog import Jog
 from services.trajectory_tool.orders import Ended, Orders
-from services.trajectory_tool.robot import Joints, JointState, Pace, Robot, RobotFault, StopCategory
-from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
+from services.trajectory_tool.poses import Frame, transposed, turn
+from services.trajectory_tool.robot import Joints, JointState, Pace, RobotFault, StopCategory, Velocity
+from services.trajectory_tool.robot_model import RobotModel
+from services.trajectory_tool.ros_link import RosLink
+from services.trajectory_tool.trajectory import Setpoint, rounded_pace
 
 log = get_logger(__name__)
 
-MAX_AGE_S = 15.0
-"""Older joint positions do not count as known."""
 JOINTS_TIMEOUT_S = 10.0
-STEP_S, MAX_POINTS = 0.1, 200
-"""A trajectory has a point every 100 ms, and no more than 200."""
-START_TOLERANCE_RAD = 0.02
-"""A planned motion starts only from joints this near to its start."""
-CHECK_EVERY_S = 0.02
-LOWER_PACE = 0.8
-"""A motion stops, and can be continued, when its pace is below this fraction of the pace at its start."""
+STEP_S, MAX_POINTS = 0.05, 400
+"""A goal has a point every 50 ms, and no more than 400."""
+RESEND_S = 0.1
+"""A changed pace is sent no sooner after the goal before; a stop is sent at once."""
+MAX_DURATION_S = 3600.0
+FOLLOWING_RAD = 0.05
+"""An arm follows its goal within an angle, and the delay of the options at its speed."""
+END_TIMEOUT_S = 10.0
+"""A goal ends no later after its last point."""
 STILL_S, STILL_RAD, STILL_RAD_S = 0.3, 0.003, 0.02
 """An arm is at rest when its joints turn slower, or have turned no further for 0.3 s."""
 REST_TIMEOUT_S = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """A running motion: a straight line in joint space."""
-
-    start: Joints
-    target: Joints
-    planned_s: float
-
-    def remaining_s(self, positions: Joints) -> float:
-        left = _distance_rad(positions, self.target) / _distance_rad(self.start, self.target)
-        return max(self.planned_s * min(left, 1.0), 0.01)
+POLL_S = 0.02
+FORWARD_S = 1e-4
 
 
 class RosOptions(BaseModel):
-    """The settings of the driver: the Device of the arm that the bridge moves."""
+    """The settings of the driver: the interfaces of the arm, and the Device with its gripper."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     arm: str = Field("arm-1", pattern=r"^[A-Za-z0-9_.:-]+$")
+    joint_states: str = "/joint_states"
+    trajectory_action: str = "/joint_trajectory_controller/follow_joint_trajectory"
+    velocity_topic: str | None = None
+    velocity_type: Literal["std_msgs/msg/Float64MultiArray", "geometry_msgs/msg/TwistStamped"] = (
+        JOINT_VELOCITIES
+    )
+    twist_frame: str = "base_link"
+    watchdog_s: float = Field(0.2, gt=0, le=2)
+    max_delay_s: float = Field(0.5, gt=0, le=10)
+    """The age up to which joints count as known, and the delay with which an arm may follow."""
+
+    def setup(self, joint_names: tuple[str, ...]) -> ArmSetup:
+        """Return the first message to the bridge."""
+        velocity = None
+        if self.velocity_topic is not None:
+            velocity = VelocityOutput(
+                topic=self.velocity_topic,
+                type=self.velocity_type,
+                frame=self.twist_frame,
+                watchdog_s=self.watchdog_s,
+            )
+        return ArmSetup(
+            joint_names=joint_names,
+            joint_states=self.joint_states,
+            trajectory_action=self.trajectory_action,
+            velocity=velocity,
+        )
 
 
-class RosRobot(Robot):
-    """The arm with the Device `arm` of its options; the stored joints are used until the first report."""
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """The rest of a motion: setpoints on the grid from cycle `first` on, the last one at rest."""
+
+    first: int
+    setpoints: list[Setpoint]
+    goal: int
+    began_at: Joints
+    """Where the whole motion began."""
+
+    @property
+    def last(self) -> int:
+        return self.first + len(self.setpoints) - 1
+
+    def at(self, cycle: int) -> Setpoint:
+        return self.setpoints[min(max(cycle - self.first, 0), len(self.setpoints) - 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """A cycle of the grid, when the motion is there by its own time, and by the clock."""
+
+    cycle: int
+    motion_s: float
+    due_s: float
+
+
+class _FellBehind(RobotFault):
+    """The arm has left its goal; it was stopped, and the rest can be planned again."""
+
+
+class RosRobot(CyclicRobot):
+    """The arm with the interfaces of its options; the stored joints are used until the first report."""
 
     def __init__(self, context: RobotContext, broker: BrokerClient) -> None:
-        settings, joints, robot = context.settings, context.joints, context.robot_id
-        self.arm = settings.entity_id("Device", context.read_options(RosOptions).arm)
-        self._joint_names = context.model.joint_names
-        self._limits: Limits = context.limits
-        self._broker = broker
-        self._notify_path = f"/notifications/{robot}/arm"
-        self._notify_url = f"{settings.service_url}{self._notify_path}"
-        self._subscription_id = settings.entity_id("Subscription", f"{robot}-arm")
-        self._receiver = NotificationReceiver(f"trajectory-tool-{robot}-arm", settings, broker)
-        self._orders = Orders(robot, self.arm, settings, broker)
-        self._state = JointState(time.time(), joints, (0.0,) * len(joints))
-        self._stamp = ""
-        self._reported_s: float | None = None
-        self._gripper_closed = context.gripper_closed
-        self._gripper_s = context.gripper_s
-        self._resync = Resync(self._try_reconcile, settings.reconcile_s)
-        self._resync_task: asyncio.Task[None] | None = None
-        self._ready = asyncio.Event()
+        settings = context.settings
+        super().__init__(
+            context.joints,
+            context.limits,
+            limiter=context.limiter,
+            control_hz=settings.control_hz,
+            clock=context.clock,
+        )
+        self.options = context.read_options(RosOptions)
+        self.arm = settings.entity_id("Device", self.options.arm)
+        setup = self.options.setup(context.model.joint_names)
+        self.link = RosLink(settings.arm_url, setup, broker.credentials)
+        self._model: RobotModel = context.model
+        self._stored = JointState(time.time(), context.joints, (0.0,) * len(context.joints))
+        self._gripper = _GripperOrders(context, broker, self.arm)
         self._in_motion = asyncio.Lock()
-        self._stop_requested = False
-        self._motion: _Motion | None = None
-        self._fault = f"the ROS bridge has not reported {self.arm} yet"
 
     @classmethod
     def from_context(cls, context: RobotContext) -> Self:
@@ -103,130 +158,75 @@ class RosRobot(Robot):
         return cls(context, context.broker)
 
     def mount(self, app: FastAPI) -> None:
-        """Add the route for notifications about the arm and orders."""
-
-        @app.post(self._notify_path, status_code=204, tags=["notifications"])
-        async def notify(request: Request) -> Response:
-            """Read changed joints from the broker, and check changed orders."""
-            for notified in await self._receiver.receive(request):
-                if notified.get("id") == self.arm:
-                    await self._read_joints()
-                else:
-                    self._orders.wake()
-            return Response(status_code=204)
+        """Add the route for notifications about orders."""
+        self._gripper.mount(app)
 
     async def __aenter__(self) -> Self:
-        self._receiver.require_key()
-        self._resync_task = asyncio.create_task(self._resync.run())
-        return self
+        await self._gripper.start()
+        await self.link.open()
+        return await super().__aenter__()
 
     async def __aexit__(self, *_: object) -> None:
-        if self._resync_task is not None:
-            self._resync_task.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._resync_task
+        try:
+            await super().__aexit__(*_)
+            async with self._in_motion:
+                pass
+        finally:
+            await self.link.close()
+            await self._gripper.stop()
 
     def state(self) -> JointState:
         """Return the last reported joints."""
-        return self._state
+        return self.link.joints or self._stored
 
-    def remaining_s(self) -> float:
-        """Return the remaining time of the motion from the present joints; 0 at rest.
+    def measured(self) -> JointState:
+        """Return the reported joints. Raises `RobotFault` when the last report is too old."""
+        joints, age_s = self.link.joints, time.monotonic() - self.link.reported_s
+        if joints is None:
+            raise self._unknown(self.link.fault)
+        if age_s > self.options.max_delay_s:
+            raise self._unknown(f"they have not been reported for {age_s:.1f} s")
+        return joints
 
-        It is constant while the joints do not move, and so is the progress of the Task.
-        """
-        return 0.0 if self._motion is None else self._motion.remaining_s(self._state.positions)
-
-    def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
-        """Return the duration of a motion from rest to rest."""
-        return duration_s(start, target, self._limits.slowed(speed))
+    def command(self, setpoint: Setpoint) -> None:
+        """Command the velocities of a setpoint; used by `servo`."""
+        measured = self.measured()
+        if not self._is_near(measured.positions, setpoint):
+            raise RobotFault(
+                message(
+                    "robot.ros_does_not_follow",
+                    "{arm} does not follow the commanded velocities; check its velocity controller",
+                    arm=self.arm,
+                )
+            )
+        self.link.velocity(self._velocities(setpoint))
 
     async def move(self, target: Joints, speed: float, pace: Pace) -> bool:
         """Have the arm follow a trajectory to `target`; see `Robot.move`."""
-        start = await self._current_joints()
-        cruise = self._limits.slowed(speed)
-        course = Course(start, target, cruise, self._limits, began_s=0.0)
-        return await self._execute(start, target, course.at, course.remaining_s(0.0), pace)
+        motion = super().move
+        return await self._perform(lambda: motion(target, speed, pace))
 
     async def follow(self, trajectory: JointTrajectory, pace: Pace) -> bool:
         """Have the arm follow a planned trajectory; see `Robot.follow`."""
-        start = await self._current_joints()
-        away_rad = max(abs(a - b) for a, b in zip(start, trajectory.start, strict=True))
-        if away_rad > START_TOLERANCE_RAD:
+        motion = super().follow
+        return await self._perform(lambda: motion(trajectory, pace))
+
+    async def servo(self, velocity: Velocity, until: Callable[[], bool], pace: Pace) -> bool:
+        """Move with the latest joint velocities; see `Robot.servo`."""
+        if self.options.velocity_topic is None:
             raise RobotFault(
                 message(
-                    "robot.moved_since_planned",
-                    "{arm} has moved by {angle} rad since the motion was planned; send the Task again",
+                    "robot.ros_has_no_velocity_topic",
+                    "{arm} has no velocity topic; set velocity_topic in the settings of the driver",
                     arm=self.arm,
-                    angle=f"{away_rad:.3f}",
                 )
             )
-        return await self._execute(start, trajectory.target, trajectory.at, trajectory.duration_s, pace)
-
-    async def _execute(
-        self,
-        start: Joints,
-        target: Joints,
-        at: Callable[[float], Setpoint],
-        planned_s: float,
-        pace: Pace,
-    ) -> bool:
-        """Follow a motion at the pace of its start; a much lower pace on the way stops it."""
-        if self._in_motion.locked():
-            raise RobotFault(
-                message(
-                    "robot.in_motion",
-                    "the robot is in motion; wait for its end or stop it before another motion",
-                )
-            )
-        if planned_s == 0.0 or start == target:
-            return True
-        async with self._in_motion:
-            self._stop_requested = False
-            rate = min(pace(), 1.0)
-            if not rate > 0:
-                return False
-            motion = _Motion(start, target, planned_s / rate)
-            return await self._follow(motion, at_rate(at, rate), pace, rate)
-
-    async def _follow(
-        self, motion: _Motion, at: Callable[[float], Setpoint], pace: Pace, rate: float
-    ) -> bool:
-        order = await self._orders.give(
-            "followTrajectory",
-            jointNames=list(self._joint_names),
-            points=points(at, motion.planned_s),
-            durationS=motion.planned_s,
-        )
-        began_s = time.monotonic()
-        self._motion = motion
-        try:
-
-            def may_go() -> bool:
-                return not self._stop_requested and pace() > LOWER_PACE * rate
-
-            ended = await self._supervise(order, may_go, 2 * motion.planned_s + 10)
-            if not ended.completed and not ended.cancelled:
-                raise RobotFault(
-                    message(
-                        "robot.trajectory_not_followed",
-                        "{arm} did not follow the trajectory: {reason}",
-                        arm=self.arm,
-                        reason=ended.reason,
-                    )
-                )
-            await self._rest()
-        except asyncio.CancelledError:
-            await asyncio.shield(self._orders.cancel(order))
-            raise
-        finally:
-            self._motion = None
-            MOTION_SECONDS.inc(time.monotonic() - began_s)
-        return ended.completed
+        motion = super().servo
+        return await self._perform(lambda: motion(velocity, until, pace))
 
     async def stop(self, category: StopCategory) -> None:
-        """Cancel the goal of the arm, and return at rest; see `Robot.stop`. ROS cannot remove the power."""
-        self._stop_requested = True
+        """Bring the motion to rest, and return at rest; see `Robot.stop`. ROS cannot remove the power."""
+        await super().stop(2)
         async with self._in_motion:
             pass
         if category == 1:
@@ -241,75 +241,199 @@ class RosRobot(Robot):
 
     async def close_gripper(self) -> bool:
         """Close the gripper; return True when an object stopped it."""
-        ended = await self._grip("closeGripper")
-        self._gripper_closed = True
-        stalled = ended.outputs.get("stalled") is True
-        if not ended.completed and not stalled:
-            raise RobotFault(
-                message(
-                    "robot.gripper_did_not_close",
-                    "the gripper of {arm} did not close: {reason}",
-                    arm=self.arm,
-                    reason=ended.reason,
-                )
-            )
-        return stalled
+        await self._current_joints()
+        return await self._gripper.close()
 
     async def open_gripper(self) -> None:
         """Open the gripper."""
-        ended = await self._grip("openGripper")
-        if not ended.completed:
-            raise RobotFault(
-                message(
-                    "robot.gripper_did_not_open",
-                    "the gripper of {arm} did not open: {reason}",
-                    arm=self.arm,
-                    reason=ended.reason,
-                )
-            )
-        self._gripper_closed = False
+        await self._current_joints()
+        await self._gripper.open()
 
     @property
     def gripper_closed(self) -> bool:
         """Return whether the last command closed the gripper."""
-        return self._gripper_closed
+        return self._gripper.is_closed
 
-    async def _grip(self, operation: str) -> Ended:
-        await self._current_joints()
-        order = await self._orders.give(operation)
-        return await self._orders.end_of(order, self._gripper_s + 20)
+    # Motions
 
-    async def _supervise(self, order: str, may_go: Callable[[], bool], within_s: float) -> Ended:
-        """Wait for the end of a motion, and cancel it once it may not continue."""
-        end = asyncio.ensure_future(self._orders.end_of(order, within_s))
-        stopping = False
-        began_s = time.monotonic()
+    async def _perform(self, motion: Callable[[], Any]) -> bool:
+        """Run a motion until the measured joints are at rest."""
+        if self._in_motion.locked():
+            raise RobotFault(
+                message(
+                    "robot.in_motion",
+                    "the robot is in motion; wait for its end or stop it before another motion",
+                )
+            )
+        async with self._in_motion:
+            if not self.switched_off.is_set():
+                await self._current_joints()
+            try:
+                arrived: bool = await motion()
+            except _FellBehind:
+                log.warning("motion stopped: the arm did not follow", arm=self.arm)
+                arrived = False
+            except asyncio.CancelledError:
+                with suppress(RobotFault):
+                    await asyncio.shield(self._rest())
+                raise
+            await self._rest()
+        return arrived
+
+    def _follow(self, motion: Motion, pace: Pace, now_s: float) -> Cycles[None]:
+        """Send a motion as goals; after a fault, bring the arm to rest, then raise it."""
         try:
-            while not end.done():
-                silent_s = time.monotonic() - max(began_s, self._reported_s or began_s)
-                if silent_s > MAX_AGE_S:
-                    await self._orders.cancel(order)
-                    await asyncio.wait({end}, timeout=REST_TIMEOUT_S)
-                    raise RobotFault(
-                        f"the joints of {self.arm} have not been reported for {silent_s:.0f} s while it "
-                        "should move, and its goal was cancelled; check the arm, its driver and the ROS "
-                        "bridge"
-                    )
-                await asyncio.wait({end}, timeout=CHECK_EVERY_S if not stopping else 1.0)
-                if not stopping and not end.done() and not may_go():
-                    stopping = True
-                    await self._orders.cancel(order)
-            return end.result()
-        finally:
-            end.cancel()
+            if isinstance(motion, Jog):
+                yield from super()._follow(motion, pace, now_s)
+            else:
+                self._follow_goals(motion, pace, now_s)
+        except RobotFault:
+            with suppress(RobotFault):
+                self.link.cancel()
+                if isinstance(motion, Jog):
+                    self.link.velocity(self._velocities(Setpoint.at_rest(self.setpoint.positions)))
+            raise
+
+    def _follow_goals(self, motion: Motion, pace: Pace, began_s: float) -> None:
+        plan: _Plan | None = None
+        held, sent_s, cycle, due_s = 1.0, -math.inf, 0, began_s
+        follows_s = began_s
+        """When the controller began to follow the first goal."""
+        while True:
+            now_s = self.clock.now_s()
+            until = int((now_s - follows_s) / self._cycle_s)
+            while cycle < until and plan is not None:
+                motion.at(began_s + cycle * self._cycle_s, pace=held)
+                cycle += 1
+            if plan is not None:
+                self.setpoint = plan.at(cycle)
+                if self._has_ended(plan, cycle):
+                    return
+                self._require_following(plan, cycle)
+            wanted = rounded_pace(pace())
+            is_due = wanted == 0.0 or now_s - sent_s >= RESEND_S
+            if plan is None or (wanted != held and is_due and not motion.stopping and cycle < plan.last):
+                held, sent_s = wanted, now_s
+                passed_s = cycle * self._cycle_s
+                place = _Place(cycle, began_s + passed_s, follows_s + passed_s)
+                plan = self._send(motion, plan, held, place)
+                if plan is None:
+                    return
+                if cycle == 0:
+                    self._await_acceptance(plan)
+                    follows_s = due_s = self.clock.now_s()
+            due_s = self._next_cycle(due_s)
+            self.clock.wait_s(max(due_s - self.clock.now_s(), 0.0))
+
+    def _send(self, motion: Motion, before: _Plan | None, pace: float, place: _Place) -> _Plan | None:
+        """Limit the rest of the motion at `pace`, and send it; None for one that is over at once."""
+        if before is not None:
+            self.limiter.resume(before.at(place.cycle), place.motion_s)
+        setpoints: list[Setpoint] = []
+        ahead = copy.copy(motion)
+        time_s, is_over = place.motion_s, False
+        while not is_over:
+            setpoint = ahead.at(time_s, pace=pace)
+            try:
+                setpoints.append(self.limiter.limit(setpoint, time_s))
+            except RobotFault as fault:
+                if before is None:
+                    raise
+                self._brake(before, place)
+                raise fault from None
+            is_over = ahead.is_over(time_s)
+            time_s += self._cycle_s
+            if time_s - place.motion_s > MAX_DURATION_S:
+                raise RobotFault(f"a motion at the pace {pace:g} would take longer than {MAX_DURATION_S} s")
+        if before is None and len(setpoints) == 1:
+            motion.at(place.motion_s, pace=pace)
+            return None
+        if before is None:
+            goal = self.link.follow(points(setpoints, self._cycle_s))
+            return _Plan(place.cycle, setpoints, goal, setpoints[0].positions)
+        return self._replace(before, setpoints, place)
+
+    def _replace(self, before: _Plan, setpoints: list[Setpoint], place: _Place) -> _Plan:
+        """Send a goal that takes the place of the one before."""
+        late_s = max(self.clock.now_s() - place.due_s, 0.0)
+        goal = self.link.follow(points(setpoints, self._cycle_s, late_s))
+        return _Plan(place.cycle, setpoints, goal, before.began_at)
+
+    def _brake(self, before: _Plan, place: _Place) -> None:
+        """Stop with the brake motion of the limiter, since the rest of the motion is not permitted."""
+        self.limiter.resume(before.at(place.cycle), place.motion_s)
+        setpoints = [self.limiter.brake(place.motion_s)]
+        while not setpoints[-1].is_at_rest:
+            setpoints.append(self.limiter.brake(place.motion_s + len(setpoints) * self._cycle_s))
+        plan, cycle = self._replace(before, setpoints, place), place.cycle
+        while not self._has_ended(plan, cycle):
+            self.clock.wait_s(self._cycle_s)
+            cycle = plan.first + int((self.clock.now_s() - place.due_s) / self._cycle_s)
+
+    def _await_acceptance(self, plan: _Plan) -> None:
+        """Wait until the controller follows the first goal. Raises `RobotFault`."""
+        while not self.link.is_accepted(plan.goal):
+            self._has_ended(plan, plan.first)
+            self.clock.wait_s(self._cycle_s)
+
+    def _has_ended(self, plan: _Plan, cycle: int) -> bool:
+        """Return whether the controller has reached the end of a goal. Raises `RobotFault`."""
+        self.measured()
+        end = self.link.end_of(plan.goal)
+        if end is not None and not end.succeeded:
+            raise RobotFault(
+                message(
+                    "robot.trajectory_not_followed",
+                    "{arm} did not follow the trajectory: {reason}",
+                    arm=self.arm,
+                    reason=end.reason,
+                )
+            )
+        if end is None and (cycle - plan.last) * self._cycle_s > END_TIMEOUT_S:
+            raise RobotFault(
+                message(
+                    "robot.motion_overdue",
+                    "the motion of {resource} did not end within {within_s} s",
+                    resource=self.arm,
+                    within_s=f"{(plan.last - plan.first) * self._cycle_s + END_TIMEOUT_S:.0f}",
+                )
+            )
+        return end is not None and cycle >= plan.last
+
+    def _require_following(self, plan: _Plan, cycle: int) -> None:
+        """Stop an arm that has left its goal, so that the next goal does not make it jump."""
+        measured = self.measured().positions
+        if self._is_near(measured, plan.at(cycle)):
+            return
+        if _distance_rad(measured, plan.began_at) > FOLLOWING_RAD:
+            raise _FellBehind(f"{self.arm} did not follow its goal")
+        raise RobotFault(
+            message(
+                "robot.ros_does_not_move",
+                "{arm} does not follow its goal; check that its trajectory controller is active",
+                arm=self.arm,
+            )
+        )
+
+    def _is_near(self, positions: Joints, setpoint: Setpoint) -> bool:
+        """Return whether an arm at `positions` follows a setpoint, with a delay."""
+        fastest = max(map(abs, setpoint.velocities))
+        return (
+            _distance_rad(positions, setpoint.positions) <= FOLLOWING_RAD + self.options.max_delay_s * fastest
+        )
+
+    def _velocities(self, setpoint: Setpoint) -> Joints:
+        if self.options.velocity_type == JOINT_VELOCITIES:
+            return setpoint.velocities
+        return twist(self._model, setpoint)
 
     async def _rest(self) -> None:
         """Wait until the reported joints are at rest. Raises `RobotFault`."""
-        before, since_s = self._state, time.monotonic()
+        before, since_s = self.measured(), time.monotonic()
         deadline_s = since_s + REST_TIMEOUT_S
         while time.monotonic() < deadline_s:
-            await asyncio.sleep(CHECK_EVERY_S)
-            now = self._state
+            await asyncio.sleep(POLL_S)
+            now = self.measured()
             if now is not before and max(map(abs, now.velocities)) < STILL_RAD_S:
                 return
             if _distance_rad(now.positions, before.positions) > STILL_RAD:
@@ -317,178 +441,162 @@ class RosRobot(Robot):
             elif time.monotonic() - since_s >= STILL_S:
                 return
         raise RobotFault(
-            message(
-                "robot.not_at_rest",
-                "{arm} was stopped and is not at rest; check it",
-                arm=self.arm,
-            )
+            message("robot.not_at_rest", "{arm} was stopped and is not at rest; check it", arm=self.arm)
         )
 
     async def _current_joints(self) -> Joints:
-        """Return the current joints from the broker. Raises `RobotFault` when they are unknown."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(JOINTS_TIMEOUT_S):
-                await self._ready.wait()
-                while True:
-                    if await self._look() and self._is_fresh():
-                        return self._state.positions
-                    await asyncio.sleep(0.2)
-        raise RobotFault(
+        """Return the current joints. Raises `RobotFault` when they are unknown."""
+        deadline_s = time.monotonic() + JOINTS_TIMEOUT_S
+        while True:
+            try:
+                return self.measured().positions
+            except RobotFault:
+                if time.monotonic() > deadline_s:
+                    raise
+            await asyncio.sleep(POLL_S)
+
+    def _unknown(self, fault: str) -> RobotFault:
+        return RobotFault(
             message(
                 "robot.joints_unknown",
                 "the joints of {arm} are unknown: {fault}; start its driver, and the "
                 "ROS bridge with a mapping that reports them (handover bridge check arm)",
                 arm=self.arm,
-                fault=self._fault,
+                fault=fault,
             )
         )
 
-    def _is_fresh(self) -> bool:
-        fresh = self._reported_s is not None and time.monotonic() - self._reported_s < MAX_AGE_S
-        if not fresh and self._reported_s is not None:
-            self._fault = f"the last report is {time.monotonic() - self._reported_s:.0f} s old"
-        return fresh
 
-    # Reports about the arm
+class _GripperOrders:
+    """The gripper of `arm`, operated by Tasks of the bridge."""
+
+    def __init__(self, context: RobotContext, broker: BrokerClient, arm: str) -> None:
+        settings, robot = context.settings, context.robot_id
+        self.is_closed = context.gripper_closed
+        self._arm = arm
+        self._broker = broker
+        self._notify_path = f"/notifications/{robot}/arm"
+        self._receiver = NotificationReceiver(f"trajectory-tool-{robot}-arm", settings, broker)
+        self._orders = Orders(robot, arm, settings, broker)
+        endpoint = self._receiver.endpoint(f"{settings.service_url}{self._notify_path}")
+        self._subscription: Mapping[str, Any] = self._orders.subscription(endpoint)
+        self._within_s = context.gripper_s + 20
+        self._resync = Resync(self._try_reconcile, settings.reconcile_s)
+        self._task: asyncio.Task[None] | None = None
+        self._is_clean = False
+
+    def mount(self, app: FastAPI) -> None:
+        """Add the route for notifications."""
+
+        @app.post(
+            self._notify_path,
+            status_code=204,
+            tags=["notifications"],
+            dependencies=[REQUIRES_NOTIFICATION_KEY],
+        )
+        async def notify(request: Request) -> Response:
+            """Check changed orders."""
+            await self._receiver.receive(request)
+            self._orders.wake()
+            return Response(status_code=204)
+
+    async def start(self) -> None:
+        """Subscribe to orders, and end old ones."""
+        self._receiver.require_key()
+        self._task = asyncio.create_task(self._resync.run())
+
+    async def stop(self) -> None:
+        """Stop."""
+        if self._task is not None:
+            self._task.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._task
+
+    async def close(self) -> bool:
+        """Close the gripper; return True when an object stopped it."""
+        ended = await self._perform("closeGripper")
+        self.is_closed = True
+        stalled = ended.outputs.get("stalled") is True
+        if not ended.completed and not stalled:
+            raise RobotFault(
+                message(
+                    "robot.gripper_did_not_close",
+                    "the gripper of {arm} did not close: {reason}",
+                    arm=self._arm,
+                    reason=ended.reason,
+                )
+            )
+        return stalled
+
+    async def open(self) -> None:
+        """Open the gripper."""
+        ended = await self._perform("openGripper")
+        if not ended.completed:
+            raise RobotFault(
+                message(
+                    "robot.gripper_did_not_open",
+                    "the gripper of {arm} did not open: {reason}",
+                    arm=self._arm,
+                    reason=ended.reason,
+                )
+            )
+        self.is_closed = False
+
+    async def _perform(self, operation: str) -> Ended:
+        order = await self._orders.give(operation)
+        return await self._orders.end_of(order, self._within_s)
 
     async def _try_reconcile(self) -> bool:
-        """Ensure the subscriptions, end old orders and read the arm."""
         try:
-            await self._broker.ensure_subscription(self._subscription())
-            await self._broker.ensure_subscription(self._orders.subscription(self._endpoint()))
-            if not self._ready.is_set():
+            await self._broker.ensure_subscription(self._subscription)
+            if not self._is_clean:
                 await self._orders.end_old()
-                self._ready.set()
-            return await self._look()
-        except RobotFault as fault:
-            self._fault = str(fault)
-            return False
-        except BrokerError as error:
-            self._fault = f"the broker is unavailable: {error}"
-            log.warning("arm not read", arm=self.arm, error=str(error))
-            return False
-
-    async def _look(self) -> bool:
-        try:
-            self._take(await self._broker.retrieve(self.arm))
-        except NotFound:
-            self._fault = "the broker has no such Device"
-        except BrokerError as error:
-            self._fault = f"the broker is unavailable: {error}"
+                self._is_clean = True
+        except (BrokerError, RobotFault) as error:
+            log.warning("orders of the gripper not reconciled", arm=self._arm, error=str(error))
             return False
         return True
 
-    async def _read_joints(self) -> None:
-        """Read the arm from the broker; one query serves all notifications that arrive meanwhile."""
-        try:
-            for entity in await self._receiver.read("Device", [self.arm]):
-                self._take(entity)
-        except BrokerError as error:
-            log.warning("arm not read", arm=self.arm, error=str(error))
-            self._resync.request()
 
-    def _take(self, entity: Mapping[str, Any]) -> None:
-        """Apply the joints that the bridge has written; older ones are ignored."""
-        positions = _value(entity, "jointPositions")
-        names = _value(entity, "jointNames")
-        stamp = str(entity.get("jointPositions", {}).get("observedAt", ""))
-        if stamp <= self._stamp:
-            return
-        try:
-            reported = in_order(self._joint_names, names, positions)
-            velocities = _value(entity, "jointVelocities")
-            turning = in_order(self._joint_names, names, velocities) if velocities else (0.0,) * len(reported)
-        except RobotFault as fault:
-            self._fault = str(fault)
-            return
-        if self._stamp:  # the positions of the first read may be old
-            self._reported_s = time.monotonic()
-        self._stamp = stamp
-        self._state = JointState(time.time(), reported, turning)
+def points(setpoints: list[Setpoint], cycle_s: float, late_s: float = 0.0) -> list[TrajectoryPoint]:
+    """Return the points of a goal: every 50 ms, and the last setpoint.
 
-    def _subscription(self) -> dict[str, Any]:
-        return {
-            "id": self._subscription_id,
-            "type": "Subscription",
-            "description": f"The joints of {self.arm}",
-            "entities": [{"id": self.arm, "type": "Device"}],
-            "watchedAttributes": ["jointPositions"],
-            "notification": {
-                "attributes": ["jointNames", "jointPositions", "jointVelocities"],
-                "endpoint": self._endpoint(),
-            },
-        }
-
-    def _endpoint(self) -> dict[str, Any]:
-        return self._receiver.endpoint(self._notify_url)
-
-
-def at_rate(at: Callable[[float], Setpoint], rate: float) -> Callable[[float], Setpoint]:
-    """Return the same motion with its time at `rate`."""
-
-    def slowed(time_s: float) -> Setpoint:
-        setpoint = at(time_s * rate)
-        return Setpoint(
-            setpoint.positions,
-            tuple(rate * value for value in setpoint.velocities),
-            tuple(rate**2 * value for value in setpoint.accelerations),
-        )
-
-    return slowed
-
-
-def points(at: Callable[[float], Setpoint], whole_s: float) -> list[dict[str, Any]]:
-    """Return the points of a trajectory for a controller; the last one, after `whole_s`, is at rest.
-
-    Each has `positions` in rad, `velocities` in rad/s, `accelerations` in rad/s^2 and `time_from_start`.
+    `setpoints` are `cycle_s` apart, the first one `late_s` ago. Times count from now.
     """
-    count = min(max(math.ceil(whole_s / STEP_S), 1), MAX_POINTS)
-    points = []
-    for number in range(1, count + 1):
-        at_s = whole_s * number / count
-        setpoint = at(at_s)
-        points.append(
-            {
-                "positions": [round(value, 6) for value in setpoint.positions],
-                "velocities": [round(value, 6) for value in setpoint.velocities],
-                "accelerations": [round(value, 6) for value in setpoint.accelerations],
-                "time_from_start": {"sec": int(at_s), "nanosec": int(at_s % 1 * 1e9)},
-            }
+    count = len(setpoints) - 1
+    step = max(math.ceil(STEP_S / cycle_s), math.ceil(count / (MAX_POINTS - 1)))
+    first = math.ceil(late_s / cycle_s) + step
+    chosen = [*range(first, count - step // 2, step), count]
+    return [
+        TrajectoryPoint(
+            time_s=max(number * cycle_s - late_s, cycle_s),
+            positions=_rounded(setpoints[number].positions),
+            velocities=_rounded(setpoints[number].velocities),
+            accelerations=_rounded(setpoints[number].accelerations),
         )
-    return points
+        for number in chosen
+    ]
 
 
-def in_order(joint_names: Sequence[str], names: Any, values: Any) -> Joints:
-    """Return the values of the joints `joint_names` from values by name. Raises `RobotFault`.
-
-    Drivers report the joints of a gripper, or of a second arm, in the same message, in any order.
-    """
-    if not isinstance(names, Sequence) or not isinstance(values, Sequence) or len(names) != len(values):
-        raise RobotFault(
-            message(
-                "robot.joint_count_differs",
-                "{names} joint names and {values} values are reported",
-                names=len(names or ()),
-                values=len(values or ()),
-            )
-        )
-    by_name = dict(zip(names, values, strict=True))
-    missing = [name for name in joint_names if not isinstance(by_name.get(name), int | float)]
-    if missing:
-        raise RobotFault(
-            message(
-                "robot.joints_missing",
-                "{missing} are not reported; the reported joints are {given}",
-                missing=", ".join(missing),
-                given=", ".join(by_name),
-            )
-        )
-    return tuple(float(by_name[name]) for name in joint_names)
+def twist(model: RobotModel, setpoint: Setpoint) -> Joints:
+    """Return the twist of the tool (m/s, rad/s) in the frame of the robot's root link."""
+    now = model.tool_pose(setpoint.positions).frame()
+    ahead = tuple(
+        position + FORWARD_S * velocity
+        for position, velocity in zip(setpoint.positions, setpoint.velocities, strict=True)
+    )
+    soon = model.tool_pose(ahead).frame()
+    (_, r01, r02), (r10, _, r12), (r20, r21, _) = (
+        soon @ Frame(now.inverse().rotation, (0.0, 0.0, 0.0))
+    ).rotation
+    to_base = transposed(model.base.rotation)
+    x, y, z = (after - before for before, after in zip(now.position, soon.position, strict=True))
+    parts = turn(to_base, (x, y, z)) + turn(to_base, ((r21 - r12) / 2, (r02 - r20) / 2, (r10 - r01) / 2))
+    return tuple(part / FORWARD_S for part in parts)
 
 
-def _value(entity: Mapping[str, Any], attribute: str) -> Any:
-    found = entity.get(attribute)
-    return found.get("value") if isinstance(found, Mapping) else None
+def _rounded(values: Joints) -> Joints:
+    return tuple(round(value, 6) for value in values)
 
 
 def _distance_rad(some: Joints, others: Joints) -> float:

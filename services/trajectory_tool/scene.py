@@ -51,6 +51,8 @@ class Gripper(_Written):
     approach_m: Length = 0.15
     part_size_m: tuple[Length, Length, Length] | None = None
     """The size of a held part along the axes of the tool, for the check of collisions."""
+    part_mass_kg: Annotated[FiniteFloat, Field(gt=0, le=1000)] | None = None
+    """The mass of a part, for the check of torques and simulated physics."""
 
 
 class Placed(_Written):
@@ -103,17 +105,20 @@ class Thing(Placed):
         return Obstacle(name, self.shape(folder), self.pose)
 
 
-ZoneKind = Literal["keepOut", "reducedSpeed"]
+ZoneKind = Literal["keepOut", "reducedSpeed", "people"]
 
 REDUCED_SPEED_MPS = 0.25
 """The speed of the tool in a zone of reduced speed that names none: that of the reduced mode of ISO 10218."""
+NEAR_STEP_M = 0.05
+_TOOL_SPEEDS_MPS: dict[ZoneKind, float] = {"keepOut": 0.0, "people": math.inf}
 
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """A part of the cell with a rule: no robot enters it, or the tool moves slowly in it.
+    """A part of the cell with a rule: no robot enters it, the tool is slow in it, or people may be in it.
 
-    `shape` is at `pose` in the frame of the cell. `max_tool_speed_mps` is 0 in a keep-out zone.
+    `shape` is at `pose` in the frame of the cell. `max_tool_speed_mps` is 0 in a keep-out zone, and infinite
+    in one of people, where the contact table of each robot holds.
     """
 
     name: str
@@ -132,6 +137,19 @@ class Zone:
                 return math.hypot(max(math.hypot(x, y) - radius, 0.0), max(z - length / 2, 0.0))
             case Sphere(radius):
                 return max(math.hypot(x, y, z) - radius, 0.0)
+
+    def is_near(self, chain: Sequence[Vector], margin_m: float) -> bool:
+        """Return whether a line through points is within a margin of the zone; within 5 cm it may be."""
+        return any(self._is_near(one, other, margin_m) for one, other in pairwise(chain))
+
+    def _is_near(self, one: Vector, other: Vector, margin_m: float) -> bool:
+        half_m = math.dist(one, other) / 2
+        middle = ((one[0] + other[0]) / 2, (one[1] + other[1]) / 2, (one[2] + other[2]) / 2)
+        if self.distance_m(middle) > margin_m + half_m:
+            return False
+        if half_m <= NEAR_STEP_M:
+            return True
+        return self._is_near(one, middle, margin_m) or self._is_near(middle, other, margin_m)
 
     def contains(self, point: Vector) -> bool:
         """Return whether a point of the cell is in the zone."""
@@ -159,7 +177,7 @@ class WrittenZone(Thing):
             shape,
             self.pose,
             self.kind,
-            0.0 if self.kind == "keepOut" else self.max_tool_speed_mps,
+            _TOOL_SPEEDS_MPS.get(self.kind, self.max_tool_speed_mps),
         )
 
 
@@ -188,9 +206,33 @@ class MountedCamera(Placed):
     field_of_view_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] = 60.0
     body: tuple[Size, Size, Size] = (0.1, 0.1, 0.06)
 
+    @property
+    def optical_frame(self) -> Frame:
+        """Return the frame of its images: z into the image, x right."""
+        return _looking_down(self.pose, self.tilt_deg)
+
     def obstacle(self, name: str) -> Obstacle:
         """Return the housing."""
         return Obstacle(name, Box(self.body), self.pose)
+
+
+class PeopleSensor(Placed):
+    """A sensor of people in the cell: a lidar in its horizontal plane, or a depth camera.
+
+    A depth camera looks along -z of its pose turned by `tilt_deg`. People are looked for within `range_m`,
+    and up to 2.2 m above `ground_m`, the height of the ground in the frame of the cell.
+    """
+
+    kind: Literal["lidar", "depthCamera"]
+    range_m: Size = 6.0
+    tilt_deg: FiniteFloat = 0.0
+    field_of_view_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] = 60.0
+    ground_m: FiniteFloat = 0.0
+
+    @property
+    def optical_frame(self) -> Frame:
+        """Return the frame of the images of a depth camera: z into the image, x right."""
+        return _looking_down(self.pose, self.tilt_deg)
 
 
 class OpenBox(Placed):
@@ -226,6 +268,8 @@ class Bin(_Written):
     """The camera of the scene that looks into the bin; by default one in the hand of the robot."""
     walls: OpenBox | None = None
     parts: tuple[Spot, ...] = ()
+    objects: Annotated[tuple[Name, ...], Field(max_length=20)] = ()
+    """Objects of simulated physics that are no boxes; the camera looks for things of any shape there."""
 
 
 class Fixture(_Written):
@@ -248,20 +292,25 @@ class Scene(_Written):
     fences: dict[Name, Fence] = Field(default_factory=dict)
     cameras: dict[Name, MountedCamera] = Field(default_factory=dict)
     zones: dict[Name, WrittenZone] = Field(default_factory=dict)
+    people_sensors: dict[Name, PeopleSensor] = Field(default_factory=dict)
     folder: Annotated[Path, Field(exclude=True)] = Path()
     """Where mesh files are looked for: the folder of the scene file."""
 
     def solids(self) -> tuple[Obstacle, ...]:
         """Return everything that a robot may not touch, keep-out zones included."""
+        zones = (
+            Obstacle(name, zone.shape(self.folder), zone.pose)
+            for name, zone in self.zones.items()
+            if zone.kind == "keepOut"
+        )
+        return (*self.things(), *zones)
+
+    def things(self) -> tuple[Obstacle, ...]:
+        """Return everything that stands in the cell."""
         found = [thing.obstacle(name, self.folder) for name, thing in self.obstacles.items()]
         for name, fence in self.fences.items():
             found += fence.obstacles(name)
         found += [camera.obstacle(name) for name, camera in self.cameras.items()]
-        found += [
-            Obstacle(name, zone.shape(self.folder), zone.pose)
-            for name, zone in self.zones.items()
-            if zone.kind == "keepOut"
-        ]
         for name, bin_ in self.bins.items():
             if bin_.walls is not None:
                 found += bin_.walls.obstacles(name)
@@ -277,7 +326,18 @@ class Scene(_Written):
     @property
     def digest(self) -> str:
         """Return a hash that identifies this scene."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+        # Without sensors it is that of earlier releases, whose stored state stays valid.
+        unused = set() if self.people_sensors else {"people_sensors"}
+        return hashlib.sha256(self.model_dump_json(exclude=unused).encode()).hexdigest()[:16]
+
+
+def _looking_down(pose: Pose, tilt_deg: float) -> Frame:
+    """Return the optical frame of a camera that looks down, tilted about its x axis."""
+    tilt = math.radians(tilt_deg)
+    c, s = math.cos(tilt), math.sin(tilt)
+    down = Frame(((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)), (0.0, 0.0, 0.0))
+    tilted = Frame(((1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c)), (0.0, 0.0, 0.0))
+    return pose.frame() @ tilted @ down
 
 
 def load(file: Path | None, *models: RobotModel) -> Scene:
@@ -344,6 +404,7 @@ def _repeated_names(scene: Scene) -> Iterator[str]:
         ("fence", scene.fences),
         ("camera", scene.cameras),
         ("zone", scene.zones),
+        ("sensor of people", scene.people_sensors),
     ):
         for name in names:
             if name in kinds:

@@ -79,5 +79,6 @@ def things_of(scene: Scene) -> dict[str, dict[str, dict[str, Any]]]:
             ("fence", "fences"),
             ("camera", "cameras"),
             ("zone", "zones"),
+            ("sensor", "people_sensors"),
         )
     }

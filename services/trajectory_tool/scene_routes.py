@@ -6,6 +6,8 @@ from fastapi import Body, FastAPI, Header, Response
 
 from handover.errors import Problem, UsageError
 from handover.messages import message, text_of
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.scene_shapes import drawn_shapes
 from services.trajectory_tool.workcell import Workcell
@@ -14,7 +16,7 @@ from services.trajectory_tool.workcell import Workcell
 def add_scene_routes(app: FastAPI, workcell: Workcell) -> None:
     """Add the routes of the cell and its scene."""
 
-    @app.get("/cell", tags=["cell"])
+    @app.get("/cell", tags=["cell"], dependencies=[require(Permission.READ)])
     async def cell() -> dict[str, Any]:
         """Return the robots of the cell with their places, and the version of the scene."""
         return {
@@ -32,17 +34,17 @@ def add_scene_routes(app: FastAPI, workcell: Workcell) -> None:
             "scene": _version(workcell),
         }
 
-    @app.get("/cell/scene", tags=["cell"])
+    @app.get("/cell/scene", tags=["cell"], dependencies=[require(Permission.READ)])
     async def scene(response: Response) -> dict[str, Any]:
         """Return the scene as it is written in a scene file, with its digest and revision.
 
-        Lengths are in m in the frame of the cell. `parts` are the poses of all parts, `shapes` is what a page
-        draws.
+        Lengths are in m in the frame of the cell. `parts` are the poses of all known parts, `trueParts` those
+        of a simulation, known or not, and `shapes` is what a page draws.
         """
         response.headers["ETag"] = f'"{workcell.scene.digest}"'
         return scene_view(workcell)
 
-    @app.put("/cell/scene", tags=["cell"])
+    @app.put("/cell/scene", tags=["cell"], dependencies=[require(Permission.CONFIGURE)])
     async def put_scene(
         written: Annotated[dict[str, Any], Body()],
         response: Response,
@@ -88,8 +90,18 @@ def scene_view(workcell: Workcell) -> dict[str, Any]:
         **workcell.scene.model_dump(mode="json"),
         **_version(workcell),
         "parts": parts,
+        "trueParts": _true_parts(workcell),
         "shapes": list(drawn_shapes(workcell.scene)),
     }
+
+
+def _true_parts(workcell: Workcell) -> list[dict[str, Any]]:
+    """Return the parts of simulations, whether or not the tool knows of them."""
+    return [
+        {"size": list(part.size), **part.pose.written()}
+        for cell in workcell.cells.values()
+        for part in cell.robot.true_parts() or ()
+    ]
 
 
 def _version(workcell: Workcell) -> dict[str, Any]:

@@ -14,6 +14,11 @@ class TrajectorySettings(Settings):
     trajectory_url: str | None = Field(
         None, description="the URL of the trajectory tool for the broker; by default http://host:port"
     )
+    bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
+    bridge_url: str | None = Field(
+        None,
+        description="where the broker reaches the ROS bridge; http://host:port of it if absent",
+    )
     cell_file: Path | None = Field(
         None,
         description="YAML file of the cell: robots with model, place, driver and limits, and the scene; "
@@ -58,6 +63,10 @@ class TrajectorySettings(Settings):
     people_sensors: Names = Field(
         (), description="sensors of people without which no robot moves, separated by commas"
     )
+    people_entities: bool = Field(
+        False,
+        description="read the places of people from the relativePosition of Person entities in the broker",
+    )
     separation_hold_s: float = Field(
         2.0,
         ge=0,
@@ -69,6 +78,11 @@ class TrajectorySettings(Settings):
     def notify_url(self) -> str:
         """Return the URL for notifications; each robot has a path below it."""
         return f"{self.service_url}/notifications"
+
+    @property
+    def arm_url(self) -> str:
+        """Return the URL of the WebSocket for arms of the ROS bridge."""
+        return f"ws{self.url_of(self.bridge_port, self.bridge_url).removeprefix('http')}/arm"
 
     @property
     def service_url(self) -> str:

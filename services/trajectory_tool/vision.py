@@ -41,17 +41,36 @@ class SeenBall:
 class Vision(Protocol):
     """Looks into bins. `fill`, `stir` and `clear` are what people do in a simulated cell."""
 
-    async def look(self, bin_name: str) -> Sequence[Sighting]:
-        """Return the parts that are seen in a bin, the topmost first."""
+    async def look(self, bin_name: str, view: int = 0) -> Sequence[Sighting]:
+        """Return the parts that are seen in a bin, the topmost first.
 
-    async def find_ball(self, place: Vector, radius_m: float) -> SeenBall | None:
-        """Return the ball that the camera in the hand sees near to a place of the cell; None without one."""
+        `view` numbers the position of the camera. Images from the views before count as well, from view 0 on
+        and until something in the cell is moved.
+        """
+
+    async def find_ball(self, place: Vector, radius_m: float, camera: str | None = None) -> SeenBall | None:
+        """Return the ball that a camera sees near to a place of the cell; None without one.
+
+        By default it is the camera in the hand.
+        """
 
     async def calibrate(self, seen: Sequence[SeenBall]) -> Mapping[str, float]:
         """Store where the camera in the hand is mounted, and return figures for the result of the Task.
 
         Raises `HandoverError` where the images do not determine it.
         """
+
+    async def calibrate_fixed(
+        self, camera: str, places: Sequence[Vector], seen: Sequence[Vector]
+    ) -> Mapping[str, float]:
+        """Store durably where a fixed camera is mounted, from balls at known places and as it sees them.
+
+        Raises `HandoverError` where they do not determine it, `OSError` when it cannot be stored.
+        """
+
+    @property
+    def fixed_cameras(self) -> Sequence[str]:
+        """Return the cameras of the scene."""
 
     async def fill(self, bin_name: str) -> None:
         """Have an empty bin filled."""

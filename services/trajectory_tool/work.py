@@ -2,16 +2,16 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from handover.errors import UsageError
 from handover.messages import message, text_of
 from handover.performer import TaskFailed
 from services.trajectory_tool.cell import Cell
-from services.trajectory_tool.limits.guards import tool_speed_mps
 from services.trajectory_tool.memory import Act
 from services.trajectory_tool.motion import BlockedByNeighbour
+from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 from services.trajectory_tool.trajectory import Course, Setpoint, rounded_pace
@@ -25,7 +25,6 @@ T = TypeVar("T")
 NEIGHBOUR_POLL_S = 0.2
 CONFIRMATION_POLL_S = 0.05
 LIMIT_POLL_S = 0.05
-PEAK_SAMPLES = 30
 
 
 class Steering(Protocol):
@@ -41,8 +40,19 @@ class Steering(Protocol):
 class Work:
     """The motions and gripper actions of one Task, at `speed` (0 to 1 of the joint limits)."""
 
-    def __init__(self, task: str, operation: str, cell: Cell, steering: Steering, speed: float) -> None:
+    def __init__(
+        self,
+        task: str,
+        operation: str,
+        cell: Cell,
+        steering: Steering,
+        speed: float,
+        *,
+        involves: Sequence[str] = (),
+    ) -> None:
         self.task = task
+        self.involves = tuple(involves)
+        """The resources of the Task: the robot, and the person with whom it works."""
         self.operation = operation
         self.cell = cell
         self._steering = steering
@@ -82,12 +92,11 @@ class Work:
     async def go(self, target: Joints, tilt: "Tilt | None" = None) -> None:
         """Move to joints in rad, with pauses on the way if requested; at rest there when it returns.
 
-        In a cell with obstacles the way is planned around them; `tilt` is kept on a planned way. Raises
-        `TaskFailed` where there is none.
+        The way is planned around obstacles and around the robot itself; `tilt` is kept on a planned way.
+        Raises `TaskFailed` where there is none.
         """
         self._begin_next()
-        self._current_s = 0.0
-        while tilt is None and not self.cell.planning.avoids_obstacles:
+        while tilt is None and await self._is_straight_way_free(target):
             self._planned_in = self.cell.planning.revision
             if await self._move(target):
                 await self.cell.remember()
@@ -95,13 +104,19 @@ class Work:
             await self.cell.remember()
             while not self._steering.may_go():
                 await self._steering.rest()
-            self._current_s = 0.0
         await self._follow(lambda planner, here: planner.to_joints(here, target, tilt))
+
+    async def _is_straight_way_free(self, target: Joints) -> bool:
+        """Return whether the straight way in joint space needs no plan; without the extra none does."""
+        cell = self.cell
+        if cell.planning.avoids_obstacles or not is_available():
+            return not cell.planning.avoids_obstacles
+        with self._reporting_why_not():
+            return await self.plan(lambda planner: planner.is_straight_free(cell.joints, target))
 
     async def go_through(self, targets: Sequence[Joints], tilt: "Tilt | None" = None) -> None:
         """Move through all but the last of the targets without a stop; after a pause, through the rest."""
         self._begin_next()
-        self._current_s = 0.0
         rest = list(targets)
 
         def drop_passed(plan: "Plan", here: Joints) -> None:
@@ -112,7 +127,6 @@ class Work:
     async def go_straight(self, pose: Pose, max_tool_speed_mps: float | None = None) -> None:
         """Move the tool on a straight line to a pose, likewise."""
         self._begin_next()
-        self._current_s = 0.0
         await self._follow(lambda planner, here: planner.straight(here, pose, max_tool_speed_mps))
 
     async def _follow(
@@ -127,25 +141,33 @@ class Work:
             self._planned_in = self.cell.planning.revision
             plan = await self._plan_from_here(make)
             trajectory = plan.trajectory.slowed(self._speed)
-            self._begin_motion(trajectory.at, trajectory.duration_s)
-            self._moving = True
             try:
+                self._begin_motion(trajectory.at, trajectory.duration_s)
+                self._moving, self._current_s = True, 0.0  # from now on the robot has the remaining time
                 if await self.cell.robot.follow(trajectory, self._pace_of_plan):
                     break
             finally:
                 self._moving = False
+                self.cell.speed.end_motion()
                 self.cell.planning.end_motion()
             on_stop(plan, self.cell.joints)
             await self.cell.remember()
-            self._current_s = 0.0
         await self.cell.remember()
 
     async def _plan_from_here(self, make: "Callable[[Planner, Joints], Plan]") -> "Plan":
         cell = self.cell
-        try:
+        with self._reporting_why_not():
             return await self._when_neighbours_permit(
-                lambda: cell.planning.plan_motion(lambda planner: make(planner, cell.joints))
+                lambda: cell.planning.plan_motion(
+                    lambda planner: make(planner, cell.model.measured_within(cell.joints))
+                )
             )
+
+    @contextmanager
+    def _reporting_why_not(self) -> Iterator[None]:
+        """Let the Task fail with the reason why there is no motion."""
+        try:
+            yield
         except (Unreachable, NoPath, UsageError) as why:
             raise TaskFailed(
                 message(
@@ -183,7 +205,7 @@ class Work:
         cruise = self.cell.limits.slowed(self._speed)
         course = Course(self.cell.joints, target, cruise, self.cell.limits, 0.0)
         self._begin_motion(course.at, course.remaining_s(0.0))
-        self._moving = True
+        self._moving, self._current_s = True, 0.0
         try:
             arrived = await self.cell.robot.move(target, self._speed, self._pace_of_plan)
             if not arrived:
@@ -191,6 +213,7 @@ class Work:
             return arrived
         finally:
             self._moving = False
+            self.cell.speed.end_motion()
 
     def _pace(self) -> float:
         """Return the allowed fraction of the speed; after a stop the rest of the motion is still planned."""
@@ -200,9 +223,11 @@ class Work:
         return pace
 
     def _begin_motion(self, at: Callable[[float], Setpoint], duration_s: float) -> None:
-        """Give the limits the highest speed of the tool in a motion."""
-        times = (duration_s * number / PEAK_SAMPLES for number in range(1, PEAK_SAMPLES))
-        self.cell.speed.begin_motion(max(tool_speed_mps(self.cell.model, at(time_s)) for time_s in times))
+        """Give a motion to the limits. Raises `TaskFailed` for one that exceeds the contact table."""
+        self.cell.speed.begin_motion(at, duration_s)
+        refusal = self.cell.speed.contact_refusal(self.operation)
+        if refusal is not None:
+            raise TaskFailed(refusal)
 
     def _may_move(self) -> bool:
         return self._steering.may_go() and rounded_pace(self.cell.speed.pace()) > 0

@@ -7,6 +7,7 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any, Self
 
+from datamodels.streams import PeopleReport
 from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.telemetry import get_logger
@@ -14,14 +15,15 @@ from services.trajectory_tool.camera import Camera
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.cell_file import CellPlan, RobotEntry, cell_plan
 from services.trajectory_tool.contents import Contents, initial
-from services.trajectory_tool.drivers import Clock
+from services.trajectory_tool.drivers import Clock, Peer
 from services.trajectory_tool.limits.store import LimitStore
 from services.trajectory_tool.memory import Memory, MemoryFile
 from services.trajectory_tool.metrics import SCENE_CHANGES
 from services.trajectory_tool.motion import INSTALL, SharedSpace
 from services.trajectory_tool.obstacles import Obstacle
+from services.trajectory_tool.people.measured import SceneSensors
 from services.trajectory_tool.planning import is_available
-from services.trajectory_tool.robot import Unreachable
+from services.trajectory_tool.robot import Joints, Unreachable
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.robots.folder import load_robot
 from services.trajectory_tool.scene import Scene, load, read_scene
@@ -30,7 +32,7 @@ from services.trajectory_tool.settings import TrajectorySettings
 
 log = get_logger(__name__)
 
-VIEW_ONLY = frozenset({"digest", "revision", "parts", "shapes"})
+VIEW_ONLY = frozenset({"digest", "revision", "parts", "trueParts", "shapes"})
 """What GET adds to a scene; a client may send it back."""
 
 
@@ -57,8 +59,10 @@ class Workcell:
             raise UsageError(f"several robots in one cell need motion planning; {INSTALL}")
         self.settings = settings
         self.folder = folder
-        self._models = list(models.values())
-        configured = _scene(plan, self._models)
+        self.plan_folder = plan.folder
+        self._plan = plan
+        self._models = models
+        configured = _scene(plan, list(models.values()))
         self._origin = configured.digest
         self._scene_file = SceneFile(folder / "scene.json")
         changed = self._scene_file.load(self._origin)
@@ -67,7 +71,7 @@ class Workcell:
         self.scene = configured
         if changed is not None:
             source = f"changed scene {self._scene_file.path}"
-            self.scene = read_scene(changed.scene, configured.folder, source, *self._models)
+            self.scene = read_scene(changed.scene, configured.folder, source, *models.values())
         self.on_scene_change: Callable[[], None] = lambda: None
         self._changing = asyncio.Lock()
         self.camera = Camera(settings.detection_rate, settings.scan_seed)
@@ -78,13 +82,35 @@ class Workcell:
         self.limit_store = LimitStore(settings.data_dir / "trajectory_tool" / "limits.json")
         self._saving = asyncio.Lock()
         self._on = AsyncExitStack()
-        memories = known.robots if known else {}
+        memories = self._memories = known.robots if known else {}
+        self.shared: dict[str, dict[str, Any]] = {}
+        """What each driver keeps for all of its robots."""
         self.cells = {
             name: Cell(self, name, entry, models[name], known=memories.get(name), clock=clock, broker=broker)
             for name, entry in plan.robots.items()
         }
+        self.people_sensors = SceneSensors(
+            lambda: self.scene, lambda: [cell.model.chain(cell.joints) for cell in self.cells.values()]
+        )
         if known is None and any(cell.robot.vision is not None for cell in self.cells.values()):
             self.contents = Contents()  # where the parts are is known when they have been seen
+
+    def home_of(self, model: RobotModel) -> Joints:
+        """Return the home position of a robot in the scene."""
+        return model.home if self.scene.home is None else self.scene.home
+
+    def stored_joints(self, name: str) -> Joints:
+        """Return the joints of a robot that were stored last, or its home."""
+        known = self._memories.get(name)
+        return self.home_of(self._models[name]) if known is None else known.joints
+
+    def peers_of(self, driver: str) -> dict[str, Peer]:
+        """Return the robots of a driver."""
+        return {
+            name: Peer(self._models[name], self.stored_joints(name))
+            for name, entry in self._plan.robots.items()
+            if entry.driver == driver
+        }
 
     @property
     def only(self) -> Cell:
@@ -108,21 +134,36 @@ class Workcell:
         """
         async with self._changing:
             content = {name: value for name, value in written.items() if name not in VIEW_ONLY}
-            scene = read_scene(content, self.scene.folder, "scene", *self._models)
+            scene = read_scene(content, self.scene.folder, "scene", *self._models.values())
             _require_own_meshes(scene)
             solids = scene.solids()
             if solids:
                 await asyncio.to_thread(_require_usable, solids)
+            applies = [
+                await asyncio.to_thread(cell.robot.prepare_scene, scene) for cell in self.cells.values()
+            ]
             changed = ChangedScene(origin=self._origin, revision=self.revision + 1, scene=content)
             await asyncio.to_thread(self._scene_file.save, changed)
             before, self.scene, self.revision = self.scene, scene, changed.revision
             self.contents = self.contents.moved(before, scene)
             for cell in self.cells.values():
                 cell.planning.set_obstacles(solids)
+            for apply in applies:
+                if apply is not None:
+                    await apply()
+                    for name in scene.bins.keys() - before.bins.keys():
+                        self.contents = self.contents.observed(name, [])  # known when it has been seen
+                cell.speed.set_zones(scene.all_zones())
+                cell.speed.evaluate()
             SCENE_CHANGES.inc()
             log.info("scene changed", revision=self.revision, digest=scene.digest)
             self.on_scene_change()
             await self.remember()
+
+    async def receive_people(self, report: PeopleReport) -> None:
+        """Give a report of people to every robot. Raises `RefusedReport`, `OSError`."""
+        for cell in self.cells.values():
+            await cell.speed.receive_people(report)
 
     async def contacts(self) -> list[str]:
         """Return what each robot touches where it stands now."""
@@ -178,12 +219,9 @@ def _model(plan: CellPlan, name: str, entry: RobotEntry, data_dir: Path) -> Robo
 
 
 def _scene_for(plan: CellPlan, model: RobotModel) -> Path | None:
-    """Return the scene that a model has for its driver, `<scene>_<driver>.yaml`, else its scene."""
-    if model.scene is None:
-        return None
+    """Return the scene that a model has for its driver, else its scene; None without one."""
     driver = next(iter(plan.robots.values())).driver
-    own = model.scene.with_stem(f"{model.scene.stem}_{driver}")
-    return own if own.is_file() else model.scene
+    return model.driver_scenes.get(driver, model.scene)
 
 
 def _scene(plan: CellPlan, models: list[RobotModel]) -> Scene:

@@ -30,6 +30,9 @@ SHARES = (1.0, 0.5, 0.2)
 STOP_SAMPLES = 6
 """A way to rest is divided into this many parts for the guards."""
 
+LINE_STEP_RAD = 0.02
+"""The distance of the places on a straight line that are checked before the motion, in rad or m."""
+
 Ranges = Sequence[tuple[float | None, float | None]]
 """The lower and the upper limit of each joint; None for a joint without."""
 
@@ -39,6 +42,12 @@ class Limiter(Protocol):
 
     def start(self, joints: Joints, now_s: float) -> None:
         """Begin a motion at rest at `joints`."""
+
+    def resume(self, setpoint: Setpoint, now_s: float) -> None:
+        """Continue from a setpoint that was permitted before, at its time."""
+
+    def require_line(self, start: Joints, target: Joints) -> None:
+        """Raise `RobotFault` where a straight line in joint space is not permitted, before anything moves."""
 
     def limit(self, setpoint: Setpoint, now_s: float) -> Setpoint:
         """Return the setpoint to command. Raises `RobotFault` for one that violates a limit."""
@@ -80,9 +89,28 @@ class JointLimiter:
         for guard in self.guards:
             guard.start(joints)
 
+    def resume(self, setpoint: Setpoint, now_s: float) -> None:
+        """Continue from a setpoint that was permitted before, at its time."""
+        self.start(setpoint.positions, now_s)
+        self._permit(setpoint, now_s)
+
+    def require_line(self, start: Joints, target: Joints) -> None:
+        """Ask the guards about the places on a line; it ends what `start` began."""
+        ways = [there - here for here, there in zip(start, target, strict=True)]
+        count = math.ceil(max(map(abs, ways), default=0.0) / LINE_STEP_RAD) if self.guards else 0
+        for number in range(1, count + 1):
+            share = number / count
+            place = tuple(here + share * way for here, way in zip(start, ways, strict=True))
+            self._ask_guards(Setpoint.at_rest(place), None)
+
     def limit(self, setpoint: Setpoint, now_s: float) -> Setpoint:
         """Return the setpoint. Raises `RobotFault` for one that violates a limit."""
-        reason = self._violation(setpoint, now_s)
+        self._ask_guards(setpoint, self._violation(setpoint, now_s))
+        self._permit(setpoint, now_s)
+        return setpoint
+
+    def _ask_guards(self, setpoint: Setpoint, reason: str | None) -> None:
+        """Raise `RobotFault` for a reason, or for that of a guard."""
         for guard in self.guards:
             reason = reason or guard.violation(setpoint)
         if reason is not None:
@@ -93,8 +121,6 @@ class JointLimiter:
                     reason=reason,
                 )
             )
-        self._permit(setpoint, now_s)
-        return setpoint
 
     def step(self, velocity: Joints, now_s: float) -> Setpoint:
         """Return the next setpoint towards joint velocities, within all limits."""
@@ -154,10 +180,14 @@ class JointLimiter:
             if max(abs(velocity), abs(peak)) > fastest * (1 + EPSILON):
                 return False
         profile = self._to_velocity(setpoint)
-        for extreme, (lower, upper), here in zip(
-            profile.position_extrema, self._ranges, self._last.positions, strict=True
+        for number, (extreme, (lower, upper), here) in enumerate(
+            zip(profile.position_extrema, self._ranges, self._last.positions, strict=True)
         ):
-            if extreme.max > max(upper, here) or extreme.min < min(lower, here):
+            # Ruckig gives 0 for the extremes of a joint that does not move: ask for the position then.
+            most, least = max(upper, here), min(lower, here)
+            if extreme.max > most and profile.at_time(extreme.t_max)[0][number] > most:
+                return False
+            if extreme.min < least and profile.at_time(extreme.t_min)[0][number] < least:
                 return False
         if not self.guards:
             return True

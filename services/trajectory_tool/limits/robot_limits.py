@@ -8,10 +8,14 @@ report; when that is overdue, the robot stops. The effective limit is the lowest
 import asyncio
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from datamodels.streams import PeopleReport, SpeedLimitReport
+from handover.messages import Message, message
+from services.trajectory_tool.limits.contact_force import ContactForce
+from services.trajectory_tool.limits.contact_table import ContactSpeed
+from services.trajectory_tool.limits.guards import ZONE_MARGIN_M, PeakSpeeds
 from services.trajectory_tool.limits.separation import (
     RULE,
     Distance,
@@ -27,13 +31,13 @@ from services.trajectory_tool.metrics import ALLOWED_PACE, LIMIT_STOPS
 from services.trajectory_tool.robot import Joints
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.scene import Zone
+from services.trajectory_tool.trajectory import Setpoint, rounded_pace
 
 EVALUATE_EVERY_S = 0.04
 OVERDUE_S = 0.5
 REDUCED_MPS = 0.25
 """The speed of the tool in reduced mode (ISO 10218-1)."""
 LINK_RADIUS_M = 0.12
-ZONE_MARGIN_M = 0.05
 
 
 class RobotLimits:
@@ -53,6 +57,9 @@ class RobotLimits:
         people_sensors: Iterable[str] = (),
         hold_s: float = 2.0,
         zones: Iterable[Zone] = (),
+        end_effector: str | None = None,
+        contact: ContactForce | None = None,
+        contact_speed: ContactSpeed | None = None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = name
@@ -62,15 +69,32 @@ class RobotLimits:
         self._joints = joints
         self._store = store
         self._now = now
-        self._zones = tuple(zone for zone in zones if zone.kind == "reducedSpeed")
+        self.end_effector = end_effector
+        """The mounted one; None where the cell file does not name it."""
+        self.contact = contact or ContactForce(None, lambda: None)
+        self.contact_speed = contact_speed
+        self._peaks = PeakSpeeds(model)
+        self._links_peak_mps = 0.0
+        self._zones: tuple[Zone, ...] = ()
+        self._people_zones: tuple[Zone, ...] = ()
+        """Where people may be touched; without any, it is the whole cell."""
         record = store.of(name)
         self.body = SpeedLimits({*limit_sources, *record.limit_sources}, now())
         rule = SeparationRule(stopping=_stopping(record), hold_s=hold_s)
         self.separation = Separation({*people_sensors, *record.people_sensors}, rule, now())
         self.state = SeparationState(Allowed(RULE))
         self._zone = Allowed("zone")
+        self.set_zones(zones)
         self._evaluated_s = -math.inf
         self._was_stopped = False
+        self._is_moving = False
+
+    def set_zones(self, zones: Iterable[Zone]) -> None:
+        """Change the zones."""
+        known = tuple(zones)
+        self._zones = tuple(zone for zone in known if zone.kind == "reducedSpeed")
+        self._people_zones = tuple(zone for zone in known if zone.kind == "people")
+        self._zone = Allowed("zone")
 
     @property
     def record(self) -> RobotRecord:
@@ -94,31 +118,93 @@ class RobotLimits:
             )
         if record.mode == "reduced":
             found.append(Allowed("mode", max_speed_mps=REDUCED_MPS, reason="reduced mode"))
-        if record.safe_speed is not None:
-            speed = record.safe_speed
-            found.append(
-                Allowed(
-                    "endEffector",
-                    max_speed_mps=speed.speed_mps,
-                    reason=f"{speed.end_effector}, validated on {speed.validated_at:%Y-%m-%d}",
-                )
-            )
+        found += self._of_end_effector(record)
+        found += self.contact.allowed()
+        if self.contact_speed is not None:
+            max_mps, peak_mps = self.contact_speed.speed_mps, self._links_peak_mps
+            fraction = max_mps / peak_mps if peak_mps > max_mps else 1.0
+            everywhere_mps = math.inf if self._people_zones else max_mps
+            found.append(Allowed("contact", fraction, everywhere_mps, self.contact_speed.reason))
         return tuple(found)
+
+    def _of_end_effector(self, record: RobotRecord) -> Iterator[Allowed]:
+        """Yield the validated speed: of the mounted end effector, or the lowest of all."""
+        known, mounted = record.safe_speeds, self.end_effector
+        if mounted is not None and mounted not in known:
+            reason = f"{mounted} has no validated speed"
+            yield Allowed("endEffector", max_speed_mps=REDUCED_MPS, reason=reason)
+            return
+        speeds = known.values() if mounted is None else [known[mounted]]
+        for speed in sorted(speeds, key=lambda each: each.speed_mps)[:1]:
+            yield Allowed(
+                "endEffector",
+                max_speed_mps=speed.speed_mps,
+                reason=f"{speed.end_effector}, validated on {speed.validated_at:%Y-%m-%d}",
+            )
 
     def lowest(self) -> Allowed | None:
         """Return the rule that holds; None if none lowers the speed."""
-        peak_mps = self.peak_mps or math.inf
+        peak_mps = self.peak_mps if self._is_moving else math.inf
         limiting = [each for each in self.allowed() if each.fraction < 1 or each.max_speed_mps < peak_mps]
         return min(limiting, key=lambda each: (each.fraction, each.max_speed_mps), default=None)
+
+    @property
+    def zones(self) -> tuple[Zone, ...]:
+        """Return the zones in which commanded velocities are limited, each with its speed; thread-safe."""
+        if self.contact_speed is None:
+            return self._zones
+        speed_mps = self.contact_speed.speed_mps
+        return (*self._zones, *(replace(each, max_tool_speed_mps=speed_mps) for each in self._people_zones))
 
     def tool_limit_mps(self) -> float:
         """Return the speed of the tool that the rules allow, for commanded velocities; thread-safe."""
         return min((each.max_speed_mps for each in self.allowed()), default=math.inf)
 
-    def begin_motion(self, peak_mps: float) -> None:
-        """Note the highest speed of the tool in the motion that begins."""
-        self.peak_mps = peak_mps
+    def begin_motion(self, at: Callable[[float], Setpoint], duration_s: float) -> None:
+        """Note the highest speed of the tool in the motion that begins, and the force at its start."""
+        links_mps = 0.0
+        tool_mps = self._peaks.of_tool(at, duration_s)
+        if self.contact_speed is not None:
+            links_mps = self._peaks.of_links(at, duration_s, self._may_touch_people)
+        self._begin(tool_mps, links_mps)
+
+    def begin_velocities(self, peak_mps: float) -> None:
+        """Note the highest speed of the tool in a motion by velocities, and the force at its start."""
+        self._begin(peak_mps, 0.0)
+
+    def _begin(self, tool_mps: float, links_mps: float) -> None:
+        self.peak_mps, self._links_peak_mps = tool_mps, links_mps
+        self._is_moving = tool_mps > 0
+        self.contact.begin_motion()
         self.evaluate()
+
+    def _may_touch_people(self, joints: Joints) -> bool:
+        """Return whether a link is where people may be touched."""
+        if not self._people_zones:
+            return True
+        chain, margin_m = self._model.chain(joints), LINK_RADIUS_M + ZONE_MARGIN_M
+        return any(zone.is_near(chain, margin_m) for zone in self._people_zones)
+
+    def contact_refusal(self, operation: str) -> Message | None:
+        """Return why the motion that begins cannot be slow enough for contacts; None if it can."""
+        permitted = self.contact_speed
+        if permitted is None or rounded_pace(permitted.speed_mps / max(self._links_peak_mps, 1e-9)) > 0:
+            return None
+        return message(
+            "robot.contact_too_fast",
+            "{operation}: a link would move at {speed} m/s, and contacts with {region}, confirmed on {date}, "
+            "may have {limit} m/s; choose a slower motion, or another contact table",
+            operation=operation,
+            speed=f"{self._links_peak_mps:.2f}",
+            region=permitted.region,
+            date=f"{permitted.table.confirmed_at:%Y-%m-%d}",
+            limit=f"{permitted.speed_mps:.4f}",
+        )
+
+    def end_motion(self) -> None:
+        """Note that the motion has ended."""
+        self._is_moving = False
+        self.contact.end_motion()
 
     async def run(self) -> None:
         """Evaluate distances until cancelled."""
@@ -178,9 +264,13 @@ class RobotLimits:
         return True
 
     async def reset(self, name: str) -> list[str]:
-        """Release stops of body signals; return the sources that still stop the robot. Raises `OSError`."""
+        """Release stops of body signals and contacts; return the sources that still stop the robot.
+
+        Raises `OSError`.
+        """
         await self._put(self.record.decided("reset", name))
         still = self.body.reset(self._now())
+        self.contact.reset()
         self.evaluate()
         return still
 
@@ -199,7 +289,8 @@ class RobotLimits:
     async def set_safe_speed(self, speed: SafeSpeed, name: str) -> None:
         """Set the validated speed of the end effector. Raises `OSError`."""
         what = f"{speed.end_effector}: {speed.speed_mps:g} m/s"
-        await self._put(self.record.decided(what, name, safe_speed=speed))
+        speeds = {**self.record.safe_speeds, speed.end_effector: speed}
+        await self._put(self.record.decided(what, name, safe_speeds=speeds))
         self.evaluate()
 
     async def set_stop(self, stop: MeasuredStop, name: str) -> None:
@@ -217,7 +308,9 @@ class RobotLimits:
 
     def _in_zone(self) -> Allowed:
         tool = self._model.tool_pose(self._joints()).position
-        margin_m = ZONE_MARGIN_M + self.separation.rule.stopping.distance_m(self.peak_mps)
+        rule = self.separation.rule
+        way_m = self.peak_mps * rule.reaction_s + rule.stopping.distance_m(self.peak_mps)
+        margin_m = ZONE_MARGIN_M + way_m
         near = [zone for zone in self._zones if zone.distance_m(tool) <= margin_m]
         slowest = min(near, key=lambda zone: zone.max_tool_speed_mps, default=None)
         if slowest is None:

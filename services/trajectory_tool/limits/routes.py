@@ -4,34 +4,30 @@ Nothing here is a safety-rated function: a limit is advisory and only ever lower
 protective stops of the real robot are shown, and never reset.
 """
 
-import asyncio
-import time
 from collections.abc import Awaitable, Callable
-from typing import Annotated, Any, TypeVar
+from datetime import UTC, datetime
+from typing import Annotated
 
-import orjson
 from fastapi import FastAPI
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from datamodels.streams import PeopleReport, SpeedLimitReport
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.guard import in_path, require
+from handover.security.permissions import Permission
+from services.trajectory_tool.limits.report_stream import Report, receive_reports
 from services.trajectory_tool.limits.robot_limits import RobotLimits
-from services.trajectory_tool.limits.speed_limits import RefusedReport
 from services.trajectory_tool.limits.store import MeasuredStop, Mode, SafeSpeed
-from services.trajectory_tool.metrics import LIMIT_REPORTS
+from services.trajectory_tool.limits.views import RobotLimitsView, view_of
 from services.trajectory_tool.robot import Robot
 
-NOTICE = "These limits are not a safety-rated function. They are advisory and only lower the speed."
-MAX_MESSAGE_BYTES = 16 * 1024
-MAX_REPORTS_PER_S = 100
-SHOWN_DECISIONS = 20
-
-Report = TypeVar("Report", bound=BaseModel)
 Find = Callable[[str], tuple[RobotLimits, Robot]]
 """Returns the limits and the driver of a robot by name. Raises `Problem` for an unknown one."""
+
+of_robot = in_path("Device", "robot")
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -66,32 +62,21 @@ class StopChange(ByPerson, MeasuredStop):
     """The measured stop, and who enters it."""
 
 
-class Rate:
-    """Counts messages in each second."""
-
-    def __init__(self) -> None:
-        self._second = 0
-        self._count = 0
-
-    def excess(self, now_s: float) -> int:
-        """Count a message, and return how many more than permitted have arrived in this second."""
-        second = int(now_s)
-        self._count = self._count + 1 if second == self._second else 1
-        self._second = second
-        return max(self._count - MAX_REPORTS_PER_S, 0)
-
-
 def add_routes(app: FastAPI, find: Find) -> None:
     """Add the routes of the limits."""
 
-    @app.get("/robots/{robot}/limits", tags=["limits"])
-    async def limits(robot: str) -> dict[str, Any]:
+    @app.get("/robots/{robot}/limits", tags=["limits"], dependencies=[require(Permission.READ, of_robot)])
+    async def limits(robot: str) -> RobotLimitsView:
         """Return what limits the speed of a robot now: which rule, the distance of people, the sources."""
         return view_of(*find(robot))
 
-    @app.post("/robots/{robot}/limits/reset", tags=["limits"])
-    async def reset(robot: str, body: ByPerson) -> dict[str, Any]:
-        """Release stops for body signals; 409 while a source still demands the stop."""
+    @app.post(
+        "/robots/{robot}/limits/reset",
+        tags=["limits"],
+        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
+    )
+    async def reset(robot: str, body: ByPerson) -> RobotLimitsView:
+        """Release stops for body signals and after contacts; 409 while a source still demands the stop."""
         found, driver = find(robot)
         still = await found.reset(body.name)
         if still:
@@ -106,15 +91,23 @@ def add_routes(app: FastAPI, find: Find) -> None:
             )
         return view_of(found, driver)
 
-    @app.post("/robots/{robot}/limits/confirm-clear", tags=["limits"])
-    async def confirm_clear(robot: str, body: ByPerson) -> dict[str, Any]:
+    @app.post(
+        "/robots/{robot}/limits/confirm-clear",
+        tags=["limits"],
+        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
+    )
+    async def confirm_clear(robot: str, body: ByPerson) -> RobotLimitsView:
         """Forget people who vanished near the robot: a person has seen that nobody is there."""
         found, driver = find(robot)
         await found.confirm_clear(body.name)
         return view_of(found, driver)
 
-    @app.post("/robots/{robot}/limits/sources/{source}/remove", tags=["limits"])
-    async def remove(robot: str, source: str, body: Removal) -> dict[str, Any]:
+    @app.post(
+        "/robots/{robot}/limits/sources/{source}/remove",
+        tags=["limits"],
+        dependencies=[require(Permission.CONFIGURE, of_robot)],
+    )
+    async def remove(robot: str, source: str, body: Removal) -> RobotLimitsView:
         """Stop requiring a source of speed limits or a sensor of people; recorded with name and reason."""
         found, driver = find(robot)
         if not await found.remove(source, body.name, body.reason):
@@ -131,30 +124,48 @@ def add_routes(app: FastAPI, find: Find) -> None:
             )
         return view_of(found, driver)
 
-    @app.put("/robots/{robot}/limits/mode", tags=["limits"])
-    async def set_mode(robot: str, body: ModeChange) -> dict[str, Any]:
+    @app.put(
+        "/robots/{robot}/limits/mode", tags=["limits"], dependencies=[require(Permission.CONFIGURE, of_robot)]
+    )
+    async def set_mode(robot: str, body: ModeChange) -> RobotLimitsView:
         """Set the mode, `normal` or `reduced`."""
         found, driver = find(robot)
         await found.set_mode(body.mode, body.name)
         return view_of(found, driver)
 
-    @app.put("/robots/{robot}/limits/safe-speed", tags=["limits"])
-    async def set_safe_speed(robot: str, body: SafeSpeedChange) -> dict[str, Any]:
-        """Set the speed of the tool that was validated for the end effector, with the date of validation."""
+    @app.put(
+        "/robots/{robot}/limits/safe-speed",
+        tags=["limits"],
+        dependencies=[require(Permission.CONFIGURE, of_robot)],
+    )
+    async def set_safe_speed(robot: str, body: SafeSpeedChange) -> RobotLimitsView:
+        """Set the speed of the tool that was validated for an end effector, with the date of validation."""
         found, driver = find(robot)
+        if body.validated_at > datetime.now(UTC):
+            raise Problem(
+                422,
+                "Not validated yet",
+                message(
+                    "robot.validated_in_future",
+                    "the date of validation of {end_effector} is in the future; enter when it was validated",
+                    end_effector=body.end_effector,
+                ),
+            )
         speed = SafeSpeed.model_validate(body.model_dump(exclude={"name"}))
         await found.set_safe_speed(speed, body.name)
         return view_of(found, driver)
 
-    @app.put("/robots/{robot}/limits/stop", tags=["limits"])
-    async def set_stop(robot: str, body: StopChange) -> dict[str, Any]:
+    @app.put(
+        "/robots/{robot}/limits/stop", tags=["limits"], dependencies=[require(Permission.CONFIGURE, of_robot)]
+    )
+    async def set_stop(robot: str, body: StopChange) -> RobotLimitsView:
         """Set the measured stop, from which protective distances are computed."""
         found, driver = find(robot)
         stop = MeasuredStop.model_validate(body.model_dump(exclude={"name"}))
         await found.set_stop(stop, body.name)
         return view_of(found, driver)
 
-    @app.websocket("/robots/{robot}/speed_limits")
+    @app.websocket("/robots/{robot}/speed_limits", dependencies=[require(Permission.MOVE_ROBOTS, of_robot)])
     async def speed_limits(sender: WebSocket, robot: str) -> None:
         await _receive(
             sender,
@@ -165,52 +176,11 @@ def add_routes(app: FastAPI, find: Find) -> None:
             receiver=lambda at: at.receive_limit,
         )
 
-    @app.websocket("/robots/{robot}/people")
+    @app.websocket("/robots/{robot}/people", dependencies=[require(Permission.MOVE_ROBOTS, of_robot)])
     async def people(sender: WebSocket, robot: str) -> None:
         await _receive(
             sender, robot, find, kind="people", form=PeopleReport, receiver=lambda at: at.receive_people
         )
-
-
-def view_of(limits: RobotLimits, driver: Robot) -> dict[str, Any]:
-    """Return the limits as JSON."""
-    lowest, record, state = limits.lowest(), limits.record, limits.state
-    rule = limits.separation.rule
-    status = driver.safety_status()
-    return {
-        "notice": NOTICE,
-        "pace": round(limits.pace(), 3),
-        "rule": None if lowest is None else lowest.rule,
-        "reason": None if lowest is None else lowest.reason,
-        "needsReset": any(each.needs_reset for each in limits.allowed()),
-        "rules": [
-            {
-                "rule": each.rule,
-                "fraction": round(each.fraction, 3),
-                "maxSpeed": each.max_speed_mps if each.max_speed_mps < float("inf") else None,
-                "reason": each.reason,
-                "needsReset": each.needs_reset,
-            }
-            for each in limits.allowed()
-        ],
-        "separation": {
-            "distance": None if state.distance_m is None else round(state.distance_m, 3),
-            "required": None if state.required_m is None else round(state.required_m, 3),
-            "lost": list(state.lost),
-            "hold": rule.hold_s,
-        },
-        "limitSources": list(limits.body.sources),
-        "peopleSensors": list(limits.separation.sources),
-        "mode": record.mode,
-        "safeSpeed": None if record.safe_speed is None else record.safe_speed.model_dump(mode="json"),
-        "stopping": {
-            "delay": rule.stopping.delay_s,
-            "deceleration": rule.stopping.deceleration_mps2,
-            "measuredAt": rule.stopping.measured_at,
-        },
-        "safetyStatus": None if status is None else status.written(),
-        "decisions": [each.model_dump(mode="json") for each in record.decisions[-SHOWN_DECISIONS:]],
-    }
 
 
 async def _receive(
@@ -222,53 +192,11 @@ async def _receive(
     form: type[Report],
     receiver: Callable[[RobotLimits], Callable[[Report], Awaitable[None]]],
 ) -> None:
-    """Answer each message of a stream; messages beyond the rate are dropped, and answered once a second."""
+    """Receive a stream for a robot."""
     await sender.accept()
     try:
         limits, _ = find(robot)
     except Problem as problem:
         await sender.close(4000 + problem.status, problem.detail[:120])
         return
-    receive, rate = receiver(limits), Rate()
-    try:
-        while True:
-            text = await sender.receive_text()
-            excess = rate.excess(time.monotonic())
-            if excess > 0:
-                LIMIT_REPORTS.labels(kind, "dropped").inc()
-                if excess == 1:
-                    reason = f"more than {MAX_REPORTS_PER_S} messages in a second; the others are dropped"
-                    await sender.send_text(_refusal(reason))
-                await asyncio.sleep(0)  # other connections are read meanwhile
-                continue
-            answer, outcome = await _answer(text, form, receive)
-            LIMIT_REPORTS.labels(kind, outcome).inc()
-            await sender.send_text(answer)
-    except (WebSocketDisconnect, RuntimeError, KeyError):
-        return  # the sender has left, or sent bytes; its limits age out
-
-
-async def _answer(
-    text: str, form: type[Report], receive: Callable[[Report], Awaitable[None]]
-) -> tuple[str, str]:
-    if len(text) > MAX_MESSAGE_BYTES:
-        return _refusal(f"a message has at most {MAX_MESSAGE_BYTES} bytes"), "refused"
-    try:
-        report = form.model_validate_json(text)
-        await receive(report)
-    except ValidationError as error:
-        faults = (
-            f"{'.'.join(map(str, fault['loc'])) or 'message'}: {fault['msg']}" for fault in error.errors()[:5]
-        )
-        return _refusal("; ".join(faults)), "refused"
-    except RefusedReport as refused:
-        return _refusal(str(refused)), "refused"
-    except OSError as error:
-        return _refusal(f"the source is required, and cannot be stored: {error.strerror}"), "accepted"
-    values = report.model_dump()
-    accepted = {"accepted": True, "source": values["source"], "stamp": values["stamp"]}
-    return orjson.dumps(accepted).decode(), "accepted"
-
-
-def _refusal(reason: str) -> str:
-    return orjson.dumps({"accepted": False, "reason": reason}).decode()
+    await receive_reports(sender, kind, form, receiver(limits))

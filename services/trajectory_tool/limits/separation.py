@@ -2,7 +2,8 @@
 
 The protective separation distance is S_p = S_h + S_r + S_s + C + Z_d + Z_r: the way of a person until the
 robot is at rest, the ways of the robot during its reaction and its stop, the intrusion distance, and the
-position uncertainties of person and robot. With a reaction time T, and a stop from the speed v that takes
+position uncertainties of person and robot. A place that is older than the reaction time counts as nearer by
+the way of a person since. With a reaction time T, and a stop from the speed v that takes
 d + v/a and v d + v^2/(2 a), it is a quadratic function of v. The robot may move at the speed whose S_p is the
 distance of the nearest person. Example: with the default values, a person at 2 m allows 0.75 m/s, and at
 0.87 m nothing.
@@ -19,11 +20,10 @@ from dataclasses import dataclass, field
 
 from datamodels.streams import PeopleReport
 from services.trajectory_tool.limits.speed_limits import (
-    MAX_AHEAD_S,
-    MAX_LATE_S,
     MAX_SOURCES,
     Allowed,
     RefusedReport,
+    require_new,
 )
 
 Point = tuple[float, float]
@@ -104,6 +104,15 @@ class _Sensor:
 
 
 @dataclass(frozen=True, slots=True)
+class Field:
+    """The fields of a safety scanner that are infringed; both are while it is silent."""
+
+    source: str
+    warning: bool
+    protective: bool
+
+
+@dataclass(frozen=True, slots=True)
 class SeparationState:
     """What monitoring found at a time; `distance_m` is None without sensors."""
 
@@ -111,6 +120,7 @@ class SeparationState:
     distance_m: float | None = None
     required_m: float | None = None
     lost: tuple[str, ...] = ()
+    fields: tuple[Field, ...] = ()
 
 
 class Separation:
@@ -137,13 +147,8 @@ class Separation:
         sensor = self._sensors.get(report.source)
         if sensor is None and len(self._sensors) >= MAX_SOURCES:
             raise RefusedReport(f"there are {MAX_SOURCES} sensors; remove one before another reports")
-        if sensor is not None and sensor.report is not None and report.stamp <= sensor.report.stamp:
-            raise RefusedReport(f"the stamp must be later than {sensor.report.stamp:.3f}")
-        if not -MAX_LATE_S <= report.stamp - wall_s <= MAX_AHEAD_S:
-            raise RefusedReport(
-                f"the stamp is {wall_s - report.stamp:.1f} s before the clock of the robot; "
-                "synchronize the clocks"
-            )
+        last = None if sensor is None else sensor.report
+        require_new(report.stamp, None if last is None else last.stamp, wall_s)
         if len({person.id for person in report.people}) < len(report.people):
             raise RefusedReport("two people have the same id")
         is_new = sensor is None
@@ -178,6 +183,7 @@ class Separation:
         if any(report.protective_field for report in reports):
             pace, reason = 0.0, "the protective field is infringed"
         is_warned = any(report.warning_field for report in reports)
+        holds_warning = is_warned and speed_mps > WARNING_MPS
         if pace < MIN_PACE:
             self._is_stopped, self._clear_since_s = True, None
         elif self._is_stopped:
@@ -188,12 +194,25 @@ class Separation:
             RULE,
             0.0 if self._is_stopped else pace,
             WARNING_MPS if is_warned else math.inf,
-            "the warning field is infringed" if is_warned and pace == 1.0 else reason,
+            "the warning field is infringed" if holds_warning and not self._is_stopped else reason,
         )
         moving_mps = peak_mps * allowed.pace(peak_mps)
         lost = tuple(name for sensor in self._sensors.values() for name in sensor.lost)
         shown_m = nearest_m if math.isfinite(nearest_m) else None
-        return SeparationState(allowed, shown_m, self.rule.distance_m(moving_mps), lost)
+        return SeparationState(allowed, shown_m, self.rule.distance_m(moving_mps), lost, self._fields(now_s))
+
+    def _fields(self, now_s: float) -> tuple[Field, ...]:
+        """Return the fields of the scanners: sensors that have reported an infringed field or say so."""
+        found = []
+        for name, sensor in self._sensors.items():
+            report = sensor.report
+            if report is None or (report.warning_field is None and report.protective_field is None):
+                continue
+            silent = now_s - sensor.since_s > report.stale_s
+            found.append(
+                Field(name, silent or bool(report.warning_field), silent or bool(report.protective_field))
+            )
+        return tuple(found)
 
     def _zone_m(self, peak_mps: float) -> float:
         """Return the distance within which a person who vanishes still counts."""
@@ -207,10 +226,14 @@ class Separation:
                 return 0.0, f"{name} is required, and not received yet"
             if now_s - sensor.since_s > report.stale_s:
                 return 0.0, f"{name} has been silent for {now_s - sensor.since_s:.1f} s"
-            found = [(distance(person.point), f"{person.id} is near") for person in report.people]
-            for person, (point, since_s) in sensor.lost.items():
+            aged_s = max(now_s - sensor.since_s - self.rule.reaction_s, 0.0)
+            found = []
+            for person in report.people:
+                moved_m = person.radius + self.rule.person_mps * (person.age + aged_s)
+                found.append((max(distance(person.point) - moved_m, 0.0), f"{person.id} is near"))
+            for lost, (point, since_s) in sensor.lost.items():
                 moved_m = self.rule.person_mps * (now_s - since_s)
-                found.append((max(distance(point) - moved_m, 0.0), f"{person} vanished near the robot"))
+                found.append((max(distance(point) - moved_m, 0.0), f"{lost} vanished near the robot"))
             nearest_m, reason = min([(nearest_m, reason), *found])
         return nearest_m, reason
 

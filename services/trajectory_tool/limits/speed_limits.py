@@ -29,6 +29,17 @@ class RefusedReport(ValueError):
     """A report that has no effect; the text says why."""
 
 
+def require_new(stamp: float, before: float | None, wall_s: float) -> None:
+    """Refuse a stamp that is not later than the one before, or far from `wall_s`. Raises `RefusedReport`."""
+    if before is not None and stamp <= before:
+        raise RefusedReport(f"the stamp must be later than {before:.3f}")
+    if not -MAX_LATE_S <= stamp - wall_s <= MAX_AHEAD_S:
+        raise RefusedReport(
+            f"the stamp is {wall_s - stamp:.1f} s before the clock of the robot; at most "
+            f"{MAX_LATE_S:.0f} s are permitted ({MAX_AHEAD_S:.0f} s after it); synchronize the clocks"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class Allowed:
     """What a rule allows: a fraction of the speed, a speed of the tool, and why."""
@@ -119,13 +130,8 @@ class SpeedLimits:
         before = self._sources.get(report.source)
         if before is None and len(self._sources) >= MAX_SOURCES:
             raise RefusedReport(f"there are {MAX_SOURCES} sources; remove one before another reports")
-        if before is not None and before.report is not None and report.stamp <= before.report.stamp:
-            raise RefusedReport(f"the stamp must be later than {before.report.stamp:.3f}")
-        if not -MAX_LATE_S <= report.stamp - wall_s <= MAX_AHEAD_S:
-            raise RefusedReport(
-                f"the stamp is {wall_s - report.stamp:.1f} s before the clock of the robot; at most "
-                f"{MAX_LATE_S:.0f} s are permitted ({MAX_AHEAD_S:.0f} s after it); synchronize the clocks"
-            )
+        last = None if before is None else before.report
+        require_new(report.stamp, None if last is None else last.stamp, wall_s)
         is_first = before is None or before.report is None
         present = report.fraction if before is None or is_first else before.fraction(now_s)
         is_latched = report.fraction == 0.0 or (before is not None and before.is_stopped(now_s))

@@ -6,9 +6,17 @@ decided what and why. The file is replaced atomically.
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import (
+    AwareDatetime,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    model_validator,
+)
 
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
@@ -54,9 +62,20 @@ class RobotRecord(_Stored):
     limit_sources: tuple[str, ...] = ()
     people_sensors: tuple[str, ...] = ()
     mode: Mode = "normal"
-    safe_speed: SafeSpeed | None = None
+    safe_speeds: dict[Text, SafeSpeed] = Field(default_factory=dict)
+    """By end effector."""
     stop: MeasuredStop | None = None
     decisions: tuple[Decision, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_one_end_effector(cls, values: Any) -> Any:
+        """Accept the file of an earlier release, with one speed."""
+        if not isinstance(values, dict) or "safe_speed" not in values:
+            return values
+        speed = values["safe_speed"]
+        rest = {name: value for name, value in values.items() if name != "safe_speed"}
+        return rest if speed is None else {**rest, "safe_speeds": {speed["end_effector"]: speed}}
 
     def decided(self, what: str, name: str, reason: str = "", **values: object) -> "RobotRecord":
         """Return the record after a decision of a person, with changed values."""

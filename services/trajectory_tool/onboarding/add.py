@@ -16,6 +16,7 @@ from services.trajectory_tool.onboarding.shapes import replace_meshes
 from services.trajectory_tool.onboarding.sources import find_urdf
 from services.trajectory_tool.onboarding.urdf import Examined, Finding, examine
 from services.trajectory_tool.planning.planner import Planner
+from services.trajectory_tool.planning.torques import Torques
 from services.trajectory_tool.robot_model import MAX_URDF_BYTES, RobotModel
 from services.trajectory_tool.robots.folder import FILE, read_folder
 
@@ -114,6 +115,11 @@ def _of_the_model(model: RobotModel, checked: int) -> list[Finding]:
         ),
         Finding("info", "SRDF", f"{checked} pairs of links are checked for collision"),
     ]
+    torques = Torques(planner.arm)
+    if torques.unchecked is not None:
+        found.append(
+            Finding("warning", "torques", f"torques of motions are not checked: {torques.unchecked}")
+        )
     if len(model.joints) < 6:
         found.append(
             Finding(

@@ -7,7 +7,7 @@ at parts that lie on top.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -16,9 +16,10 @@ import numpy as np
 from handover.messages import Message, message
 from services.trajectory_tool.perception.depth_image import Array, DepthImage, Mask, frame_of
 from services.trajectory_tool.perception.segmentation import Inside, SeenPart, contents_of
-from services.trajectory_tool.poses import Frame
+from services.trajectory_tool.poses import NO_TURN, Frame
 
 Bounds = tuple[float, float]
+AT_TIP = Frame(NO_TURN, (0.0, 0.0, 0.0))
 
 CLEARANCE_M = 0.003
 """Between an opened finger and anything else, the bin included."""
@@ -31,8 +32,17 @@ DEPTHS_M = (0.018, 0.015, 0.011)
 MIN_BELOW_M = 0.005
 """The fingers end this far above the opposite face, at least: something may lie there."""
 
+REACHES = (0.9, 0.65, 0.5)
+"""How far the fingers reach below the top of a thing of any shape, as shares of its height."""
+
+MARGIN_BELOW_M = 0.002
+"""The fingers end this far above where they would touch the bottom, there."""
+
 OFFSETS = (0.0, -0.2, 0.2, -0.35, 0.35)
 """Along the part, as shares of its length."""
+
+BETWEEN_VIEWS_M = 0.005
+"""A point that one view shows this near to a part of another view may be of that part."""
 
 SHIFTS = (0.0, 0.5, -0.5, 0.9, -0.9)
 """Across the part, as shares of the play between the opened fingers: away from what is in the way."""
@@ -40,9 +50,11 @@ SHIFTS = (0.0, 0.5, -0.5, 0.9, -0.9)
 
 @dataclass(frozen=True, slots=True)
 class Fingers:
-    """Two fingers that close along x of the tool; z points to their tips, which are at 0.
+    """Two fingers that close along x of their frame; z points to their tips, which are at 0.
 
     Each finger is `thickness` x `width` x `length`, with `opening` between them; behind them is the palm.
+    `frame` is theirs in that of the tip: fingers that close along y of the tip are turned about z, and their
+    ends may be beyond the tip.
     """
 
     opening: float
@@ -50,35 +62,35 @@ class Fingers:
     width: float
     length: float
     palm: tuple[float, float, float]
+    frame: Frame = AT_TIP
 
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """A pose of the tool that grips a part: `part` is its middle in the cell, `size` its lengths."""
+    """A pose of the fingers that grips a part: `part` is its middle in the cell, `size` its lengths."""
 
     tool: Frame
     part: Frame
     size: tuple[float, float, float]
     score: float
 
-    @property
-    def grip(self) -> Frame:
-        """Return the frame of the part, seen from the tip of the tool."""
-        return self.tool.inverse() @ self.part
-
 
 class GraspFinder:
-    """Finds grasps in one image of a bin."""
+    """Finds grasps in one image of a bin; `further` images show what is in the way from other sides."""
 
-    def __init__(self, image: DepthImage, inside: Inside, fingers: Fingers) -> None:
+    def __init__(
+        self, image: DepthImage, inside: Inside, fingers: Fingers, further: Sequence[DepthImage] = ()
+    ) -> None:
         self._fingers = fingers
         self._inside = inside
         self._content = contents_of(image.points, inside)
         self._points = image.points
+        self._further = [one.points[contents_of(one.points, inside)] for one in further]
 
     def grasps(self, part: SeenPart) -> tuple[Grasp, ...] | Message:
         """Return the grasps of a part, the best first, or why there is none."""
         others = self._points[self._content & ~_grown(part.pixels)]
+        others = np.vstack([others, *(_outside(points, part) for points in self._further)])
         near = np.linalg.norm(others - np.array(part.pose.position), axis=1) < 0.15
         found, reasons = [], set()
         for grasp in _candidates(part, self._fingers):
@@ -125,7 +137,7 @@ def _candidates(part: SeenPart, fingers: Fingers) -> Iterator[Grasp]:
             if x_axis[0] < 0:
                 x_axis = -x_axis
             y_axis = np.cross(approach, x_axis)
-            depths = [depth for depth in DEPTHS_M if depth <= part.size[2] - MIN_BELOW_M]
+            depths = _depths(part, fingers)
             for depth, offset, shift in product(depths, OFFSETS, SHIFTS):
                 tip = (
                     face
@@ -143,6 +155,15 @@ def _candidates(part: SeenPart, fingers: Fingers) -> Iterator[Grasp]:
                     - (0.15 if play < 0.012 else 0.0)
                 )
                 yield Grasp(frame_of(x_axis, y_axis, approach, tip), part.pose, part.size, score)
+
+
+def _depths(part: SeenPart, fingers: Fingers) -> list[float]:
+    """Return how far the fingers reach below the top: to a fixed depth, or around a thing of any shape."""
+    height = part.size[2]
+    if part.is_known:
+        return [depth for depth in DEPTHS_M if depth <= height - MIN_BELOW_M]
+    most = min(fingers.length - CLEARANCE_M, height - MIN_TIP_HEIGHT_M - MARGIN_BELOW_M)
+    return [min(share * height, most) for share in REACHES]
 
 
 def _approaches(normal: Array, tilt: float) -> Iterator[Array]:
@@ -184,6 +205,13 @@ def _meets(local: Array, fingers: Fingers) -> bool:
         if int(inside.sum()) > 2:
             return True
     return False
+
+
+def _outside(points: Array, part: SeenPart) -> Array:
+    """Return the points that do not belong to a part; cameras agree within `BETWEEN_VIEWS_M`."""
+    back = part.pose.inverse()
+    local = points @ np.array(back.rotation).T + np.array(back.position)
+    return np.asarray(points[(np.abs(local) > np.array(part.size) / 2 + BETWEEN_VIEWS_M).any(axis=1)])
 
 
 def _grown(pixels: Mask) -> Mask:

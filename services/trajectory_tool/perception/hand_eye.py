@@ -97,7 +97,14 @@ def in_hand(samples: Sequence[SeenBall], nominal: Frame) -> Calibration:
 def fixed(balls: Sequence[Vector], seen: Sequence[Vector]) -> Calibration:
     """Return the mount of a camera that sees balls at known places. Raises `NotCalibrated`."""
     if len(balls) < MIN_BALLS:
-        raise _too_few(len(balls), MIN_BALLS)
+        raise NotCalibrated(
+            message(
+                "robot.too_few_balls",
+                "the camera sees {seen} balls, and {needed} are needed; put more of them into its view",
+                seen=len(balls),
+                needed=MIN_BALLS,
+            )
+        )
     known, found = np.array(balls), np.array(seen)
     from_known, from_found = known - known.mean(axis=0), found - found.mean(axis=0)
     u, sizes, v = np.linalg.svd(from_found.T @ from_known)

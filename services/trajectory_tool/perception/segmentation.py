@@ -59,6 +59,8 @@ class SeenPart:
     size: tuple[float, float, float]
     cover: float
     pixels: Mask
+    is_known: bool = True
+    """Whether it is a part of the known size, and not the box around a thing of any shape."""
 
     @property
     def top_m(self) -> float:

@@ -3,10 +3,12 @@
 It needs the extra `physics`; nothing outside of this folder imports MuJoCo. Lengths are in m, angles in rad,
 times in s, forces in N, in the frame of the cell.
 
-    world_model    the MuJoCo model of a robot, a scene and its parts
-    simulation     steps of 2 ms: joint servo, gripper, contacts, sensors, saved state
+    world_model    the MuJoCo model of the robots, a scene and its parts
+    arm            the servo, the gripper and the sensors of one robot
+    simulation     steps of 2 ms of all arms and parts, with contacts and saved state
     depth_camera   depth images by ray casting, without graphics
-    pacing         the clock of the simulation, in real time or another pace
+    pacing         the stepping thread, in real time or at another pace
+    shared_world   the world that all robots of a cell share
     robot          the driver `physics`
 """
 

@@ -5,22 +5,24 @@ A camera is mounted a few millimetres and tenths of a degree off its place in th
 """
 
 import json
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from handover.durable_files import replace_durably
 from handover.telemetry import get_logger
 from services.trajectory_tool.perception.depth_image import Intrinsics
+from services.trajectory_tool.perception.grasps import AT_TIP
+from services.trajectory_tool.physics.arm import Arm
 from services.trajectory_tool.physics.depth_camera import CameraMount, DepthCamera, misaligned
 from services.trajectory_tool.physics.simulation import Simulation
 from services.trajectory_tool.poses import NO_TURN, Frame, Pose
-from services.trajectory_tool.scene import MountedCamera, Scene
+from services.trajectory_tool.scene import Scene
 
 log = get_logger(__name__)
 
 HAND_CAMERA = "hand"
 HAND_MOUNT = CameraMount(Frame(NO_TURN, (0.0, 0.07, -0.12)), in_hand=True)
-"""Beside the palm of the gripper, in the frame of the tip; it looks along the fingers."""
+"""Beside the palm of the gripper, in the frame of the fingers; it looks along them."""
 
 HAND_VIEW_DEG = 50.0
 WIDTH, HEIGHT = 320, 240
@@ -29,16 +31,27 @@ OFF_DEG = 0.3
 
 
 class Cameras(Mapping[str, DepthCamera]):
-    """The cameras by name: the one in the hand, and those of the scene."""
+    """The cameras of an arm by name: beside its `fingers` in the frame of the tip, and of the scene."""
 
-    def __init__(self, simulation: Simulation, scene: Scene, seed: int, file: Path | None = None) -> None:
+    def __init__(
+        self,
+        simulation: Simulation,
+        arm: Arm,
+        scene: Scene,
+        *,
+        seed: int,
+        file: Path | None = None,
+        fingers: Frame = AT_TIP,
+    ) -> None:
         self._file = file
-        nominal = {HAND_CAMERA: (HAND_MOUNT, HAND_VIEW_DEG)}
+        hand = CameraMount(fingers @ HAND_MOUNT.frame, in_hand=True)
+        nominal = {HAND_CAMERA: (hand, HAND_VIEW_DEG)}
         for name, camera in scene.cameras.items():
-            nominal[name] = (CameraMount(looking(camera), in_hand=False), camera.field_of_view_deg)
+            nominal[name] = (CameraMount(camera.optical_frame, in_hand=False), camera.field_of_view_deg)
         self._cameras = {
             name: DepthCamera(
                 simulation,
+                arm,
                 misaligned(mount, seed + number, OFF_M, OFF_DEG),
                 Intrinsics.of_view(WIDTH, HEIGHT, view_deg),
                 seed=seed + number,
@@ -61,14 +74,13 @@ class Cameras(Mapping[str, DepthCamera]):
         return self._calibrated[name]
 
     def calibrate(self, name: str, frame: Frame) -> None:
-        """Store where a camera is. Raises `OSError`."""
-        self._calibrated[name] = CameraMount(frame, self._cameras[name].mount.in_hand)
+        """Store durably where a camera is. Raises `OSError`; the camera is then where it was before."""
+        mount = CameraMount(frame, self._cameras[name].mount.in_hand)
+        known = self._calibrated | {name: mount}
         if self._file is not None:
-            written = {name: Pose.of(mount.frame).written() for name, mount in self._calibrated.items()}
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            new = self._file.with_suffix(".new")
-            new.write_text(json.dumps(written, indent=1), encoding="utf-8")
-            new.replace(self._file)
+            written = {name: Pose.of(mount.frame).written() for name, mount in known.items()}
+            replace_durably(self._file, json.dumps(written, indent=1).encode())
+        self._calibrated = known
 
     def _stored(self) -> dict[str, CameraMount]:
         if self._file is None:
@@ -88,12 +100,3 @@ class Cameras(Mapping[str, DepthCamera]):
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             log.warning("calibration of the cameras not read", file=str(self._file), error=str(error))
             return {}
-
-
-def looking(camera: MountedCamera) -> Frame:
-    """Return the optical frame of a camera of the scene: it looks down, tilted about its x axis."""
-    tilt = math.radians(camera.tilt_deg)
-    c, s = math.cos(tilt), math.sin(tilt)
-    down = Frame(((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)), (0.0, 0.0, 0.0))
-    tilted = Frame(((1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c)), (0.0, 0.0, 0.0))
-    return camera.pose.frame() @ tilted @ down

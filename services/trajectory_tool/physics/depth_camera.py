@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.trajectory_tool.perception.depth_image import DepthImage, Intrinsics
+from services.trajectory_tool.physics.arm import Arm
 from services.trajectory_tool.physics.simulation import Simulation
 from services.trajectory_tool.poses import Frame
 
@@ -25,11 +26,12 @@ class CameraMount:
 
 
 class DepthCamera:
-    """A depth camera at `mount`; `noise_m` is the standard deviation of its distances."""
+    """A depth camera at `mount`, of `arm` where it is in a hand; `noise_m` is the deviation of distances."""
 
     def __init__(
         self,
         simulation: Simulation,
+        arm: Arm,
         mount: CameraMount,
         intrinsics: Intrinsics,
         *,
@@ -39,6 +41,7 @@ class DepthCamera:
         self.mount = mount
         self.intrinsics = intrinsics
         self._simulation = simulation
+        self._arm = arm
         self._noise_m = noise_m
         self._random = np.random.default_rng(seed)
         directions = intrinsics.directions().reshape(-1, 3)
@@ -52,7 +55,7 @@ class DepthCamera:
     def image_with_tool(self, believed: CameraMount) -> tuple[Frame, DepthImage]:
         """Return the frame of the tip at the time of an image, and the image."""
         with self._simulation.lock:
-            tool = self._simulation.tool
+            tool = self._arm.tool
             camera = self.mount.camera(tool)
             rays = self._directions @ np.array(camera.rotation).T
             found = self._simulation.cast_rays(np.array(camera.position), rays, MAX_RANGE_M)

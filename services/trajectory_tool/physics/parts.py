@@ -1,4 +1,7 @@
-"""The parts of a simulated cell, and what people do with them: fill a bin, stir it, empty a fixture."""
+"""The parts of a simulated cell, and what people do with them: fill a bin, stir it, empty a fixture.
+
+What takes time is a generator of the times in s that pass before it continues; see `Simulation.run`.
+"""
 
 import math
 from collections.abc import Iterator
@@ -15,6 +18,10 @@ DROP_FROM_M = 0.03
 FILLED_SHARE = 0.5
 """The share of the width of a bin, in its middle, in which parts are dropped."""
 
+DROPPED_SHARE = 0.3
+CRUMPLED_RAD = 0.7
+"""An object is dropped within this share of the width of a bin; the hinges of cloth are bent by this much."""
+
 SETTLE_EACH_S = 0.3
 AT_FIXTURE_M = 0.04
 
@@ -26,7 +33,17 @@ class Parts:
         self._simulation = simulation
         self._scene = scene
         self._random = np.random.default_rng(seed)
-        self._count = len(simulation.world.parts)
+        self._count = self._boxes()
+
+    def _boxes(self) -> int:
+        """Return the number of parts that are boxes; the objects come after them."""
+        return len(self._simulation.world.parts) - len(self._simulation.world.objects)
+
+    def use(self, scene: Scene) -> list[str]:
+        """Continue in another scene; return its bins that are new."""
+        before, self._scene = self._scene, scene
+        self._count = self._boxes()
+        return [name for name in scene.bins if name not in before.bins]
 
     @staticmethod
     def needed(scene: Scene) -> int:
@@ -37,7 +54,7 @@ class Parts:
             + 1
         )
 
-    def fill(self, bin_name: str) -> None:
+    def fill(self, bin_name: str) -> Iterator[float]:
         """Drop new parts into a bin, if it is empty, and wait until they lie still."""
         if self.in_bin(bin_name):
             return
@@ -50,18 +67,32 @@ class Parts:
             a, b, c, d = (quaternion / np.linalg.norm(quaternion)).tolist()
             above = walls.pose.frame() @ Pose((x, y, walls.size[2] + DROP_FROM_M), (a, b, c, d)).frame()
             self._simulation.put(part, Pose.of(above))
-            self._simulation.step_for(SETTLE_EACH_S)
-        self._simulation.settle()
+            yield SETTLE_EACH_S
+        for name in self._scene.bins[bin_name].objects:
+            self._drop(self._simulation.world.objects[name], walls)
+            yield SETTLE_EACH_S
+        yield from self._simulation.settling()
 
-    def stir(self, bin_name: str) -> None:
+    def _drop(self, part: int, walls: OpenBox) -> None:
+        """Drop an object that lies as it may, cloth crumpled."""
+        x, y = self._random.uniform(-0.5, 0.5, 2) * DROPPED_SHARE * np.array(walls.size[:2])
+        half = self._random.uniform(-math.pi, math.pi) / 2
+        upright = Pose((x, y, walls.size[2] + DROP_FROM_M), (0.0, 0.0, math.sin(half), math.cos(half)))
+        self._simulation.put(part, Pose.of(walls.pose.frame() @ upright.frame()))
+        self._simulation.bend(part, self._random, CRUMPLED_RAD)
+
+    def stir(self, bin_name: str) -> Iterator[float]:
         """Push the parts of a bin up and towards its middle, and wait until they lie still."""
         middle = np.array(self._walls(bin_name).position)
+        gripped = self._simulation.gripped_parts()
         for part in self.in_bin(bin_name):
+            if part in gripped:
+                continue
             way = (middle - np.array(self._simulation.part_pose(part).position))[:2]
             push = 2.5 * way + self._random.uniform(-0.2, 0.2, 2)
             up = self._random.uniform(0.5, 0.8)
             self._simulation.push(part, (*push.tolist(), up), self._random.uniform(-6, 6, 3).tolist())
-        self._simulation.settle()
+        yield from self._simulation.settling()
 
     def clear(self, fixture: str) -> None:
         """Take the parts in a fixture away."""
@@ -91,14 +122,14 @@ class Parts:
         return walls
 
     def _present(self) -> Iterator[tuple[int, Pose]]:
-        for part in range(self._count):
+        for part in range(len(self._simulation.world.parts)):
             if not self._simulation.is_parked(part):
                 yield part, self._simulation.part_pose(part)
 
     def _is_lost(self, part: int) -> bool:
-        """Return whether a part lies neither in a bin nor in a fixture nor in the gripper."""
+        """Return whether a part lies neither in a bin nor in a fixture nor in a gripper."""
         return (
-            part != self._simulation.gripped_part()
+            part not in self._simulation.gripped_parts()
             and not any(part in self.in_bin(name) for name in self._scene.bins)
             and not any(part in self.in_fixture(name) for name in self._scene.fixtures)
         )

@@ -2,23 +2,30 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from handover.messages import Message
+from handover.messages import Message, message
 from services.trajectory_tool.contents import Grip
 from services.trajectory_tool.perception import hand_eye
-from services.trajectory_tool.perception.grasps import GraspFinder
-from services.trajectory_tool.perception.segmentation import Inside, find_parts
+from services.trajectory_tool.perception.depth_image import DepthImage
+from services.trajectory_tool.perception.grasps import AT_TIP, Fingers, GraspFinder
+from services.trajectory_tool.perception.heaps import find_things
+from services.trajectory_tool.perception.segmentation import Inside, SeenPart, find_parts
 from services.trajectory_tool.physics.cameras import HAND_CAMERA, Cameras
-from services.trajectory_tool.physics.parts import Parts
+from services.trajectory_tool.physics.shared_world import SharedWorld
 from services.trajectory_tool.physics.world_model import DEFAULT_PART_SIZE_M, fingers_of
 from services.trajectory_tool.poses import NO_TURN, Frame, Pose, Vector
+from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.scene import OpenBox, Scene
 from services.trajectory_tool.vision import SeenBall, SeenGrasp, Sighting
 
 MAX_GRASPS = 16
+MIN_PLAY_M = 0.005
+"""Between the opened fingers and a thing of any shape, together."""
 MAX_REPEATS_M = 0.002
+SAME_PART_M = 0.01
+"""A part that two views show this near to each other is one: parts are thicker than that."""
 
 
 class PhysicsVision:
@@ -26,32 +33,70 @@ class PhysicsVision:
 
     def __init__(
         self,
-        scene: Scene,
+        world: SharedWorld,
+        robot: str,
         model: RobotModel,
-        parts: Parts,
-        cameras: Cameras,
-        on_changed: Callable[[], None],
+        cameras_of: Callable[[Scene, Frame], Cameras],
     ) -> None:
-        self.cameras = cameras
-        self.parts = parts
-        self._scene = scene
-        self._fingers = fingers_of(model)
-        self._part_size_m = scene.gripper.part_size_m or DEFAULT_PART_SIZE_M
-        self._on_changed = on_changed
+        self.parts = world.parts
+        self._world = world
+        self._robot = robot
+        self._model = model
+        self._cameras_of = cameras_of
+        self._fingers: Fingers | None = None
+        self._images: dict[str, dict[int, DepthImage]] = {}
+        """The image of each view of a bin, since view 0."""
+        self.prepare_scene(world.scene)()
 
-    async def look(self, bin_name: str) -> Sequence[Sighting]:
+    def prepare_scene(self, scene: Scene) -> Callable[[], None]:
+        """Return what continues in a scene. Raises `UsageError` for bins that no gripper can empty."""
+        fingers = self._fingers
+        is_alone = len(self._world.simulation.arms) == 1
+        if fingers is None and scene.bins and (self._model.fingers or is_alone):
+            fingers = fingers_of(self._model)
+        frame = AT_TIP if fingers is None else fingers.frame
+
+        def apply() -> None:
+            self._scene, self._fingers = scene, fingers
+            self.cameras = self._cameras_of(scene, frame)
+            self._part_size_m = scene.gripper.part_size_m or DEFAULT_PART_SIZE_M
+            self.forget_images()
+
+        return apply
+
+    async def look(self, bin_name: str, view: int = 0) -> Sequence[Sighting]:
         """Return the parts that are seen in a bin, the topmost first."""
-        return await asyncio.to_thread(self._look, bin_name)
+        return await asyncio.to_thread(self._look, bin_name, view)
 
-    async def find_ball(self, place: Vector, radius_m: float) -> SeenBall | None:
-        """Return the ball that the camera in the hand sees near to a place; None without one."""
-        return await asyncio.to_thread(self._find_ball, place, radius_m)
+    def forget_images(self) -> None:
+        """Forget the images of earlier views: something in the cell was moved."""
+        self._images.clear()
+
+    @property
+    def fixed_cameras(self) -> Sequence[str]:
+        """Return the cameras of the scene."""
+        return [name for name in self.cameras if name != HAND_CAMERA]
+
+    async def find_ball(self, place: Vector, radius_m: float, camera: str | None = None) -> SeenBall | None:
+        """Return the ball that a camera sees near to a place; None without one."""
+        return await asyncio.to_thread(self._find_ball, place, radius_m, camera or HAND_CAMERA)
 
     async def calibrate(self, seen: Sequence[SeenBall]) -> Mapping[str, float]:
         """Store where the camera in the hand is mounted. Raises `NotCalibrated`."""
         nominal = self.cameras.calibrated(HAND_CAMERA).frame
         found = await asyncio.to_thread(hand_eye.in_hand, seen, nominal)
-        await asyncio.to_thread(self.cameras.calibrate, HAND_CAMERA, found.mount)
+        return await self._store(HAND_CAMERA, found)
+
+    async def calibrate_fixed(
+        self, camera: str, places: Sequence[Vector], seen: Sequence[Vector]
+    ) -> Mapping[str, float]:
+        """Store where a fixed camera is mounted. Raises `NotCalibrated` and `OSError`."""
+        return await self._store(camera, hand_eye.fixed(places, seen))
+
+    async def _store(self, camera: str, found: hand_eye.Calibration) -> Mapping[str, float]:
+        nominal = self.cameras.calibrated(camera).frame
+        await asyncio.to_thread(self.cameras.calibrate, camera, found.mount)
+        self.forget_images()
         change = nominal.inverse() @ found.mount
         trace = sum(change.rotation[axis][axis] for axis in range(3))
         return {
@@ -60,47 +105,68 @@ class PhysicsVision:
             "turnedDeg": round(math.degrees(math.acos(min((trace - 1) / 2, 1.0))), 3),
         }
 
-    def _find_ball(self, place: Vector, radius_m: float) -> SeenBall | None:
-        mount = self.cameras.calibrated(HAND_CAMERA)
-        tool, image = self.cameras[HAND_CAMERA].image_with_tool(mount)
+    def _find_ball(self, place: Vector, radius_m: float, camera: str) -> SeenBall | None:
+        mount = self.cameras.calibrated(camera)
+        tool, image = self.cameras[camera].image_with_tool(mount)
         expected = (mount.camera(tool).inverse() @ Frame(NO_TURN, place)).position
         ball = hand_eye.find_ball(image, expected, radius_m)
         return None if ball is None else SeenBall(tool, ball)
 
     async def fill(self, bin_name: str) -> None:
         """Have an empty bin filled."""
-        await self._done(lambda: self.parts.fill(bin_name))
+        await self._done(self.parts.fill(bin_name))
 
     async def stir(self, bin_name: str) -> None:
         """Have the parts in a bin moved."""
-        await self._done(lambda: self.parts.stir(bin_name))
+        await self._done(self.parts.stir(bin_name))
 
     async def clear(self, fixture: str) -> None:
         """Have the parts in a fixture taken away."""
-        await self._done(lambda: self.parts.clear(fixture))
+        self.parts.clear(fixture)
+        await self._done(iter(()))
 
-    async def _done(self, act: Callable[[], None]) -> None:
-        await asyncio.to_thread(act)
-        await asyncio.to_thread(self._on_changed)
+    async def _done(self, course: Iterator[float]) -> None:
+        await self._world.fast_forward(self._robot, course)
+        self.forget_images()
+        await asyncio.to_thread(self._world.save)
 
-    def _look(self, bin_name: str) -> list[Sighting]:
-        bin_ = self._scene.bins[bin_name]
+    def _look(self, bin_name: str, view: int) -> list[Sighting]:
+        bin_, fingers = self._scene.bins[bin_name], self._fingers
+        if fingers is None:
+            raise RobotFault(
+                message(
+                    "robot.no_gripper_for_bins",
+                    "{robot} has no gripper for bin picking; let another robot scan",
+                    robot=self._robot,
+                )
+            )
         assert bin_.walls is not None  # noqa: S101 - checked when the robot is made
         camera = bin_.camera or HAND_CAMERA
         image = self.cameras[camera].image(self.cameras.calibrated(camera))
+        images = self._images[bin_name] = {**(self._images.get(bin_name, {}) if view else {}), view: image}
         inside = inside_of(bin_.walls)
-        finder = GraspFinder(image, inside, self._fingers)
-        found = []
-        for part in find_parts(image, inside, self._part_size_m):
+        seen = []
+        for each in images.values():
+            further = [other for other in images.values() if other is not each]
+            finder = GraspFinder(each, inside, fingers, further)
+            if bin_.objects:
+                parts = find_things(each, inside, fingers.opening - MIN_PLAY_M)
+            else:
+                parts = find_parts(each, inside, self._part_size_m)
+            seen += [(part, finder) for part in parts]
+        found, to_tip = [], fingers.frame.inverse()
+        for part, finder in _each_once(seen):
             grasps = finder.grasps(part)
             if isinstance(grasps, Message):
                 found.append(Sighting(Pose.of(part.pose), reason=grasps))
                 continue
             chosen: list[SeenGrasp] = []
             for grasp in grasps:
-                tool = Pose.of(grasp.tool)
+                tip = grasp.tool @ to_tip
+                tool = Pose.of(tip)
                 if all(not _is_same(tool, other.tool) for other in chosen):
-                    chosen.append(SeenGrasp(tool, Grip(Pose.of(grasp.grip), grasp.size)))
+                    held = tip.inverse() @ grasp.part
+                    chosen.append(SeenGrasp(tool, Grip(Pose.of(held), grasp.size)))
                 if len(chosen) == MAX_GRASPS:
                     break
             found.append(Sighting(Pose.of(part.pose), tuple(chosen)))
@@ -112,6 +178,16 @@ def inside_of(walls: OpenBox) -> Inside:
     (width, depth, height), wall = walls.size, walls.wall_m
     bottom = walls.pose.frame() @ Frame(NO_TURN, (0.0, 0.0, wall))
     return Inside(bottom, width - 2 * wall, depth - 2 * wall, height - wall)
+
+
+def _each_once(seen: Sequence[tuple[SeenPart, GraspFinder]]) -> list[tuple[SeenPart, GraspFinder]]:
+    """Return each part as the view shows it that shows most of it, the highest first."""
+    kept: list[tuple[SeenPart, GraspFinder]] = []
+    for one, view in sorted(seen, key=lambda one: -one[0].cover):
+        same = (other for other, by in kept if by is not view)
+        if all(math.dist(one.pose.position, other.pose.position) > SAME_PART_M for other in same):
+            kept.append((one, view))
+    return sorted(kept, key=lambda one: -one[0].top_m)
 
 
 def _is_same(one: Pose, other: Pose) -> bool:

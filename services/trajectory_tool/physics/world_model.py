@@ -1,11 +1,13 @@
-"""The MuJoCo model of a cell: the robot from its URDF, the scene, and loose parts.
+"""The MuJoCo model of a cell: the robots from their URDFs, the scene, and loose parts.
 
 Links take their masses and collision shapes from the URDF. The obstacles of the scene are fixed. Parts are
 boxes of the scene's size that slide, tip and fall; those outside of the cell wait weightless beside it. Links
-of the robot do not collide with each other: the planner checks that, and its capsules overlap at the joints.
+of one robot do not collide with each other: the planner checks that, and its capsules overlap at the joints.
+Those of different robots do. What belongs to a robot has its name and a slash before its own name.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -17,7 +19,14 @@ from lxml import etree
 from handover.errors import UsageError
 from services.trajectory_tool.obstacles import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from services.trajectory_tool.perception.depth_image import Array
-from services.trajectory_tool.perception.grasps import Fingers
+from services.trajectory_tool.perception.grasps import AT_TIP, Fingers
+from services.trajectory_tool.physics.loose_objects import (
+    HINGE_DAMPING_NMS_RAD,
+    HINGE_RANGE_RAD,
+    HINGE_STIFFNESS_NM_RAD,
+    OBJECTS,
+    LooseObject,
+)
 from services.trajectory_tool.poses import Frame, Pose
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.scene import Scene
@@ -30,8 +39,12 @@ PART_FRICTION = 0.6
 PAD_FRICTION = 0.9
 """Sliding friction: parts on everything, and the rubber of the fingers."""
 
+ROLLING_FRICTION_M = 0.001
+"""Of objects that are no boxes: fruit is not perfectly round, and comes to rest."""
+
 JOINT_ARMATURE_KG_M2 = 0.1
 FINGER_ARMATURE_KG = 0.3
+HINGE_ARMATURE_KG_M2 = 2e-5
 """Inertia of the drives, seen from the joint."""
 
 MAX_FINGER_FORCE_N = 40.0
@@ -40,13 +53,53 @@ DEFAULT_EFFORT_NM = 100.0
 DEFAULT_PART_SIZE_M = (0.024, 0.06, 0.024)
 PARKED_AT = (5.0, 5.0, 5.0)
 
+CLOSING_ALONG_Y = Frame(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
+"""A frame whose x axis is the y axis of the tip."""
+
 STIFF = (2 * STEP_S, 1.0)
 """Time constant in s and damping ratio of contacts, as stiff as the step allows."""
 
-_SCENERY, _ROBOT = 1, 2
-"""Bits of contact: scenery and parts, and the robot, which touches both but not itself."""
+_SCENERY = 1
+"""The bit of contact of scenery and parts. Each robot has a further one, and touches all but its own."""
+_ANYTHING = 2**31 - 1
 
 SCENERY_GROUP, ROBOT_GROUP, CAMERA_GROUP = 0, 3, 4
+
+
+@dataclass(frozen=True, slots=True)
+class ArmNames:
+    """What an arm is made of: `joints` as in its URDF, and the names in the model that end with `_id`."""
+
+    prefix: str
+    joints: tuple[str, ...]
+    fingers: tuple[str, ...]
+    opened: float
+    """The position of the open fingers."""
+
+    @property
+    def joint_ids(self) -> tuple[str, ...]:
+        """Return the joints, and the drives with the same names."""
+        return tuple(self.prefix + name for name in self.joints)
+
+    @property
+    def finger_ids(self) -> tuple[str, ...]:
+        """Return the joints of the fingers, and the drives with the same names."""
+        return tuple(self.prefix + name for name in self.fingers)
+
+    @property
+    def tip_id(self) -> str:
+        """Return the site at the tip of the tool."""
+        return f"{self.prefix}tip"
+
+    @property
+    def force_id(self) -> str:
+        """Return the sensor of the force at the wrist."""
+        return f"{self.prefix}wrist_force"
+
+    @property
+    def torque_id(self) -> str:
+        """Return the sensor of the torque at the wrist."""
+        return f"{self.prefix}wrist_torque"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +107,30 @@ class WorldModel:
     """A compiled model with the names of what it is made of."""
 
     mujoco: Any
-    joints: tuple[str, ...]
-    fingers: tuple[str, ...]
+    arms: Mapping[str, ArmNames]
     parts: tuple[str, ...]
-    tip: str
+    """The loose bodies: boxes of `part_size_m`, then the objects of the scene."""
     part_size_m: tuple[float, float, float]
+    objects: Mapping[str, int]
+    """The numbers of objects by their names, as parts."""
 
 
-def build(model: RobotModel, scene: Scene, part_count: int) -> WorldModel:
-    """Return the model of a cell with `part_count` parts. Raises `UsageError` for what MuJoCo cannot use."""
+def objects_of(scene: Scene) -> Sequence[LooseObject]:
+    """Return the objects of all bins. Raises `UsageError` for one that is unknown or named twice."""
+    names = [name for bin_ in scene.bins.values() for name in bin_.objects]
+    for number, name in enumerate(names):
+        if name not in OBJECTS:
+            raise UsageError(f'scene: there is no object "{name}"; there is {", ".join(OBJECTS)}')
+        if name in names[:number]:
+            raise UsageError(f'scene: the object "{name}" is named twice; each exists once')
+    return [OBJECTS[name] for name in names]
+
+
+def build(models: Mapping[str, RobotModel], scene: Scene, part_count: int) -> WorldModel:
+    """Return the model of a cell: its robots by name, and `part_count` parts.
+
+    Raises `UsageError` for what MuJoCo cannot use.
+    """
     spec = mujoco.MjSpec()
     spec.modelname = scene.name
     option = spec.option
@@ -72,16 +140,27 @@ def build(model: RobotModel, scene: Scene, part_count: int) -> WorldModel:
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0
     _add_scenery(spec, scene)
-    fingers = _add_robot(spec, model)
+    arms = {
+        name: _add_robot(spec, model, f"{name}/", _SCENERY << number)
+        for number, (name, model) in enumerate(models.items(), 1)
+    }
     size = scene.gripper.part_size_m or DEFAULT_PART_SIZE_M
     parts = tuple(f"part:{number}" for number in range(part_count))
+    mass_kg = scene.gripper.part_mass_kg
+    density = PART_DENSITY_KG_M3 if mass_kg is None else mass_kg / math.prod(size)
     for number, part in enumerate(parts):
-        _add_part(spec, part, size, parked_at(number))
+        _add_part(spec, part, size, density).pos = list(parked_at(number))
+    objects = {}
+    for one in objects_of(scene):
+        objects[one.name] = len(parts)
+        _add_object(spec, f"object:{one.name}", one).pos = list(parked_at(len(parts)))
+        parts = (*parts, f"object:{one.name}")
     try:
         compiled = spec.compile()
     except ValueError as error:
-        raise UsageError(f"MuJoCo cannot simulate {model.name} in {scene.name}: {error}") from None
-    return WorldModel(compiled, model.joint_names, fingers, parts, model.tip, size)
+        names = " and ".join(model.name for model in models.values())
+        raise UsageError(f"MuJoCo cannot simulate {names} in {scene.name}: {error}") from None
+    return WorldModel(compiled, arms, parts, size, objects)
 
 
 def parked_at(number: int) -> tuple[float, float, float]:
@@ -93,25 +172,29 @@ def parked_at(number: int) -> tuple[float, float, float]:
 def fingers_of(model: RobotModel) -> Fingers:
     """Return the opened fingers and the palm behind them, from the collision shapes of the URDF.
 
-    Raises `UsageError` for a gripper without two fingers that close along x of the tip.
+    Raises `UsageError` for a gripper without two fingers that close along x or y of the tip.
     """
     spec = mujoco.MjSpec()
-    names = _add_robot(spec, model)
+    arm = _add_robot(spec, model, "", _SCENERY << 1)
     compiled = spec.compile()
     data = mujoco.MjData(compiled)
     for finger in model.fingers:
         data.qpos[compiled.joint(finger.joint).qposadr[0]] = finger.opened
     mujoco.mj_forward(compiled, data)
-    tip = compiled.site("tip").id
-    bodies = [int(compiled.joint(name).bodyid[0]) for name in names]
-    boxes = [_bounds(compiled, data, body, tip) for body in bodies]
-    if len(boxes) != 2 or max(float(low[0]) for low, _ in boxes) <= 0:
+    tip = compiled.site(arm.tip_id).id
+    bodies = [int(compiled.joint(name).bodyid[0]) for name in arm.finger_ids]
+    for frame in (AT_TIP, CLOSING_ALONG_Y):
+        boxes = [_bounds(compiled, data, body, tip, frame) for body in bodies]
+        if len(boxes) == 2 and max(float(low[0]) for low, _ in boxes) > 0:
+            break
+    else:
         raise UsageError(
-            f"bin picking needs a gripper with two fingers that close along x; {model.name} has none"
+            f"bin picking needs a gripper with two fingers that close along x or y; {model.name} has none"
         )
     (low, high) = max(boxes, key=lambda box: float(box[0][0]))
-    palm_low, palm_high = _bounds(compiled, data, int(compiled.body_parentid[bodies[0]]), tip)
-    length = float(-low[2])
+    palm_low, palm_high = _bounds(compiled, data, int(compiled.body_parentid[bodies[0]]), tip, frame)
+    end = float(high[2])  # the fingers may reach beyond the tip of the URDF
+    length = end - float(low[2])
     return Fingers(
         opening=2 * float(low[0]),
         thickness=float(high[0] - low[0]),
@@ -120,14 +203,16 @@ def fingers_of(model: RobotModel) -> Fingers:
         palm=(
             float(palm_high[0] - palm_low[0]),
             float(palm_high[1] - palm_low[1]),
-            max(float(-length - palm_low[2]), 0.01),
+            max(float(low[2] - palm_low[2]), 0.01),
         ),
+        frame=Frame(frame.rotation, (0.0, 0.0, end)),
     )
 
 
-def _bounds(model: Any, data: Any, body: int, tip: int) -> tuple[Array, Array]:
-    """Return the corners of the box around the shapes of a body, in the frame of the tip."""
-    rotation, origin = data.site_xmat[tip].reshape(3, 3), data.site_xpos[tip]
+def _bounds(model: Any, data: Any, body: int, tip: int, frame: Frame) -> tuple[Array, Array]:
+    """Return the corners of the box around the shapes of a body, in a frame at the tip."""
+    rotation = data.site_xmat[tip].reshape(3, 3) @ np.array(frame.rotation)
+    origin = data.site_xpos[tip]
     found = []
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     for geom in range(first, first + count):
@@ -160,31 +245,71 @@ def _add_scenery(spec: Any, scene: Scene) -> None:
             solid.shape,
             solid.pose,
             contype=_SCENERY,
-            conaffinity=_SCENERY | _ROBOT,
+            conaffinity=_ANYTHING,
             friction=[PART_FRICTION, 0.005, 0.0001],
             group=CAMERA_GROUP if solid.name in scene.cameras else SCENERY_GROUP,
         )
 
 
-def _add_part(spec: Any, name: str, size: tuple[float, float, float], at: tuple[float, float, float]) -> None:
-    body = spec.worldbody.add_body(name=name, pos=list(at), gravcomp=1.0)
+def _add_part(spec: Any, name: str, size: tuple[float, float, float], density: float) -> Any:
+    body = spec.worldbody.add_body(name=name, gravcomp=1.0)
     body.add_freejoint(name=name)
     body.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=[side / 2 for side in size],
-        density=PART_DENSITY_KG_M3,
+        density=density,
         contype=_SCENERY,
-        conaffinity=_SCENERY | _ROBOT,
+        conaffinity=_ANYTHING,
         condim=4,
         friction=[PART_FRICTION, 0.005, 0.0001],
         solref=list(STIFF),
         group=SCENERY_GROUP,
     )
+    return body
 
 
-def _add_robot(spec: Any, model: RobotModel) -> tuple[str, ...]:
-    """Add the links and the drives; return the joints of the fingers."""
+def _add_object(spec: Any, name: str, loose: LooseObject) -> Any:
+    bodies: list[Any] = []
+    for number, link in enumerate(loose.links):
+        above = spec.worldbody if link.parent is None else bodies[link.parent]
+        own = name if number == 0 else f"{name}:{number}"
+        body = above.add_body(name=own, pos=list(link.position), gravcomp=1.0)
+        if link.parent is None:
+            body.add_freejoint(name=name)
+        for axis, direction in enumerate(link.axes):
+            body.add_joint(
+                name=f"{own}:{axis}",
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=list(direction),
+                limited=1,
+                range=[-HINGE_RANGE_RAD, HINGE_RANGE_RAD],
+                stiffness=HINGE_STIFFNESS_NM_RAD,
+                damping=HINGE_DAMPING_NMS_RAD,
+                armature=HINGE_ARMATURE_KG_M2,
+            )
+        for shape_number, (shape, pose) in enumerate(link.shapes):
+            _add_shape(
+                spec,
+                body,
+                f"{own}:shape{shape_number}",
+                shape,
+                pose,
+                mass=link.mass_kg / len(link.shapes),
+                contype=_SCENERY,
+                conaffinity=_ANYTHING,
+                condim=6,
+                friction=[loose.friction, 0.01, ROLLING_FRICTION_M],
+                priority=2,
+                solref=list(STIFF),
+                group=SCENERY_GROUP,
+            )
+        bodies.append(body)
+    return bodies[0]
+
+
+def _add_robot(spec: Any, model: RobotModel, prefix: str, bit: int) -> ArmNames:
+    """Add the links and the drives of a robot, whose links touch everything but `bit`."""
     spec.compiler.degree = False
     parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True)
     urdf = etree.fromstring(model.urdf.encode(), parser)
@@ -195,34 +320,35 @@ def _add_robot(spec: Any, model: RobotModel) -> tuple[str, ...]:
         below.setdefault(joint.find("parent").get("link"), []).append(joint)
         children.add(joint.find("child").get("link"))
     root = next(name for name in links if name not in children)
-    fingers = tuple(finger.joint for finger in model.fingers)
-    moved = {*model.joint_names, *fingers}
+    opened = model.fingers[0].opened if model.fingers else 0.0
+    names = ArmNames(prefix, model.joint_names, tuple(finger.joint for finger in model.fingers), opened)
+    moved = {*names.joints, *names.fingers}
     tip_parent = _rigid_parent(urdf, model.tip)
 
     def add(link: str, body: Any) -> None:
-        _add_link(spec, body, links[link], is_finger=bool(fingers) and _finger_of(urdf, link) in fingers)
+        is_finger = _finger_of(urdf, link) in names.fingers
+        _add_link(spec, body, links[link], prefix, bit, is_finger=is_finger)
         for joint in below.get(link, []):
             child = joint.find("child").get("link")
             origin = _origin(joint)
-            made = body.add_body(name=child, pos=list(origin.position), quat=_quaternion(origin))
+            made = body.add_body(name=prefix + child, pos=list(origin.position), quat=_quaternion(origin))
             if joint.get("name") in moved:
-                _add_joint(made, joint, is_finger=joint.get("name") in fingers)
+                _add_joint(made, joint, prefix, is_finger=joint.get("name") in names.fingers)
             add(child, made)
 
     base = Pose.of(model.base)
-    top = spec.worldbody.add_body(name=root, pos=list(base.position), quat=_quaternion(base))
+    top = spec.worldbody.add_body(name=prefix + root, pos=list(base.position), quat=_quaternion(base))
     add(root, top)
-    _add_drives(spec, model, urdf)
-    tip = spec.body(model.tip)
-    tip.add_site(name="tip")
-    wrist = spec.body(tip_parent)
-    wrist.add_site(name="wrist")
+    _add_drives(spec, names, _efforts(urdf))
+    spec.body(prefix + model.tip).add_site(name=names.tip_id)
+    wrist = f"{prefix}wrist"
+    spec.body(prefix + tip_parent).add_site(name=wrist)
     for kind, name in (
-        (mujoco.mjtSensor.mjSENS_FORCE, "wrist_force"),
-        (mujoco.mjtSensor.mjSENS_TORQUE, "wrist_torque"),
+        (mujoco.mjtSensor.mjSENS_FORCE, names.force_id),
+        (mujoco.mjtSensor.mjSENS_TORQUE, names.torque_id),
     ):
-        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="wrist")
-    return fingers
+        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=wrist)
+    return names
 
 
 def _rigid_parent(urdf: Any, tip: str) -> str:
@@ -244,7 +370,7 @@ def _finger_of(urdf: Any, link: str) -> str | None:
     return None
 
 
-def _add_link(spec: Any, body: Any, link: Any, *, is_finger: bool) -> None:
+def _add_link(spec: Any, body: Any, link: Any, prefix: str, bit: int, *, is_finger: bool) -> None:
     inertial = link.find("inertial")
     if inertial is not None:
         pose = _origin(inertial)
@@ -264,11 +390,11 @@ def _add_link(spec: Any, body: Any, link: Any, *, is_finger: bool) -> None:
         _add_shape(
             spec,
             body,
-            name,
+            prefix + name,
             shape,
             _origin(collision),
-            contype=_ROBOT,
-            conaffinity=_SCENERY,
+            contype=bit,
+            conaffinity=_ANYTHING & ~bit,
             condim=4,
             friction=[friction, 0.01, 0.0001],
             solref=list(STIFF),
@@ -307,13 +433,13 @@ def _add_shape(spec: Any, body: Any, name: str, shape: Shape, pose: Pose, **opti
             body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **where)
 
 
-def _add_joint(body: Any, joint: Any, *, is_finger: bool) -> None:
+def _add_joint(body: Any, joint: Any, prefix: str, *, is_finger: bool) -> None:
     limit = joint.find("limit")
     slides = joint.get("type") == "prismatic"
     is_limited = joint.get("type") != "continuous"
     axis = joint.find("axis")
     body.add_joint(
-        name=joint.get("name"),
+        name=prefix + joint.get("name"),
         type=mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE,
         axis=[1.0, 0.0, 0.0] if axis is None else [float(value) for value in axis.get("xyz").split()],
         limited=int(is_limited),
@@ -322,11 +448,10 @@ def _add_joint(body: Any, joint: Any, *, is_finger: bool) -> None:
     )
 
 
-def _add_drives(spec: Any, model: RobotModel, urdf: Any) -> None:
+def _add_drives(spec: Any, names: ArmNames, efforts: Mapping[str, float]) -> None:
     """Add torque drives for the joints, and force-limited velocity drives for coupled fingers."""
-    efforts = _efforts(urdf)
-    for name in model.joint_names:
-        effort = efforts.get(name) or DEFAULT_EFFORT_NM
+    for joint, name in zip(names.joints, names.joint_ids, strict=True):
+        effort = efforts.get(joint) or DEFAULT_EFFORT_NM
         drive = spec.add_actuator(
             name=name,
             target=name,
@@ -335,7 +460,7 @@ def _add_drives(spec: Any, model: RobotModel, urdf: Any) -> None:
             ctrlrange=[-effort, effort],
         )
         drive.set_to_motor()
-    fingers = [finger.joint for finger in model.fingers]
+    fingers = names.finger_ids
     for name in fingers:
         drive = spec.add_actuator(
             name=name,

@@ -63,6 +63,12 @@ class Arm:
         frame = pin.getFrameVelocity(self.pin_model, self.data, self.tip, pin.LOCAL)
         return float(np.linalg.norm(frame.linear))
 
+    def fastest_mps(self, joints: Array, velocities: Array) -> float:
+        """Return the speed of the fastest end of a link: of a joint or the tool's tip."""
+        tool_mps = self.tool_speed_mps(joints, velocities)
+        moving = range(1, self.pin_model.njoints)
+        return max(tool_mps, *(float(np.linalg.norm(self.data.v[joint].linear)) for joint in moving))
+
     def tool_positions(self, path: Array) -> Array:
         """Return the positions of the tool's tip along a path, one row for each."""
         return np.array([self.tool(joints).translation for joints in path])

@@ -27,15 +27,11 @@ from services.trajectory_tool.obstacles import (
     World,
 )
 from services.trajectory_tool.planning.arm import Arm, Array, se3_of
+from services.trajectory_tool.planning.bounds import DistanceBounds
 
 MAX_MESH_BYTES = 20 * 1024 * 1024
 NAIVE_MAX_GEOMETRIES = 150
 """With more geometries, sweep and prune is faster than comparing all bounding boxes."""
-
-MAX_CANDIDATES = 60
-"""With more pairs to compute, computing all of them at once is faster."""
-
-_GJK_TOLERANCE_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +41,9 @@ class Clearance:
     first: str
     second: str
     distance_m: float
+
+
+NOTHING_NEAR = Clearance("robot", "nothing", math.inf)
 
 
 class _Checks:
@@ -78,10 +77,7 @@ class Collisions:
         self.reach = reaches.max(axis=0, initial=0.0)
         """How far any point moves at most for 1 rad (or 1 m) of each joint."""
         self._shares = self._pair_shares(reaches)
-        self._bounds: Array | None = None
-        """A lower bound of the distance of each pair at `_bounds_at`, for `nearest`."""
-        self._bounds_at = np.zeros(arm.n)
-        self._nearest_pair = 0
+        self._lower_bounds = DistanceBounds(arm, self.geometry)
 
     @property
     def pairs(self) -> int:
@@ -113,8 +109,23 @@ class Collisions:
         return float(self.reach @ np.abs(end - start))
 
     def closest(self, joints: Array) -> Clearance:
-        """Return the closest pair of a configuration."""
-        return min(self.distances(joints), key=lambda one: one.distance_m)
+        """Return the closest pair of a configuration.
+
+        The pair with the lowest bound is computed, and its bound replaced by its distance, until the lowest
+        is a distance. With a contact all pairs are computed, since bounds say nothing about penetration.
+        """
+        if not self.pairs:
+            return NOTHING_NEAR
+        self._place(joints)
+        bounds = self._lower_bounds()
+        computed: set[int] = set()
+        while (number := int(bounds.argmin())) not in computed:
+            bounds[number] = self._distance_m(number)
+            computed.add(number)
+        if bounds[number] <= 0:
+            number = self.closest_index(joints)
+            return self._clearance(number, float(self._distance_data().distanceResults[number].min_distance))
+        return self._clearance(number, float(bounds[number]))
 
     def distances(self, joints: Array) -> list[Clearance]:
         """Return the distances of all pairs that are checked; empty without any."""
@@ -125,48 +136,17 @@ class Collisions:
             Clearance(names[pair.first], names[pair.second], result.min_distance)
             for pair, result in zip(self.geometry.collisionPairs, data.distanceResults, strict=True)
         ]
-        return found or [Clearance("robot", "nothing", math.inf)]
+        return found or [NOTHING_NEAR]
 
     def closest_index(self, joints: Array) -> int:
         """Compute the distances of all pairs, and return the number of the closest."""
         data = self._distance_data()
         return int(pin.computeDistances(self.arm.pin_model, self.arm.data, self.geometry, data, joints))
 
-    def nearest(self, joints: Array) -> Clearance:
-        """Return the closest pair; faster than `closest` when the joints changed little since the last call.
-
-        The distance of a pair falls by its share of the travel at most. So each pair has a lower bound, and
-        only pairs whose bound is below the smallest distance are computed again. Example: with a travel of
-        10 mm since the last call and the nearest pair at 50 mm, a pair that was at 200 mm is skipped.
-        """
-        data, bounds = self._distance_data(), self._bounds
-        if bounds is None:
-            return self._nearest_of_all(joints)
-        bounds -= self._shares * self.travel_m(self._bounds_at, joints)
-        self._bounds_at = joints.copy()
-        pin.updateGeometryPlacements(self.arm.pin_model, self.arm.data, self.geometry, data, joints)
-        best = self._nearest_pair
-        least_m = bounds[best] = self._distance_m(best)
-        candidates = np.flatnonzero(bounds < least_m)
-        if len(candidates) > MAX_CANDIDATES:
-            return self._nearest_of_all(joints)
-        for number in candidates[np.argsort(bounds[candidates])].tolist():
-            if bounds[number] >= least_m:
-                break
-            bounds[number] = self._distance_m(number)
-            if bounds[number] < least_m:
-                best, least_m = number, float(bounds[number])
-        self._nearest_pair = best
-        return self._clearance(best, float(least_m))
-
-    def _nearest_of_all(self, joints: Array) -> Clearance:
-        if not self.pairs:
-            return Clearance("robot", "nothing", math.inf)
-        best = self.closest_index(joints)
-        results = self._distance_data().distanceResults
-        self._bounds = np.array([result.min_distance for result in results])
-        self._bounds_at, self._nearest_pair = joints.copy(), best
-        return self._clearance(best, float(self._bounds[best]))
+    def _place(self, joints: Array) -> None:
+        pin.updateGeometryPlacements(
+            self.arm.pin_model, self.arm.data, self.geometry, self._distance_data(), joints
+        )
 
     def _distance_m(self, number: int) -> float:
         return float(pin.computeDistance(self.geometry, self._distance_data(), number).min_distance)

@@ -42,6 +42,10 @@ class Nearest:
     angle_rad: float
 
 
+INSET_RAD = 0.005
+"""Iterations end this far within the limits: a timed curve between such joints may swing a little beyond."""
+
+
 class Inverse:
     """Inverse kinematics of an arm; deterministic for a seed. Not thread-safe."""
 
@@ -119,7 +123,7 @@ class Inverse:
     def converge(self, target: Any, start: Array) -> Array | None:
         """Return the joints with the tip at a `pinocchio.SE3` that iterations from `start` lead to."""
         arm, data, model = self.arm, self.arm.data, self.arm.pin_model
-        lower, upper, tip = arm.lower, arm.upper, arm.tip
+        lower, upper, tip = arm.lower + INSET_RAD, arm.upper - INSET_RAD, arm.tip
         identity = np.eye(6)
         joints, before, stalls = start, math.inf, 0
         for _ in range(MAX_ITERATIONS):

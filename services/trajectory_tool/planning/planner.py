@@ -3,7 +3,7 @@
     target -> joint positions (inverse kinematics, several)
            -> path (a line, or RRT-Connect and shortcuts)
            -> trajectory (rounded corners, limits of velocity, acceleration and jerk)
-           -> check of the trajectory
+           -> check of the trajectory, and of the torques
 
 The trajectory is checked as it is executed, not its path: the corners are rounded less, or not at all,
 until the check succeeds. A start or target that is nearer to something than the margin, such as a gripper
@@ -22,13 +22,14 @@ import pinocchio as pin
 from handover.messages import Message, message
 from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.obstacles import World
-from services.trajectory_tool.planning import timing
+from services.trajectory_tool.planning import retiming, timing
 from services.trajectory_tool.planning.arm import Arm, Array, se3_of
 from services.trajectory_tool.planning.collision import Clearance, Collisions
 from services.trajectory_tool.planning.inverse import Inverse
 from services.trajectory_tool.planning.motions import Motions
 from services.trajectory_tool.planning.search import search, shorten
 from services.trajectory_tool.planning.straight import Obstructed, ToolLine, tool_line
+from services.trajectory_tool.planning.torques import Overload, Torques
 from services.trajectory_tool.poses import Pose, Vector
 from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 from services.trajectory_tool.robot_model import RobotModel
@@ -111,6 +112,7 @@ class Planner:
         self.arm = Arm(model)
         self.inverse = Inverse(self.arm, self.options.seed)
         self._worlds: dict[World, Collisions] = {}
+        self._torques: Torques | None = None
         self._use(world or World())
 
     @property
@@ -126,6 +128,11 @@ class Planner:
         """Return a motion to joint positions, as they are given, without full turns of difference."""
         goal = np.array(self.model.allow(target))
         return self._to_goals(np.array(start), [goal], tilt)
+
+    def is_straight_free(self, start: Joints, target: Joints) -> bool:
+        """Return whether the straight line in joint space is free. Raises `NoPath` where an end is not."""
+        begin, goal = np.array(start), np.array(self.model.allow(target))
+        return Motions(self.collisions, self._common_margin(begin, [goal])).is_free(begin, goal)
 
     def to_pose(self, start: Joints, pose: Pose, tilt: Tilt | None = None) -> Plan:
         """Return a motion to a pose of the tool, with the joint positions that are reached soonest."""
@@ -229,13 +236,15 @@ class Planner:
                 self._worlds.clear()
             self._worlds[world] = Collisions(self.arm, world)
         self.collisions = self._worlds[world]
+        if self._torques is None or self._torques.payload_kg != world.payload_kg:
+            self._torques = Torques(self.arm, world.payload_kg)
 
     def _to_goals(self, start: Array, goals: list[Array], tilt: Tilt | None) -> Plan:
         margin_m = self._common_margin(start, goals)
         motions = Motions(self.collisions, margin_m)
         goals = [goal for goal in goals if motions.is_state_free(goal)]
         if float(np.abs(start - goals[0]).max()) < timing.MIN_LENGTH:
-            return Plan(timing.line(start, start, self.limits), (start, start), margin_m)
+            return self._plan(timing.line(start, start, self.limits), (start, start), margin_m)
         is_allowed = None if tilt is None else self._tilt_check(tilt)
 
         def is_free(one: Array, other: Array) -> bool:
@@ -273,11 +282,29 @@ class Planner:
         """Return about how long a line takes at full speed."""
         return float((np.abs(other - one) / np.array(self.limits.velocity)).max())
 
+    def _plan(self, trajectory: JointTrajectory, path: Sequence[Array], margin_m: float) -> Plan:
+        """Return the motion, slowed as far as torques demand. Raises `NoPath` when gravity is too much."""
+        assert self._torques is not None  # noqa: S101 - set with the world
+        speed = self._torques.allowed_speed(trajectory)
+        if isinstance(speed, Overload):
+            raise NoPath(
+                message(
+                    "robot.torque_exceeded",
+                    "{joint} needs {torque} to hold the arm and {payload} kg on the way, more than its limit "
+                    "of {limit}; choose a way nearer to the base, or a lighter part",
+                    joint=speed.joint,
+                    torque=speed.needed,
+                    payload=f"{self._torques.payload_kg:g}",
+                    limit=speed.limit,
+                )
+            )
+        return Plan(trajectory if speed == 1.0 else trajectory.slowed(speed), tuple(path), margin_m)
+
     def _timed(self, path: list[Array], motions: Motions, tilt: Tilt | None = None) -> Plan:
         """Return the motion on a path, with corners as round as the obstacles allow."""
         checks = Motions(self.collisions, motions.margin_m / 2)
         if len(path) == 2:
-            return Plan(timing.line(path[0], path[1], self.limits), tuple(path), motions.margin_m)
+            return self._plan(timing.line(path[0], path[1], self.limits), path, motions.margin_m)
         for share in BLEND_SHARES:
             curve = timing.BlendedLines(path, self.limits, share)
             try:
@@ -286,14 +313,14 @@ class Planner:
                 continue
             samples = found.positions(CHECK_STEP_S)
             if checks.are_samples_free(samples) and self._is_within(samples, tilt):
-                return Plan(found, tuple(path), motions.margin_m)
-        return Plan(timing.with_stops(path, self.limits), tuple(path), motions.margin_m)
+                return self._plan(retiming.faster(found, self.limits), path, motions.margin_m)
+        return self._plan(timing.with_stops(path, self.limits), path, motions.margin_m)
 
     def _along_tool_line(self, found: ToolLine, target: pin.SE3, max_tool_speed_mps: float | None) -> Plan:
         motions = Motions(self.collisions, self.options.contact_margin_m)
         if len(found.at) < 2:
             only = found.joints[0]
-            return Plan(timing.line(only, only, self.limits), (only, only), motions.margin_m)
+            return self._plan(timing.line(only, only, self.limits), (only, only), motions.margin_m)
         if not motions.is_path_free(list(found.joints)):
             touch = motions.first_contact(list(found.joints))
             raise NoPath(
@@ -312,7 +339,7 @@ class Planner:
                 break
             limits = replace(limits, velocity=tuple(0.7 * value for value in limits.velocity))
         self.check(trajectory, motions.margin_m / 2)
-        return Plan(trajectory, (found.joints[0], found.joints[-1]), motions.margin_m)
+        return self._plan(trajectory, (found.joints[0], found.joints[-1]), motions.margin_m)
 
     def _is_straight(self, trajectory: JointTrajectory, start: Array, target: pin.SE3) -> bool:
         begin = self.arm.tool(start).translation

@@ -9,8 +9,9 @@ within limits are within these limits, so velocity and acceleration stay valid; 
     (a(t) - a(t - window)) / window
 
 which a longer window lowers, to the limit at the latest for a window of 2 * acceleration / jerk. The motion
-takes longer by the window. The path is rounded where it turns, by what the robot moves in one window at most,
-so the result is checked for collision, not the path. A straight line stays straight.
+takes longer by the window; `retiming` regains a part. The path is rounded where it turns, by what the robot
+moves in one window at most, so the result is checked for collision, not the path. A straight line stays
+straight.
 """
 
 import math
@@ -158,7 +159,7 @@ def line(start: Array, end: Array, limits: Limits, spacing_s: float = SPACING_S)
     share = np.array([profile.at_time(min(time, profile.duration))[0][0] for time in times.tolist()])
     share[-1] = 1.0
     points = start + share[:, None] * way
-    return _at_rest_at_ends(points, spacing_s).within(limits)
+    return at_rest_at_ends(points, spacing_s).within(limits)
 
 
 def with_stops(path: Sequence[Array], limits: Limits) -> JointTrajectory:
@@ -218,7 +219,7 @@ def _smoothed(positions: Array, spacing_s: float, limits: Limits) -> JointTrajec
     best: JointTrajectory | None = None
     for share in (0.15, 0.25, 0.35, 0.45, 0.5, 0.55, 0.65, 0.75, 0.85, 1.0):
         window = max(round(share * longest / spacing_s), 1)
-        found = _at_rest_at_ends(_averaged(positions, window), spacing_s).within(limits)
+        found = at_rest_at_ends(_averaged(positions, window), spacing_s).within(limits)
         if best is None or found.duration_s < best.duration_s:
             best = found
     assert best is not None  # noqa: S101 - the loop runs
@@ -239,6 +240,7 @@ def _averaged(positions: Array, window: int) -> Array:
     return averaged
 
 
-def _at_rest_at_ends(points: Array, spacing_s: float) -> JointTrajectory:
+def at_rest_at_ends(points: Array, spacing_s: float) -> JointTrajectory:
+    """Return the motion with these control points, which starts and ends at rest."""
     ends = np.repeat(points[:1], 2, axis=0), np.repeat(points[-1:], 2, axis=0)
     return JointTrajectory(np.concatenate([ends[0], points, ends[1]]), spacing_s)

@@ -22,10 +22,16 @@ from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.drivers import Clock, RobotContext
 from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.robot import Joints, JointState, Pace, RobotFault, StopCategory, Velocity
+from services.trajectory_tool.robot import SafetyStatus as ReportedSafety
 from services.trajectory_tool.trajectory import Setpoint
 from services.trajectory_tool.universal_robots.dashboard import Dashboard, DashboardError
 from services.trajectory_tool.universal_robots.exchange_process import ExchangeProcess
-from services.trajectory_tool.universal_robots.faults import MAX_REPORT_AGE_S, MIN_SPEED_FRACTION, fault_of
+from services.trajectory_tool.universal_robots.faults import (
+    EMERGENCY_STOPS,
+    MIN_SPEED_FRACTION,
+    SAFEGUARD_STOPS,
+    fault_of,
+)
 from services.trajectory_tool.universal_robots.gripper import (
     Gripper,
     NoGripper,
@@ -36,7 +42,13 @@ from services.trajectory_tool.universal_robots.options import UrOptions, with_en
 from services.trajectory_tool.universal_robots.program import JOINTS, Payload, ProgramParameters, program
 from services.trajectory_tool.universal_robots.routes import add_routes
 from services.trajectory_tool.universal_robots.shared_memory import Interruption, Report
-from services.trajectory_tool.universal_robots.states import ProgramState, RuntimeState
+from services.trajectory_tool.universal_robots.states import (
+    ProgramState,
+    RuntimeState,
+    SafetyStatus,
+    robot_mode,
+    safety_status,
+)
 
 log = get_logger(__name__)
 
@@ -91,7 +103,7 @@ class UniversalRobot(CyclicRobot):
 
     def mount(self, app: FastAPI) -> None:
         """Add the routes of the controller."""
-        add_routes(app, self.robot_id, self.dashboard, self.exchange.report)
+        add_routes(app, self.robot_id, self.dashboard, self.exchange.report, self.options.silence_s)
 
     async def __aenter__(self) -> Self:
         await self.exchange.__aenter__()
@@ -109,14 +121,14 @@ class UniversalRobot(CyclicRobot):
         report = self.exchange.report()
         if report.wall_s == 0.0:
             return self._stored
-        return JointState(report.wall_s, report.positions, report.velocities)
+        return _joint_state(report)
 
     def measured(self) -> JointState:
         """Return the reported joints. Raises `RobotFault` when the last report is too old."""
         report = self.exchange.report()
-        if not report.is_connected or time.monotonic() - report.stamp_s > MAX_REPORT_AGE_S:
+        if not self._is_fresh(report):
             raise self._fault(report) or _ended(report)
-        return JointState(report.wall_s, report.positions, report.velocities)
+        return _joint_state(report)
 
     def command(self, setpoint: Setpoint) -> None:
         """Command a setpoint. Raises `RobotFault` once the controller has stopped the motion."""
@@ -171,6 +183,30 @@ class UniversalRobot(CyclicRobot):
         self._require_connection()
         await self._gripper.open()
         self._gripper_closed = False
+
+    def safety_status(self) -> ReportedSafety:
+        """Return what the controller reports of its safety functions."""
+        report = self.exchange.report()
+        status, fault = safety_status(report.safety_status), self._fault(report)
+        is_fresh = self._is_fresh(report)
+        return ReportedSafety(
+            emergency_stop=is_fresh and status in EMERGENCY_STOPS,
+            protective_stop=is_fresh and status is SafetyStatus.PROTECTIVE_STOP,
+            safeguard_stop=is_fresh and status in SAFEGUARD_STOPS,
+            mode=f"{robot_mode(report.robot_mode).name}, {status.name}" if is_fresh else "",
+            speed=report.speed_fraction if is_fresh else None,
+            detail="" if fault is None else text_of(fault),
+        )
+
+    def digital_inputs(self) -> int | None:
+        """Return the digital inputs; None when the last report is too old."""
+        report = self.exchange.report()
+        return report.digital_inputs if self._is_fresh(report) else None
+
+    def wrist_force_n(self) -> float | None:
+        """Return the force at the tool as the controller measures it; None when the report is too old."""
+        report = self.exchange.report()
+        return report.wrist_force_n if self._is_fresh(report) else None
 
     @property
     def gripper_closed(self) -> bool:
@@ -342,13 +378,16 @@ class UniversalRobot(CyclicRobot):
             async with asyncio.timeout(SETTLE_TIMEOUT_S), self._in_motion:
                 pass
 
+    def _is_fresh(self, report: Report) -> bool:
+        return report.is_connected and time.monotonic() - report.stamp_s <= self.options.silence_s
+
     def _require_connection(self) -> None:
         report = self.exchange.report()
         if not report.is_connected:
             raise self._fault(report) or _ended(report)
 
     def _fault(self, report: Report) -> RobotFault | None:
-        fault = fault_of(report, time.monotonic(), self.options.host)
+        fault = fault_of(report, time.monotonic(), self.options.silence_s, self.options.host)
         return None if fault is None else RobotFault(fault)
 
 
@@ -377,6 +416,10 @@ class SteadyClock:
         time.sleep(seconds)
         self._time_s, self._mark_s = self.now_s(), time.monotonic()
         self._rate = max(1.0 - self._lag_rad() / MAX_LAG_RAD, MIN_RATE)
+
+
+def _joint_state(report: Report) -> JointState:
+    return JointState(report.wall_s, report.positions, report.velocities, report.torques)
 
 
 def _is_at_rest(report: Report) -> bool:

@@ -51,6 +51,7 @@ OUTPUTS = (
     "actual_q",
     "actual_qd",
     "target_q",
+    "target_moment",
     "robot_mode",
     "safety_status",
     "runtime_state",
@@ -58,6 +59,7 @@ OUTPUTS = (
     "target_speed_fraction",
     "actual_digital_input_bits",
     "actual_digital_output_bits",
+    "actual_TCP_force",
     f"output_int_register_{PROGRAM_STATE_REGISTER}",
     f"output_int_register_{PROGRAM_ID_REGISTER}",
 )
@@ -70,7 +72,6 @@ INPUTS = (
     "tool_digital_output",
 )
 CONNECT_TIMEOUT_S = 2.0
-SILENCE_TIMEOUT_S = 0.5
 RETRY_EVERY_S = 0.25
 END_TIMEOUT_S = 1.0
 MAX_HEARTBEAT = 2**30
@@ -84,6 +85,7 @@ class ExchangeParameters:
     host: str
     port: int
     stall_s: float
+    silence_s: float
     max_rad_s: tuple[float, ...]
     max_rad_s2: tuple[float, ...]
     memory: int
@@ -106,7 +108,8 @@ class LinkError(HandoverError):
 class Connection:
     """An RTDE connection, set up and started. Raises `LinkError`, `ProtocolError` or `RecipeError`."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, silence_s: float) -> None:
+        self._silence_s = silence_s
         try:
             self._socket = socket.create_connection((host, port), CONNECT_TIMEOUT_S)
         except OSError as error:
@@ -174,7 +177,7 @@ class Connection:
     def latest(self) -> tuple[rtde.Values | None, int]:
         """Return the latest values that have arrived, and how many packages with values."""
         data = []
-        for package in self._receive(SILENCE_TIMEOUT_S):
+        for package in self._receive(self._silence_s):
             if package.kind == PackageType.DATA_PACKAGE:
                 data.append(package)
             else:
@@ -211,9 +214,10 @@ class Exchange:
     def run(self) -> None:
         """Connect, exchange, and connect again after a failure."""
         connections = 0
+        given = self._parameters
         while True:
             try:
-                connection = Connection(self._parameters.host, self._parameters.port)
+                connection = Connection(given.host, given.port, given.silence_s)
             except HandoverError as error:
                 self._disconnected(str(error))
             else:
@@ -247,8 +251,9 @@ class Exchange:
 
     def _exchange(self, connection: Connection) -> bool:
         """Run cycles; return True when standard input has closed. Raises `LinkError` or `ProtocolError`."""
+        silence_s = self._parameters.silence_s
         while True:
-            readable, _, _ = select.select([connection, sys.stdin], [], [], SILENCE_TIMEOUT_S)
+            readable, _, _ = select.select([connection, sys.stdin], [], [], silence_s)
             if sys.stdin in readable:
                 if not _read_wakes():
                     self._end_program(connection)
@@ -257,7 +262,7 @@ class Exchange:
                     self._send_again(connection)
                     continue
             if not readable:
-                raise LinkError(f"the controller has sent nothing for {SILENCE_TIMEOUT_S} s")
+                raise LinkError(f"the controller has sent nothing for {silence_s:g} s")
             values, cycles = connection.latest()
             if values is not None:
                 self._cycle(connection, values, cycles)
@@ -339,6 +344,7 @@ class Exchange:
             controller_s=number["timestamp"],
             positions=vector["actual_q"],
             velocities=vector["actual_qd"],
+            torques=vector["target_moment"],
             robot_mode=int(number["robot_mode"]),
             safety_status=int(number["safety_status"]),
             runtime_state=int(number["runtime_state"]),
@@ -351,6 +357,7 @@ class Exchange:
             interruption=last.interruption,
             frequency_hz=last.frequency_hz,
             skipped_cycles=last.skipped_cycles + cycles - 1,
+            wrist_force_n=math.hypot(*vector["actual_TCP_force"][:3]),
         )
 
 

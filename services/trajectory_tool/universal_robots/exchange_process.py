@@ -108,6 +108,7 @@ class ExchangeProcess:
             host=self._options.host,
             port=self._options.rtde_port,
             stall_s=self._options.watchdog_s,
+            silence_s=self._options.silence_s,
             max_rad_s=self._limits.velocity,
             max_rad_s2=tuple(RECOVERY_ACCELERATION * limit for limit in self._limits.acceleration),
             memory=memory.descriptor,

@@ -10,15 +10,17 @@ from services.trajectory_tool.universal_robots.states import (
     safety_status,
 )
 
-MAX_REPORT_AGE_S = 0.5
 MIN_SPEED_FRACTION = 0.01
-_EMERGENCY_STOPS = frozenset({SafetyStatus.SYSTEM_EMERGENCY_STOP, SafetyStatus.ROBOT_EMERGENCY_STOP})
-_SAFEGUARD_STOPS = frozenset({SafetyStatus.SAFEGUARD_STOP, SafetyStatus.AUTOMATIC_MODE_SAFEGUARD_STOP})
+EMERGENCY_STOPS = frozenset({SafetyStatus.SYSTEM_EMERGENCY_STOP, SafetyStatus.ROBOT_EMERGENCY_STOP})
+SAFEGUARD_STOPS = frozenset({SafetyStatus.SAFEGUARD_STOP, SafetyStatus.AUTOMATIC_MODE_SAFEGUARD_STOP})
 
 
-def fault_of(report: Report, now_s: float, host: str) -> Message | None:
-    """Return why the arm cannot move; None if it can. `now_s` is on the monotonic clock."""
-    if not report.is_connected or now_s - report.stamp_s > MAX_REPORT_AGE_S:
+def fault_of(report: Report, now_s: float, silence_s: float, host: str) -> Message | None:
+    """Return why the arm cannot move; None if it can. `now_s` is on the monotonic clock.
+
+    A controller whose last report is older than `silence_s` is not connected.
+    """
+    if not report.is_connected or now_s - report.stamp_s > silence_s:
         return message(
             "robot.ur_unreachable",
             "the controller {host} is not connected: {reason}; check its power, the network and the "
@@ -37,14 +39,14 @@ def _safety_fault(status: SafetyStatus) -> Message | None:
             "robot.ur_protective_stop",
             "the arm is in a protective stop; remove the cause, then unlock the arm at the teach pendant",
         )
-    if status in _EMERGENCY_STOPS:
+    if status in EMERGENCY_STOPS:
         return message(
             "robot.ur_emergency_stop",
             "an emergency stop is active ({state}); release its button when the cell is safe, then power on "
             "the arm at the teach pendant",
             state=status.name,
         )
-    if status in _SAFEGUARD_STOPS:
+    if status in SAFEGUARD_STOPS:
         return message(
             "robot.ur_safeguard_stop",
             "a safeguard stop is active ({state}); leave the safeguarded space and reset the safeguard",

@@ -43,6 +43,9 @@ class UrOptions(BaseModel):
     watchdog_s: FiniteFloat = Field(
         0.1, ge=0.02, le=30, description="the arm stops after so long without setpoints or heartbeats"
     )
+    silence_s: FiniteFloat = Field(
+        0.5, ge=0.02, le=30, description="a controller that reports nothing for so long is not connected"
+    )
     stop_rad_s2: FiniteFloat = Field(
         8.0,
         gt=0,

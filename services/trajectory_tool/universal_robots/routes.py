@@ -5,9 +5,12 @@ from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
 from fastapi import FastAPI
+from starlette.requests import HTTPConnection
 
 from handover.errors import Problem
 from handover.messages import text_of
+from handover.security.guard import guard_of, require
+from handover.security.permissions import Permission
 from services.trajectory_tool.universal_robots.dashboard import Dashboard, DashboardError
 from services.trajectory_tool.universal_robots.faults import fault_of
 from services.trajectory_tool.universal_robots.shared_memory import Report
@@ -18,9 +21,9 @@ T = TypeVar("T")
 ControllerView = dict[str, Any]
 
 
-def view_of(report: Report) -> ControllerView:
-    """Return the state of the controller as JSON."""
-    fault = fault_of(report, time.monotonic(), "")
+def view_of(report: Report, silence_s: float) -> ControllerView:
+    """Return the state of the controller as JSON; after `silence_s` without a report, it has a fault."""
+    fault = fault_of(report, time.monotonic(), silence_s, "")
     return {
         "connected": report.is_connected,
         "reason": report.reason or None,
@@ -36,34 +39,61 @@ def view_of(report: Report) -> ControllerView:
     }
 
 
-def add_routes(app: FastAPI, robot: str, dashboard: Dashboard, report: Callable[[], Report]) -> None:
+def add_routes(
+    app: FastAPI, robot: str, dashboard: Dashboard, report: Callable[[], Report], silence_s: float
+) -> None:
     """Add the routes of the controller of `robot`."""
     path = f"/robots/{robot}/controller"
 
-    @app.get(path, tags=["controllers"], name=f"controller of {robot}")
+    def of_robot(connection: HTTPConnection) -> str:
+        return guard_of(connection).settings.entity_id("Device", robot)
+
+    of_robot.__doc__ = f"Device `{robot}`"
+
+    @app.get(
+        path,
+        tags=["controllers"],
+        name=f"controller of {robot}",
+        dependencies=[require(Permission.READ, of_robot)],
+    )
     async def state() -> ControllerView:
         """Return connection, robot mode, safety status and speed slider of the controller.
 
         They are read, not assessed: the safety functions are those of the controller.
         """
-        return view_of(report())
+        return view_of(report(), silence_s)
 
-    @app.get(f"{path}/identity", tags=["controllers"], name=f"identity of {robot}")
+    @app.get(
+        f"{path}/identity",
+        tags=["controllers"],
+        name=f"identity of {robot}",
+        dependencies=[require(Permission.READ, of_robot)],
+    )
     async def identity() -> dict[str, str]:
         """Return model, serial number and software version; 502 when the dashboard server does not answer."""
         return await _answered(dashboard.describe())
 
-    @app.post(f"{path}/power-on", tags=["controllers"], name=f"power on {robot}")
+    @app.post(
+        f"{path}/power-on",
+        tags=["controllers"],
+        name=f"power on {robot}",
+        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
+    )
     async def power_on() -> ControllerView:
         """Power the arm, at the request of a person; the brakes stay closed. 502 when it is rejected."""
         await _answered(dashboard.power_on())
-        return view_of(report())
+        return view_of(report(), silence_s)
 
-    @app.post(f"{path}/brake-release", tags=["controllers"], name=f"release the brakes of {robot}")
+    @app.post(
+        f"{path}/brake-release",
+        tags=["controllers"],
+        name=f"release the brakes of {robot}",
+        dependencies=[require(Permission.MOVE_ROBOTS, of_robot)],
+    )
     async def brake_release() -> ControllerView:
         """Release the brakes, at the request of a person who sees the arm; it may move a little."""
         await _answered(dashboard.release_brakes())
-        return view_of(report())
+        return view_of(report(), silence_s)
 
 
 async def _answered(asked: Awaitable[T]) -> T:

@@ -52,6 +52,8 @@ class Report:
     controller_s: float = 0.0
     positions: tuple[float, ...] = ZEROS
     velocities: tuple[float, ...] = ZEROS
+    torques: tuple[float, ...] = ZEROS
+    """The torques of the joints in Nm that the controller computes (`target_moment`)."""
     robot_mode: int = -1
     safety_status: int = 0
     runtime_state: int = 0
@@ -66,6 +68,7 @@ class Report:
     skipped_cycles: int = 0
     lag_rad: float = 0.0
     """How far the joint targets are behind the setpoints, at most."""
+    wrist_force_n: float = 0.0
     reason: str = ""
 
 
@@ -98,7 +101,7 @@ class Record:
 
 
 _COMMAND = struct.Struct("=dii18dii")
-_REPORT = struct.Struct(f"=dd?Id12diiiiiddQQidQd{_REASON_BYTES}s")
+_REPORT = struct.Struct(f"=dd?Id18diiiiiddQQidQdd{_REASON_BYTES}s")
 
 
 class SharedMemory:
@@ -158,6 +161,7 @@ class SharedMemory:
             report.controller_s,
             *report.positions,
             *report.velocities,
+            *report.torques,
             report.robot_mode,
             report.safety_status,
             report.runtime_state,
@@ -171,13 +175,14 @@ class SharedMemory:
             report.frequency_hz,
             report.skipped_cycles,
             report.lag_rad,
+            report.wrist_force_n,
             report.reason.encode()[:_REASON_BYTES],
         )
 
     def read_report(self) -> Report:
         """Return the last report."""
         found = self._report.read()
-        flat = [*found[:5], found[5:11], found[11:17], *found[17:-1]]
+        flat = [*found[:5], found[5:11], found[11:17], found[17:23], *found[23:-1]]
         reason = found[-1].rstrip(b"\0").decode(errors="ignore")
         return Report(**dict(zip(_REPORT_FIELDS, [*flat, reason], strict=True)))
 

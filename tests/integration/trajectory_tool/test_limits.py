@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,15 @@ from websockets.sync.client import ClientConnection, connect
 
 from datamodels.streams import PeopleReport, SpeedLimitReport
 from services.trajectory_tool.app import make_app
+from services.trajectory_tool.limits.contact_force import ContactForce
+from services.trajectory_tool.limits.report_stream import MAX_REPORTS_PER_S, Rate
 from services.trajectory_tool.limits.robot_limits import RobotLimits
-from services.trajectory_tool.limits.routes import MAX_REPORTS_PER_S, Rate
-from services.trajectory_tool.limits.store import LimitStore
+from services.trajectory_tool.limits.store import LimitStore, RobotRecord, SafeSpeed
+from services.trajectory_tool.people.simulation import SimulatedSensor
 from services.trajectory_tool.robots import ROBOTS
+from services.trajectory_tool.scene import Scene
 from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.trajectory import Setpoint
 
 UR10 = ROBOTS.load("ur10")
 
@@ -57,7 +62,7 @@ class Tool:
         return self.request("POST", f"/robots/ur10-1/limits/{path}", body)
 
     def stream(self, path: str) -> ClientConnection:
-        return connect(f"ws://127.0.0.1:{self._port}/robots/ur10-1/{path}", proxy=None)
+        return connect(f"ws://127.0.0.1:{self._port}/{path}", proxy=None)
 
     def send(self, path: str, *messages: Any) -> list[dict[str, Any]]:
         """Send messages, and return the answer of each."""
@@ -89,7 +94,7 @@ def test_without_sources_nothing_is_limited(tool: Tool) -> None:
 
 
 def test_a_reported_limit_lowers_the_pace_and_names_its_source(tool: Tool) -> None:
-    (answer,) = tool.send("speed_limits", limit(0.6))
+    (answer,) = tool.send("robots/ur10-1/speed_limits", limit(0.6))
     assert answer["accepted"]
     found = tool.limits()
     assert (found["pace"], found["rule"], found["reason"]) == (0.6, "heart", "heart rate 120")
@@ -99,7 +104,7 @@ def test_a_reported_limit_lowers_the_pace_and_names_its_source(tool: Tool) -> No
 def test_bad_messages_are_answered_and_change_nothing(tool: Tool) -> None:
     good = limit(0.5)
     answers = tool.send(
-        "speed_limits",
+        "robots/ur10-1/speed_limits",
         good,
         "{",
         "[]",
@@ -121,20 +126,20 @@ def test_a_flood_exceeds_the_rate_until_the_next_second() -> None:
 
 
 def test_a_flood_changes_nothing_and_others_are_answered(tool: Tool) -> None:
-    with tool.stream("speed_limits") as flood:
+    with tool.stream("robots/ur10-1/speed_limits") as flood:
         for _ in range(2000):
             flood.send("{")
-        assert tool.send("speed_limits", limit(0.5))[0]["accepted"]
+        assert tool.send("robots/ur10-1/speed_limits", limit(0.5))[0]["accepted"]
         assert tool.limits()["pace"] == 0.5
 
 
 def test_a_stop_for_a_body_signal_is_reset_by_a_person(tool: Tool) -> None:
-    tool.send("speed_limits", limit(0.0))
+    tool.send("robots/ur10-1/speed_limits", limit(0.0))
     assert tool.limits()["needsReset"]
     refused = tool.post("reset", {"name": "Aino"})
     assert refused.status_code == 409
     assert "heart" in refused.json()["detail"]
-    tool.send("speed_limits", limit(0.9))
+    tool.send("robots/ur10-1/speed_limits", limit(0.9))
     assert tool.limits()["pace"] == 0.0
     assert tool.post("reset", {}).status_code == 422
     assert not tool.post("reset", {"name": "Aino"}).json()["needsReset"]
@@ -143,7 +148,7 @@ def test_a_stop_for_a_body_signal_is_reset_by_a_person(tool: Tool) -> None:
 def test_a_source_is_required_after_a_restart_until_it_is_removed_with_a_reason(
     tool: Tool, tmp_path: Path
 ) -> None:
-    tool.send("speed_limits", limit(1.0))
+    tool.send("robots/ur10-1/speed_limits", limit(1.0))
     path = "sources/heart/remove"
     with Tool(tmp_path) as again:
         assert again.limits()["pace"] == 0.25
@@ -158,11 +163,31 @@ def test_a_source_is_required_after_a_restart_until_it_is_removed_with_a_reason(
 
 def test_people_near_the_robot_stop_it(tool: Tool) -> None:
     report = {"source": "lidar", "stamp": time.time(), "people": [{"id": "p1", "x": 0.3, "y": 0.0}]}
-    tool.send("people", report)
+    tool.send("robots/ur10-1/people", report)
     found = tool.limits()
     assert found["pace"] == 0.0
     assert found["rule"] == "separation"
     assert found["separation"]["distance"] < 0.5
+
+
+def test_scans_and_depth_images_of_people_stop_the_robot(tool: Tool) -> None:
+    sensors = {
+        "lidar-1": {"kind": "lidar", "position": [2.0, 0.0, 0.3], "yaw_deg": 180},
+        "camera-1": {"kind": "depthCamera", "position": [0.5, 0.0, 3.5]},
+    }
+    written = {"name": "cell with sensors", "people_sensors": sensors}
+    assert tool.request("PUT", "/cell/scene", written).status_code == 200
+    scene = Scene.model_validate(written)
+    for name, stream in (("lidar-1", "scans"), ("camera-1", "depth_images")):
+        measured = SimulatedSensor(scene, name).measure([(0.5, 0.0)], time.time())
+        (answer,) = tool.send(f"cell/{stream}", measured.model_dump(mode="json", by_alias=True))
+        assert answer["accepted"], answer
+        assert tool.limits()["separation"]["distance"] < 0.5
+    found = tool.limits()
+    assert found["peopleSensors"] == ["lidar-1", "camera-1"]
+    assert (found["pace"], found["rule"]) == (0.0, "separation")
+    (answer,) = tool.send("cell/scans", {"source": "lidar-1", "stamp": time.time()})
+    assert not answer["accepted"]
 
 
 def test_reduced_mode_and_the_validated_speed_limit_the_tool(tool: Tool) -> None:
@@ -179,9 +204,12 @@ def test_reduced_mode_and_the_validated_speed_limit_the_tool(tool: Tool) -> None
     }
     found = tool.request("PUT", "/robots/ur10-1/limits/safe-speed", safe).json()
     assert found["reason"] == "gripper, validated on 2026-03-02"
-    assert (
-        tool.request("PUT", "/robots/ur10-1/limits/safe-speed", {**safe, "speedMps": -1}).status_code == 422
-    )
+    assert found["safeSpeeds"] == [
+        {"endEffector": "gripper", "speedMps": 0.2, "validatedAt": "2026-03-02T00:00:00Z"}
+    ]
+    for fault in ({"speedMps": -1}, {"validatedAt": "2999-01-01T00:00:00Z"}):
+        answer = tool.request("PUT", "/robots/ur10-1/limits/safe-speed", {**safe, **fault})
+        assert answer.status_code == 422
 
 
 def test_an_unknown_robot_is_answered(tool: Tool) -> None:
@@ -197,7 +225,7 @@ async def limits(tmp_path: Path) -> AsyncIterator[RobotLimits]:
 
 
 async def test_the_lowest_rule_holds(limits: RobotLimits) -> None:
-    limits.begin_motion(2.0)
+    limits.peak_mps = 2.0
     await limits.receive_limit(SpeedLimitReport.model_validate(limit(0.8, maxSpeed=1.0)))
     assert limits.pace() == pytest.approx(0.5)
     person = {"id": "p1", "x": 3.0, "y": 0.0}
@@ -218,3 +246,61 @@ async def test_distances_that_are_not_evaluated_in_time_stop_the_robot(tmp_path:
     assert limits.pace() == 1.0
     now[0] = 0.51
     assert limits.pace() == 0.0
+
+
+SPEEDS = {
+    name: SafeSpeed(end_effector=name, speed_mps=speed, validated_at=datetime(2026, 3, 2, tzinfo=UTC))
+    for name, speed in (("gripper", 0.4), ("screwdriver", 0.15))
+}
+
+
+@pytest.mark.parametrize(
+    ("mounted", "max_mps", "reason"),
+    [
+        ("gripper", 0.4, "gripper, validated on 2026-03-02"),
+        ("screwdriver", 0.15, "screwdriver, validated on 2026-03-02"),
+        ("camera", 0.25, "camera has no validated speed"),
+        (None, 0.15, "screwdriver, validated on 2026-03-02"),
+    ],
+)
+def test_the_validated_speed_of_the_mounted_end_effector_holds(
+    tmp_path: Path, mounted: str | None, max_mps: float, reason: str
+) -> None:
+    store = LimitStore(tmp_path / "limits.json")
+    store.put("ur10-1", RobotRecord(safe_speeds=SPEEDS))
+    stored = LimitStore(store.path)
+    limits = RobotLimits("ur10-1", UR10, lambda: UR10.home, stored, end_effector=mounted)
+    (found,) = limits.allowed()
+    assert (found.rule, found.max_speed_mps, found.reason) == ("endEffector", max_mps, reason)
+
+
+def test_a_validated_speed_of_an_earlier_release_holds(tmp_path: Path) -> None:
+    path = tmp_path / "limits.json"
+    record = {"safe_speed": SPEEDS["gripper"].model_dump(mode="json")}
+    path.write_text(json.dumps({"robots": {"ur10-1": record, "ur10-2": {"safe_speed": None}}}))
+    assert LimitStore(path).of("ur10-1").safe_speeds == {"gripper": SPEEDS["gripper"]}
+    assert LimitStore(path).of("ur10-2").safe_speeds == {}
+
+
+async def test_a_contact_stops_the_motion_until_a_person_resets_it(tmp_path: Path) -> None:
+    force_n: list[float | None] = [20.0]
+    store = LimitStore(tmp_path / "limits.json")
+    contact = ContactForce(30.0, lambda: force_n[0])
+    limits = RobotLimits("ur10-1", UR10, lambda: UR10.home, store, contact=contact)
+    force_n[0] = 80.0
+    assert limits.pace() == 1.0, "at rest the weight of a part may change the force"
+    limits.begin_motion(lambda _: Setpoint.at_rest(UR10.home), 1.0)
+    force_n[0] = 105.0
+    assert limits.pace() == 1.0
+    force_n[0] = 115.0
+    assert limits.pace() == 0.0
+    force_n[0] = 80.0
+    limits.end_motion()
+    lowest = limits.lowest()
+    assert lowest is not None
+    assert (lowest.rule, lowest.needs_reset) == ("contactForce", True)
+    assert lowest.reason == "contact with 35 N; a person must reset it"
+    assert await limits.reset("Aino") == []
+    assert limits.pace() == 1.0
+    force_n[0] = None
+    assert limits.pace() == 0.0, "a required measurement is missing"

@@ -1,11 +1,16 @@
 """The robot in simulated physics as a driver, and the real tool with it."""
 
+import asyncio
+import math
+import threading
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from handover.errors import UsageError
+from handover.performer import TaskFailed
 from services.trajectory_tool import operations, parameters
 from services.trajectory_tool.physics import is_available
 from services.trajectory_tool.planning import is_available as is_planning_available
@@ -13,21 +18,37 @@ from services.trajectory_tool.planning import is_available as is_planning_availa
 if not (is_available() and is_planning_available()):
     pytest.skip("the extra physics is not installed", allow_module_level=True)
 
+from services.trajectory_tool.driver_contract import RobotContract
 from services.trajectory_tool.drivers import Clock
+from services.trajectory_tool.limits.limiter import JointLimiter
 from services.trajectory_tool.physics.pacing import PacedSimulation
 from services.trajectory_tool.physics.parts import Parts
 from services.trajectory_tool.physics.robot import PhysicsRobot
+from services.trajectory_tool.physics.shared_world import SharedWorld
 from services.trajectory_tool.physics.simulation import Simulation
 from services.trajectory_tool.physics.world_model import build
-from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.poses import NO_TURN, Frame, Pose
 from services.trajectory_tool.robot import Joints, Robot, RobotFault
+from services.trajectory_tool.robot_model import RobotModel
+from services.trajectory_tool.robots import panda, ur10
 from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.scene import Scene
+from services.trajectory_tool.scene import Scene, load
+from services.trajectory_tool.scene_routes import scene_view
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.simulated_robot import SimulatedRobot
 from services.trajectory_tool.work import Work
 from services.trajectory_tool.workcell import Workcell
-from tests.integration.trajectory_tool.robot_contract import RobotContract
+
+NAME = "ur10-1"
+NEAR = (ROBOT.home[0] + 0.1, *ROBOT.home[1:])
+
+
+def a_world(pace: float | None, *, scene: Scene | None = None, **models: RobotModel) -> SharedWorld:
+    """Return a world, by default with one arm and without bins."""
+    known, scene = models or {NAME: ROBOT}, scene or Scene(name="empty")
+    world = build(known, scene, Parts.needed(scene))
+    simulation = Simulation(world, {name: model.home for name, model in known.items()})
+    return SharedWorld(PacedSimulation(simulation, pace), known, scene, Parts(simulation, scene, 174))
 
 
 class TestPhysicsRobot(RobotContract):
@@ -36,9 +57,16 @@ class TestPhysicsRobot(RobotContract):
 
     @pytest.fixture
     async def robot(self) -> AsyncIterator[PhysicsRobot]:
-        simulation = Simulation(build(ROBOT, Scene(name="empty"), 1), self.home, ROBOT.fingers[0].opened)
-        async with PhysicsRobot(PacedSimulation(simulation, 1.0), ROBOT, self.limits) as made:
+        async with PhysicsRobot(a_world(1.0), NAME, ROBOT, self.limits) as made:
             yield made
+
+    @pytest.fixture
+    def move_by_hand(self, robot: PhysicsRobot) -> Callable[[Joints], None]:
+        def move(displacements: Joints) -> None:
+            there = tuple(map(sum, zip(robot.arm.positions, displacements, strict=True)))
+            robot.simulation.place_arm(NAME, there)
+
+        return move
 
 
 async def path_of(robot: Robot, target: Joints, now_s: Callable[[], float]) -> dict[int, Pose]:
@@ -54,8 +82,8 @@ async def path_of(robot: Robot, target: Joints, now_s: Callable[[], float]) -> d
 
 
 async def test_both_simulated_robots_make_the_same_motion_within_a_millimetre() -> None:
-    simulation = Simulation(build(ROBOT, Scene(name="empty"), 1), ROBOT.home)
-    paced = PacedSimulation(simulation, None)
+    world = a_world(None)
+    simulation = world.simulation
     time_s = [simulation.time_s]
 
     def wait(seconds: float) -> None:
@@ -66,7 +94,7 @@ async def test_both_simulated_robots_make_the_same_motion_within_a_millimetre() 
         here + turn for here, turn in zip(ROBOT.home, (0.5, 0.2, -0.2, 0.1, 0.3, 0.5), strict=True)
     )
     async with (
-        PhysicsRobot(paced, ROBOT, ROBOT.limits) as physical,
+        PhysicsRobot(world, NAME, ROBOT, ROBOT.limits) as physical,
         SimulatedRobot(
             ROBOT.home, ROBOT.limits, something_there=lambda _: False, control_hz=500, clock=clock
         ) as kinematic,
@@ -93,23 +121,24 @@ class Freely:
 class PhysicsCell:
     """A cell with physics as fast as possible, and operations in it."""
 
-    def __init__(self, folder: Path, seed: int = 174) -> None:
+    def __init__(self, folder: Path, **others: Any) -> None:
         settings = TrajectorySettings(
-            data_dir=folder, robot="physics", simulation_pace=0, scan_seed=seed, robot_speed=1.0
+            data_dir=folder, robot="physics", simulation_pace=0, robot_speed=1.0, **others
         )
         self.workcell = Workcell(settings)
-        self.cell = self.workcell.only
+        self.cell = next(iter(self.workcell.cells.values()))
         robot = self.cell.robot
         assert isinstance(robot, PhysicsRobot)
         self.robot = robot
-        self.parts: Parts = robot.vision.parts  # type: ignore[union-attr]
+        self.parts: Parts = robot.world.parts
         self._tasks = 0
 
-    async def do(self, operation: str, **asked: Any) -> dict[str, Any]:
+    async def do(self, operation: str, *, robot: str = "", **asked: Any) -> dict[str, Any]:
         self._tasks += 1
         known = operations.known(operation)
         read = parameters.read(known.parameters, operation, asked)
-        return await known.perform(Work(f"task-{self._tasks}", operation, self.cell, Freely(), 1.0), read)
+        cell = self.workcell.cells[robot] if robot else self.cell
+        return await known.perform(Work(f"task-{self._tasks}", operation, cell, Freely(), 1.0), read)
 
 
 @pytest.fixture
@@ -126,11 +155,21 @@ async def test_a_part_is_found_by_the_camera_picked_and_lies_in_the_nest(cell: P
     picked = await cell.do("pick", part=seen["part"], pose=seen["pose"])
     assert picked == {"part": seen["part"], "gripped": True}
     assert cell.robot.is_holding
-    held = cell.robot.simulation.gripped_part()
+    held = cell.robot.simulation.gripped_part(NAME)
     await cell.do("place", location="fixture-1")
     assert not cell.robot.is_holding
     assert cell.parts.in_fixture("fixture-1") == [held]
     assert len(cell.parts.in_bin("bin-1")) == before - 1
+
+
+async def test_a_panda_with_seven_joints_and_its_own_gripper_picks_and_places(tmp_path: Path) -> None:
+    cell = PhysicsCell(tmp_path, robot_model="panda", scan_seed=174)
+    async with cell.workcell:
+        for count in (1, 2):
+            seen = await cell.do("scan", bin="bin-1")
+            await cell.do("pick", part=seen["part"], pose=seen["pose"])
+            await cell.do("place", location="fixture-1")
+            assert len(cell.parts.in_fixture("fixture-1")) == count
 
 
 async def test_a_part_that_slips_out_of_the_gripper_fails_the_task_with_the_reason(cell: PhysicsCell) -> None:
@@ -159,10 +198,232 @@ async def test_parts_and_a_held_part_are_found_again_after_a_restart(tmp_path: P
         assert placed["part"] == seen["part"]
 
 
+async def test_a_part_is_put_into_a_fixture_that_was_moved_while_the_robot_held_it(tmp_path: Path) -> None:
+    first = PhysicsCell(tmp_path)
+    async with first.workcell:
+        seen = await first.do("scan", bin="bin-1")
+        await first.do("pick", part=seen["part"], pose=seen["pose"])
+        time_s, lying = first.robot.simulation.time_s, first.parts.in_bin("bin-1")
+        before = [first.robot.simulation.part_pose(part) for part in lying]
+        scene = first.workcell.scene.model_dump(mode="json")
+        fixture = scene["fixtures"]["fixture-1"]
+        for one in (fixture["body"], *fixture["nests"]):
+            one["position"][0] += 0.06
+        await first.workcell.change_scene(scene)
+        assert first.robot.simulation.time_s == time_s
+        assert first.robot.is_holding
+        after = [first.robot.simulation.part_pose(part) for part in lying]
+        assert max(one.distance_m(other) for one, other in zip(before, after, strict=True)) < 1e-9
+        placed = await first.do("place", location="fixture-1")
+        assert placed["pose"]["position"][0] > -0.56
+        (part,) = first.parts.in_fixture("fixture-1")
+        assert first.robot.simulation.part_pose(part).position[2] > 0.036, "it lies on the fixture"
+    second = PhysicsCell(tmp_path)
+    assert second.parts.in_fixture("fixture-1") == [part]
+
+
+async def test_a_scene_that_cannot_be_simulated_is_refused_and_changes_nothing(cell: PhysicsCell) -> None:
+    scene = cell.workcell.scene.model_dump(mode="json")
+    scene["bins"]["bin-1"]["walls"] = None
+    with pytest.raises(UsageError, match="has no walls"):
+        await cell.workcell.change_scene(scene)
+    assert cell.workcell.revision == 0
+
+
+BALLS = {"ball-1": (0.6, -0.5, 0.1), "ball-2": (0.5, -0.25, 0.3), "ball-3": (0.25, -0.4, 0.2)}
+
+
+async def test_a_fixed_camera_is_calibrated_by_balls_while_the_robot_rests(tmp_path: Path) -> None:
+    first = PhysicsCell(tmp_path)
+    async with first.workcell:
+        with pytest.raises(TaskFailed, match='no camera "above"; the scene has none'):
+            await first.do("calibrateCamera", camera="above")
+        scene = first.workcell.scene.model_dump(mode="json")
+        scene["cameras"]["above"] = {"position": [0.45, -0.45, 1.2]}
+        for name, place in BALLS.items():
+            scene["obstacles"][name] = {"sphere": 0.03, "position": place}
+        await first.workcell.change_scene(scene)
+        with pytest.raises(TaskFailed, match="sees 2 balls, and 3 are needed"):
+            await first.do("calibrateCamera", camera="above", targets=["ball-1", "ball-2"])
+        joints = first.cell.joints
+        found = await first.do("calibrateCamera", camera="above")
+        assert first.cell.joints == pytest.approx(joints, abs=1e-6)
+    assert found["balls"] == 4
+    assert found["residualMm"] < 1.5
+    assert 0.5 < found["movedMm"] < 4.0
+    second = PhysicsCell(tmp_path)
+    cameras = second.robot.vision.cameras  # type: ignore[union-attr]
+    known, true = cameras.calibrated("above").frame, cameras["above"].mount.frame
+    assert math.dist(known.position, true.position) < 0.003
+    point = Frame(NO_TURN, (0.0, 0.0, 1.1))
+    assert math.dist((known @ point).position, (true @ point).position) < 0.001
+
+
+async def test_the_scene_shows_the_true_parts_of_the_simulation_and_those_that_are_known(
+    cell: PhysicsCell,
+) -> None:
+    view = scene_view(cell.workcell)
+    assert view["parts"] == []
+    assert len(view["trueParts"]) == len(cell.parts.in_bin("bin-1"))
+    assert view["trueParts"][0]["size"] == [0.024, 0.06, 0.024]
+    seen = await cell.do("scan", bin="bin-1")
+    await cell.do("pick", part=seen["part"], pose=seen["pose"])
+    assert len(scene_view(cell.workcell)["trueParts"]) == len(view["trueParts"]) - 1
+    await cell.workcell.change_scene(scene_view(cell.workcell))
+
+
+async def test_after_a_crash_in_a_motion_the_arm_and_its_part_are_where_they_were(tmp_path: Path) -> None:
+    first = PhysicsCell(tmp_path)
+    seen = await first.do("scan", bin="bin-1")
+    await first.do("pick", part=seen["part"], pose=seen["pose"])
+    stopped = 0
+
+    def stop_on_the_way() -> float:
+        nonlocal stopped
+        stopped += 1
+        return 1.0 if stopped < 300 else 0.0
+
+    base = first.cell.joints
+    assert not await first.robot.move(ROBOT.home, 1.0, stop_on_the_way)
+    there = first.cell.joints  # the tool is not left in good order: nothing is stored now
+    assert max(abs(a - b) for a, b in zip(there, base, strict=True)) > 0.05
+    second = PhysicsCell(tmp_path)
+    assert second.cell.joints == pytest.approx(there, abs=1e-3)
+    async with second.workcell:
+        assert second.robot.is_holding
+        assert (await second.do("place", location="fixture-1"))["part"] == seen["part"]
+
+
+async def test_an_arm_whose_way_leads_into_the_table_does_not_begin(cell: PhysicsCell) -> None:
+    home = ROBOT.home
+    with pytest.raises(RobotFault, match="would touch"):
+        await cell.robot.move((home[0], home[1] + 1.6, *home[2:]), 1.0, lambda: 1.0)
+    assert cell.robot.state().positions == pytest.approx(home, abs=0.001)
+
+
+async def test_a_simulation_that_fails_is_a_fault_and_runs_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = a_world(None)
+
+    def fail(_: float) -> None:
+        raise ArithmeticError("no solution")
+
+    async with PhysicsRobot(world, NAME, ROBOT, ROBOT.limits) as robot:
+        with monkeypatch.context() as broken:
+            broken.setattr(world.simulation, "step_for", fail)
+            with pytest.raises(RobotFault, match="the simulation has ended: no solution"):
+                await robot.move(NEAR, 1.0, lambda: 1.0)
+        assert await robot.move(NEAR, 1.0, lambda: 1.0)
+
+
 async def test_an_arm_that_is_blocked_reports_a_fault_and_moves_again(cell: PhysicsCell) -> None:
     robot, home = cell.robot, ROBOT.home
+    robot.limiter = JointLimiter(ROBOT.limits)  # it knows nothing of the table
     into_the_table = (home[0], home[1] + 1.6, *home[2:])
     with pytest.raises(RobotFault, match="meets something"):
         await robot.move(into_the_table, 1.0, lambda: 1.0)
     assert await robot.move(home, 0.5, lambda: 1.0)
     assert robot.state().positions == pytest.approx(home, abs=0.01)
+
+
+FACING = Frame(((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)), (-1.2, 0.0, 0.0))
+
+
+async def moves_of_two_arms() -> tuple[SharedWorld, bytes, int]:
+    """Move two arms at once; return their world, its state, and the steps in which both were in motion."""
+    models = {"left": ROBOT, "right": panda.ROBOT.mounted(FACING)}
+    world = a_world(None, **models)
+    holding = threading.Event()
+    both = 0
+
+    def pace() -> float:
+        nonlocal both
+        arms = [max(map(abs, arm.velocities)) > 0.05 for arm in world.simulation.arms.values()]
+        both += all(arms)
+        return 1.0
+
+    async with (
+        PhysicsRobot(world, "left", ROBOT, ROBOT.limits) as left,
+        PhysicsRobot(world, "right", models["right"], panda.ROBOT.limits) as right,
+    ):
+        held = asyncio.create_task(left.in_control(lambda: holding.wait(60)))
+        moves = [
+            asyncio.create_task(
+                robot.move((robot.setpoint.positions[0] + 0.4, *robot.setpoint.positions[1:]), 1, pace)
+            )
+            for robot in (left, right)
+        ]
+        await asyncio.sleep(0)  # all three are queued: time begins when the first one ends
+        holding.set()
+        assert await held
+        assert all(await asyncio.gather(*moves))
+        state = world.simulation.saved()["state"].tobytes()
+    return world, state, both
+
+
+async def test_two_arms_move_at_once_in_one_world_with_the_same_result_each_time() -> None:
+    (world, one, both), (_, other, _) = await moves_of_two_arms(), await moves_of_two_arms()
+    assert one == other
+    assert both > 200
+    assert world.simulation.arms["left"].positions[0] == pytest.approx(ROBOT.home[0] + 0.4, abs=0.005)
+    assert world.simulation.arms["right"].positions[0] == pytest.approx(panda.ROBOT.home[0] + 0.4, abs=0.005)
+
+
+async def test_an_arm_that_meets_another_arm_is_blocked_by_it() -> None:
+    near = ROBOT.mounted(Frame(NO_TURN, (0.0, -0.45, 0.0)))
+    world = a_world(None, left=ROBOT, right=near)
+    async with PhysicsRobot(world, "left", ROBOT, ROBOT.limits) as left:
+        with pytest.raises(RobotFault, match="meets something"):
+            await left.move((ROBOT.home[0] + 1.5, *ROBOT.home[1:]), 1.0, lambda: 1.0)
+    alone = a_world(None)
+    async with PhysicsRobot(alone, NAME, ROBOT, ROBOT.limits) as free:
+        assert await free.move((ROBOT.home[0] + 1.5, *ROBOT.home[1:]), 1.0, lambda: 1.0)
+
+
+async def test_one_robot_takes_the_part_that_another_one_has_put_down(tmp_path: Path) -> None:
+    scene = ur10.FOLDER / "bin_picking_physics.yaml"
+    cell_file = tmp_path / "cell.yaml"
+    cell_file.write_text(
+        f"""
+scene: {scene}
+robots:
+  left: {{model: ur10, driver: physics, speed: 1}}
+  right: {{model: ur10, driver: physics, speed: 1, base: {{position: [-1.3, 0.9, 0], yaw_deg: 180}}}}
+"""
+    )
+    cell = PhysicsCell(tmp_path, cell_file=cell_file)
+    async with cell.workcell:
+        home = ROBOT.home
+
+        async def left() -> dict[str, Any]:
+            seen = await cell.do("scan", bin="bin-1")
+            await cell.do("pick", part=seen["part"], pose=seen["pose"])
+            placed = await cell.do("place", location="fixture-1")
+            await cell.do("home")
+            return placed
+
+        async def right() -> None:
+            for turn in (0.4, 0.0):
+                await cell.do("moveTo", robot="right", joints=(home[0] + turn, *home[1:]))
+
+        placed, _ = await asyncio.gather(left(), right())
+        (part,) = cell.parts.in_fixture("fixture-1")
+        await cell.do("pick", robot="right", part=placed["part"], pose=placed["pose"])
+        await cell.do("home", robot="right")
+        simulation = cell.robot.simulation
+        assert (simulation.gripped_part("left"), simulation.gripped_part("right")) == (None, part)
+        shown = scene_view(cell.workcell)["trueParts"]
+        assert len(shown) == len(cell.parts.in_bin("bin-1")), "each part once, without the held one"
+    again = PhysicsCell(tmp_path, cell_file=cell_file)
+    assert again.workcell.cells["right"].held == placed["part"]
+    assert again.robot.simulation.gripped_part("right") == part
+
+
+async def test_a_scene_without_bins_gets_one_while_the_robot_works(tmp_path: Path) -> None:
+    empty = tmp_path / "empty.yaml"
+    empty.write_text("name: empty\n")
+    cell = PhysicsCell(tmp_path, scene_file=empty)
+    full = load(ur10.FOLDER / "bin_picking_physics.yaml", ROBOT)
+    async with cell.workcell:
+        await cell.workcell.change_scene(full.model_dump(mode="json"))
+        assert len(cell.parts.in_bin("bin-1")) == 6
+        assert (await cell.do("scan", bin="bin-1"))["found"]

@@ -1,12 +1,14 @@
 """The simulated robot as a driver."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 
+from services.trajectory_tool.driver_contract import RobotContract
+from services.trajectory_tool.robot import Joints
 from services.trajectory_tool.robots.ur10 import ROBOT
 from services.trajectory_tool.simulated_robot import SimulatedRobot
-from tests.integration.trajectory_tool.robot_contract import RobotContract
+from services.trajectory_tool.trajectory import Setpoint
 
 
 class TestSimulatedRobot(RobotContract):
@@ -18,3 +20,11 @@ class TestSimulatedRobot(RobotContract):
     async def robot(self) -> AsyncIterator[SimulatedRobot]:
         async with SimulatedRobot(self.home, self.limits, something_there=lambda joints: False) as made:
             yield made
+
+    @pytest.fixture
+    def move_by_hand(self, robot: SimulatedRobot) -> Callable[[Joints], None]:
+        def move(displacements: Joints) -> None:
+            there = tuple(map(sum, zip(robot.setpoint.positions, displacements, strict=True)))
+            robot.setpoint = Setpoint.at_rest(there)
+
+        return move

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from services.trajectory_tool.limits.stop_measurement import StopMeasurement, measure_stop
 from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.stop_measurement import StopMeasurement, measure_stop
 from services.trajectory_tool.workcell import Workcell
 
 

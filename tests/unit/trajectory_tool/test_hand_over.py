@@ -4,14 +4,21 @@ import asyncio
 import math
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
 from handover.performer import TaskFailed
+from handover.security.access_tokens import SigningKey, key_set
+from handover.security.caller import Caller, CallerKind
+from handover.security.keys_in_force import PUBLIC_KEYS_FILE
+from handover.security.permissions import Grant, Role
 from services.trajectory_tool import parameters
+from services.trajectory_tool.app import make_app
 from services.trajectory_tool.operations import OPERATIONS
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import turn
+from services.trajectory_tool.work import Work
 from tests.kit.waiting import until
 
 needs_planning = pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
@@ -55,6 +62,32 @@ async def test_a_part_is_taken_from_a_person_and_placed(worker: Any) -> None:
     assert (await taking)["part"] == "housing"
     assert worker.cell.held == "housing"
     assert (await worker.do("place", location="fixture-1"))["part"] == "housing"
+
+
+async def test_an_operator_of_the_task_may_confirm_and_moves_no_robot(settings: Any, worker: Any) -> None:
+    key, anna = SigningKey.generate(), "urn:ngsi-ld:Person:demo:anna"
+    settings.security_folder.mkdir()
+    (settings.security_folder / PUBLIC_KEYS_FILE).write_bytes(key_set(key))
+    app = make_app(settings)
+    app.state.guard._followed.apply({"position": 0, "revoked": []})
+
+    async def asked(path: str, *grants: Grant) -> int:
+        caller = Caller(CallerKind.USER, "anna", "Anna", grants)
+        headers = {"Authorization": f"Bearer {key.issue(caller, valid_s=600)}"}
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as http:
+            return (await http.post(f"/robots/ur10-1{path}", headers=headers)).status_code
+
+    controller = app.state.controllers.of("ur10-1")
+    operator = Grant(Role.OPERATOR, anna)
+    assert await asked("/confirm", operator) == 403, "the robot has no Task with Anna"
+    steering = CancelsWhileWaiting(worker)
+    controller.work = work = Work("task", "handOver", worker.cell, steering, 1.0, involves=(anna,))
+    work.awaits_confirmation = True
+    assert await asked("/confirm", Grant(Role.OPERATOR, "urn:ngsi-ld:Person:demo:ben")) == 403
+    assert await asked("/confirm", Grant(Role.VIEWER)) == 403
+    assert await asked("/confirm", operator) == 200
+    assert await asked("/gripper/free", operator) == 403
+    assert await asked("/gripper/free", Grant(Role.OPERATOR)) == 403
 
 
 async def test_nobody_confirms_and_the_gripper_stays_as_it_is(worker: Any) -> None:

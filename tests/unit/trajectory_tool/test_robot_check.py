@@ -1,6 +1,8 @@
 """`handover robot check`: the motions of a process, performed dry, with an exit code for CI."""
 
 import json
+import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,23 @@ def moves(target: dict[str, Any], robot: str = "ur10-1") -> str:
     return PROCESS.format(robot=robot, parameter=f'<handover:parameter name="{name}" value="{written}"/>')
 
 
+def sequence(*processes: str) -> str:
+    """Return the activities of processes as one process, one after the other."""
+    tasks = [
+        re.search(r"<bpmn:serviceTask.*</bpmn:serviceTask>", each, re.DOTALL)
+        .group()
+        .replace("first", f"t{number}")  # type: ignore[union-attr]
+        for number, each in enumerate(processes)
+    ]
+    nodes = ["start", *(f"t{number}" for number in range(len(tasks))), "end"]
+    flows = "".join(
+        f'<bpmn:sequenceFlow id="f{number}" sourceRef="{source}" targetRef="{target}"/>'
+        for number, (source, target) in enumerate(pairwise(nodes))
+    )
+    head = processes[0].partition("<bpmn:sequenceFlow")[0]
+    return head + "".join(tasks) + flows + '<bpmn:endEvent id="end"/></bpmn:process></bpmn:definitions>'
+
+
 def test_the_process_of_the_demo_is_in_order_among_obstacles(check: Any, tmp_path: Path) -> None:
     cell = tmp_path / "cell.yaml"
     scene = ur10.FOLDER / "bin_picking_with_obstacles.yaml"
@@ -79,6 +98,23 @@ def test_a_motion_that_cannot_be_done_fails_the_check(check: Any, target: dict[s
     assert done.exit_code == 1, done.output
     assert "FAILED" in done.output
     assert fault in done.output
+
+
+def test_robots_of_one_cell_are_in_the_way_of_each_other_until_they_have_left(
+    check: Any, tmp_path: Path
+) -> None:
+    cell = tmp_path / "cell.yaml"
+    cell.write_text(
+        "robots: {left: {model: ur5e}, right: {model: panda, base: {position: [1, 0, 0], yaw_deg: 180}}}"
+    )
+    middle = {"pose": {"position": [0.47, 0.02, 0.25]}}
+    steps = [("left", middle), ("right", middle), ("left", {"named": "home"}), ("right", middle)]
+    done = check(sequence(*(moves(target, robot) for robot, target in steps)), "--cell", str(cell), "--json")
+    assert done.exit_code == 1, done.output
+    report = json.loads(done.output)
+    assert [one["robot"] for one in report] == [robot for robot, _ in steps]
+    assert [bool(one["faults"]) for one in report] == [False, True, False, False]
+    assert "touches left" in str(report[1]["faults"])
 
 
 def test_the_cycle_time_can_be_limited(check: Any) -> None:

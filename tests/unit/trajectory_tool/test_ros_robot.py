@@ -2,50 +2,70 @@
 
 import pytest
 
+from datamodels.arm_stream import MAX_POINTS as MAX_MESSAGE_POINTS
+from services.trajectory_tool.limits.limiter import JointLimiter
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.ros_robot import MAX_POINTS, at_rate, in_order, points
-from services.trajectory_tool.trajectory import Course
+from services.trajectory_tool.ros_link import in_order
+from services.trajectory_tool.ros_robot import MAX_POINTS, points
+from services.trajectory_tool.trajectory import Course, Setpoint
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 JOINT_NAMES = ROBOT.joint_names
 AWAY = (0.6, -1.2, 1.4, -1.5, -1.5, 0.2)
+CYCLE_S = 0.008
 
 
-def course(speed: float) -> Course:
+def setpoints(speed: float) -> list[Setpoint]:
     limits = ROBOT.limits
-    return Course(HOME, AWAY, limits.slowed(speed), limits, began_s=0.0)
+    course = Course(HOME, AWAY, limits.slowed(speed), limits, began_s=0.0)
+    made = [course.at(0.0)]
+    while not course.is_over((len(made) - 1) * CYCLE_S):
+        made.append(course.at(len(made) * CYCLE_S))
+    return made
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.5, 0.01])
-def test_a_trajectory_ends_at_rest_at_its_target_after_the_time_planned(speed: float) -> None:
-    planned = course(speed)
-    made = points(planned.at, planned.remaining_s(0.0))
-    assert len(made) <= MAX_POINTS
-    assert made[-1]["positions"] == list(AWAY)
-    assert made[-1]["velocities"] == [0.0] * 6
-    times_s = [one["time_from_start"]["sec"] + one["time_from_start"]["nanosec"] / 1e9 for one in made]
+@pytest.mark.parametrize("late_s", [0.0, 0.03])
+def test_a_goal_ends_at_rest_at_its_target_after_the_time_planned(speed: float, late_s: float) -> None:
+    planned = setpoints(speed)
+    made = points(planned, CYCLE_S, late_s)
+    assert len(made) <= MAX_POINTS <= MAX_MESSAGE_POINTS
+    assert made[-1].positions == AWAY
+    assert made[-1].velocities == (0.0,) * 6
+    times_s = [one.time_s for one in made]
     assert times_s == sorted(set(times_s))
-    assert times_s[-1] == pytest.approx(planned.remaining_s(0.0), abs=1e-6)
+    assert times_s[0] > 0
+    assert times_s[-1] == pytest.approx((len(planned) - 1) * CYCLE_S - late_s)
 
 
-def test_no_point_of_a_trajectory_is_faster_than_the_joints_may_turn() -> None:
-    limits = ROBOT.limits
-    for one in points(course(0.5).at, course(0.5).remaining_s(0.0)):
-        for turns, may in zip(one["velocities"], limits.velocity, strict=True):
-            assert abs(turns) <= 0.5 * may + 1e-6
+def test_a_goal_that_is_late_has_the_same_points_at_the_same_times() -> None:
+    planned = setpoints(1.0)
+    punctual = {round(one.time_s, 4): one.positions for one in points(planned, CYCLE_S)}
+    late = {
+        round(one.time_s + 2 * CYCLE_S, 4): one.positions for one in points(planned, CYCLE_S, 2 * CYCLE_S)
+    }
+    at_both = [time_s for time_s in late if time_s in punctual]
+    assert all(late[time_s] == punctual[time_s] for time_s in at_both)
+    every = {round(number * CYCLE_S, 4): one.positions for number, one in enumerate(planned)}
+    assert all(every[time_s] == pytest.approx(here, abs=1e-6) for time_s, here in late.items())
 
 
-def test_a_lower_pace_slows_velocities_and_accelerations_on_the_same_path() -> None:
-    planned = course(1.0)
-    whole_s = planned.remaining_s(0.0)
-    full = points(planned.at, whole_s)
-    slow = points(at_rate(planned.at, 0.5), whole_s / 0.5)
-    assert slow[-1]["positions"] == full[-1]["positions"]
-    at_half, slow_at_half = planned.at(whole_s / 2), at_rate(planned.at, 0.5)(whole_s)
-    assert slow_at_half.positions == at_half.positions
-    assert slow_at_half.velocities == tuple(0.5 * value for value in at_half.velocities)
-    assert slow_at_half.accelerations == tuple(0.25 * value for value in at_half.accelerations)
+def test_a_goal_that_is_later_than_the_whole_motion_is_its_end() -> None:
+    (only,) = points(setpoints(1.0), CYCLE_S, 100.0)
+    assert only.positions == AWAY
+    assert only.time_s > 0
+
+
+def test_a_limiter_resumes_from_a_moving_setpoint_and_still_refuses_a_jump() -> None:
+    planned = setpoints(1.0)
+    limiter = JointLimiter(ROBOT.limits)
+    middle = len(planned) // 2
+    limiter.resume(planned[middle], middle * CYCLE_S)
+    assert limiter.limit(planned[middle + 1], (middle + 1) * CYCLE_S) == planned[middle + 1]
+    limiter.resume(planned[middle], middle * CYCLE_S)
+    with pytest.raises(RobotFault, match="exceeds"):
+        limiter.limit(planned[middle + 20], (middle + 1) * CYCLE_S)
 
 
 def test_joints_are_read_by_name_in_any_order_and_beside_other_joints() -> None:

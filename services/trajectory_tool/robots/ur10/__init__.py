@@ -1,5 +1,6 @@
 """The UR10 of Universal Robots (CB3) with a parallel gripper, and the bin-picking cell that it comes with."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from services.trajectory_tool.robots.universal_robots import UrKinematics, read_ur
@@ -8,4 +9,7 @@ FOLDER = Path(__file__).parent
 
 KINEMATICS = UrKinematics(d1=0.1273, a2=-0.612, a3=-0.5723, d4=0.163941, d5=0.1157, d6=0.0922)
 
-ROBOT = read_ur(FOLDER, "ur10", name="UR10", kinematics=KINEMATICS, scene=FOLDER / "bin_picking.yaml")
+ROBOT = replace(
+    read_ur(FOLDER, "ur10", name="UR10", kinematics=KINEMATICS, scene=FOLDER / "bin_picking.yaml"),
+    driver_scenes={"physics": FOLDER / "bin_picking_physics.yaml"},
+)

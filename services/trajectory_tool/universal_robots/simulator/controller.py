@@ -23,6 +23,8 @@ MAX_DEVIATION_RAD = 0.35
 SPEED_MARGIN = 1.3
 JUMP_CYCLES = 10
 """A target that would need the speed limit for so many cycles counts as a jump."""
+INERTIA_KGM2 = 1.0
+"""Of each joint, for the torques that are reported; gravity, friction and load are not simulated."""
 REGISTERS = 48
 TOOL_OUTPUT_BIT = 16
 
@@ -56,6 +58,7 @@ class SimulatedController:
         self.positions = list(joints)
         self.velocities = [0.0] * JOINTS
         self.target = list(joints)
+        self.torques = [0.0] * JOINTS
         self.robot_mode = RobotMode.RUNNING if running else RobotMode.POWER_OFF
         self.safety = SafetyStatus.NORMAL
         self.runtime = RuntimeState.STOPPED
@@ -74,6 +77,8 @@ class SimulatedController:
         self.output_ints = [0] * REGISTERS
         self.digital_outputs = 0
         self.digital_inputs = 0
+        self.tcp_force_n: Joints = (0.0, 0.0, 0.0)
+        """The force at the tool that is measured."""
         self.on_cycle: list[Callable[[], None]] = []
         self._speed_limits = speed_limits
         self._running: Cycles | None = None
@@ -106,10 +111,15 @@ class SimulatedController:
             self.stop_program()
 
     def _move(self) -> None:
+        before = list(self.velocities)
         if self._servo is not None:
             self._follow_servo(self._servo)
         else:
             self._decelerate(self._stop_rad_s2 or PROGRAM_STOP_RAD_S2)
+        self.torques = [
+            INERTIA_KGM2 * (now - then) / self.cycle_s
+            for now, then in zip(self.velocities, before, strict=True)
+        ]
         fastest = max(map(abs, self.velocities))
         self.peak_speed_rad_s = max(self.peak_speed_rad_s, fastest)
 

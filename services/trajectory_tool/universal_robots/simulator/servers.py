@@ -30,6 +30,7 @@ _OUTPUTS: Mapping[str, tuple[str, Callable[[SimulatedController], Any]]] = {
     "actual_qd": ("VECTOR6D", lambda c: tuple(c.velocities)),
     "target_q": ("VECTOR6D", lambda c: tuple(c.target)),
     "target_qd": ("VECTOR6D", lambda c: tuple(c.velocities)),
+    "target_moment": ("VECTOR6D", lambda c: tuple(c.torques)),
     "robot_mode": ("INT32", lambda c: int(c.robot_mode)),
     "safety_mode": ("INT32", lambda c: int(c.safety)),
     "safety_status": ("INT32", lambda c: int(c.safety)),
@@ -37,6 +38,7 @@ _OUTPUTS: Mapping[str, tuple[str, Callable[[SimulatedController], Any]]] = {
     "speed_scaling": ("DOUBLE", lambda c: c.speed_scaling),
     "target_speed_fraction": ("DOUBLE", lambda c: c.speed_slider),
     "actual_digital_input_bits": ("UINT64", lambda c: c.digital_inputs),
+    "actual_TCP_force": ("VECTOR6D", lambda c: (*c.tcp_force_n, 0.0, 0.0, 0.0)),
     "actual_digital_output_bits": ("UINT64", lambda c: c.digital_outputs),
 }
 _INPUTS = {"tool_digital_output_mask": "UINT8", "tool_digital_output": "UINT8"}

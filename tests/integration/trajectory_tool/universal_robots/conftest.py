@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
+from services.trajectory_tool.driver_contract import context_of
 from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.robots.ur10 import ROBOT
-from services.trajectory_tool.scene import load
-from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.universal_robots.driver import UniversalRobot
 from services.trajectory_tool.universal_robots.simulator.controller import SimulatedController
 from tests.kit.ur_controllers import RunningController, running_controller
@@ -37,18 +36,7 @@ def controller(frequency_hz: float) -> Iterator[RunningController]:
 @pytest.fixture
 def context(tmp_path: Path) -> RobotContext:
     """Return what a robot of the cell is made from, without options."""
-    return RobotContext(
-        settings=TrajectorySettings.load(data_dir=tmp_path),
-        robot_id="ur10-1",
-        options={},
-        model=ROBOT,
-        scene=load(None, ROBOT),
-        limits=ROBOT.limits,
-        joints=HOME,
-        gripper_closed=False,
-        gripper_s=0.01,
-        is_between_fingers=lambda joints: True,
-    )
+    return context_of(ROBOT, tmp_path, robot_id="ur10-1", joints=HOME, limiter=None)
 
 
 @pytest.fixture

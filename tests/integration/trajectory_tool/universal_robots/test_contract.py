@@ -1,10 +1,14 @@
 """The driver `ur` does what every driver does, with a controller of the e-Series."""
 
+from collections.abc import Callable
+
 import pytest
 
+from services.trajectory_tool.driver_contract import RobotContract
+from services.trajectory_tool.robot import Joints
 from services.trajectory_tool.robots.ur10 import ROBOT
-from tests.integration.trajectory_tool.robot_contract import RobotContract
 from tests.integration.trajectory_tool.universal_robots.conftest import HOME
+from tests.kit.ur_controllers import RunningController
 
 pytestmark = pytest.mark.slow
 
@@ -16,3 +20,7 @@ class TestUniversalRobot(RobotContract):
     @pytest.fixture
     def frequency_hz(self) -> float:
         return 500.0
+
+    @pytest.fixture
+    def move_by_hand(self, controller: RunningController) -> Callable[[Joints], None]:
+        return lambda displacements: controller.do(lambda each: each.move_by_hand(displacements))

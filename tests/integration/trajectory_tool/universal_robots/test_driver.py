@@ -10,9 +10,11 @@ from typing import Any
 
 import httpx
 import pytest
-from fastapi import FastAPI
 
 from handover.errors import UsageError
+from handover.security.guard import Guard
+from handover.service import create_app
+from handover.settings import Settings
 from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.robots.panda import ROBOT as PANDA
@@ -78,6 +80,39 @@ async def test_an_emergency_stop_is_named_and_the_arm_stays_off(
     assert controller.do(lambda each: each.robot_mode) is RobotMode.POWER_OFF
 
 
+async def test_safety_functions_inputs_and_force_of_the_controller_are_shown_and_nothing_resets_them(
+    robot: UniversalRobot, controller: RunningController
+) -> None:
+    def set_inputs(each: SimulatedController) -> None:
+        each.digital_inputs, each.tcp_force_n, each.speed_slider = 0b101, (0.0, 30.0, 40.0), 0.5
+
+    controller.do(set_inputs)
+    await until(lambda: robot.digital_inputs() == 0b101)
+    assert robot.wrist_force_n() == pytest.approx(50.0)
+    status = robot.safety_status()
+    assert (status.emergency_stop, status.protective_stop, status.safeguard_stop) == (False, False, False)
+    assert (status.mode, status.speed, status.detail) == ("RUNNING, NORMAL", 0.5, "")
+    controller.do(lambda each: each.protective_stop("collision"))
+    await until(lambda: robot.safety_status().protective_stop)
+    assert "unlock the arm at the teach pendant" in robot.safety_status().detail
+    controller.do(SimulatedController.clear_stop)
+    controller.do(SimulatedController.safeguard_stop)
+    await until(lambda: robot.safety_status().safeguard_stop)
+    controller.do(SimulatedController.release_safeguard)
+    controller.do(SimulatedController.emergency_stop)
+    await until(lambda: robot.safety_status().emergency_stop)
+    assert controller.do(lambda each: each.safety) is SafetyStatus.ROBOT_EMERGENCY_STOP
+
+
+async def test_without_reports_the_inputs_and_the_force_are_unknown(new_robot: NewRobot) -> None:
+    async with new_robot(wait=False, rtde_port=1) as robot:
+        assert robot.digital_inputs() is None
+        assert robot.wrist_force_n() is None
+        status = robot.safety_status()
+        assert "is not connected" in status.detail
+        assert (status.mode, status.speed) == ("", None)
+
+
 async def test_the_arm_does_not_continue_by_itself_after_a_safeguard_stop(
     robot: UniversalRobot, controller: RunningController
 ) -> None:
@@ -134,18 +169,11 @@ async def test_a_speed_slider_at_zero_is_a_fault(
         await robot.move(AWAY, 1.0, lambda: 1.0)
 
 
-async def test_an_arm_that_was_moved_by_hand_while_paused_continues_from_there(
-    robot: UniversalRobot, controller: RunningController
-) -> None:
-    def until_underway() -> float:
-        return 0.0 if robot.state().positions[0] > 0.3 else 1.0
-
-    assert not await robot.move(AWAY, 1.0, until_underway)
-    controller.do(lambda each: each.move_by_hand((0.1, 0.2, -0.2, 0.0, 0.0, 0.1)))
-    await until(lambda: robot.state().positions[5] == pytest.approx(0.1))
-    assert await robot.move(AWAY, 1.0, lambda: 1.0)
-    assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
-    assert controller.do(lambda each: each.safety) is SafetyStatus.NORMAL
+async def test_the_torques_of_the_controller_are_the_efforts_of_the_joints(robot: UniversalRobot) -> None:
+    moving = asyncio.create_task(robot.move(AWAY, 1.0, lambda: 1.0))
+    await until(lambda: (robot.state().efforts or (0.0,))[0] > 0.1, why="no torque accelerates the joint")
+    assert await moving
+    await until(lambda: robot.state().efforts == pytest.approx((0.0,) * 6, abs=0.01), why="torques at rest")
 
 
 async def test_a_lost_connection_is_a_fault_and_is_established_again(
@@ -159,6 +187,19 @@ async def test_a_lost_connection_is_a_fault_and_is_established_again(
     await until(lambda: robot.exchange.report().connections >= 2 and robot.exchange.report().is_connected)
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
     assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
+
+
+async def test_a_process_that_hangs_is_a_fault_until_it_runs_again(new_robot: NewRobot) -> None:
+    async with new_robot(silence_s=0.5) as robot:
+        pid = robot.exchange.pid
+        assert pid is not None
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            await until(lambda: "s old" in robot.safety_status().detail, why="the silence is not noticed")
+            with pytest.raises(RobotFault, match=r"is not connected: its last report is \d+\.\d s old"):
+                await robot.move(AWAY, 1.0, lambda: 1.0)
+        finally:
+            os.kill(pid, signal.SIGCONT)
 
 
 async def test_a_controller_that_restarts_is_found_again(
@@ -336,10 +377,10 @@ async def test_faults_of_a_robotiq_gripper_are_named(
 async def test_the_controller_is_shown_and_powered_at_the_request_of_a_person(
     robot: UniversalRobot, controller: RunningController
 ) -> None:
-    app = FastAPI()
+    app = create_app("Tool", description="", guard=Guard(Settings(_env_file=None), "trajectory-tool"))
     robot.mount(app)
     transport = httpx.ASGITransport(app)
-    async with httpx.AsyncClient(transport=transport, base_url="http://tool/robots/ur10-1") as client:
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost/robots/ur10-1") as client:
         controller.do(SimulatedController.power_off)
         await until(lambda: robot.exchange.report().robot_mode == RobotMode.POWER_OFF)
         shown = (await client.get("/controller")).json()

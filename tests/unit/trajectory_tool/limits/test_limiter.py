@@ -2,11 +2,19 @@
 
 import math
 import random
+import re
+from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
-from services.trajectory_tool.limits.guards import CollisionGuard, ToolSpeedGuard, tool_speed_mps
+from services.trajectory_tool.limits.guards import (
+    CollisionGuard,
+    ToolSpeedGuard,
+    TorqueGuard,
+    tool_speed_mps,
+)
 from services.trajectory_tool.limits.jog import Jog
 from services.trajectory_tool.limits.limiter import JointLimiter
 from services.trajectory_tool.obstacles import Box, Obstacle, World
@@ -182,3 +190,77 @@ def test_a_setpoint_beyond_a_limit_is_a_fault_and_the_joints_brake(setpoint: Set
         now_s += CYCLE_S
     require_limits(found)
     assert now_s < 1.0
+
+
+def efforts_of(setpoints: list[Setpoint], payload_kg: float) -> Any:
+    import numpy as np
+
+    from services.trajectory_tool.planning.arm import Arm
+    from services.trajectory_tool.planning.torques import Torques
+
+    torques = Torques(Arm(UR10), payload_kg)
+    return np.array([torques.of(*map(np.array, each.derivatives)) / torques.limits for each in setpoints])
+
+
+@pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+@pytest.mark.parametrize("seed", range(4))
+def test_jogging_with_a_heavy_part_exceeds_no_torque(seed: int) -> None:
+    guard = TorqueGuard(UR10, lambda: World(payload_kg=8.0))
+    found = jogged(limiter_of(guard), random.Random(seed), 2.0)
+    require_limits(found)
+    assert 0.5 < abs(efforts_of(found, 8.0)).max() <= 1.0
+
+
+@pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+def test_a_motion_that_is_too_fast_for_its_payload_is_a_fault_that_names_the_joint() -> None:
+    limiter = limiter_of(TorqueGuard(UR10, lambda: World(payload_kg=18.0)))
+    start, target = (0.0, -0.3, 0.3, -1.5, -1.5, 0.0), (0.0, -1.5, 0.3, -1.5, -1.5, 0.0)
+    limiter.start(start, 0.0)
+    course = Course(start, target, UR10.limits, UR10.limits, 0.0)
+
+    def follow() -> None:
+        for cycle in range(int(course.remaining_s(0.0) / CYCLE_S)):
+            limiter.limit(course.at(cycle * CYCLE_S), cycle * CYCLE_S)
+
+    with pytest.raises(RobotFault, match=r"shoulder_lift_joint would need \d+ Nm, above its limit of 330 Nm"):
+        follow()
+
+
+@pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+def test_a_robot_without_inertia_is_not_stopped_for_its_torque(caplog: pytest.LogCaptureFixture) -> None:
+    model = replace(UR10, urdf=re.sub(r"<inertial>.*</inertial>", "", UR10.urdf))
+    limiter = limiter_of(TorqueGuard(model, lambda: World(payload_kg=500.0)))
+    found = jogged(limiter, random.Random(1), 0.5)
+    assert not found[len(found) // 2].is_at_rest
+    assert "torque not checked" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["ur10", "ur5e", "panda"])
+def test_every_joint_of_every_robot_can_be_jogged_from_home(name: str) -> None:
+    model = ROBOTS.load(name)
+    limiter = JointLimiter(model.limits, [(each.lower, each.upper) for each in model.joints])
+    for number in range(len(model.joints)):
+        limiter.start(model.home, 0.0)
+        velocity = tuple(0.1 * (each == number) for each in range(len(model.joints)))
+        for cycle in range(1, 201):
+            reached = limiter.step(velocity, 0.002 * cycle)
+            limiter.limit(reached, 0.002 * cycle)
+        assert reached.positions[number] - model.home[number] == pytest.approx(0.04, abs=0.005)
+
+
+@pytest.mark.skipif(not is_available(), reason="needs the extra motion")
+def test_a_tool_that_was_jogged_to_a_wall_can_be_jogged_away_from_it() -> None:
+    tip = UR10.tool_pose(UR10.home).position
+    wall = Obstacle("wall", Box((2.0, 0.02, 2.0)), Pose((tip[0], tip[1] - 0.3, tip[2]), UPRIGHT))
+    limiter = limiter_of(CollisionGuard(UR10, lambda: World((wall,))))
+    limiter.start(UR10.home, 0.0)
+    cycle, reached = 0, Setpoint.at_rest(UR10.home)
+    for velocity, cycles in ((0.3, 1500), (-0.3, 500)):
+        nearest = reached.positions[0]
+        for _ in range(cycles):
+            cycle += 1
+            reached = limiter.step((velocity, 0.0, 0.0, 0.0, 0.0, 0.0), 0.002 * cycle)
+            limiter.limit(reached, 0.002 * cycle)
+        if velocity > 0:
+            assert not any(reached.velocities), "it stopped before the wall"
+    assert nearest - reached.positions[0] > 0.2

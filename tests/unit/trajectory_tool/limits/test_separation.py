@@ -142,6 +142,7 @@ def test_the_fields_of_a_scanner_slow_and_stop_the_robot(sensor: Sensor) -> None
     warned = sensor.report(warning_field=True).allowed
     assert warned.fraction == 1.0
     assert warned.pace(1.0) == 0.25
+    assert warned.reason == "the warning field is infringed"
     assert sensor.report(warning_field=True, protective_field=True).allowed.fraction == 0.0
     assert sensor.report().allowed.fraction == 0.0
     assert [sensor.report().allowed.fraction for _ in range(25)][-1] == 1.0

@@ -120,6 +120,10 @@ def checked_pairs(model: Any) -> set[tuple[str, str]]:
         ({"l3": link("l3").replace('value="1"', 'value="0"')}, "l3: zero or negative inertia"),
         ({"l3": link("l3").replace('izz="1"', 'izz="5"')}, "l3: no body has this inertia"),
         ({"l3": f'<link name="l3">{TUBE}</link>'}, "l3: no inertia"),
+        (
+            {"l3": f'<link name="l3">{TUBE}</link>'},
+            "warning torques: torques of motions are not checked: the URDF has no inertia for what j3 moves",
+        ),
         ({"l3": link("l3", TUBE.replace("collision>", "visual>"))}, "l3: no collision geometry; its visual"),
         (
             {"l3": link("l3", TUBE.replace("<cylinder", '<mesh filename="x.stl"/><c'))},

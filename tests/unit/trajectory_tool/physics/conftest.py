@@ -1,6 +1,5 @@
 """Simulated cells for the tests of physics. They need the extra `physics`."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,8 +16,6 @@ else:
 from services.trajectory_tool.robots.ur10 import FOLDER, ROBOT
 from services.trajectory_tool.scene import Scene, load
 
-OPENED = ROBOT.fingers[0].opened
-
 
 @pytest.fixture(scope="session")
 def scene() -> Scene:
@@ -29,5 +26,5 @@ def scene() -> Scene:
 def simulation(scene: Scene) -> "Simulation":
     """A cell with two parts beside it, and the arm over its fixture."""
     joints = ROBOT.reach(scene.fixtures["fixture-1"].nests[0].pose.raised(-0.006), ROBOT.home)
-    world = build(ROBOT, scene, 2)
-    return Simulation(replace(world), joints, OPENED)
+    world = build({"ur10-1": ROBOT}, scene, 2)
+    return Simulation(world, {"ur10-1": joints})

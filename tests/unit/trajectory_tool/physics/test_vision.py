@@ -37,10 +37,10 @@ def fingers() -> Fingers:
 def look(scene: Scene, *poses: Pose) -> tuple[list[SeenPart], GraspFinder]:
     """Return what the camera in the hand sees of parts at poses in the bin."""
     view = ROBOT.reach(scene.bins["bin-1"].view.pose, ROBOT.home)
-    simulation = Simulation(build(ROBOT, scene, len(poses)), view, ROBOT.fingers[0].opened)
+    simulation = Simulation(build({"ur10-1": ROBOT}, scene, len(poses)), {"ur10-1": view})
     for part, pose in enumerate(poses):
         simulation.put(part, pose)
-    camera = Cameras(simulation, scene, seed=1)[HAND_CAMERA]
+    camera = Cameras(simulation, simulation.arm, scene, seed=1)[HAND_CAMERA]
     image = camera.image()
     walls = scene.bins["bin-1"].walls
     assert walls is not None
@@ -61,12 +61,20 @@ def test_the_fingers_are_read_from_the_urdf(fingers: Fingers) -> None:
     assert fingers.length == pytest.approx(0.066)
 
 
+def test_fingers_that_close_along_y_and_end_beyond_the_tip_have_a_frame_of_their_own() -> None:
+    found = fingers_of(ROBOTS.load("panda"))
+    assert found.opening == pytest.approx(0.08)
+    assert found.length == pytest.approx(0.053)
+    assert found.frame.position == pytest.approx((0.0, 0.0, 0.008))
+    assert [row[0] for row in found.frame.rotation] == [0.0, 1.0, 0.0], "x of the fingers is y of the tip"
+
+
 def test_every_robot_with_a_gripper_can_be_simulated(scene: Scene) -> None:
     for name in ("ur10", "ur5e", "panda"):
         model = ROBOTS.load(name)
-        simulation = Simulation(build(model, Scene(name="empty"), 1), model.home)
+        simulation = Simulation(build({"arm": model}, Scene(name="empty"), 1), {"arm": model.home})
         simulation.step(50)
-        assert simulation.positions == pytest.approx(model.home, abs=1e-3)
+        assert simulation.arm.positions == pytest.approx(model.home, abs=1e-3)
 
 
 def test_an_empty_bin_has_no_parts(scene: Scene) -> None:

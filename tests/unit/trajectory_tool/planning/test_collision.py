@@ -1,12 +1,25 @@
+import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.trajectory_tool.obstacles import Attached, Box, Mesh, Obstacle, Sphere, World
+from services.trajectory_tool.obstacles import (
+    Attached,
+    Box,
+    Capsule,
+    Cylinder,
+    Mesh,
+    Obstacle,
+    Sphere,
+    World,
+)
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions, geometry_of
 from services.trajectory_tool.planning.motions import Motions
@@ -14,6 +27,8 @@ from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robots import ROBOTS
 
 MARGIN_M = 0.01
+GJK_TOLERANCE_M = 1e-5
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 STRAIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -37,7 +52,7 @@ def test_a_check_with_a_margin_agrees_with_the_distances(arm: Arm, cell: World) 
     collisions = Collisions(arm, cell)
     free = 0
     for joints in samples(arm, 300):
-        closest_m = collisions.closest(joints).distance_m
+        closest_m = min(one.distance_m for one in collisions.distances(joints))
         for margin_m in (0.0, 0.01, 0.04):
             if abs(closest_m - margin_m) > 1e-4:
                 assert collisions.is_free(joints, margin_m) == (closest_m > margin_m)
@@ -45,17 +60,60 @@ def test_a_check_with_a_margin_agrees_with_the_distances(arm: Arm, cell: World) 
     assert 30 < free < 290
 
 
-def test_the_nearest_pair_is_that_of_all_distances_after_small_and_large_motions(
-    arm: Arm, cell: World
+places = st.tuples(*(st.floats(-0.9, 0.9) for _ in range(3)))
+turns = st.tuples(*(st.floats(-1.0, 1.0) for _ in range(4))).map(np.array).filter(lambda one: one @ one > 0.1)
+poses = st.builds(lambda place, turn: Pose(place, tuple(turn / np.linalg.norm(turn))), places, turns)
+lengths = st.floats(0.01, 0.5)
+shapes = st.one_of(
+    st.builds(Box, st.tuples(lengths, lengths, lengths)),
+    st.builds(Cylinder, lengths, lengths),
+    st.builds(Capsule, lengths, lengths),
+    st.builds(Sphere, lengths),
+)
+obstacles = st.builds(lambda shape, pose: Obstacle("thing", shape, pose), shapes, poses)
+held = st.builds(
+    lambda size: Attached("part", Box(size), Pose((0.0, 0.0, 0.1), STRAIGHT)), st.tuples(*[lengths] * 3)
+)
+
+
+@given(st.lists(obstacles, max_size=4), st.lists(held, max_size=1), st.integers(0, 10_000))
+def test_the_closest_pair_is_that_of_all_distances(
+    arm: Arm, world: list[Obstacle], carried: list[Attached], seed: int
 ) -> None:
-    random = np.random.default_rng(5)
-    collisions, exact = Collisions(arm, cell), Collisions(arm, cell)
-    joints = np.array(arm.model.home)
-    for number in range(400):
-        step = random.uniform(-1.0, 1.0, arm.n) * (0.02 if number % 50 else 2.0)
-        joints = np.clip(joints + step, arm.lower, arm.upper)
-        found = collisions.nearest(joints).distance_m
-        assert found == pytest.approx(exact.closest(joints).distance_m, abs=1e-5)
+    collisions = Collisions(arm, World(tuple(world), tuple(carried)))
+    for joints in samples(arm, 5, seed):
+        expected_m = min(one.distance_m for one in collisions.distances(joints))
+        assert collisions.closest(joints).distance_m == pytest.approx(expected_m, abs=GJK_TOLERANCE_M)
+
+
+@pytest.mark.parametrize("kept", ["", "forearm_tube|wrist_3", "foot"])
+@pytest.mark.parametrize(
+    "around", [World(), World((Obstacle("ball", Sphere(0.1), Pose((0.9, 0.0, 0.5), STRAIGHT)),))]
+)
+def test_the_closest_pair_of_a_robot_with_few_collision_shapes_is_that_of_all_distances(
+    kept: str, around: World
+) -> None:
+    model = ROBOTS.load("ur10")
+    shapes = re.findall(r'<collision name="[^"]*">.*?</collision>', model.urdf, re.DOTALL)
+    urdf = re.sub(r"<!--.*?-->|<collision_checking>.*?</collision_checking>", "", model.urdf, flags=re.DOTALL)
+    for shape in shapes:
+        if not kept or not re.search(kept, shape):
+            urdf = urdf.replace(shape, "")
+    few = Arm(replace(model, urdf=urdf))
+    collisions = Collisions(few, around)
+    for joints in samples(few, 20):
+        expected_m = min(one.distance_m for one in collisions.distances(joints))
+        assert collisions.closest(joints).distance_m == pytest.approx(expected_m, abs=GJK_TOLERANCE_M)
+
+
+def test_the_closest_pair_of_a_hull_is_that_of_all_distances(arm: Arm, tmp_path: Path) -> None:
+    file = tmp_path / "wedge.obj"
+    file.write_text(TETRAHEDRON)
+    piece = Obstacle("piece", Mesh(file, (0.3, 0.2, 0.4)), Pose((0.5, 0.2, 0.3), STRAIGHT))
+    collisions = Collisions(arm, World((piece,)))
+    for joints in samples(arm, 200):
+        expected_m = min(one.distance_m for one in collisions.distances(joints))
+        assert collisions.closest(joints).distance_m == pytest.approx(expected_m, abs=GJK_TOLERANCE_M)
 
 
 def test_an_arm_folded_into_itself_is_in_contact_with_itself() -> None:
@@ -121,7 +179,7 @@ def test_nothing_touches_on_a_certified_line(arm: Arm, cell: World) -> None:
 
 def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
     file = tmp_path / "tetrahedron.obj"
-    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    file.write_text(TETRAHEDRON)
     hull = geometry_of(Mesh(file, (0.1, 0.1, 0.1)))
     assert hull.num_points == 4
     arm = Arm(ROBOTS.load("ur10"))

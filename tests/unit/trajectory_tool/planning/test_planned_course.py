@@ -1,9 +1,12 @@
 """Stops on a planned trajectory: within the limits of the robot, and on the path."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.planned_course import PlannedCourse
@@ -12,6 +15,7 @@ from services.trajectory_tool.robots import ROBOTS
 from services.trajectory_tool.trajectory import Limits
 
 EVERY_S = 0.001
+ROUNDING = 1 + 1e-4
 BEGAN_S = 100.0
 
 
@@ -52,10 +56,10 @@ def test_a_stop_stays_on_the_path_and_within_the_limits(name: str, speed: float)
         velocities = np.array([one.velocities for one in found])
         accelerations = np.array([one.accelerations for one in found])
         positions = np.array([one.positions for one in found])
-        assert (np.abs(velocities) <= np.array(limits.velocity) * 1.001).all()
-        assert (np.abs(accelerations) <= np.array(limits.acceleration) * 1.001).all()
+        assert (np.abs(velocities) <= np.array(limits.velocity) * ROUNDING).all()
+        assert (np.abs(accelerations) <= np.array(limits.acceleration) * ROUNDING).all()
         jerks = np.abs(np.diff(accelerations, axis=0)) / EVERY_S
-        assert (jerks <= np.array(limits.jerk) * 1.002).all()
+        assert (jerks <= np.array(limits.jerk) * ROUNDING).all()
         assert (np.abs(np.diff(positions, axis=0)) <= np.array(limits.velocity) * EVERY_S * 1.01).all()
         path = trajectory.positions(EVERY_S)
         for one in positions[:: max(len(positions) // 20, 1)]:
@@ -75,7 +79,59 @@ def test_a_stop_that_begins_while_the_jerk_changes_stays_within_the_limits() -> 
         found = until_rest(PlannedCourse(trajectory, limits, BEGAN_S), BEGAN_S + float(stop_s))
         accelerations = np.array([one.accelerations for one in found])
         jerks = np.abs(np.diff(accelerations, axis=0)) / EVERY_S
-        assert (jerks <= np.array(limits.jerk) * 1.002).all()
+        assert (jerks <= np.array(limits.jerk) * ROUNDING).all()
+
+
+@dataclass(frozen=True)
+class Change:
+    """A lower pace for a while, then a stop; times as fractions of what is left of the motion."""
+
+    pace: float
+    after: float
+    lasts_s: float
+    stopped_after: float
+
+
+changes = st.builds(
+    Change, st.floats(0.05, 1.0), st.floats(0.0, 0.9), st.floats(0.0, 0.5), st.floats(0.0, 1.0)
+)
+
+
+@given(st.sampled_from(["ur10", "panda"]), st.integers(0, 10_000), st.floats(0.2, 1.0), changes)
+def test_changes_of_pace_and_a_stop_keep_every_limit_at_every_millisecond(
+    name: str, seed: int, speed: float, change: Change
+) -> None:
+    model = ROBOTS.load(name)
+    trajectory = trajectories(model.limits, model.home, 2, seed)[seed % 2].slowed(speed)
+    slow_s = change.after * trajectory.duration_s
+    stop_s = slow_s + change.stopped_after * (trajectory.duration_s - slow_s)
+    course, now_s, found = PlannedCourse(trajectory, model.limits, 0.0), 0.0, []
+    while not course.is_over(now_s):
+        pace = change.pace if slow_s <= now_s < slow_s + change.lasts_s else 1.0
+        found.append(course.at(now_s, pace=0.0 if now_s >= stop_s else pace))
+        now_s += EVERY_S
+    positions, velocities, accelerations = (
+        np.array([one.derivatives[order] for one in found]) for order in range(3)
+    )
+    for values, limit in (
+        (velocities, model.limits.velocity),
+        (np.diff(positions, axis=0) / EVERY_S, model.limits.velocity),
+        (accelerations, model.limits.acceleration),
+        (np.diff(accelerations, axis=0) / EVERY_S, model.limits.jerk),
+    ):
+        assert (np.abs(values) <= np.array(limit) * ROUNDING).all()
+
+
+def test_a_change_of_pace_at_the_start_never_looks_before_it() -> None:
+    model = ROBOTS.load("ur10")
+    (trajectory,) = trajectories(model.limits, model.home, 1, seed=10)
+    for again_s in np.arange(0.002, 0.06, 0.002).tolist():
+        course = PlannedCourse(trajectory.slowed(0.5), model.limits, 0.0)
+        course.at(0.002)
+        course.at(0.004, pace=0.2)
+        course.at(0.004 + again_s, pace=1.0)
+        course.at(0.006 + again_s, pace=0.0)
+        assert course.stopping
 
 
 def test_a_motion_without_a_stop_ends_at_its_target() -> None:

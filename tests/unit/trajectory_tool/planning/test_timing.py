@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.trajectory_tool.joint_trajectory import JointTrajectory
-from services.trajectory_tool.planning import timing
+from services.trajectory_tool.planning import retiming, timing
 from services.trajectory_tool.robots import ROBOTS
 from services.trajectory_tool.trajectory import Limits, duration_s
 
@@ -61,6 +61,29 @@ def test_no_limit_is_exceeded_at_any_millisecond(path: list[list[float]], robot:
     assert_at_rest_at_ends(found)
     assert found.start == pytest.approx(points[0])
     assert found.target == pytest.approx(points[-1])
+
+
+@settings(deadline=None, max_examples=30)
+@given(paths, st.sampled_from([UR10, PANDA]))
+def test_a_faster_timing_keeps_path_and_limits(path: list[list[float]], robot: Any) -> None:
+    points = distinct(path, len(robot.joints))
+    if len(points) < 3:
+        return
+    given = timing.along(timing.BlendedLines(points, robot.limits), robot.limits)
+    found = retiming.faster(given, robot.limits)
+    assert found.duration_s <= given.duration_s
+    assert_within(found, robot.limits)
+    assert_at_rest_at_ends(found)
+    assert (found.start, found.target) == (given.start, given.target)
+    dense = given.positions(EVERY_S)
+    for place in found.positions(20 * EVERY_S):
+        assert np.abs(dense - place).max(axis=1).min() < 0.004
+
+
+def test_a_faster_timing_of_a_curve_saves_time_where_the_jerk_is_limited() -> None:
+    points = [np.zeros(6), np.array([0.8, -0.5, 0.4, 0, 0, 0]), np.array([0.2, 0.3, 0.9, 0.5, 0, 0])]
+    given = timing.along(timing.BlendedLines(points, UR10.limits), UR10.limits)
+    assert retiming.faster(given, UR10.limits).duration_s < 0.97 * given.duration_s
 
 
 @settings(deadline=None, max_examples=30)

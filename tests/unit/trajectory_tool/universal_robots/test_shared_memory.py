@@ -47,12 +47,17 @@ def test_a_command_is_read_as_it_was_written(command: Command) -> None:
     memory.close()
 
 
-@given(st.builds(Report, positions=six, velocities=six, robot_mode=numbers, reason=st.text(max_size=30)))
+@given(
+    st.builds(
+        Report, positions=six, velocities=six, torques=six, robot_mode=numbers, reason=st.text(max_size=30)
+    )
+)
 def test_a_report_is_read_as_it_was_written(report: Report) -> None:
     memory = SharedMemory.create()
     memory.write_report(report)
     read = memory.read_report()
     assert read.positions == report.positions
+    assert read.torques == report.torques
     assert read.reason == report.reason.rstrip("\0")
     memory.close()
 

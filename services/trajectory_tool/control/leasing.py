@@ -1,0 +1,161 @@
+"""Who gets the control: leases as people ask for them over the WebSocket, and sessions that end for it."""
+
+import asyncio
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+import orjson
+from fastapi import WebSocket
+from pydantic import BaseModel, ConfigDict
+from pydantic.alias_generators import to_camel
+from starlette.websockets import WebSocketDisconnect
+
+from handover.control.lease import Lease, Leases
+from handover.errors import Problem
+from handover.messages import message
+from handover.security.caller import Caller
+from handover.security.guard import Guard
+from handover.security.permissions import Permission
+from services.trajectory_tool.control.session import ControlSession
+
+WAITING_EVERY_S: Final = 1.0
+REVOKED_CODE, HANDED_OVER_CODE = 4403, 4410
+NOTICE: Final = "The dead-man control is software on a network, not a safety-rated enabling device."
+
+
+class _View(BaseModel):
+    model_config = ConfigDict(alias_generator=to_camel, populate_by_name=True)
+
+
+class WaitingView(_View):
+    """A session of a person who waits for the control of a robot."""
+
+    id: str
+    name: str
+
+
+class LeaseView(_View):
+    """Who controls a robot, null for nobody, and who waits for the control."""
+
+    robot: str
+    holder: str | None
+    since: float | None
+    waiting: tuple[WaitingView, ...] = ()
+    notice: str = NOTICE
+
+
+class OpenSessions:
+    """The sessions of all robots by id, and why they end."""
+
+    def __init__(self) -> None:
+        self._sessions: dict[str, ControlSession] = {}
+        self._endings: dict[str, tuple[int, str]] = {}
+
+    def add(self, session_id: str, session: ControlSession) -> None:
+        """Add a session that begins."""
+        self._sessions[session_id] = session
+
+    def end(self, lease: Lease | None, code: int, reason: str) -> None:
+        """End the session of a lease that was taken away or handed over; the robot stops."""
+        if lease is not None:
+            self._endings[lease.session] = code, reason
+            if (session := self._sessions.get(lease.session)) is not None:
+                session.end()
+
+    def remove(self, session_id: str) -> tuple[int, str] | None:
+        """Remove a session that has ended; return the close code and the reason if others ended it."""
+        self._sessions.pop(session_id, None)
+        return self._endings.pop(session_id, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """A person who wants to control `resource`, the Device of a robot."""
+
+    caller: Caller
+    guard: Guard
+    resource: str
+
+    def may_move(self) -> bool:
+        """Return whether they may (still) move the robot; also false while revocations may be missed."""
+        try:
+            self.guard.require(self.caller, Permission.MOVE_ROBOTS, self.resource)
+        except Problem:
+            return False
+        return self.guard.is_valid(self.caller)
+
+
+async def acquire(  # noqa: PLR0917 - called by `routes` only
+    socket: WebSocket, leases: Leases, sessions: OpenSessions, robot: str, session_id: str, person: Person
+) -> bool:
+    """Get the lease of `robot` as the parameter `mode` asks; return whether nobody had it before.
+
+    Raises `Problem` if another person has it, `WebSocketDisconnect` if the person stops to wait.
+    """
+    mode, caller = socket.query_params.get("mode", "refuse"), person.caller
+    mine = (robot, session_id, caller.subject, caller.name)
+    if mode == "takeOver":
+        person.guard.require(caller, Permission.MANAGE_SETTINGS, person.resource)
+        ended = leases.take_over(*mine)
+        sessions.end(ended, REVOKED_CODE, f"{caller.name} took the control over")
+        return ended is None
+    if leases.acquire(*mine) is not None:
+        return True
+    if mode != "wait":
+        raise _taken(robot, leases.of(robot))
+    waiting = leases.wait(*mine)
+    reading = asyncio.create_task(_read_to_end(socket))
+    try:
+        while not leases.holds(robot, session_id):
+            holder = leases.of(robot)
+            state = {"type": "waiting", "holder": None if holder is None else holder.name}
+            await socket.send_text(orjson.dumps(state).decode())
+            waiting.changed.clear()
+            changed = asyncio.create_task(waiting.changed.wait())
+            await asyncio.wait(
+                {reading, changed}, timeout=WAITING_EVERY_S, return_when=asyncio.FIRST_COMPLETED
+            )
+            changed.cancel()
+            _require_waiting(reading, person)
+    except BaseException:
+        leases.release(robot, session_id)
+        raise
+    finally:
+        reading.cancel()
+        await asyncio.gather(reading, return_exceptions=True)
+    return False
+
+
+def _require_waiting(reading: asyncio.Task[None], person: Person) -> None:
+    if reading.done() or not person.may_move():
+        raise WebSocketDisconnect(1006)
+
+
+async def _read_to_end(socket: WebSocket) -> None:
+    """Read and drop the inputs of a person who waits."""
+    with suppress(WebSocketDisconnect, RuntimeError, KeyError):
+        while True:
+            await socket.receive_text()
+
+
+def view_of(robot: str, leases: Leases) -> LeaseView:
+    """Return who controls a robot and who waits."""
+    lease = leases.of(robot)
+    waiting = tuple(WaitingView(id=one.session, name=one.name) for one in leases.waiting(robot))
+    if lease is None:
+        return LeaseView(robot=robot, holder=None, since=None, waiting=waiting)
+    return LeaseView(robot=robot, holder=lease.name, since=lease.since_s, waiting=waiting)
+
+
+def _taken(robot: str, lease: Lease | None) -> Problem:
+    return Problem(
+        409,
+        "Controlled by another person",
+        message(
+            "robot.control_taken",
+            "{name} controls {robot}; wait for the end, or ask an admin to take the control away",
+            name=lease.name if lease is not None else "somebody",
+            robot=robot,
+        ),
+    )

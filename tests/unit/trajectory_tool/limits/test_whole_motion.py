@@ -1,0 +1,139 @@
+"""The speed of the tool in whole motions: in zones, in reduced mode, with a validated speed."""
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from services.trajectory_tool.cell import Cell
+from services.trajectory_tool.limits.guards import tool_speed_mps
+from services.trajectory_tool.limits.store import MeasuredStop, SafeSpeed
+from services.trajectory_tool.planning import is_available
+from services.trajectory_tool.robot import Velocity
+from services.trajectory_tool.scene import Zone
+from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.simulated_robot import SimulatedRobot
+from services.trajectory_tool.trajectory import Setpoint
+from services.trajectory_tool.work import Work
+from services.trajectory_tool.workcell import Workcell
+from tests.unit.trajectory_tool.conftest import Freely, JumpingTime
+
+HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+AWAY = (2.6, -1.2, 1.9, -2.0, -1.4, 0.5)
+VALIDATED = datetime(2026, 3, 2, tzinfo=UTC)
+BENCH = {"kind": "reducedSpeed", "box": [0.1, 2.0, 4.0], "position": [0.0, -1.1, 1.0]}
+POST = {"post": {"box": [0.1, 0.1, 0.1], "position": [2.5, 2.5, 0.0]}}
+PLANNED = pytest.mark.parametrize(
+    "is_planned",
+    [
+        False,
+        pytest.param(
+            True, marks=pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+        ),
+    ],
+)
+
+
+class Steered(Freely):
+    """Work that waits while a limit holds it up."""
+
+    async def rest(self) -> None:
+        return
+
+
+class Recorded:
+    """A cell whose robot records each setpoint that is commanded."""
+
+    def __init__(self, folder: Path, time: JumpingTime, scene: dict[str, Any]) -> None:
+        file = folder / "cell.yaml"
+        file.write_text(
+            yaml.safe_dump({"scene": {"name": "cell", **scene}, "robots": {"ur10-1": {"speed": 1.0}}})
+        )
+        self.workcell = Workcell(TrajectorySettings.load(data_dir=folder, cell_file=file), time.clock)
+        self.setpoints: list[Setpoint] = []
+        robot = self.cell.robot
+        assert isinstance(robot, SimulatedRobot)
+        self.robot, command = robot, robot.command
+
+        def record(setpoint: Setpoint) -> None:
+            self.setpoints.append(setpoint)
+            command(setpoint)
+            if len(self.setpoints) % 5 == 0:  # every 40 ms
+                self.cell.speed.evaluate()
+
+        robot.command = record  # type: ignore[method-assign]
+
+    @property
+    def cell(self) -> Cell:
+        return self.workcell.only
+
+    async def move(self, *targets: tuple[float, ...]) -> None:
+        async with self.workcell:
+            work = Work("task", "moveTo", self.cell, Steered(), 1.0)
+            for target in targets:
+                await work.go(target)
+
+    async def servo(self, velocity: Velocity, seconds: float) -> None:
+        async with self.workcell:
+            ends_s = self.robot.clock.now_s() + seconds
+            await self.robot.servo(velocity, lambda: self.robot.clock.now_s() >= ends_s, lambda: 1.0)
+
+    def speeds(self, within: Callable[[Setpoint], bool] = lambda _: True) -> list[float]:
+        return [tool_speed_mps(self.cell.model, each) for each in self.setpoints[::5] if within(each)]
+
+    def is_in(self, zone: Zone) -> Callable[[Setpoint], bool]:
+        return lambda each: zone.contains(self.cell.model.tool_pose(each.positions).position)
+
+
+@PLANNED
+async def test_the_tool_is_slow_everywhere_in_a_zone_and_fast_outside(
+    tmp_path: Path, time: JumpingTime, is_planned: bool
+) -> None:
+    made = Recorded(tmp_path, time, {"zones": {"bench": BENCH}, "obstacles": POST if is_planned else {}})
+    (zone,) = made.cell.scene.all_zones()
+    stop = MeasuredStop(delay_s=0.052, deceleration_mps2=5.3, measured_at=VALIDATED)
+    await made.cell.speed.set_stop(stop, "Aino")
+    await made.move(AWAY, HOME)
+    inside = made.speeds(made.is_in(zone))
+    assert len(inside) > 10
+    assert max(inside) <= 0.25
+    assert max(made.speeds()) > 0.3
+
+
+@PLANNED
+async def test_a_validated_speed_is_never_exceeded(
+    tmp_path: Path, time: JumpingTime, is_planned: bool
+) -> None:
+    made = Recorded(tmp_path, time, {"obstacles": POST if is_planned else {}})
+    speed = SafeSpeed(end_effector="gripper", speed_mps=0.3, validated_at=VALIDATED)
+    await made.cell.speed.set_safe_speed(speed, "Aino")
+    await made.move(AWAY, HOME)
+    assert 0.25 < max(made.speeds()) <= 0.3
+
+
+async def test_commanded_velocities_slow_down_for_a_zone(tmp_path: Path, time: JumpingTime) -> None:
+    made = Recorded(tmp_path, time, {"zones": {"bench": BENCH}})
+    (zone,) = made.cell.scene.all_zones()
+    await made.servo(lambda: (1.2, 0.0, 0.0, 0.0, 0.0, 0.0), 3.0)
+    inside = made.speeds(made.is_in(zone))
+    assert len(inside) > 10
+    assert max(inside) <= 0.25 * 1.001
+    assert max(made.speeds()) > 0.4
+
+
+async def test_a_lower_limit_slows_commanded_velocities_down(tmp_path: Path, time: JumpingTime) -> None:
+    made = Recorded(tmp_path, time, {})
+
+    def velocity() -> tuple[float, ...]:
+        if len(made.setpoints) == 60:
+            made.cell.speed._store.put(
+                "ur10-1", made.cell.speed.record.model_copy(update={"mode": "reduced"})
+            )
+        return (0.8, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    await made.servo(velocity, 3.0)
+    assert max(made.speeds()) > 0.4
+    assert 0.1 < tool_speed_mps(made.cell.model, made.setpoints[200]) <= 0.25 * 1.001
