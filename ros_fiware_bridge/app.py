@@ -9,9 +9,12 @@ from fastapi import FastAPI, Request, Response
 from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.messages import message
+from handover.notifications import REQUIRES_NOTIFICATION_KEY
+from handover.security.guard import Guard, require
+from handover.security.permissions import Permission
 from handover.service import create_app
 from handover.storage import storage_check
-from ros_fiware_bridge import mapping
+from ros_fiware_bridge import arms, mapping
 from ros_fiware_bridge.graph.joining import load_adapter
 from ros_fiware_bridge.inspection import graph_view
 from ros_fiware_bridge.joining import join
@@ -43,7 +46,8 @@ def make_app(settings: BridgeSettings) -> FastAPI:
     document = read_mapping(settings)
     store = planning.type_store(document)
     planning.make(document, store, settings.factory)  # report errors of the mapping before anything starts
-    broker = BrokerClient(settings)
+    guard = Guard(settings, "ros-bridge")
+    broker = BrokerClient(settings, credentials=guard.access)
     holder = _BridgeHolder()
 
     @asynccontextmanager
@@ -80,8 +84,10 @@ def make_app(settings: BridgeSettings) -> FastAPI:
             "subscriptions": subscribed,
             "storage": storage_check(settings.data_dir),
         },
+        guard=guard,
     )
     _add_routes(app, holder, settings)
+    arms.add_routes(app, lambda: holder.get().graph)
     return app
 
 
@@ -93,29 +99,29 @@ def read_mapping(settings: BridgeSettings) -> Document:
 
 
 def _add_routes(app: FastAPI, holder: _BridgeHolder, settings: BridgeSettings) -> None:
-    @app.get("/rules", tags=["rules"])
+    @app.get("/rules", tags=["rules"], dependencies=[require(Permission.READ)])
     async def rules() -> Sequence[RuleView]:
         """Return every rule with its rates, last value and last error."""
         return holder.get().views()
 
-    @app.get("/rules/{rule}", tags=["rules"])
+    @app.get("/rules/{rule}", tags=["rules"], dependencies=[require(Permission.READ)])
     async def one_rule(rule: str) -> RuleView:
         """Return a rule with its rates, last value and last error."""
         return holder.get().view(rule)
 
-    @app.post("/rules/{rule}/enable", tags=["rules"])
+    @app.post("/rules/{rule}/enable", tags=["rules"], dependencies=[require(Permission.CONFIGURE)])
     async def enable(rule: str) -> RuleView:
         """Switch a rule on; it stays on after a restart."""
         await holder.get().switch(rule, on=True)
         return holder.get().view(rule)
 
-    @app.post("/rules/{rule}/disable", tags=["rules"])
+    @app.post("/rules/{rule}/disable", tags=["rules"], dependencies=[require(Permission.CONFIGURE)])
     async def disable(rule: str) -> RuleView:
         """Switch a rule off; it stays off after a restart."""
         await holder.get().switch(rule, on=False)
         return holder.get().view(rule)
 
-    @app.get("/graph", tags=["graph"])
+    @app.get("/graph", tags=["graph"], dependencies=[require(Permission.READ)])
     async def graph() -> dict[str, Any]:
         """Return the nodes, topics, services and actions of the ROS graph."""
         by_dds = settings.ros_adapter != "rosbridge"
@@ -124,7 +130,7 @@ def _add_routes(app: FastAPI, holder: _BridgeHolder, settings: BridgeSettings) -
             **graph_view.of(holder.get().graph),
         }
 
-    @app.get("/broker", tags=["graph"])
+    @app.get("/broker", tags=["graph"], dependencies=[require(Permission.READ)])
     async def broker_link() -> dict[str, Any]:
         """Return the state of the connection to the broker: availability, pending updates, subscriptions."""
         bridge = holder.get()
@@ -135,7 +141,12 @@ def _add_routes(app: FastAPI, holder: _BridgeHolder, settings: BridgeSettings) -
             "subscribed": bridge.listeners.subscribed,
         }
 
-    @app.post("/notifications/{rule}", status_code=204, tags=["notifications"])
+    @app.post(
+        "/notifications/{rule}",
+        status_code=204,
+        tags=["notifications"],
+        dependencies=[REQUIRES_NOTIFICATION_KEY],
+    )
     async def notify(rule: str, request: Request) -> Response:
         """Have a rule process the current state of the entities in a notification."""
         listeners = holder.get().listeners

@@ -19,6 +19,9 @@ CONFLATED = Counter(
 )
 PENDING_UPDATES = Gauge("handover_bridge_pending_updates", "Updates of entities that wait for the broker")
 BROKER_UNAVAILABLE = Gauge("handover_bridge_broker_unavailable", "1 while the broker does not answer")
+ARM_WATCHDOG = Counter(
+    "handover_bridge_arm_watchdog_stops_total", "Stops of an arm because its velocity commands ceased"
+)
 CHECKS = Counter(
     "handover_bridge_checks_total", "Checks of the topics and their publishers, one every second"
 )
