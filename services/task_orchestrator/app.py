@@ -2,6 +2,7 @@
 
 from fastapi import FastAPI
 
+from handover.security.audit_trail import AuditTrail
 from handover.service import create_app
 from handover.storage import storage_check
 from handover.telemetry import get_logger
@@ -49,6 +50,8 @@ def _app(at: Components) -> FastAPI:
             "subscription": at.reconciler.probe,
             "storage": storage_check(settings.data_dir),
         },
+        guard=at.guard,
+        audit=AuditTrail(settings, "task-orchestrator", at.orchestrator.store.engine),
     )
     add_definitions(app, at.orchestrator)
     add_processes(app, at)

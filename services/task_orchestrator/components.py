@@ -9,6 +9,7 @@ from fastapi import FastAPI
 
 from handover.broker import BrokerClient
 from handover.errors import UsageError
+from handover.security.guard import Guard
 from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.mapping import read_mapping_file
 from services.task_orchestrator.archive import Archiver
@@ -30,7 +31,8 @@ class Components:
 
     def __init__(self, settings: OrchestratorSettings) -> None:
         self.settings = settings
-        self.broker = BrokerClient(settings)
+        self.guard = Guard(settings, "task-orchestrator")
+        self.broker = BrokerClient(settings, credentials=self.guard.access)
         self.orchestrator = Orchestrator(settings, self.broker)
         self.reconciler = Reconciler(self.orchestrator, self.broker)
         self.archiver = Archiver(self.orchestrator, self.broker)

@@ -63,7 +63,7 @@ class DefinitionOffers:
         """When the file of an offer may be loaded again, after a failure."""
         self._to_read: dict[str, set[str]] = {}
         self._has_to_read = asyncio.Event()
-        self._downloader = Downloader(self._settings.outbound_policy())
+        self._downloader = Downloader(self._settings.outbound_policy(), self._settings.ca_files)
         self._downloads = asyncio.Semaphore(MAX_DOWNLOADS)
         self._tasks = BackgroundTasks("definition-offers")
 

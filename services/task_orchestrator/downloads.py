@@ -5,9 +5,10 @@ allows. The size, the number of redirects and the whole time are limited, howeve
 """
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from http import HTTPStatus
+from pathlib import Path
 from urllib.parse import quote, urljoin, urlsplit, urlunsplit
 
 from handover.errors import HandoverError
@@ -47,8 +48,8 @@ class DownloadFailed(HandoverError):
 class Downloader:
     """Loads files from addresses that `policy` allows."""
 
-    def __init__(self, policy: OutboundPolicy) -> None:
-        self._http = BodyReadingHttpClient(policy, max_response_bytes=MAX_BYTES)
+    def __init__(self, policy: OutboundPolicy, ca_files: Sequence[Path] = ()) -> None:
+        self._http = BodyReadingHttpClient(policy, ca_files, max_response_bytes=MAX_BYTES)
 
     def close(self) -> None:
         """Close the idle connections."""

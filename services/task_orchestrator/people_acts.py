@@ -162,10 +162,18 @@ class PeopleActs:
             self._id, statuses, outputs, self._step, self._now, claimed_by=None, declined_by=declined
         )
 
-    def complete(self, outcome: Outcome, note: str, outputs: Mapping[str, Any], forms: FormRegistry) -> None:
+    def complete(
+        self,
+        outcome: Outcome,
+        note: str,
+        outputs: Mapping[str, Any],
+        forms: FormRegistry,
+        performed_by: str | None = None,
+    ) -> None:
         """End the Task; raise `Problem` 422 with the faults by field if its form refuses the result.
 
-        With another outcome than `ok` it fails, unless its process handles outcomes.
+        With another outcome than `ok` it fails, unless its process handles outcomes. `performed_by` is the
+        Person who was signed in; a client never sets it.
         """
         self._require_own()
         inputs = self._task.entity["workParameters"]["value"]
@@ -173,6 +181,8 @@ class PeopleActs:
         if outcome is Outcome.OK:
             values = self._checked(outputs, forms)
         given = {**values, "outcome": outcome.value, "operator": self._by, "by": BY_TASKLIST}
+        if performed_by is not None:
+            given["performedBy"] = performed_by
         if note:
             given["note"] = note
         status = TaskStatus.COMPLETED

@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import Any
 
 from datamodels.entities import TaskStatus
+from handover.security.audit_trail import AuditedRequest
 from handover.task_life import FINISHED, performers_of
 from services.task_orchestrator.allocation.mapping import MappingTable
 from services.task_orchestrator.execution.machine import Effect
@@ -487,6 +488,8 @@ class Step:
     """Ended processes, as read from the database, that get `archived_at` now."""
     tally: Tally = field(default_factory=Tally)
     """What the step adds to the statistics."""
+    requests: list[AuditedRequest] = field(default_factory=list)
+    """The requests that cause the step, for the audit log."""
 
     def enqueue(self, stream: str, kind: MessageKind, subject: str, body: Any) -> None:
         """Put a message into the outbox."""
@@ -510,4 +513,5 @@ class Step:
             or self.entities_seen
             or self.offers
             or self.offers_deleted
+            or self.requests
         )

@@ -20,6 +20,7 @@ from handover.background_tasks import BackgroundTasks
 from handover.database import LockLost
 from handover.errors import HandoverError, Problem
 from handover.messages import message
+from handover.security.audit_trail import AuditedRequest, current_request
 from handover.telemetry import get_logger
 from services.task_orchestrator.outbox import Outbox
 from services.task_orchestrator.process.process import Process
@@ -50,6 +51,8 @@ class _PendingChange:
     done: asyncio.Future[Any]
     process: str | None = None
     """A process that must be loaded for it, even if it is over."""
+    request: AuditedRequest | None = None
+    """The request that causes it, for the audit log."""
 
 
 class StepWriter:
@@ -83,7 +86,7 @@ class StepWriter:
         `process` is loaded for it, even if it is over. Raises `Problem` 503 if the step cannot be written.
         """
         done: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-        self._changes.put_nowait(_PendingChange(act, done, process))
+        self._changes.put_nowait(_PendingChange(act, done, process, current_request()))
         return await done
 
     async def apply_each(self, acts: Mapping[str, Callable[[Step], T]]) -> dict[str, T]:
@@ -138,6 +141,8 @@ class StepWriter:
                 try:
                     answers.append((change, change.act(step)))
                     state.settle(step)
+                    if (cause := change.request) is not None and cause.is_change and not cause.is_finished:
+                        step.requests.append(cause)
                 except Problem as problem:
                     _answer(change, problem)
             step.delivered = self.outbox.take_delivered()

@@ -61,14 +61,24 @@ class Tasklist:
         await self._act(await self.task(task_id), by, lambda acts: acts.decline(why))
 
     async def complete(
-        self, task_id: str, by: str, outcome: Outcome, note: str, outputs: Mapping[str, Any]
+        self,
+        task_id: str,
+        by: str,
+        outcome: Outcome,
+        note: str,
+        outputs: Mapping[str, Any],
+        *,
+        performed_by: str | None = None,
     ) -> None:
         """Complete a claimed Task: see `PeopleActs.complete`. A repeated request has no effect."""
         task = await self.task(task_id)
+        outputs = {
+            name: value for name, value in outputs.items() if name != "performedBy"
+        }  # the server sets it
         if _is_done(task, by, outcome, outputs):
             return
         forms = self._state.allocator.forms
-        await self._act(task, by, lambda acts: acts.complete(outcome, note, outputs, forms))
+        await self._act(task, by, lambda acts: acts.complete(outcome, note, outputs, forms, performed_by))
 
     async def comment(
         self, process_id: str, by: str, text: str, *, task_id: str | None = None, key: str | None = None

@@ -5,6 +5,8 @@ from starlette.responses import JSONResponse
 
 from handover.body_limit import max_body
 from handover.messages import message
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from handover.service import XML_TYPES, accepts
 from services.task_orchestrator.allocation.report import allocation_report
 from services.task_orchestrator.model import Fault
@@ -21,6 +23,7 @@ from services.task_orchestrator.responses import (
     VersionStatistics,
     json_response,
 )
+from services.task_orchestrator.routes.resources import of_definition
 from services.task_orchestrator.tasklist_responses import TaskForm
 from services.task_orchestrator.tasklist_views import form_view
 from services.task_orchestrator.views import (
@@ -39,6 +42,7 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         status_code=201,
         tags=["definitions"],
         responses={201: {"model": Deployment}, 200: {"model": Deployment | DeploymentCheck}},
+        dependencies=[require(Permission.DEPLOY_PROCESSES)],
     )
     @accepts(*XML_TYPES)
     @max_body(2 * MAX_BYTES)
@@ -68,7 +72,12 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         view = {**views[0], "definitions": views, "warnings": warnings, "allocation": allocation}
         return JSONResponse(view, 201 if deployed.created else 200)
 
-    @app.get("/definitions", tags=["definitions"], responses={200: {"model": list[DefinitionView]}})
+    @app.get(
+        "/definitions",
+        tags=["definitions"],
+        responses={200: {"model": list[DefinitionView]}},
+        dependencies=[require(Permission.READ)],
+    )
     async def definitions() -> Response:
         """Return the latest version of every definition."""
         latest = registry.latest()
@@ -77,7 +86,10 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         return json_response([definition_view(registry, record) for record in latest])
 
     @app.get(
-        "/definitions/{name}", tags=["definitions"], responses={200: {"model": DefinitionWithActivities}}
+        "/definitions/{name}",
+        tags=["definitions"],
+        responses={200: {"model": DefinitionWithActivities}},
+        dependencies=[require(Permission.READ, of_definition(registry))],
     )
     async def definition(name: str, version: int | None = None) -> Response:
         """Return a definition with its activities, and who gets them now."""
@@ -94,6 +106,7 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         "/definitions/{name}/statistics",
         tags=["definitions"],
         responses={200: {"model": VersionStatistics}},
+        dependencies=[require(Permission.READ, of_definition(registry))],
     )
     async def statistics(name: str, version: int | None = None) -> Response:
         """Return the statistics of all processes of a version (default: the latest), by activity."""
@@ -107,6 +120,7 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         "/definitions/{name}/start-form",
         tags=["definitions"],
         responses={200: {"model": TaskForm | None}},
+        dependencies=[require(Permission.READ, of_definition(registry))],
     )
     async def start_form(name: str, body: FormData, version: int | None = None) -> Response:
         """Return the form of the start variables, for those typed so far; null if there is none."""
@@ -118,7 +132,11 @@ def add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
         resolved = form.resolve(body.values)
         return JSONResponse(None if resolved is None else form_view(form.id, form.version, resolved))
 
-    @app.get("/definitions/{name}/bpmn", tags=["definitions"])
+    @app.get(
+        "/definitions/{name}/bpmn",
+        tags=["definitions"],
+        dependencies=[require(Permission.READ, of_definition(registry))],
+    )
     async def bpmn(name: str, version: int | None = None) -> Response:
         """Return the BPMN file as it was deployed."""
         return Response(registry.record(name, version).xml, media_type="application/xml")

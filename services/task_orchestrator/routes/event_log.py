@@ -5,9 +5,12 @@ from typing import Annotated
 from fastapi import FastAPI, Query, Response
 
 from handover.event_log import TASK_COLUMNS, task_rows, xes_log
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from handover.tables import csv_table
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.requests import EventLogQuery
+from services.task_orchestrator.routes.resources import of_definition_query
 from services.task_orchestrator.routes.tables import file_response
 from services.task_orchestrator.views import process_view
 
@@ -17,7 +20,12 @@ def add_event_log(app: FastAPI, at: Components) -> None:
     orchestrator = at.orchestrator
     registry, allocator = orchestrator.state.registry, orchestrator.state.allocator
 
-    @app.get("/event-log", tags=["statistics"], response_class=Response)
+    @app.get(
+        "/event-log",
+        tags=["statistics"],
+        response_class=Response,
+        dependencies=[require(Permission.READ, of_definition_query(registry))],
+    )
     async def event_log(query: Annotated[EventLogQuery, Query()]) -> Response:
         """Return the history of processes for process mining: XES (IEEE 1849-2016), or a CSV of Tasks.
 

@@ -6,6 +6,8 @@ from fastapi import FastAPI, Query, Request, Response
 from starlette.responses import JSONResponse
 
 from handover.body_limit import max_body
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.forms.form_js import MAX_FORM_BYTES
 from services.task_orchestrator.notation.document import MAX_BYTES
@@ -33,6 +35,7 @@ def add_forms(app: FastAPI, at: Components) -> None:
         status_code=201,
         tags=["forms"],
         responses={201: {"model": FormView}, 200: {"model": FormView}},
+        dependencies=[require(Permission.DEPLOY_PROCESSES)],
     )
     @max_body(2 * MAX_FORM_BYTES)
     async def deploy_form(request: Request, file: FileName = None) -> JSONResponse:
@@ -40,12 +43,17 @@ def add_forms(app: FastAPI, at: Components) -> None:
         deployed = await deployments.deploy_files([], [(file, await request.body())])
         return JSONResponse(_view(deployed.forms[0]), 201 if deployed.created else 200)
 
-    @app.get("/forms", tags=["forms"], responses={200: {"model": list[FormView]}})
+    @app.get(
+        "/forms",
+        tags=["forms"],
+        responses={200: {"model": list[FormView]}},
+        dependencies=[require(Permission.READ)],
+    )
     async def list_forms() -> Response:
         """Return the latest version of every form."""
         return json_response([form_record_view(record) for record in forms.latest()])
 
-    @app.get("/forms/{form_id}", tags=["forms"])
+    @app.get("/forms/{form_id}", tags=["forms"], dependencies=[require(Permission.READ)])
     async def form(form_id: str, version: Version = None) -> Response:
         """Return a form as it was deployed."""
         return Response(forms.record(form_id, version).content, media_type="application/json")
@@ -55,6 +63,7 @@ def add_forms(app: FastAPI, at: Components) -> None:
         status_code=201,
         tags=["definitions"],
         responses={201: {"model": DeployedFiles}, 200: {"model": DeployedFiles}},
+        dependencies=[require(Permission.DEPLOY_PROCESSES)],
     )
     @max_body(4 * MAX_BYTES)
     async def deploy_files(body: DeploymentRequest) -> JSONResponse:

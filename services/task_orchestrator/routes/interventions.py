@@ -3,6 +3,8 @@
 from fastapi import FastAPI, Response
 
 from handover.body_limit import max_body
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.operations.process_control import check_variables
 from services.task_orchestrator.records import ActKind
@@ -17,13 +19,19 @@ from services.task_orchestrator.responses import (
     json_response,
 )
 from services.task_orchestrator.routes.process_response import PROCESS, process_response
+from services.task_orchestrator.routes.resources import of_definition_query, of_process
 
 
 def add_pausing(app: FastAPI, at: Components) -> None:
     """Add pausing and resuming of processes."""
     orchestrator = at.orchestrator
 
-    @app.post("/processes/{process_id}/pause", tags=["processes"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/pause",
+        tags=["processes"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     async def pause(process_id: str, body: PauseRequest) -> Response:
         """Pause a process: its Tasks are requested to pause, no other is posted, timers wait."""
         await orchestrator.processes.pause(
@@ -31,7 +39,12 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         )
         return await process_response(at, process_id)
 
-    @app.post("/processes/{process_id}/resume", tags=["processes"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/resume",
+        tags=["processes"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     async def resume(process_id: str, body: PauseRequest) -> Response:
         """Continue a paused process, with the timers that were due meanwhile."""
         await orchestrator.processes.pause(
@@ -39,7 +52,12 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         )
         return await process_response(at, process_id)
 
-    @app.post("/pause", tags=["processes"], responses={200: {"model": PausedProcesses}})
+    @app.post(
+        "/pause",
+        tags=["processes"],
+        responses={200: {"model": PausedProcesses}},
+        dependencies=[require(Permission.RUN_PROCESSES, of_definition_query(at.orchestrator.state.registry))],
+    )
     async def pause_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Pause all running processes, or those of a definition. Processes can still be started."""
         paused = await orchestrator.processes.pause_all(
@@ -47,7 +65,12 @@ def add_pausing(app: FastAPI, at: Components) -> None:
         )
         return json_response({"processes": paused})
 
-    @app.post("/resume", tags=["processes"], responses={200: {"model": PausedProcesses}})
+    @app.post(
+        "/resume",
+        tags=["processes"],
+        responses={200: {"model": PausedProcesses}},
+        dependencies=[require(Permission.RUN_PROCESSES, of_definition_query(at.orchestrator.state.registry))],
+    )
     async def resume_all(body: PauseRequest, definition: str | None = None) -> Response:
         """Continue all paused processes, or those of a definition."""
         resumed = await orchestrator.processes.pause_all(
@@ -73,37 +96,67 @@ def add_repairs(app: FastAPI, at: Components) -> None:
         )
         return await process_response(at, process_id)
 
-    @app.post("/processes/{process_id}/reservations/{key}/release", tags=["incidents"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/reservations/{key}/release",
+        tags=["incidents"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     async def release(process_id: str, key: str, body: PauseRequest) -> Response:
         """Release what is reserved for a part of a process; the next activity of it reserves again."""
         await orchestrator.processes.release(at.plain_id(process_id), key, by=body.by.strip(), why=body.why)
         return await process_response(at, process_id)
 
-    @app.post("/processes/{process_id}/variables", tags=["incidents"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/variables",
+        tags=["incidents"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     @max_body(MAX_PARAMETERS_BYTES)
     async def set_variables(process_id: str, body: MendRequest) -> Response:
         """Set variables of a running process."""
         return await mend(process_id, ActKind.SET_VARIABLES, None, body)
 
-    @app.post("/processes/{process_id}/tokens/{token}/retry", tags=["incidents"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/tokens/{token}/retry",
+        tags=["incidents"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     @max_body(MAX_PARAMETERS_BYTES)
     async def retry_token(process_id: str, token: str, body: MendRequest) -> Response:
         """Let a token with an incident try again: a failed Task is posted again, as a new Task."""
         return await mend(process_id, ActKind.RETRY, token, body)
 
-    @app.post("/processes/{process_id}/tokens/{token}/skip", tags=["incidents"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/tokens/{token}/skip",
+        tags=["incidents"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     @max_body(MAX_PARAMETERS_BYTES)
     async def skip_token(process_id: str, token: str, body: MendRequest) -> Response:
         """Let a token leave its element, as if that had been done with the variables as results."""
         return await mend(process_id, ActKind.SKIP, token, body)
 
-    @app.post("/processes/{process_id}/tokens/{token}/move", tags=["incidents"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/tokens/{token}/move",
+        tags=["incidents"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     @max_body(MAX_PARAMETERS_BYTES)
     async def move_token(process_id: str, token: str, body: MoveRequest) -> Response:
         """Move a token to another element of its scope; its present Task is cancelled."""
         return await mend(process_id, ActKind.MOVE, token, body)
 
-    @app.post("/processes/{process_id}/tokens/{token}/cancel", tags=["incidents"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/tokens/{token}/cancel",
+        tags=["incidents"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     @max_body(MAX_PARAMETERS_BYTES)
     async def cancel_token(process_id: str, token: str, body: MendRequest) -> Response:
         """End a token where it is; the process ends if it was the last one."""

@@ -8,6 +8,8 @@ from fastapi import FastAPI, Query, Response
 from handover.body_limit import max_body
 from handover.errors import HandoverError, Problem
 from handover.messages import message
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from services.task_orchestrator.allocation.mapping import MappingRequest
 from services.task_orchestrator.orchestrator import Orchestrator
 from services.task_orchestrator.requests import (
@@ -31,7 +33,12 @@ MAX_MAPPING_BYTES = 4 * 1024 * 1024
 def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
     """Add the routes of the mapping and of the agents."""
 
-    @app.get("/mapping", tags=["allocation"], responses={200: {"model": MappingView}})
+    @app.get(
+        "/mapping",
+        tags=["allocation"],
+        responses={200: {"model": MappingView}},
+        dependencies=[require(Permission.READ)],
+    )
     async def mapping(
         version: Annotated[int | None, Query(ge=1, le=MAX_VERSION)] = None,
     ) -> Response:
@@ -52,14 +59,24 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
             )
         return json_response(mapping_view(table))
 
-    @app.get("/agents", tags=["allocation"], responses={200: {"model": list[AgentView]}})
+    @app.get(
+        "/agents",
+        tags=["allocation"],
+        responses={200: {"model": list[AgentView]}},
+        dependencies=[require(Permission.READ)],
+    )
     async def agents() -> Response:
         """Return the Devices and Persons that can perform Tasks, with their skills, shifts and open Tasks."""
         state = orchestrator.state
         tasks = list(state.active_processes.open_tasks())
         return json_response(agent_views(state.allocator, tasks, orchestrator.clock()))
 
-    @app.get("/mapping/names", tags=["allocation"], responses={200: {"model": MappingUse}})
+    @app.get(
+        "/mapping/names",
+        tags=["allocation"],
+        responses={200: {"model": MappingUse}},
+        dependencies=[require(Permission.READ)],
+    )
     async def names() -> Response:
         """Return the names in the deployed definitions that the mapping can relate to performers.
 
@@ -73,7 +90,12 @@ def add_mapping(app: FastAPI, orchestrator: Orchestrator) -> None:
                 definitions.append(state.registry.plan_of(record).definition)
         return json_response(mapping_use(state.allocator, definitions))
 
-    @app.put("/mapping", tags=["allocation"], responses={200: {"model": MappingView}})
+    @app.put(
+        "/mapping",
+        tags=["allocation"],
+        responses={200: {"model": MappingView}},
+        dependencies=[require(Permission.DEPLOY_PROCESSES)],
+    )
     @max_body(MAX_MAPPING_BYTES)
     async def set_mapping(body: MappingRequest) -> Response:
         """Replace the mapping; it applies to Tasks that are posted later."""

@@ -5,6 +5,8 @@ from fastapi import FastAPI, Response
 from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.operations.process_control import check_variables
 from services.task_orchestrator.records import Act, ActKind
@@ -18,6 +20,7 @@ from services.task_orchestrator.responses import (
     MigrationView,
     json_response,
 )
+from services.task_orchestrator.routes.resources import of_definition, of_process
 from services.task_orchestrator.views import migration_of_all_view, migration_view
 
 
@@ -29,6 +32,7 @@ def add_migration(app: FastAPI, at: Components) -> None:
         "/processes/{process_id}/migration",
         tags=["migration"],
         responses={200: {"model": MigrationView}},
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
     )
     @max_body(MAX_PARAMETERS_BYTES)
     async def migrate(process_id: str, body: MigrationRequest, *, dry: bool = False) -> Response:
@@ -62,6 +66,7 @@ def add_migration(app: FastAPI, at: Components) -> None:
         "/definitions/{name}/migration",
         tags=["migration"],
         responses={200: {"model": MigrationOfAllView}},
+        dependencies=[require(Permission.RUN_PROCESSES, of_definition(orchestrator.state.registry))],
     )
     @max_body(MAX_PARAMETERS_BYTES)
     async def migrate_all(name: str, body: MigrationOfAllRequest, *, dry: bool = False) -> Response:

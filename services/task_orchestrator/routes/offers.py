@@ -6,6 +6,9 @@ from fastapi import FastAPI, Query, Request, Response
 
 from handover.errors import Problem
 from handover.messages import message
+from handover.notifications import REQUIRES_NOTIFICATION_KEY
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.operations.offering import OfferReader
 from services.task_orchestrator.records import OfferStatus
@@ -20,7 +23,12 @@ def add_offers(app: FastAPI, at: Components) -> None:
     orchestrator = at.orchestrator
     reader = OfferReader(orchestrator.state, orchestrator.offering)
 
-    @app.get("/offers", tags=["offers"], responses={200: {"model": list[OfferView]}})
+    @app.get(
+        "/offers",
+        tags=["offers"],
+        responses={200: {"model": list[OfferView]}},
+        dependencies=[require(Permission.READ)],
+    )
     async def offers(
         *,
         status: OfferStatus | None = None,
@@ -31,12 +39,12 @@ def add_offers(app: FastAPI, at: Components) -> None:
         found = orchestrator.state.offers.listed(status, entity)[:limit]
         return json_response([await reader.view(record) for record in found])
 
-    @app.get("/offers/{offer}", tags=["offers"], responses=OFFER)
+    @app.get("/offers/{offer}", tags=["offers"], responses=OFFER, dependencies=[require(Permission.READ)])
     async def offer(offer: str) -> Response:
         """Return an offer with its faults, what its acceptance would change, and who would get the work."""
         return json_response(await reader.view(orchestrator.offering.require(offer)))
 
-    @app.get("/offers/{offer}/bpmn", tags=["offers"])
+    @app.get("/offers/{offer}/bpmn", tags=["offers"], dependencies=[require(Permission.READ)])
     async def bpmn(offer: str) -> Response:
         """Return the BPMN file of an offer, as it was read when the offer was made."""
         orchestrator.offering.require(offer)
@@ -45,21 +53,36 @@ def add_offers(app: FastAPI, at: Components) -> None:
             raise Problem(404, "No file", message("offer.no_file", "the offer has no BPMN file"))
         return Response(xml, media_type="application/xml")
 
-    @app.post("/offers/{offer}/accept", tags=["offers"], responses=OFFER)
+    @app.post(
+        "/offers/{offer}/accept",
+        tags=["offers"],
+        responses=OFFER,
+        dependencies=[require(Permission.DEPLOY_PROCESSES)],
+    )
     async def accept(offer: str, body: OfferRequest) -> Response:
         """Deploy what is offered; it takes effect for Tasks that are posted later."""
         return json_response(
             await reader.view(await at.offers.accept(offer, by=body.by.strip(), why=body.why))
         )
 
-    @app.post("/offers/{offer}/reject", tags=["offers"], responses=OFFER)
+    @app.post(
+        "/offers/{offer}/reject",
+        tags=["offers"],
+        responses=OFFER,
+        dependencies=[require(Permission.DEPLOY_PROCESSES)],
+    )
     async def reject(offer: str, body: OfferRequest) -> Response:
         """Reject an offer: the same content of the entity is not offered again."""
         return json_response(
             await reader.view(await at.offers.reject(offer, by=body.by.strip(), why=body.why))
         )
 
-    @app.post("/notifications/definitions", status_code=204, tags=["notifications"])
+    @app.post(
+        "/notifications/definitions",
+        status_code=204,
+        tags=["notifications"],
+        dependencies=[REQUIRES_NOTIFICATION_KEY],
+    )
     async def notify(request: Request) -> Response:
         """Read the definitions of a notification from the broker soon."""
         await at.offers.receive_notification(request)

@@ -8,6 +8,8 @@ from pydantic import AwareDatetime
 from starlette.responses import JSONResponse
 
 from handover.body_limit import max_body
+from handover.security.guard import authenticated, require, require_by_handler
+from handover.security.permissions import Permission
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.requests import (
     MAX_PARAMETERS_BYTES,
@@ -22,6 +24,7 @@ from services.task_orchestrator.responses import (
     json_response,
 )
 from services.task_orchestrator.routes.process_response import PROCESS, process_content, process_response
+from services.task_orchestrator.routes.resources import definition_id, of_definition_query, of_process
 from services.task_orchestrator.views import (
     period_view,
     process_summary,
@@ -33,17 +36,33 @@ def add_processes(app: FastAPI, at: Components) -> None:
     orchestrator, settings = at.orchestrator, at.settings
     store, registry = orchestrator.store, orchestrator.state.registry
 
-    @app.post("/processes", status_code=201, tags=["processes"], responses={201: PROCESS[200], **PROCESS})
+    @app.post(
+        "/processes",
+        status_code=201,
+        tags=["processes"],
+        responses={201: PROCESS[200], **PROCESS},
+        dependencies=[require_by_handler(Permission.RUN_PROCESSES, "for the ProcessDefinition")],
+    )
     @max_body(MAX_PARAMETERS_BYTES)
-    async def start(body: ProcessStart) -> JSONResponse:
+    async def start(body: ProcessStart, connection: Request) -> JSONResponse:
         """Start a process: 201, or 200 if the same key has started it before."""
+        at.guard.require(
+            await authenticated(connection),
+            Permission.RUN_PROCESSES,
+            definition_id(registry, body.definition, body.version),
+        )
         process_id, created = await orchestrator.processes.start(
             body.definition, body.parameters, version=body.version, key=body.key
         )
         view = await process_content(at, process_id)
         return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})
 
-    @app.get("/processes", tags=["processes"], responses={200: {"model": list[ProcessSummary]}})
+    @app.get(
+        "/processes",
+        tags=["processes"],
+        responses={200: {"model": list[ProcessSummary]}},
+        dependencies=[require(Permission.READ, of_definition_query(registry))],
+    )
     async def processes(query: Annotated[ProcessListQuery, Query()], request: Request) -> Response:
         """Return processes, the latest first; `before` with the id of the last one returns the next page.
 
@@ -58,7 +77,12 @@ def add_processes(app: FastAPI, at: Components) -> None:
             response.headers["Link"] = f'<{following.path}?{following.query}>; rel="next"'
         return response
 
-    @app.get("/statistics", tags=["processes"], responses={200: {"model": PeriodStatistics}})
+    @app.get(
+        "/statistics",
+        tags=["processes"],
+        responses={200: {"model": PeriodStatistics}},
+        dependencies=[require(Permission.READ)],
+    )
     async def statistics(
         since: Annotated[
             AwareDatetime, Query(description="count processes that ended at this time or later")
@@ -68,12 +92,22 @@ def add_processes(app: FastAPI, at: Components) -> None:
         counts = await orchestrator.read(store.counts_since, since.astimezone(UTC), orchestrator.clock())
         return json_response(period_view(counts))
 
-    @app.get("/processes/{process_id}", tags=["processes"], responses=PROCESS)
+    @app.get(
+        "/processes/{process_id}",
+        tags=["processes"],
+        responses=PROCESS,
+        dependencies=[require(Permission.READ, of_process(at))],
+    )
     async def process(process_id: str) -> Response:
         """Return a process with its variables, its Tasks, its waiting elements and its next activities."""
         return await process_response(at, process_id)
 
-    @app.post("/processes/{process_id}/cancel", tags=["processes"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/cancel",
+        tags=["processes"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     async def cancel(process_id: str, body: CancelRequest | None = None) -> Response:
         """Cancel a process and its Tasks."""
         await orchestrator.processes.cancel(
@@ -81,7 +115,12 @@ def add_processes(app: FastAPI, at: Components) -> None:
         )
         return await process_response(at, process_id)
 
-    @app.post("/processes/{process_id}/tasks/{task_id}/retry", tags=["processes"], responses=PROCESS)
+    @app.post(
+        "/processes/{process_id}/tasks/{task_id}/retry",
+        tags=["processes"],
+        responses=PROCESS,
+        dependencies=[require(Permission.RUN_PROCESSES, of_process(at))],
+    )
     async def retry(process_id: str, task_id: str, body: RetryRequest) -> Response:
         """Post the failed Task that has ended a process again, as a new Task; the process continues."""
         await orchestrator.processes.retry(

@@ -8,6 +8,8 @@ from fastapi import FastAPI, Query, Response
 
 from handover.errors import HandoverError, Problem
 from handover.messages import message
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.records import DefinitionRecord
@@ -37,6 +39,7 @@ from services.task_orchestrator.responses import (
     ThroughputView,
     json_response,
 )
+from services.task_orchestrator.routes.resources import of_definition_query
 from services.task_orchestrator.routes.tables import csv_response
 from services.task_orchestrator.storage.rollups import Scope
 from services.task_orchestrator.tally import DAY_H, Period
@@ -94,7 +97,10 @@ def add_statistics(app: FastAPI, at: Components) -> None:
         return read_period(query.since, query.until, orchestrator.clock())
 
     @app.get(
-        "/statistics/definitions", tags=["statistics"], responses={200: {"model": list[DefinitionTimes]}}
+        "/statistics/definitions",
+        tags=["statistics"],
+        responses={200: {"model": list[DefinitionTimes]}},
+        dependencies=[require(Permission.READ)],
     )
     async def definitions(query: Annotated[PeriodQuery, Query()]) -> Response:
         """Return the number and durations of the processes of each definition in a period."""
@@ -104,7 +110,12 @@ def add_statistics(app: FastAPI, at: Components) -> None:
             return csv_response("definitions", DefinitionTimes, views)
         return json_response(views)
 
-    @app.get("/statistics/elements", tags=["statistics"], responses={200: {"model": ElementsView}})
+    @app.get(
+        "/statistics/elements",
+        tags=["statistics"],
+        responses={200: {"model": ElementsView}},
+        dependencies=[require(Permission.READ, of_definition_query(registry))],
+    )
     async def elements(query: Annotated[ElementsQuery, Query()]) -> Response:
         """Return the number and durations of the Tasks of each element of a definition in a period.
 
@@ -119,7 +130,12 @@ def add_statistics(app: FastAPI, at: Components) -> None:
             return csv_response("elements", ElementTimes, view["elements"])
         return json_response(view)
 
-    @app.get("/statistics/throughput", tags=["statistics"], responses={200: {"model": ThroughputView}})
+    @app.get(
+        "/statistics/throughput",
+        tags=["statistics"],
+        responses={200: {"model": ThroughputView}},
+        dependencies=[require(Permission.READ, of_definition_query(registry))],
+    )
     async def throughput(query: Annotated[ThroughputQuery, Query()]) -> Response:
         """Return how many processes started, completed and failed in each hour or on each day."""
         period, scope = period_of(query), scope_of(registry, query)
@@ -130,7 +146,12 @@ def add_statistics(app: FastAPI, at: Components) -> None:
             return csv_response("throughput", ThroughputPoint, view["points"])
         return json_response(view)
 
-    @app.get("/statistics/incidents", tags=["statistics"], responses={200: {"model": list[CauseView]}})
+    @app.get(
+        "/statistics/incidents",
+        tags=["statistics"],
+        responses={200: {"model": list[CauseView]}},
+        dependencies=[require(Permission.READ, of_definition_query(registry))],
+    )
     async def incidents(query: Annotated[IncidentsQuery, Query()]) -> Response:
         """Return the open incidents by element and cause, the most frequent first."""
         views = cause_views(await orchestrator.read(reports.incidents, scope_of(registry, query)), titles())
@@ -139,7 +160,12 @@ def add_statistics(app: FastAPI, at: Components) -> None:
             return csv_response("incidents", CauseView, rows, without=("reasonParameters",))
         return json_response(views)
 
-    @app.get("/statistics/resources", tags=["statistics"], responses={200: {"model": ResourcesView}})
+    @app.get(
+        "/statistics/resources",
+        tags=["statistics"],
+        responses={200: {"model": ResourcesView}},
+        dependencies=[require(Permission.READ, of_definition_query(registry))],
+    )
     async def resources(query: Annotated[ScopedQuery, Query()]) -> Response:
         """Return the working time and utilisation of people, robots and devices in a period.
 

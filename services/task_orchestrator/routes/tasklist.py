@@ -9,6 +9,9 @@ from datamodels.entities import TaskStatus
 from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.caller import Caller
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from handover.task_life import is_for_people
 from services.task_orchestrator.components import Components
 from services.task_orchestrator.records import TaskRecord
@@ -22,6 +25,7 @@ from services.task_orchestrator.requests import (
     ReturnRequest,
 )
 from services.task_orchestrator.responses import json_response
+from services.task_orchestrator.routes.resources import of_process, of_task
 from services.task_orchestrator.tasklist_responses import (
     TaskComment,
     TaskDetails,
@@ -46,7 +50,12 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
     """Add the routes of Tasks for people."""
     tasklist, state = at.orchestrator.tasklist, at.orchestrator.state
 
-    @app.get("/tasks", tags=["tasklist"], responses={200: {"model": list[TasklistEntry]}})
+    @app.get(
+        "/tasks",
+        tags=["tasklist"],
+        responses={200: {"model": list[TasklistEntry]}},
+        dependencies=[require(Permission.READ)],
+    )
     async def tasks(
         claimed_by: Annotated[str | None, Query(max_length=200, description="claimed by this person")] = None,
         group: Annotated[str | None, Query(max_length=200, description="offered to this group")] = None,
@@ -72,70 +81,143 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         )
         return json_response(found[:limit])
 
-    @app.get("/tasks/{task_id}", tags=["tasklist"], responses=DETAILS)
+    @app.get(
+        "/tasks/{task_id}",
+        tags=["tasklist"],
+        responses=DETAILS,
+        dependencies=[require(Permission.READ, of_task(at))],
+    )
     async def task(task_id: TaskId) -> Response:
         """Return a Task of people with its form, comments and history."""
         return json_response(await _details(at, _urn(at, task_id)))
 
     @app.get(
-        "/tasks/{task_id}/history", tags=["tasklist"], responses={200: {"model": list[TaskHistoryEntry]}}
+        "/tasks/{task_id}/history",
+        tags=["tasklist"],
+        responses={200: {"model": list[TaskHistoryEntry]}},
+        dependencies=[require(Permission.READ, of_task(at))],
     )
     async def history(task_id: TaskId) -> Response:
         """Return what became of a Task, the earliest first."""
         return json_response((await _details(at, _urn(at, task_id)))["history"])
 
-    @app.post("/tasks/{task_id}/form", tags=["tasklist"], responses={200: {"model": TaskForm | None}})
+    @app.post(
+        "/tasks/{task_id}/form",
+        tags=["tasklist"],
+        responses={200: {"model": TaskForm | None}},
+        dependencies=[require(Permission.READ, of_task(at))],
+    )
     @max_body(MAX_PARAMETERS_BYTES)
     async def form(task_id: TaskId, body: FormData) -> Response:
         """Return the form of a Task for the values typed so far: conditions and expressions are evaluated."""
         found = await tasklist.task(_urn(at, task_id))
         return JSONResponse(_form(at, found, body.values))
 
-    @app.post("/tasks/{task_id}/claim", tags=["tasklist"], responses=DETAILS)
-    async def claim(task_id: TaskId, body: ClaimRequest) -> Response:
+    @app.post(
+        "/tasks/{task_id}/claim",
+        tags=["tasklist"],
+        responses=DETAILS,
+    )
+    async def claim(
+        task_id: TaskId,
+        body: ClaimRequest,
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_task(at))],
+    ) -> Response:
         """Claim a Task and start it: 409 if another person or a component has it."""
         groups = [group.strip() for group in body.groups]
-        await tasklist.claim(_urn(at, task_id), body.by.strip(), groups, override=body.override)
+        await tasklist.claim(_urn(at, task_id), caller.acting_name(body.by), groups, override=body.override)
         return json_response(await _details(at, _urn(at, task_id)))
 
-    @app.post("/tasks/{task_id}/return", tags=["tasklist"], responses=DETAILS)
-    async def give_back(task_id: TaskId, body: ReturnRequest) -> Response:
+    @app.post(
+        "/tasks/{task_id}/return",
+        tags=["tasklist"],
+        responses=DETAILS,
+    )
+    async def give_back(
+        task_id: TaskId,
+        body: ReturnRequest,
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_task(at))],
+    ) -> Response:
         """Return a claimed Task, so that others can claim it."""
-        await tasklist.give_back(_urn(at, task_id), body.by.strip(), body.why)
+        await tasklist.give_back(_urn(at, task_id), caller.acting_name(body.by), body.why)
         return json_response(await _details(at, _urn(at, task_id)))
 
-    @app.post("/tasks/{task_id}/decline", tags=["tasklist"], responses=DETAILS)
-    async def decline(task_id: TaskId, body: DeclineRequest) -> Response:
+    @app.post(
+        "/tasks/{task_id}/decline",
+        tags=["tasklist"],
+        responses=DETAILS,
+    )
+    async def decline(
+        task_id: TaskId,
+        body: DeclineRequest,
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_task(at))],
+    ) -> Response:
         """Decline a Task with a reason: the next suitable person gets it, or it stays open for others."""
-        await tasklist.decline(_urn(at, task_id), body.by.strip(), body.why.strip())
+        await tasklist.decline(_urn(at, task_id), caller.acting_name(body.by), body.why.strip())
         return json_response(await _details(at, _urn(at, task_id)))
 
-    @app.post("/tasks/{task_id}/complete", tags=["tasklist"], responses=DETAILS)
+    @app.post(
+        "/tasks/{task_id}/complete",
+        tags=["tasklist"],
+        responses=DETAILS,
+    )
     @max_body(MAX_PARAMETERS_BYTES)
-    async def complete(task_id: TaskId, body: CompleteRequest) -> Response:
+    async def complete(
+        task_id: TaskId,
+        body: CompleteRequest,
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_task(at))],
+    ) -> Response:
         """End a claimed Task: 422 with `faults` by field if its form refuses the result."""
         await tasklist.complete(
-            _urn(at, task_id), body.by.strip(), body.outcome, body.note.strip(), body.outputs
+            _urn(at, task_id),
+            caller.acting_name(body.by),
+            body.outcome,
+            body.note.strip(),
+            body.outputs,
+            performed_by=caller.person,
         )
         return json_response(await _details(at, _urn(at, task_id)))
 
-    @app.post("/tasks/{task_id}/comments", status_code=201, tags=["tasklist"], responses=COMMENTED)
-    async def comment(task_id: TaskId, body: CommentRequest) -> JSONResponse:
+    @app.post(
+        "/tasks/{task_id}/comments",
+        status_code=201,
+        tags=["tasklist"],
+        responses=COMMENTED,
+    )
+    async def comment(
+        task_id: TaskId,
+        body: CommentRequest,
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_task(at))],
+    ) -> JSONResponse:
         """Add a comment to a Task."""
         found = await tasklist.task(_urn(at, task_id))
         act = await tasklist.comment(
-            found.process, body.by.strip(), body.text.strip(), task_id=found.id, key=body.id
+            found.process, caller.acting_name(body.by), body.text.strip(), task_id=found.id, key=body.id
         )
         return JSONResponse(comment_view(act), 201)
 
-    @app.post("/processes/{process_id}/comments", status_code=201, tags=["tasklist"], responses=COMMENTED)
-    async def comment_on_process(process_id: str, body: CommentRequest) -> JSONResponse:
+    @app.post(
+        "/processes/{process_id}/comments",
+        status_code=201,
+        tags=["tasklist"],
+        responses=COMMENTED,
+    )
+    async def comment_on_process(
+        process_id: str,
+        body: CommentRequest,
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_process(at))],
+    ) -> JSONResponse:
         """Add a comment to a process."""
-        act = await tasklist.comment(at.plain_id(process_id), body.by.strip(), body.text.strip(), key=body.id)
+        act = await tasklist.comment(
+            at.plain_id(process_id), caller.acting_name(body.by), body.text.strip(), key=body.id
+        )
         return JSONResponse(comment_view(act), 201)
 
     @app.get(
-        "/processes/{process_id}/comments", tags=["tasklist"], responses={200: {"model": list[TaskComment]}}
+        "/processes/{process_id}/comments",
+        tags=["tasklist"],
+        responses={200: {"model": list[TaskComment]}},
+        dependencies=[require(Permission.READ, of_process(at))],
     )
     async def comments(process_id: str) -> Response:
         """Return the comments on a process and on its Tasks, the earliest first."""

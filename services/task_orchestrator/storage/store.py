@@ -77,23 +77,23 @@ class Store:
     """Durable state. Every method blocks; one thread writes, and others may read meanwhile."""
 
     def __init__(self, engine: Engine) -> None:
-        self._engine = engine
+        self.engine = engine
         self.lock = DatabaseLock(engine, "handover task orchestrator")
         self.reports = Reports(engine)
 
     def migrate(self) -> None:
         """Bring the tables to the version of this release; raise `UsageError` if that is not possible."""
-        schema.migrate(self._engine)
+        schema.migrate(self.engine)
 
     def probe(self) -> None:
         """Raise an exception if the database does not answer."""
-        with self._engine.connect() as connection:
+        with self.engine.connect() as connection:
             connection.execute(select(1))
 
     def close(self) -> None:
         """Release the lock and close all connections."""
         self.lock.release()
-        self._engine.dispose()
+        self.engine.dispose()
 
     def write(self, step: Step) -> None:
         """Write all of `step` or nothing.
@@ -109,7 +109,7 @@ class Store:
         With `archived_only` a process stays whose entities may still be in the broker.
         """
         processes, tasks = schema.processes, schema.tasks
-        with self._engine.begin() as connection:
+        with self.engine.begin() as connection:
             old = select(processes.c.id).where(
                 processes.c.ended_at < as_column(ended_before), ~_has_open_tasks()
             )
@@ -127,7 +127,7 @@ class Store:
 
     def delete_statistics(self, before: datetime) -> None:
         """Delete the counts of the hours that ended before a time."""
-        with self._engine.begin() as connection:
+        with self.engine.begin() as connection:
             delete_rollups(connection, hour_of(before))
 
     def definitions(self) -> list[DefinitionRecord]:
@@ -188,7 +188,7 @@ class Store:
         an unknown one.
         """
         shown = [column for column in schema.processes.c if column.name not in _NOT_LISTED]
-        with self._engine.connect() as connection:
+        with self.engine.connect() as connection:
             statement = processes_page(connection, shown, wanted, before=before, limit=limit)
             rows = [dict(row) for row in connection.execute(statement).mappings().all()]
         return [to_process({**row, **_NOT_LISTED}) for row in rows]
@@ -291,12 +291,12 @@ class Store:
 
     def counts(self, definition: str, version: int, now: datetime) -> VersionCount:
         """Return the statistics of a version of a definition."""
-        with self._engine.connect() as connection:
+        with self.engine.connect() as connection:
             return count_version(connection, definition, version, now)
 
     def counts_since(self, since: datetime, now: datetime) -> PeriodCount:
         """Return the statistics of the processes that ended at `since` or later."""
-        with self._engine.connect() as connection:
+        with self.engine.connect() as connection:
             return count_period(connection, since, now)
 
     def tasks(self, process: str) -> list[TaskRecord]:
@@ -388,7 +388,7 @@ class Store:
         return [EndedProcess(record, tuple(tasks[record.id])) for record in found]
 
     def _rows(self, statement: Any) -> list[dict[str, Any]]:
-        with self._engine.connect() as connection:
+        with self.engine.connect() as connection:
             return [dict(row) for row in connection.execute(statement).mappings().all()]
 
 

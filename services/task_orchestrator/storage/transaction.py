@@ -18,6 +18,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.exc import IntegrityError
 
 from handover.errors import HandoverError
+from handover.security.audit_trail import record_request
 from services.task_orchestrator.records import (
     DefinitionRecord,
     ProcessRecord,
@@ -94,6 +95,8 @@ def write_step(connection: Connection, step: Step) -> None:
     _write_stored_messages(connection, step)
     _write_entities_seen(connection, step)
     _write_offers(connection, step)
+    for request in step.requests:
+        record_request(connection, request)
     for delivered in in_parts(step.delivered):
         connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(delivered)))
 

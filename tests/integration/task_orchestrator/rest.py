@@ -41,7 +41,7 @@ async def service(settings: OrchestratorSettings) -> AsyncIterator[httpx.AsyncCl
     hooks = {"response": [partial(check_type, types_of(app))]}
     async with (
         app.router.lifespan_context(app),
-        httpx.AsyncClient(transport=transport, base_url="http://orchestrator", event_hooks=hooks) as client,
+        httpx.AsyncClient(transport=transport, base_url="http://localhost", event_hooks=hooks) as client,
     ):
         yield client
 

@@ -84,7 +84,7 @@ def test_bin_picking_goes_the_way_the_results_say(running: Cell) -> None:
     ours = [
         each for each in running.of_type("TaskDefinition") if each["isPartOf"]["object"] == definition["id"]
     ]
-    assert len(ours) == 10
+    assert len(ours) == 12
     asked = running.entity(seen["tasks"][0]["id"])
     assert asked is not None
     assert asked["workParameters"]["value"]["gesture"] == "Thumbs up"

@@ -105,7 +105,7 @@ TASKS = st.lists(
 
 def write(store: Store, processes: list[ProcessRecord], listed: list[TaskRecord]) -> None:
     """Write processes and their Tasks as a step does that has brought them to their states."""
-    with store._engine.begin() as connection:
+    with store.engine.begin() as connection:
         for table in (schema.tasks, schema.processes, schema.statistics):
             connection.execute(delete(table))
     step = Step(1, tasks={each.id: each for each in listed})

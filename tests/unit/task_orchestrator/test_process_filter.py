@@ -65,7 +65,7 @@ CONDITIONS = (
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=10)
 @given(values=st.lists(st.sampled_from(VALUES), min_size=1, max_size=12))
 def test_conditions_on_variables_select_the_same_on_both_databases(store: Store, values: list[Any]) -> None:
-    with store._engine.begin() as connection:
+    with store.engine.begin() as connection:
         for table in (schema.tasks, schema.processes):
             connection.execute(delete(table))
     records = [process(number, variables={"a": value}) for number, value in enumerate(values)]
@@ -85,7 +85,7 @@ def test_bad_conditions_are_refused(written: str) -> None:
 
 @pytest.fixture
 def filled(store: Store) -> Store:
-    with store._engine.begin() as connection:
+    with store.engine.begin() as connection:
         for table in reversed(schema.processes.metadata.sorted_tables):
             connection.execute(delete(table))
     incident = IncidentRecord("1", "call.grip", "Grip", "jammed", NOW)

@@ -209,7 +209,7 @@ def test_what_ended_long_ago_is_forgotten_with_all_that_belongs_to_it(store: Sto
     assert (store.tasks("p-old"), store.moves("p-old")) == ([], [])
     assert (len(store.tasks("p-young")), len(store.moves("p-young"))) == (1, 1)
     assert store.delete_ended(NOW + timedelta(days=1), 1) == 1
-    with store._engine.connect() as connection:
+    with store.engine.connect() as connection:
         assert connection.execute(text("SELECT count(*) FROM orchestrator_inbox")).scalar() == 0
 
 
@@ -279,7 +279,7 @@ def test_a_page_of_many_processes_is_read_along_an_index(tmp_path: Path, wanted:
             cursor.execute(f"EXPLAIN QUERY PLAN {statement}", parameters)
             plans.extend(str(row[3]) for row in cursor.fetchall())
 
-    event.listen(store._engine, "before_cursor_execute", explain)
+    event.listen(store.engine, "before_cursor_execute", explain)
     assert store.page(wanted, before="p-0", limit=100) == []
     assert store.to_archive(NOW, 10) == []
     store.close()

@@ -51,7 +51,7 @@ def store(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 @pytest.fixture
 def empty(store: Store) -> Store:
-    with store._engine.begin() as connection:
+    with store.engine.begin() as connection:
         for table in reversed(schema.processes.metadata.sorted_tables):
             connection.execute(delete(table))
     return store
@@ -134,7 +134,7 @@ COURSES = st.lists(
 def test_sums_agree_with_a_replay_of_the_history(
     store: Store, courses: list[Any], ends: TaskStatus | None, took: int
 ) -> None:
-    with store._engine.begin() as connection:
+    with store.engine.begin() as connection:
         for table in reversed(schema.processes.metadata.sorted_tables):
             connection.execute(delete(table))
     step = Step(1)
@@ -192,7 +192,7 @@ def test_sums_agree_with_a_replay_of_the_history(
 @given(durations=st.lists(st.integers(1, 10**9), min_size=1, max_size=60), share=st.sampled_from([0.5, 0.9]))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=25)
 def test_percentiles_are_within_nine_percent(store: Store, durations: list[int], share: float) -> None:
-    with store._engine.begin() as connection:
+    with store.engine.begin() as connection:
         connection.execute(delete(schema.statistics))
     for number, duration in enumerate(durations):
         ended = process(number, status=TaskStatus.COMPLETED, ended_at=NOW + timedelta(milliseconds=duration))
