@@ -18,6 +18,7 @@ from glove_sdk_bridge.frames import HANDS, Hello
 from glove_sdk_bridge.recorder import Recorder
 from glove_sdk_bridge.source import stream
 from glove_sdk_bridge.sources import source_kinds
+from glove_sdk_bridge.tls import client_context
 
 LIFELINE = "HANDOVER_LIFELINE"
 """Set by a parent process; the bridge then stops when its standard input ends."""
@@ -60,7 +61,8 @@ def _run(args: argparse.Namespace, stop: threading.Event) -> None:
         return
     source = source_kinds()[args.command].make(args, _say)
     hello = Hello(args.glove, args.hand or getattr(source, "hand", None) or HANDS[0], args.token)
-    with FrameSender(hello, args.host, args.port, say=_say) as sender:
+    tls = client_context() if args.tls else None
+    with FrameSender(hello, args.host, args.port, say=_say, tls=tls) as sender:
         stream(source, sender, stop, _say)
 
 

@@ -9,6 +9,7 @@ from glove_sdk_bridge.arguments import add_controller, glove_name, port, positiv
 from glove_sdk_bridge.errors import BridgeError
 from glove_sdk_bridge.frames import HANDS
 from glove_sdk_bridge.sources import source_kinds
+from glove_sdk_bridge.tls import AUTHORITY
 
 TOKEN = "HANDOVER_GLOVE_TOKEN"  # noqa: S105 - the name of a setting, no secret
 
@@ -62,6 +63,12 @@ def _connection_arguments() -> _Parser:
         "--host", default="127.0.0.1", help="address of the glove server (default: %(default)s)"
     )
     words.add_argument("--port", default=54000, type=port, help="its TCP port (default: %(default)s)")
+    words.add_argument(
+        "--tls",
+        action=argparse.BooleanOptionalAction,
+        default=False,
+        help=f"connect with TLS; {AUTHORITY} names a file of authorities to trust (PEM)",
+    )
     words.add_argument(
         "--token",
         default=os.environ.get(TOKEN, ""),

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import os
 import socket
 from collections.abc import Iterator
 from typing import Any
@@ -9,7 +10,9 @@ from urllib.parse import quote, urlsplit
 
 from glove_sdk_bridge.errors import BridgeError
 from glove_sdk_bridge.frames import MAX_LINE_BYTES
+from glove_sdk_bridge.tls import client_context, reason_of
 
+ACCESS_TOKEN = "HANDOVER_SERVICE_TOKEN"  # noqa: S105 - the name of a setting, no secret
 RESPONSE_TIMEOUT_S = 5.0
 MAX_RESPONSE_BYTES = 1024 * 1024
 
@@ -27,10 +30,15 @@ class Declined(BridgeError):
 
 
 class ControllerClient:
-    """The controller at `url`, such as `http://127.0.0.1:54210`; raises `BridgeError` if that is no URL."""
+    """The controller at `url`, such as `http://127.0.0.1:54210`; raises `BridgeError` if that is no URL.
+
+    Each request carries the token of `HANDOVER_SERVICE_TOKEN`, if there is one.
+    """
 
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
+        token = os.environ.get(ACCESS_TOKEN)
+        self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         try:
             parts = urlsplit(self.url)
             self._host, self._port, self._path = parts.hostname or "", parts.port, parts.path
@@ -59,7 +67,7 @@ class ControllerClient:
         connection = self._connection()
         try:
             try:
-                connection.request("GET", f"{self._path}/gloves/{quote(name)}/frames")
+                connection.request("GET", f"{self._path}/gloves/{quote(name)}/frames", headers=self._headers)
                 raw_socket = connection.sock
                 answer = connection.getresponse()
                 if answer.status >= http.client.BAD_REQUEST:
@@ -79,7 +87,8 @@ class ControllerClient:
         connection = self._connection()
         try:
             given = None if body is None else json.dumps(body)
-            connection.request(method, self._path + path, given, {"Content-Type": "application/json"})
+            headers = {"Content-Type": "application/json", **self._headers}
+            connection.request(method, self._path + path, given, headers)
             answer = connection.getresponse()
             status, text = answer.status, answer.read(MAX_RESPONSE_BYTES)
         except (OSError, http.client.HTTPException) as error:
@@ -94,11 +103,14 @@ class ControllerClient:
         return said
 
     def _connection(self) -> http.client.HTTPConnection:
-        kind = http.client.HTTPSConnection if self._secure else http.client.HTTPConnection
-        return kind(self._host, self._port, timeout=RESPONSE_TIMEOUT_S)
+        if not self._secure:
+            return http.client.HTTPConnection(self._host, self._port, timeout=RESPONSE_TIMEOUT_S)
+        return http.client.HTTPSConnection(
+            self._host, self._port, timeout=RESPONSE_TIMEOUT_S, context=client_context()
+        )
 
     def _unreachable(self, error: Exception) -> Unreachable:
-        words = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        words = reason_of(error) if isinstance(error, OSError) else str(error) or type(error).__name__
         return Unreachable(f"the controller at {self.url} does not answer ({words}); is it running?")
 
     def _declined(self, status: int, text: bytes) -> Declined:

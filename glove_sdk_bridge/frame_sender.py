@@ -7,6 +7,7 @@ would show a gesture that the person no longer makes.
 import contextlib
 import random
 import socket
+import ssl
 import threading
 import time
 from collections import deque
@@ -17,6 +18,7 @@ from typing import Any, Self
 from glove_sdk_bridge.errors import BadLine, BridgeError, Say
 from glove_sdk_bridge.frames import Frame, Hello, parse_object
 from glove_sdk_bridge.lines import Lines
+from glove_sdk_bridge.tls import reason_of
 
 INITIAL_RETRY_S, MAX_RETRY_S = 0.2, 5.0
 MAX_FRAME_AGE_S = 0.5
@@ -45,7 +47,7 @@ class Refused(BridgeError):
 
 
 class FrameSender:
-    """Keeps a connection during the context; `say` gets messages for a person."""
+    """Keeps a connection during the context, with `tls` if given; `say` gets messages for a person."""
 
     def __init__(
         self,
@@ -54,6 +56,7 @@ class FrameSender:
         port: int,
         *,
         say: Say,
+        tls: ssl.SSLContext | None = None,
         chance: random.Random | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -65,6 +68,7 @@ class FrameSender:
         self._address = (host, port)
         self._where = f"{host}:{port}"
         self._say = say
+        self._tls = tls
         self._chance = chance or random.Random()  # noqa: S311 - jitter, no secret
         self._clock = clock
         self._waiting: deque[tuple[float, Frame]] = deque()
@@ -127,7 +131,7 @@ class FrameSender:
                     return
                 self._report_outage(str(refused))
             except OSError as error:
-                self._report_outage(error.strerror or str(error) or type(error).__name__)
+                self._report_outage(reason_of(error))
             finally:
                 self._connected.clear()
             if self._clock() - began_s >= MIN_STABLE_S:
@@ -149,8 +153,7 @@ class FrameSender:
 
     def _run_connection(self) -> None:
         """Connect, send hello and frames until the connection breaks (OSError, `Refused`) or stops."""
-        with socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S) as connection:
-            _prepare(connection)
+        with self._connect() as connection:
             answers = Lines()
             connection.sendall(self._hello.encode())
             self._await_ack(connection, answers)
@@ -161,6 +164,17 @@ class FrameSender:
                 self._listen(connection, answers)
                 self._send_waiting(connection)
             _close(connection)
+
+    def _connect(self) -> socket.socket:
+        plain = socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S)
+        try:
+            _prepare(plain)
+            if self._tls is None:
+                return plain
+            return self._tls.wrap_socket(plain, server_hostname=self._address[0])
+        except BaseException:
+            plain.close()
+            raise
 
     def _await_ack(self, connection: socket.socket, answers: Lines) -> None:
         until_s = time.monotonic() + ACK_TIMEOUT_S
@@ -182,7 +196,7 @@ class FrameSender:
             while data := connection.recv(4096):
                 for answer in answers.feed(data):
                     self._check_error(answer, is_acknowledged=True)
-        except BlockingIOError:
+        except (BlockingIOError, ssl.SSLWantReadError):
             return
         raise ConnectionResetError("it hung up")
 

@@ -8,12 +8,18 @@ from typing import Annotated, Any, Literal, cast
 from fastapi import FastAPI, Response, WebSocket
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from starlette.requests import HTTPConnection
 
 from datamodels.states import Outcome
 from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.ports import require_free
+from handover.security.audit_trail import AuditTrail
+from handover.security.caller import Caller
+from handover.security.guard import Guard, ResourceOf, guard_of, require, require_somewhere
+from handover.security.permissions import Permission
+from handover.security.protection import require_protection
 from handover.service import create_app
 from handover.storage import storage_check
 from handover.telemetry import get_logger
@@ -21,7 +27,7 @@ from services.gesture_controller.accuracy_tests.accuracy_test_runner import Accu
 from services.gesture_controller.accuracy_tests.routes import add_accuracy_tests
 from services.gesture_controller.accuracy_tests.store import AccuracyTestStore
 from services.gesture_controller.calibration.calibration_session import CalibrationSessions
-from services.gesture_controller.calibration.routes import MAX_FRAMES_BYTES, Frames, add_calibration
+from services.gesture_controller.calibration.routes import MAX_FRAMES_BYTES, Frames, add_calibration, of_glove
 from services.gesture_controller.configuration import gestures_file
 from services.gesture_controller.connection.glove_registry import GloveRegistry
 from services.gesture_controller.connection.glove_server import GloveServer
@@ -31,6 +37,7 @@ from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.glove_view import view_of
 from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.people.routes import add_people
+from services.gesture_controller.people.station_joins import StationJoins
 from services.gesture_controller.people.study_condition_routes import add_study_conditions
 from services.gesture_controller.pictures.routes import add_pictures, picture_urls
 from services.gesture_controller.prompting.prompt import CannotComplete
@@ -84,12 +91,15 @@ class Completion(_Body):
 
 def make_app(settings: ControllerSettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
+    require_protection(settings, settings.glove_host, "HANDOVER_GLOVE_HOST")
     require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT", say=log.warning)
-    broker = BrokerClient(settings)
+    guard = Guard(settings, "gesture-controller")
+    broker = BrokerClient(settings, credentials=guard.access)
     site = gestures_file.load(settings.gestures_file)
     for restriction in site.restricted_answers():
         log.warning("some Tasks do not offer an answer by gesture", reason=restriction)
-    controller = GestureController(settings, site, broker)
+    joins = StationJoins(guard)
+    controller = GestureController(settings, site, broker, joins)
     if not settings.is_local and settings.token is None:
         log.warning(
             "gloves need their own tokens",
@@ -114,6 +124,8 @@ def make_app(settings: ControllerSettings) -> FastAPI:
             "tasks": controller.probe,
             "storage": storage_check(settings.data_dir),
         },
+        guard=guard,
+        audit=AuditTrail(settings, "gesture-controller", controller.database),
     )
     controller.mount(app)
     _add_gestures(app, controller)
@@ -130,7 +142,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
 
 
 def _add_gestures(app: FastAPI, controller: GestureController) -> None:
-    @app.get("/gestures", tags=["gestures"])
+    @app.get("/gestures", tags=["gestures"], dependencies=[require_somewhere(Permission.READ)])
     async def gestures() -> list[PlainSiteGesture | CompositeSiteGesture]:
         """List the gestures of the site: name, code (thumb first, 0 straight, 2 bent), command and pictures.
 
@@ -142,7 +154,7 @@ def _add_gestures(app: FastAPI, controller: GestureController) -> None:
             for one in found
         ]
 
-    @app.get("/specifications", tags=["operations"])
+    @app.get("/specifications", tags=["operations"], dependencies=[require(Permission.READ)])
     async def specifications() -> dict[str, str]:
         """Return the URL and the state of the database for TaskDefinitions that the broker does not have."""
         database = controller.specifications
@@ -156,24 +168,24 @@ def _add_gestures(app: FastAPI, controller: GestureController) -> None:
 def _add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
     known = registry.known
 
-    @app.get("/gloves", tags=["gloves"])
+    @app.get("/gloves", tags=["gloves"], dependencies=[require(Permission.READ)])
     async def list_gloves() -> list[GloveView]:
         """Return the state of every glove."""
         return [_view(glove) for glove in known]
 
-    @app.get("/gloves/{glove}", tags=["gloves"])
+    @app.get("/gloves/{glove}", tags=["gloves"], dependencies=[require(Permission.READ, of_glove)])
     async def get_glove(glove: str) -> GloveView:
         """Return the state of a glove."""
         return _view(known.named(glove))
 
-    @app.put("/gloves/{glove}", tags=["gloves"])
+    @app.put("/gloves/{glove}", tags=["gloves"], dependencies=[require(Permission.CONFIGURE, of_glove)])
     async def declare(glove: str, declaration: Declaration, response: Response) -> GloveView:
         """Declare a glove before its first hello: 201, or 200 if it was known."""
         declared, is_new = await registry.declare(glove, declaration.hand, declaration.person)
         response.status_code = 201 if is_new else 200
         return _view(declared)
 
-    @app.put("/gloves/{glove}/token", tags=["gloves"])
+    @app.put("/gloves/{glove}/token", tags=["gloves"], dependencies=[require(Permission.CONFIGURE, of_glove)])
     async def set_token(glove: str) -> dict[str, str]:
         """Make a new token for a glove in place of an older one, and show it once.
 
@@ -181,7 +193,12 @@ def _add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
         """
         return {"glove": glove, "token": await registry.set_token(glove)}
 
-    @app.delete("/gloves/{glove}/token", status_code=204, tags=["gloves"])
+    @app.delete(
+        "/gloves/{glove}/token",
+        status_code=204,
+        tags=["gloves"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def remove_token(glove: str) -> None:
         """Remove the token of a glove; its connection ends, and the rules without a token apply."""
         await registry.remove_token(known.named(glove))
@@ -190,19 +207,31 @@ def _add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
 def _add_fits(app: FastAPI, registry: GloveRegistry) -> None:
     known, fits = registry.known, registry.fits
 
-    @app.put("/gloves/{glove}/thresholds", tags=["calibration"])
+    @app.put(
+        "/gloves/{glove}/thresholds",
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def set_thresholds(glove: str, thresholds: dict[str, dict[str, FiniteFloat]]) -> GloveView:
         """Set and store the thresholds of some or all fingers."""
         await fits.set_thresholds(known.named(glove), thresholds)
         return _view(known.named(glove))
 
-    @app.post("/gloves/{glove}/thresholds/restore", tags=["calibration"])
+    @app.post(
+        "/gloves/{glove}/thresholds/restore",
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def restore(glove: str) -> GloveView:
         """Exchange the thresholds with those before the last change."""
         await fits.restore(known.named(glove))
         return _view(known.named(glove))
 
-    @app.post("/gloves/{glove}/calibration", tags=["calibration"])
+    @app.post(
+        "/gloves/{glove}/calibration",
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     @max_body(2 * MAX_FRAMES_BYTES)
     async def calibrate(glove: str, frames: CalibrationFrames) -> dict[str, Any]:
         """Calculate and store thresholds from frames of a fist and of an open hand."""
@@ -211,26 +240,40 @@ def _add_fits(app: FastAPI, registry: GloveRegistry) -> None:
 
 
 def _add_actions(app: FastAPI, known: KnownGloves) -> None:
-    @app.put("/gloves/{glove}/modes", tags=["actions"])
+    of_wearer = _of_glove_or_wearer(known)
+
+    @app.put(
+        "/gloves/{glove}/modes", tags=["actions"], dependencies=[require(Permission.CONFIGURE, of_glove)]
+    )
     async def switch(glove: str, modes: Modes) -> GloveView:
         """Switch testing (nothing completes a Task) and filtering (only the prompted gesture counts)."""
         known.named(glove).switch(testing=modes.testing, filtering=modes.filtering)
         return _view(known.named(glove))
 
-    @app.post("/gloves/{glove}/pause", tags=["actions"])
+    @app.post(
+        "/gloves/{glove}/pause", tags=["actions"], dependencies=[require(Permission.PERFORM_TASKS, of_wearer)]
+    )
     async def pause(glove: str) -> GloveView:
         """Let nothing count, and pause the Task, until resumed."""
         known.named(glove).pause()
         return _view(known.named(glove))
 
-    @app.post("/gloves/{glove}/resume", tags=["actions"])
+    @app.post(
+        "/gloves/{glove}/resume",
+        tags=["actions"],
+        dependencies=[require(Permission.PERFORM_TASKS, of_wearer)],
+    )
     async def resume(glove: str) -> GloveView:
         """End a pause; one that was requested on the Task itself stays."""
         known.named(glove).resume()
         return _view(known.named(glove))
 
     @app.post("/gloves/{glove}/complete", tags=["actions"])
-    async def complete(glove: str, completion: Completion) -> GloveView:
+    async def complete(
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_wearer)],
+        glove: str,
+        completion: Completion,
+    ) -> GloveView:
         """Answer the Task on the screen: `ok`, `notGood` or `problem`, with an optional note.
 
         With another outcome than `ok` the Task ends `failed`, unless its definition handles outcomes.
@@ -238,7 +281,12 @@ def _add_actions(app: FastAPI, known: KnownGloves) -> None:
         note = (completion.note or "").strip() or None
         try:
             known.named(glove).responder.complete_on_screen(
-                completion.by, _now_s(), completion.task, completion.outcome, note
+                caller.acting_name(completion.by),
+                _now_s(),
+                completion.task,
+                completion.outcome,
+                note,
+                performed_by=caller.person,
             )
         except CannotComplete as error:
             raise Problem(409, "Cannot complete", str(error)) from None
@@ -246,12 +294,12 @@ def _add_actions(app: FastAPI, known: KnownGloves) -> None:
 
 
 def _add_streams(app: FastAPI, known: KnownGloves) -> None:
-    @app.get("/gloves/{glove}/frames", tags=["streams"])
+    @app.get("/gloves/{glove}/frames", tags=["streams"], dependencies=[require(Permission.READ, of_glove)])
     async def frames(glove: str) -> StreamingResponse:
         """Stream the hello of the glove and then its raw frames, one JSON object a line."""
         return StreamingResponse(stream_frames(known.named(glove)), media_type="application/x-ndjson")
 
-    @app.websocket("/gloves/{glove}/live")
+    @app.websocket("/gloves/{glove}/live", dependencies=[require(Permission.READ, of_glove)])
     async def live(screen: WebSocket, glove: str) -> None:
         try:
             followed = known.named(glove)
@@ -260,6 +308,17 @@ def _add_streams(app: FastAPI, known: KnownGloves) -> None:
             await screen.close(4404, problem.detail[:120])
             return
         await send_views(followed, screen)
+
+
+def _of_glove_or_wearer(known: KnownGloves) -> ResourceOf:
+    def resources(connection: HTTPConnection) -> tuple[str, ...]:
+        name, settings = str(connection.path_params["glove"]), guard_of(connection).settings
+        glove = known.get(name)
+        worn = () if glove is None or glove.person is None else (settings.entity_id("Person", glove.person),)
+        return (settings.entity_id("Device", name), *worn)
+
+    resources.__doc__ = "Device `{glove}`, or the Person who wears it"
+    return resources
 
 
 def _view(glove: Glove) -> GloveView:

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Mapping
 from contextlib import AsyncExitStack
+from functools import partial
 from typing import Any, Self
 
 from datamodels.states import Outcome
@@ -19,8 +20,10 @@ from services.gesture_controller.configuration.gestures_file import Configuratio
 from services.gesture_controller.connection.admission import TokenStore
 from services.gesture_controller.connection.broker_reports import BrokerReports
 from services.gesture_controller.connection.glove_registry import GloveRegistry
+from services.gesture_controller.gloves.gesture_responder import Station
 from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.people.people import People
+from services.gesture_controller.people.station_joins import StationJoins
 from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.people.study_condition_store import StudyConditionStore
 from services.gesture_controller.prompting.prompt import GesturePrompt, PromptAnswer, PromptSpec
@@ -44,10 +47,15 @@ class GestureController(Performer):
     """Performs Tasks with every glove and its wearer; an asynchronous context manager."""
 
     def __init__(
-        self, settings: ControllerSettings, configuration: Configuration, broker: BrokerClient
+        self,
+        settings: ControllerSettings,
+        configuration: Configuration,
+        broker: BrokerClient,
+        joins: StationJoins,
     ) -> None:
         super().__init__("gesture-controller", settings, broker, notify_url=settings.notify_url)
         self.configuration = configuration
+        self._joins = joins
         self._silence_s = settings.silence_s
         self._specification_timeout_s = settings.specification_timeout_s
         self._reports = BrokerReports(settings, broker)
@@ -84,6 +92,8 @@ class GestureController(Performer):
             self._refresh_devices,
         ):
             tasks.start(loop)
+        tasks.start_restarting(self._joins.follow)
+        tasks.start_restarting(self._joins.send)
         return await super().__aenter__()
 
     async def __aexit__(self, *error: object) -> None:
@@ -212,6 +222,9 @@ class GestureController(Performer):
     # Background loops
 
     def _adopt(self, glove: Glove) -> None:
+        glove.responder.station = Station(
+            partial(self._joins.person_at, glove.name), partial(self._joins.held, glove.name)
+        )
         names = [self.settings.entity_id("Device", glove.name)]
         if glove.person:
             names.append(self.settings.entity_id("Person", glove.person))

@@ -1,11 +1,11 @@
 """The settings of the gesture controller, in addition to the common ones."""
 
-import ipaddress
 from pathlib import Path
 from typing import Self
 
 from pydantic import Field, SecretStr, model_validator
 
+from handover.outbound_policy import is_loopback
 from handover.settings import Settings
 from services.gesture_controller.recognition.hold import HoldTiming
 
@@ -94,13 +94,4 @@ class ControllerSettings(Settings):
     @property
     def is_local(self) -> bool:
         """True if the glove server listens on loopback only."""
-        return _is_loopback(self.glove_host)
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+        return is_loopback(self.glove_host)

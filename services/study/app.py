@@ -8,6 +8,8 @@ from fastapi import FastAPI
 from handover.background_tasks import BackgroundTasks
 from handover.database import connect
 from handover.resync import Resync
+from handover.security.audit_trail import AuditTrail
+from handover.security.guard import Guard
 from handover.service import create_app
 from handover.storage import storage_check
 from services.study.controller_client import ControllerClient
@@ -23,7 +25,8 @@ RECONCILE_INTERVAL_S = 2.0
 def make_app(settings: StudySettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
     database = connect(settings.database("study"))
-    client = ControllerClient(settings.gesture_controller)
+    guard = Guard(settings, "study")
+    client = ControllerClient(settings.gesture_controller, guard.access, settings.ca_files)
     conditions = GestureConditions(client)
     sessions = StudySessions(StudyStore(database), conditions)
     resync = Resync(conditions.reconcile, RECONCILE_INTERVAL_S)
@@ -40,6 +43,8 @@ def make_app(settings: StudySettings) -> FastAPI:
         description=__doc__ or "",
         lifespan=lifespan,
         checks={"storage": storage_check(settings.data_dir)},
+        guard=guard,
+        audit=AuditTrail(settings, "study", database),
     )
     add_study(app, sessions)
     return app

@@ -1,9 +1,15 @@
 """An HTTP client for the study conditions of the gesture controller."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Self
 from urllib.parse import quote
 
 import httpx
+
+from handover.broker import Credentials
+from handover.errors import HandoverError
+from handover.tls_trust import client_context
 
 TIMEOUT = httpx.Timeout(3.0)
 
@@ -13,14 +19,24 @@ class ControllerUnavailable(Exception):
 
 
 class ControllerClient:
-    """Reads and writes the study conditions of the controller at `url`; an asynchronous context manager."""
+    """Reads and writes the study conditions of the controller at `url`; an asynchronous context manager.
 
-    def __init__(self, url: str) -> None:
+    Each request carries the `credentials`.
+    """
+
+    def __init__(self, url: str, credentials: Credentials, ca_files: Sequence[Path] = ()) -> None:
         self._url = url
+        self._credentials = credentials
+        self._ca_files = ca_files
         self._http: httpx.AsyncClient | None = None
 
     async def __aenter__(self) -> Self:
-        self._http = httpx.AsyncClient(base_url=self._url, timeout=TIMEOUT, trust_env=False)
+        self._http = httpx.AsyncClient(
+            base_url=self._url,
+            timeout=TIMEOUT,
+            trust_env=False,
+            verify=client_context(*self._ca_files),
+        )
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -46,8 +62,9 @@ class ControllerClient:
         if self._http is None:
             raise ControllerUnavailable("the client is closed")
         try:
-            response = await self._http.request(method, path, json=body)
+            headers = await self._credentials.headers()
+            response = await self._http.request(method, path, json=body, headers=dict(headers))
             response.raise_for_status()
-        except httpx.HTTPError as error:
+        except (httpx.HTTPError, HandoverError) as error:
             raise ControllerUnavailable(f"{self._url}: {str(error) or type(error).__name__}") from None
         return response

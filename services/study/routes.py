@@ -14,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from handover.errors import Problem
 from handover.messages import message
 from handover.offload import Offload, OffloadFailed
+from handover.security.guard import require, require_somewhere
+from handover.security.permissions import Permission
 from services.study.protocol import FINISHED, STEPS, Language, Session
 from services.study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
 from services.study.study_session import DECLINED, StudySessions
@@ -50,7 +52,7 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     """Add the routes of the study."""
     analyses = _Analyses(sessions)
 
-    @app.get("/wording", tags=["study"])
+    @app.get("/wording", tags=["study"], dependencies=[require_somewhere(Permission.READ)])
     async def words(language: Language = "en") -> WordingView:
         """Return the texts for participants, and the steps, scales and pairs of the questionnaires."""
         questionnaires = {
@@ -62,7 +64,9 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         }
         return cast("WordingView", {**wording(language), **questionnaires})
 
-    @app.post("/sessions", status_code=201, tags=["study"])
+    @app.post(
+        "/sessions", status_code=201, tags=["study"], dependencies=[require(Permission.CONDUCT_STUDIES)]
+    )
     async def begin(session: NewSession) -> SessionView:
         """Begin a session; its first step is consent."""
         begun = await sessions.begin(
@@ -70,19 +74,21 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         )
         return view_of(begun)
 
-    @app.get("/sessions", tags=["study"])
+    @app.get("/sessions", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
     async def list_sessions(study: Study | None = None) -> list[SessionView]:
         """List the sessions (of a study), oldest first."""
         return [view_of(session) for session in await sessions.sessions(study)]
 
-    @app.get("/sessions/{session}", tags=["study"])
+    @app.get("/sessions/{session}", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
     async def one(session: str) -> SessionWithAnswers:
         """Return a session with its step and its answers."""
         found = await sessions.one(session)
         answers = {step: dict(answer.content) for step, answer in found.answers.items()}
         return {**view_of(found), "answers": answers}
 
-    @app.post("/sessions/{session}/steps/{step}", tags=["study"])
+    @app.post(
+        "/sessions/{session}/steps/{step}", tags=["study"], dependencies=[require(Permission.CONDUCT_STUDIES)]
+    )
     async def answer(
         session: str, step: str, given: Annotated[dict[str, Any], Body()]
     ) -> SessionView | DeclinedSession:
@@ -92,17 +98,27 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
             return {"id": session, "step": DECLINED}
         return view_of(moved)
 
-    @app.delete("/sessions/{session}", status_code=204, tags=["study"])
+    @app.delete(
+        "/sessions/{session}",
+        status_code=204,
+        tags=["study"],
+        dependencies=[require(Permission.CONDUCT_STUDIES)],
+    )
     async def delete(session: str) -> None:
         """Delete a session and all its answers beyond recovery."""
         await sessions.delete(session)
 
-    @app.get("/analysis", tags=["study"])
+    @app.get("/analysis", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
     async def analysis(study: Study = DEFAULT_STUDY) -> StudyAnalysis:
         """Return the analysis of a study: SUS, NASA-TLX by condition, tests and box plots."""
         return {"study": study, **await analyses.of(study)}
 
-    @app.get("/answers.csv", tags=["study"], response_class=Response)
+    @app.get(
+        "/answers.csv",
+        tags=["study"],
+        response_class=Response,
+        dependencies=[require(Permission.READ_STUDIES)],
+    )
     async def as_csv(study: Study = DEFAULT_STUDY) -> Response:
         """Return every answer and score of a study, one line for each participant."""
         from services.study.table import csv_of  # noqa: PLC0415 - seldom asked for
@@ -110,7 +126,12 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
         text = csv_of(await sessions.sessions(study))
         return _file(text.encode(), "text/csv; charset=utf-8", study, "csv")
 
-    @app.get("/report.pdf", tags=["study"], response_class=Response)
+    @app.get(
+        "/report.pdf",
+        tags=["study"],
+        response_class=Response,
+        dependencies=[require(Permission.READ_STUDIES)],
+    )
     async def as_pdf(study: Study = DEFAULT_STUDY, language: Language = "en") -> Response:
         """Return the report of a study on A4."""
         from services.study.pdf import pdf_of  # noqa: PLC0415 - seldom asked for

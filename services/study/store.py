@@ -29,6 +29,7 @@ from sqlalchemy.exc import IntegrityError
 
 from handover.errors import Problem
 from handover.migrations import migrate
+from handover.security.audit_trail import record_request
 from services.study.protocol import (
     FINISHED,
     Condition,
@@ -84,6 +85,7 @@ class StudyStore:
         try:
             with self._engine.begin() as connection:
                 connection.execute(insert(_sessions).values(row))
+                record_request(connection)
         except IntegrityError:
             raise Problem(
                 409,
@@ -114,6 +116,7 @@ class StudyStore:
                 )
             row = {**asdict(answer), "content": orjson.dumps(dict(answer.content)).decode()}
             connection.execute(insert(_answers).values(session=session.id, step=step, **row))
+            record_request(connection)
 
     def delete(self, session_id: str) -> bool:
         """Delete a session and all its answers beyond recovery; say whether there was one."""
@@ -123,6 +126,7 @@ class StudyStore:
                 connection.exec_driver_sql("PRAGMA secure_delete=ON")
             connection.execute(delete(_answers).where(_answers.c.session == session_id))
             found = connection.execute(delete(_sessions).where(_sessions.c.id == session_id)).rowcount > 0
+            record_request(connection)
             connection.commit()
         if is_sqlite:
             with self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:

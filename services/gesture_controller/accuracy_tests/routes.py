@@ -5,9 +5,14 @@ import io
 from collections.abc import Sequence
 from typing import Annotated
 
-from fastapi import FastAPI, Response
+from fastapi import FastAPI, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
+from starlette.requests import HTTPConnection
 
+from handover.errors import Problem
+from handover.security.guard import ResourceOf, authenticated, guard_of, require, require_by_handler
+from handover.security.permissions import Permission
+from handover.security.resource_patterns import ANY_RESOURCE
 from services.gesture_controller.accuracy_tests.accuracy_test_runner import MAX_SEED, AccuracyTestRunner
 from services.gesture_controller.accuracy_tests.report import first_recognized, report_of
 from services.gesture_controller.accuracy_tests.store import AccuracyTest
@@ -37,10 +42,19 @@ class NewTest(BaseModel):
 
 def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGloves) -> None:
     """Add the routes of accuracy tests."""
+    of_test = _of_glove(runner)
 
-    @app.post("/tests", status_code=201, tags=["accuracy tests"])
-    async def begin(test: NewTest) -> TestState:
+    @app.post(
+        "/tests",
+        status_code=201,
+        tags=["accuracy tests"],
+        dependencies=[require_by_handler(Permission.CONFIGURE, "for the glove")],
+    )
+    async def begin(test: NewTest, connection: Request) -> TestState:
         """Begin a test; the glove is in testing mode until its end. `seed` repeats an order."""
+        guard = guard_of(connection)
+        glove = guard.settings.entity_id("Device", test.glove)
+        guard.require(await authenticated(connection), Permission.CONFIGURE, glove)
         return await runner.begin(
             gloves.named(test.glove),
             test.gestures,
@@ -51,44 +65,64 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
             breaks=test.breaks,
         )
 
-    @app.get("/tests", tags=["accuracy tests"])
+    @app.get("/tests", tags=["accuracy tests"], dependencies=[require(Permission.READ)])
     async def all_tests() -> list[TestSummary]:
         """List all tests, the latest first."""
         return await runner.all()
 
-    @app.get("/tests/{test}", tags=["accuracy tests"])
+    @app.get("/tests/{test}", tags=["accuracy tests"], dependencies=[require(Permission.READ, of_test)])
     async def one(test: str) -> TestState:
         """Return a test; `live` is its view while it runs."""
         return await runner.one(test)
 
-    @app.post("/tests/{test}/continue", tags=["accuracy tests"])
+    @app.post(
+        "/tests/{test}/continue",
+        tags=["accuracy tests"],
+        dependencies=[require(Permission.CONFIGURE, of_test)],
+    )
     async def resume(test: str) -> TestState:
         """Resume after a break or an interruption."""
         return await runner.resume(test)
 
-    @app.post("/tests/{test}/stop", tags=["accuracy tests"])
+    @app.post(
+        "/tests/{test}/stop", tags=["accuracy tests"], dependencies=[require(Permission.CONFIGURE, of_test)]
+    )
     async def stop(test: str) -> TestState:
         """Stop the test; its trials are kept and reported."""
         return await runner.stop(test)
 
-    @app.delete("/tests/{test}", status_code=204, tags=["accuracy tests"])
+    @app.delete(
+        "/tests/{test}",
+        status_code=204,
+        tags=["accuracy tests"],
+        dependencies=[require(Permission.CONFIGURE, of_test)],
+    )
     async def delete(test: str) -> None:
         """Delete a test with its trials."""
         await runner.delete(test)
 
-    @app.get("/tests/{test}/report", tags=["accuracy tests"])
+    @app.get(
+        "/tests/{test}/report", tags=["accuracy tests"], dependencies=[require(Permission.READ, of_test)]
+    )
     async def report(test: str) -> TestReport:
         """Return Table 3, the confusion matrix and the times of the trials so far."""
         stored, trials = await runner.trials(test)
         return {"test": await runner.one(test), **report_of(stored.plan, [trial for trial, _ in trials])}
 
-    @app.get("/tests/{test}/trials.json", tags=["accuracy tests"])
+    @app.get(
+        "/tests/{test}/trials.json", tags=["accuracy tests"], dependencies=[require(Permission.READ, of_test)]
+    )
     async def as_json(test: str) -> list[TrialView]:
         """Return every trial as JSON."""
         _, trials = await runner.trials(test)
         return [_as_dict(trial, at) for trial, at in trials]
 
-    @app.get("/tests/{test}/trials.csv", tags=["accuracy tests"], response_class=Response)
+    @app.get(
+        "/tests/{test}/trials.csv",
+        tags=["accuracy tests"],
+        response_class=Response,
+        dependencies=[require(Permission.READ, of_test)],
+    )
     async def as_csv(test: str) -> Response:
         """Return every trial as CSV."""
         stored, trials = await runner.trials(test)
@@ -98,6 +132,18 @@ def add_accuracy_tests(app: FastAPI, runner: AccuracyTestRunner, gloves: KnownGl
             media_type="text/csv; charset=utf-8",
             headers={"Content-Disposition": f'attachment; filename="{name}"'},
         )
+
+
+def _of_glove(runner: AccuracyTestRunner) -> ResourceOf:
+    async def resource(connection: HTTPConnection) -> str:
+        try:
+            test = await runner.one(str(connection.path_params["test"]))
+        except Problem:
+            return ANY_RESOURCE
+        return guard_of(connection).settings.entity_id("Device", test["glove"])
+
+    resource.__doc__ = "the glove of the test"
+    return resource
 
 
 def csv_of(test: AccuracyTest, trials: Sequence[tuple[Trial, str]]) -> str:

@@ -8,6 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.guard import in_path, require, require_somewhere
+from handover.security.permissions import Permission
 from services.gesture_controller.calibration.calibration_session import CalibrationSessions
 from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.recognition.registry import recognizers
@@ -24,6 +26,8 @@ Frames = Annotated[
 ]
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
+
+of_glove = in_path("Device", "glove")
 
 
 class _Body(BaseModel):
@@ -54,18 +58,24 @@ class Choice(_Body):
 def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGloves) -> None:
     """Add the routes of calibration."""
 
-    @app.get("/recognizers", tags=["calibration"])
+    @app.get("/recognizers", tags=["calibration"], dependencies=[require_somewhere(Permission.READ)])
     async def all_recognizers() -> list[str]:
         """List the names of the recognizers."""
         return recognizers()
 
-    @app.put("/gloves/{glove}/recognizer", tags=["calibration"])
+    @app.put(
+        "/gloves/{glove}/recognizer",
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def choose_recognizer(glove: str, choice: Choice) -> dict[str, Any]:
         """Choose and store the recognizer of the glove for its wearer."""
         await sessions.choose_recognizer(gloves.named(glove), choice.name)
         return sessions.summary(gloves.named(glove))
 
-    @app.get("/gloves/{glove}/recognition", tags=["calibration"])
+    @app.get(
+        "/gloves/{glove}/recognition", tags=["calibration"], dependencies=[require(Permission.READ, of_glove)]
+    )
     async def recognition(glove: str) -> dict[str, Any]:
         """Return the result of the last frame, the score of each gesture, and the explanation."""
         known = gloves.named(glove)
@@ -90,12 +100,19 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
             "why": reader.why(seen),
         }
 
-    @app.get("/gloves/{glove}/calibration", tags=["calibration"])
+    @app.get(
+        "/gloves/{glove}/calibration", tags=["calibration"], dependencies=[require(Permission.READ, of_glove)]
+    )
     async def summary(glove: str) -> dict[str, Any]:
         """Return the calibration of the glove for its wearer."""
         return sessions.summary(gloves.named(glove))
 
-    @app.post("/gloves/{glove}/calibration/guide", status_code=201, tags=["calibration"])
+    @app.post(
+        "/gloves/{glove}/calibration/guide",
+        status_code=201,
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def begin(glove: str, new: NewSession | None = None) -> dict[str, Any]:
         """Begin a calibration session; the live view shows it, and no gesture answers a Task meanwhile."""
         chosen = new or NewSession()
@@ -106,30 +123,53 @@ def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGl
             countdown_s=chosen.countdownMs / 1000,
         )
 
-    @app.get("/gloves/{glove}/calibration/guide", tags=["calibration"])
+    @app.get(
+        "/gloves/{glove}/calibration/guide",
+        tags=["calibration"],
+        dependencies=[require(Permission.READ, of_glove)],
+    )
     async def session(glove: str) -> dict[str, Any] | None:
         """Return the current or last calibration session; null if there was none."""
         return sessions.view(gloves.named(glove))
 
-    @app.delete("/gloves/{glove}/calibration/guide", status_code=204, tags=["calibration"])
+    @app.delete(
+        "/gloves/{glove}/calibration/guide",
+        status_code=204,
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def stop(glove: str) -> None:
         """Cancel the calibration session; nothing is changed by it."""
         await sessions.stop(gloves.named(glove))
 
-    @app.post("/gloves/{glove}/calibration/accept", tags=["calibration"])
+    @app.post(
+        "/gloves/{glove}/calibration/accept",
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def accept(glove: str) -> dict[str, Any]:
         """Apply the calibration that was offered."""
         await sessions.accept(gloves.named(glove))
         return sessions.summary(gloves.named(glove))
 
-    @app.post("/gloves/{glove}/samples", status_code=201, tags=["calibration"])
+    @app.post(
+        "/gloves/{glove}/samples",
+        status_code=201,
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     @max_body(MAX_FRAMES_BYTES)
     async def add_sample(glove: str, new: NewSample) -> dict[str, Any]:
         """Store frames as the sample of a gesture, in place of an older one."""
         await sessions.add_sample(gloves.named(glove), new.gesture, new.frames)
         return sessions.summary(gloves.named(glove))
 
-    @app.delete("/gloves/{glove}/samples/{gesture}", status_code=204, tags=["calibration"])
+    @app.delete(
+        "/gloves/{glove}/samples/{gesture}",
+        status_code=204,
+        tags=["calibration"],
+        dependencies=[require(Permission.CONFIGURE, of_glove)],
+    )
     async def remove_sample(glove: str, gesture: str) -> None:
         """Delete the sample of a gesture."""
         await sessions.remove_sample(gloves.named(glove), gesture)

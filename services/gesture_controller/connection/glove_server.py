@@ -14,6 +14,8 @@ import orjson
 
 from handover.errors import UsageError
 from handover.telemetry import get_logger
+from handover.transport_security.server_certificate import ServerCertificate
+from handover.transport_security.tls_listener import Listener, listen
 from services.gesture_controller import metrics
 from services.gesture_controller.connection.glove_registry import GloveRegistry
 from services.gesture_controller.gloves.connection_state import ConnectionRefused
@@ -48,20 +50,24 @@ class GloveServer:
         self.waiting: dict[GloveConnection, None] = {}
         self.open: set[GloveConnection] = set()
         self._host, self._port = settings.glove_host, settings.glove_port
-        self._server: asyncio.Server | None = None
+        self._server: Listener | None = None
+        self._certificate = ServerCertificate.of(settings)
 
     async def __aenter__(self) -> Self:
-        loop = asyncio.get_running_loop()
         try:
-            self._server = await loop.create_server(
-                lambda: GloveConnection(self), self._host, self._port, backlog=1024
+            self._server = await listen(
+                lambda: GloveConnection(self),
+                self._host,
+                self._port,
+                self._certificate,
+                handshake_timeout_s=self.hello_timeout_s,
             )
         except OSError as error:
             raise UsageError(
                 f"the glove server cannot listen on {self._host}:{self._port} ({error.strerror or error}); "
                 "set HANDOVER_GLOVE_HOST and HANDOVER_GLOVE_PORT to an address and port that are free"
             ) from None
-        log.info("glove server listens", host=self._host, port=self._port)
+        log.info("glove server listens", host=self._host, port=self._port, tls=self._certificate is not None)
         return self
 
     async def __aexit__(self, *_: object) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Protocol
 
@@ -32,6 +33,14 @@ class OnChange(Protocol):
         """Notify listener and screens."""
 
 
+@dataclass(slots=True)
+class Station:
+    """The station of a glove: who has joined it, and who is notified of gestures without a Task."""
+
+    person: Callable[[], str | None] = lambda: None
+    held: Callable[[str], None] = lambda _: None
+
+
 class GestureResponder:
     """Answers prompts and gives commands with one hand, or together with the other hand of the person."""
 
@@ -58,6 +67,7 @@ class GestureResponder:
         self.free.set()
         self.last_answer: tuple[PromptAnswer, float] | None = None
         """The last answer, and when it was given (event loop clock)."""
+        self.station = Station()
         self.command: tuple[int, datetime] | None = None
         """The last command, and when it was given."""
         self._on_change = on_change
@@ -129,8 +139,12 @@ class GestureResponder:
         task: str | None = None,
         outcome: Outcome = Outcome.OK,
         note: str | None = None,
+        *,
+        performed_by: str | None = None,
     ) -> None:
         """Answer the prompt for `operator`, who pressed the button; raises `CannotComplete`.
+
+        `performed_by` is the Person who is signed in at the screen.
 
         `task` is the id of the Task that the button belonged to. If another Task is prompted by now, because
         somebody else or the hand was faster, the press must not answer it.
@@ -143,7 +157,8 @@ class GestureResponder:
                 if hand.connection.is_lost:
                     prompt.job.pause(hand._silence_reason)
             raise CannotComplete(f"the Task of {self.name} is paused; resume it, then complete it")
-        self._answer(prompt, PromptAnswer(prompt.spec, 0, "screen", operator, outcome, note), now_s)
+        answer = PromptAnswer(prompt.spec, 0, "screen", operator, outcome, note, performed_by)
+        self._answer(prompt, answer, now_s)
 
     def pause(self) -> None:
         """Pause the Task for the wearer."""
@@ -196,6 +211,8 @@ class GestureResponder:
 
     def _interpret(self, now_s: float) -> None:
         hold, prompt = self.reader.state.hold, self.prompt
+        if hold.last is HoldEvent.CONFIRMED and prompt is None and hold.gesture is not None:
+            self.station.held(hold.gesture)
         if hold.last is not HoldEvent.NONE:
             due = self.due
             answers = prompt.spec.answers if prompt is not None else {}
@@ -244,6 +261,8 @@ class GestureResponder:
             self._give_command(self.commands.ids[hold.gesture])
 
     def _answer(self, prompt: GesturePrompt, answer: PromptAnswer, now_s: float) -> None:
+        if answer.performed_by is None:
+            answer = replace(answer, performed_by=self.station.person())
         prompt.answer.set_result(answer)
         metrics.TASKS_ANSWERED.labels(answer.by, answer.outcome.value).inc()
         for hand in self._hands():

@@ -14,6 +14,8 @@ from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.offload import Offload, OffloadFailed
+from handover.security.guard import authenticated, guard_of, in_path, require, require_by_handler
+from handover.security.permissions import Permission
 from handover.service import YAML_TYPES, accepts
 from services.gesture_controller.calibration.glove_records import GloveRecords
 from services.gesture_controller.calibration.glove_store import Fit
@@ -49,6 +51,8 @@ MAX_RECORDING_BYTES = 256 * 1024
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 GestureName = Annotated[str, Field(min_length=1, max_length=100)]
 CommandId = Annotated[int, Field(ge=0, le=2**31 - 1)]
+
+of_person = in_path("Person", "person")
 
 
 class _Body(BaseModel):
@@ -133,13 +137,20 @@ def add_people(app: FastAPI, wearers: Wearers, gloves: KnownGloves, records: Glo
     _add_gestures(app, site)
     _add_profiles(app, site)
 
-    @app.put("/gloves/{glove}/person", tags=["people"])
-    async def wear(glove: str, wearer: Wearer) -> WearerView:
+    @app.put(
+        "/gloves/{glove}/person",
+        tags=["people"],
+        dependencies=[
+            require_by_handler(Permission.PERFORM_TASKS, "to wear the glove oneself, `configure` for others")
+        ],
+    )
+    async def wear(glove: str, wearer: Wearer, connection: Request) -> WearerView:
         """Choose the wearer of a glove: their fit, gestures and commands apply at once.
 
         The current Task continues. Another glove of the same hand that they wore has no wearer then.
         """
         worn = gloves.named(glove)
+        await _require_may_wear(connection, worn, wearer.person)
         if wearer.person is not None:
             wearers.people.named(wearer.person)
         if wearer.person != worn.person:
@@ -149,26 +160,43 @@ def add_people(app: FastAPI, wearers: Wearers, gloves: KnownGloves, records: Glo
         return {"glove": worn.name, "hand": cast("Side", worn.hand), "person": worn.person}
 
 
+async def _require_may_wear(connection: Request, glove: Glove, person: str | None) -> None:
+    """Raise `Problem` 403 unless the caller puts on or takes off the glove, or may configure it."""
+    guard, caller = guard_of(connection), await authenticated(connection)
+    own = {None} if caller.person is None else {None, caller.person}
+    present, new = (
+        None if name is None else guard.settings.entity_id("Person", name) for name in (glove.person, person)
+    )
+    is_own = caller.person is not None and {present, new} <= own
+    permission = Permission.PERFORM_TASKS if is_own else Permission.CONFIGURE
+    guard.require(caller, permission, guard.settings.entity_id("Device", glove.name))
+
+
 def _add_persons(app: FastAPI, site: _Site) -> None:
-    @app.get("/people", tags=["people"])
+    @app.get("/people", tags=["people"], dependencies=[require(Permission.READ)])
     async def list_people() -> list[PersonView]:
         """List all people with their gloves, commands and own gestures."""
         return [_view(name, site) for name in site.people.names()]
 
-    @app.get("/people/{person}", tags=["people"])
+    @app.get("/people/{person}", tags=["people"], dependencies=[require(Permission.READ, of_person)])
     async def one(person: str) -> PersonWithGestures:
         """Return a person with all their gestures."""
         known = site.people.named(person).name
         every = listed(site.people.gestures_of(known), site.people.commands_of(known))
         return {**_view(known, site), "gestures": every}
 
-    @app.put("/people/{person}", tags=["people"])
+    @app.put("/people/{person}", tags=["people"], dependencies=[require(Permission.MANAGE_PEOPLE, of_person)])
     async def add(person: str, response: Response, given: Title | None = None) -> PersonView:
         """Add a person, or change their title: 201, or 200 if they were known."""
         response.status_code = 201 if await site.people.add(person, given.title if given else None) else 200
         return _view(person, site)
 
-    @app.delete("/people/{person}", tags=["people"], status_code=204)
+    @app.delete(
+        "/people/{person}",
+        tags=["people"],
+        status_code=204,
+        dependencies=[require(Permission.MANAGE_PEOPLE, of_person)],
+    )
     async def remove(person: str) -> Response:
         """Delete a person with their fits; the gloves they wear have no wearer then."""
         site.people.named(person)
@@ -181,28 +209,40 @@ def _add_persons(app: FastAPI, site: _Site) -> None:
 
 
 def _add_commands(app: FastAPI, site: _Site) -> None:
-    @app.put("/people/{person}/commands", tags=["people"])
+    @app.put(
+        "/people/{person}/commands", tags=["people"], dependencies=[require(Permission.CONFIGURE, of_person)]
+    )
     async def commands(person: str, given: Mapping[CommandId, GestureName | None]) -> PersonView:
         """Set all own commands of a person: `{"3": "Horns", "8": null}`."""
         site.require_no_study(person)
         await site.people.set_commands(person, given, whole=True)
         return _view(person, site)
 
-    @app.patch("/people/{person}/commands", tags=["people"])
+    @app.patch(
+        "/people/{person}/commands", tags=["people"], dependencies=[require(Permission.CONFIGURE, of_person)]
+    )
     async def some_commands(person: str, given: Mapping[CommandId, GestureName | None]) -> PersonView:
         """Set some own commands; the others stay. Send two commands at once to exchange their gestures."""
         site.require_no_study(person)
         await site.people.set_commands(person, given, whole=False)
         return _view(person, site)
 
-    @app.put("/people/{person}/commands/{command}", tags=["people"])
+    @app.put(
+        "/people/{person}/commands/{command}",
+        tags=["people"],
+        dependencies=[require(Permission.CONFIGURE, of_person)],
+    )
     async def command(person: str, command: CommandId, given: CommandGesture) -> PersonView:
         """Set the gesture of a person for one command."""
         site.require_no_study(person)
         await site.people.set_commands(person, {command: given.gesture}, whole=False)
         return _view(person, site)
 
-    @app.delete("/people/{person}/commands/{command}", tags=["people"])
+    @app.delete(
+        "/people/{person}/commands/{command}",
+        tags=["people"],
+        dependencies=[require(Permission.CONFIGURE, of_person)],
+    )
     async def reset_command(person: str, command: CommandId) -> PersonView:
         """Use the gesture of the site for a command again."""
         site.require_no_study(person)
@@ -211,7 +251,11 @@ def _add_commands(app: FastAPI, site: _Site) -> None:
 
 
 def _add_gestures(app: FastAPI, site: _Site) -> None:
-    @app.put("/people/{person}/gestures/{gesture}", tags=["people"])
+    @app.put(
+        "/people/{person}/gestures/{gesture}",
+        tags=["people"],
+        dependencies=[require(Permission.CONFIGURE, of_person)],
+    )
     @max_body(MAX_RECORDING_BYTES)
     async def define(person: str, gesture: str, given: Recording, response: Response) -> DefinedGesture:
         """Define an own gesture of a person: 201, or 200 if it replaces one of that name.
@@ -229,7 +273,11 @@ def _add_gestures(app: FastAPI, site: _Site) -> None:
         response.status_code = 201 if is_new else 200
         return {"person": person, "name": gesture, **_own_view(own), "nearest": neighbour_view(nearest)}
 
-    @app.delete("/people/{person}/gestures/{gesture}", tags=["people"])
+    @app.delete(
+        "/people/{person}/gestures/{gesture}",
+        tags=["people"],
+        dependencies=[require(Permission.CONFIGURE, of_person)],
+    )
     async def drop_gesture(person: str, gesture: str) -> PersonWithFreedCommands:
         """Delete an own gesture of a person; its commands get the gesture of the site again."""
         site.require_no_study(person)
@@ -240,7 +288,12 @@ def _add_gestures(app: FastAPI, site: _Site) -> None:
 def _add_profiles(app: FastAPI, site: _Site) -> None:
     offload = Offload()
 
-    @app.get("/people/{person}/profile.yaml", tags=["people"], response_class=Response)
+    @app.get(
+        "/people/{person}/profile.yaml",
+        tags=["people"],
+        response_class=Response,
+        dependencies=[require(Permission.READ, of_person)],
+    )
     async def profile(person: str) -> Response:
         """Return the profile of a person as a file, to be imported here or at another site."""
         known = site.people.named(person)
@@ -253,7 +306,11 @@ def _add_profiles(app: FastAPI, site: _Site) -> None:
         name = f'attachment; filename="{known.name}.yaml"'
         return Response(text, media_type=YAML, headers={"Content-Disposition": name})
 
-    @app.put("/people/{person}/profile.yaml", tags=["people"])
+    @app.put(
+        "/people/{person}/profile.yaml",
+        tags=["people"],
+        dependencies=[require(Permission.CONFIGURE, of_person)],
+    )
     @accepts(*YAML_TYPES)
     @max_body(2 * MAX_PROFILE_BYTES)
     async def import_profile(person: str, request: Request) -> PersonView:
@@ -262,6 +319,10 @@ def _add_profiles(app: FastAPI, site: _Site) -> None:
         422 names the line, the rule and the remedy. The name in the URL counts, not the one in the file.
         """
         require_person_name(person)
+        if person not in site.people.names():
+            guard_of(request).require(
+                await authenticated(request), Permission.MANAGE_PEOPLE, of_person(request)
+            )
         site.require_no_study(person)
         body = bytearray()
         async for chunk in request.stream():

@@ -7,6 +7,7 @@ import orjson
 from sqlalchemy import Connection, Engine, Table, delete, insert, select
 
 from handover.migrations import migrate
+from handover.security.audit_trail import record_deletion, record_request
 from services.gesture_controller import tables
 from services.gesture_controller.calibration.glove_store import Fit, replace_fits
 from services.gesture_controller.people.person import OwnGesture, Person, Sample
@@ -36,11 +37,13 @@ class PeopleStore:
         """Write `person`."""
         with self._engine.begin() as connection:
             save_person(connection, person)
+            record_request(connection)
 
     def save_profile(self, person: Person, fits: Mapping[str, Fit]) -> dict[str, Fit]:
         """Write `person` and their fits in place of the stored ones; return the fits as stored."""
         with self._engine.begin() as connection:
             save_person(connection, person)
+            record_request(connection)
             return replace_fits(connection, person.name, fits)
 
     def remove(self, name: str) -> None:
@@ -48,6 +51,7 @@ class PeopleStore:
         with self._engine.begin() as connection:
             _remove(connection, name)
             connection.execute(delete(tables.fits).where(tables.fits.c.person == name))
+            record_deletion(connection)
 
 
 def save_person(connection: Connection, person: Person) -> None:

@@ -5,6 +5,8 @@ from typing import Annotated, Any, Literal
 from fastapi import FastAPI
 from pydantic import BaseModel, ConfigDict, Field
 
+from handover.security.guard import require
+from handover.security.permissions import Permission
 from services.gesture_controller.people.study_conditions import StudyCondition
 from services.gesture_controller.people.wearers import Wearers
 
@@ -26,12 +28,17 @@ class NewCondition(BaseModel):
 def add_study_conditions(app: FastAPI, wearers: Wearers) -> None:
     """Add the routes of study conditions."""
 
-    @app.get("/study-conditions", tags=["study"])
+    @app.get("/study-conditions", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
     async def list_conditions() -> dict[str, dict[str, Any]]:
         """Return the conditions by study session."""
         return {session: _as_dict(condition) for session, condition in wearers.conditions.items()}
 
-    @app.put("/study-conditions/{session}", status_code=204, tags=["study"])
+    @app.put(
+        "/study-conditions/{session}",
+        status_code=204,
+        tags=["study"],
+        dependencies=[require(Permission.CONDUCT_STUDIES)],
+    )
     async def set_condition(session: str, new: NewCondition) -> None:
         """Ask a participant for the gestures of a condition from the next Task on, with any glove.
 
@@ -42,7 +49,12 @@ def add_study_conditions(app: FastAPI, wearers: Wearers) -> None:
         condition = StudyCondition(new.participant, new.glove, new.person, own)
         await wearers.apply_condition(session, condition)
 
-    @app.delete("/study-conditions/{session}", status_code=204, tags=["study"])
+    @app.delete(
+        "/study-conditions/{session}",
+        status_code=204,
+        tags=["study"],
+        dependencies=[require(Permission.CONDUCT_STUDIES)],
+    )
     async def remove_condition(session: str) -> None:
         """End the condition of a session; a missing one is no error."""
         await wearers.end_condition(session)

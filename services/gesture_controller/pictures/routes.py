@@ -11,6 +11,8 @@ from fastapi import FastAPI, Header, Response
 
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.guard import require_somewhere
+from handover.security.permissions import Permission
 from services.gesture_controller.pictures.motion import Hand, Motion, Pose
 from services.gesture_controller.pictures.svg import svg_of
 from services.gesture_controller.recognition.gestures import Gestures, TwoHandGesture
@@ -28,7 +30,12 @@ def picture_urls(gesture: str) -> dict[str, str]:
 def add_pictures(app: FastAPI, gestures: Gestures) -> None:
     """Add the routes of the pictures of `gestures`."""
 
-    @app.get("/gestures/{name}.svg", tags=["gestures"], response_class=Response)
+    @app.get(
+        "/gestures/{name}.svg",
+        tags=["gestures"],
+        response_class=Response,
+        dependencies=[require_somewhere(Permission.READ)],
+    )
     async def svg(
         name: str,
         hand: Hand = "right",
@@ -42,7 +49,12 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
         known, poses = _poses_of(name, gestures, hand)
         return _answer(svg_of(known, poses, motion).encode(), "image/svg+xml", if_none_match)
 
-    @app.get("/gestures/{name}.gif", tags=["gestures"], response_class=Response)
+    @app.get(
+        "/gestures/{name}.gif",
+        tags=["gestures"],
+        response_class=Response,
+        dependencies=[require_somewhere(Permission.READ)],
+    )
     async def gif(
         name: str,
         hand: Hand = "right",

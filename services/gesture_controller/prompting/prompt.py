@@ -60,7 +60,10 @@ class PromptSpec:
 
 @dataclass(frozen=True, slots=True)
 class PromptAnswer:
-    """The answer to a prompt; `operator` is the person who pressed the button, if it came from the screen."""
+    """The answer to a prompt; `operator` is the person who pressed the button, if it came from the screen.
+
+    `performed_by` is the Person who was signed in or has joined the station of the glove, as far as known.
+    """
 
     spec: PromptSpec
     held_ms: float
@@ -68,6 +71,7 @@ class PromptAnswer:
     operator: str | None = None
     outcome: Outcome = Outcome.OK
     note: str | None = None
+    performed_by: str | None = None
 
     @property
     def gesture(self) -> str | None:
@@ -91,6 +95,7 @@ class PromptAnswer:
             "operator": self.operator,
             "outcome": self.outcome.value,
             "note": self.note,
+            "performedBy": self.performed_by,
         }
         return {name: value for name, value in outputs.items() if value is not None}
 

@@ -8,6 +8,7 @@ import pytest
 
 from datamodels.states import Outcome
 from handover.job import RequestedAction
+from services.gesture_controller.gloves.gesture_responder import Station
 from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.glove_view import view_of
 from services.gesture_controller.prompting.prompt import CannotComplete
@@ -200,6 +201,25 @@ async def test_a_silent_gloves_task_can_be_completed_on_the_screen(glove: Glove,
         "operator": "Anna",
         "outcome": "ok",
     }
+
+
+async def test_the_answer_names_the_person_at_the_station_and_never_one_of_the_client(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    held: list[str] = []
+    glove.responder.station = Station(lambda: "urn:ngsi-ld:Person:demo:anna", held.append)
+    hand.show("Horns", 1.6)
+    assert held == ["Horns"], "without a Task a gesture identifies a person"
+    hand.show(None, 0.5)
+    prompt = ask("Thumbs up")
+    hand.show("Thumbs up", 1.6)
+    assert prompt.answer.result().outputs()["performedBy"] == "urn:ngsi-ld:Person:demo:anna"
+    assert held == ["Horns"], "the answer to a Task identifies nobody"
+    glove.responder.end()
+    prompt = ask("Thumbs up")
+    ben = "urn:ngsi-ld:Person:demo:ben"
+    glove.responder.complete_on_screen("Ben", hand.now_s, performed_by=ben)
+    assert prompt.answer.result().outputs()["performedBy"] == ben, "who is signed in at the screen"
 
 
 async def test_a_pause_on_the_screen_outlives_the_return_of_the_glove(

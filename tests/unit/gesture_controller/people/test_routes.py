@@ -7,6 +7,7 @@ import httpx
 import pytest
 from sqlalchemy import Engine
 
+from handover.security.guard import Guard
 from handover.service import create_app
 from services.gesture_controller.calibration.glove_store import GloveStore
 from services.gesture_controller.configuration.gestures_file import built_in
@@ -39,10 +40,10 @@ def gloves(database: Engine, listener_log: Any) -> GloveRegistry:
 @pytest.fixture
 async def screen(gloves: GloveRegistry) -> AsyncIterator[httpx.AsyncClient]:
     """A screen at the routes of people."""
-    app = create_app("People", description="")
+    app = create_app("People", description="", guard=Guard(ControllerSettings(), "people"))
     add_people(app, gloves.wearers, gloves.known, gloves.records)
     transport = httpx.ASGITransport(app)
-    async with httpx.AsyncClient(transport=transport, base_url="http://controller") as client:
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
         yield client
 
 

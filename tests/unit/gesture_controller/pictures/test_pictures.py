@@ -11,7 +11,9 @@ import orjson
 import pytest
 from fastapi import FastAPI
 
+from handover.security.guard import Guard
 from handover.service import create_app
+from handover.settings import Settings
 from services.gesture_controller.pictures import hand
 from services.gesture_controller.pictures.gif import gif_of
 from services.gesture_controller.pictures.motion import Pose, moments, whole_s
@@ -29,7 +31,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 @pytest.fixture
 def app() -> FastAPI:
-    made = create_app("Pictures", description="")
+    made = create_app("Pictures", description="", guard=Guard(Settings(_env_file=None), "pictures"))
     composed = {
         "Both thumbs up": Shape(left="02222", right="02222"),
         "Wave off": Shape(sequence=("Point with index", "Horns")),
@@ -41,7 +43,7 @@ def app() -> FastAPI:
 @pytest.fixture
 async def browser(app: FastAPI):
     transport = httpx.ASGITransport(app)
-    async with httpx.AsyncClient(transport=transport, base_url="http://controller") as client:
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
         yield client
 
 

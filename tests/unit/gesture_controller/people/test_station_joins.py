@@ -1,0 +1,66 @@
+"""The gesture controller follows who has joined the station of a glove, from a running `accounts`."""
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import uvicorn
+
+from handover.security.guard import Guard
+from handover.settings import Settings
+from services.accounts.app import make_app
+from services.accounts.identifiers import IdentifierKind, set_identifier
+from services.accounts.set_up import set_up
+from services.accounts.settings import AccountsSettings
+from services.accounts.stations import add_station
+from services.accounts.users import add_user, set_person
+from services.gesture_controller.people.station_joins import StationJoins
+from tests.kit.ports import next_free_port
+
+ANNA = "urn:ngsi-ld:Person:demo:anna"
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(60):
+        while not condition():
+            await asyncio.sleep(0.05)
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> AccountsSettings:
+    return AccountsSettings(data_dir=tmp_path, accounts_port=next_free_port(), _env_file=None)
+
+
+async def test_a_gesture_without_a_task_joins_and_leaves_the_station_of_the_glove(
+    settings: AccountsSettings,
+) -> None:
+    set_up(settings, ["gesture-controller", "accounts"])
+    app = make_app(settings)
+    server = uvicorn.Server(uvicorn.Config(app, port=settings.accounts_port, log_config=None))
+    serving = asyncio.create_task(server.serve())
+    await until(lambda: server.started)
+    directory = app.state.directory
+    with directory.store.change("test") as change:
+        anna = add_user(change, "Anna", None)
+        set_person(change, anna, ANNA)
+        set_identifier(change, directory.identifiers, anna, IdentifierKind.GESTURE, "Horns")
+        add_station(change, "Station 1", ["glove-1"], 15.0)
+    common = Settings(data_dir=settings.data_dir, accounts_port=settings.accounts_port, _env_file=None)
+    async with Guard(common, "gesture-controller") as guard:
+        joins = StationJoins(guard)
+        tasks = [asyncio.create_task(joins.follow()), asyncio.create_task(joins.send())]
+        await until(lambda: "glove-1" in joins._persons)
+        assert joins.person_at("glove-1") is None
+        joins.held("glove-2", "Horns")
+        joins.held("glove-1", "Thumbs up")
+        joins.held("glove-1", "Horns")
+        await until(lambda: joins.person_at("glove-1") == ANNA)
+        assert joins.person_at("glove-2") is None
+        joins.held("glove-1", "Horns")
+        await until(lambda: joins.person_at("glove-1") is None)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    server.should_exit = True
+    await serving
