@@ -1,8 +1,9 @@
 """The web UI server: the page, its WebSocket, its own REST routes, and a proxy to the services."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated
 
@@ -15,17 +16,34 @@ from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
+from handover.security.caller import Caller, CallerKind
+from handover.security.guard import (
+    authenticated,
+    in_path,
+    on_new_grants,
+    require,
+    require_signed_in,
+    require_somewhere,
+)
+from handover.security.permissions import Permission
 from handover.service import ANY_TYPE, accepts, create_app
 from handover.storage import storage_check
+from handover.tls_trust import client_context
+from webui.http.control_proxy import ControlProxy
 from webui.http.page_files import PageFiles
+from webui.http.page_guard import CsrfCheck, PageGuard
+from webui.http.provider_routes import add_provider_sign_in
 from webui.http.proxy import METHODS, ServiceProxy
 from webui.http.secure_headers import SecureHeaders
+from webui.http.session_routes import add_sessions
+from webui.http.user_settings import UserSettings, add_user_settings
 from webui.live.event_log import MAX_EVENTS_PER_REQUEST, MAX_SEQ, EventLog
 from webui.live.live_socket import LiveSocket
-from webui.live.live_state import LiveState
+from webui.live.live_state import LiveState, Reader
 from webui.live.viewers import Viewers
 from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, OperatorView
-from webui.settings import WebuiSettings
+from webui.service_credentials import ServiceCredentials
+from webui.settings import TRAJECTORY, WebuiSettings
 from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
 from webui.sources.broker_entities import BrokerEntities
@@ -35,6 +53,7 @@ from webui.sources.gloves import Gloves
 from webui.sources.on_demand import SourceContext
 from webui.sources.people import People
 from webui.sources.processes import ProcessEntities, Processes
+from webui.sources.registered_devices import RegisteredDevices
 from webui.sources.robots import Robots
 from webui.sources.services import ServiceMonitor
 from webui.sources.source import run_sources
@@ -53,6 +72,8 @@ class AcknowledgeRequest(BaseModel):
 
     by: Annotated[str, Field(min_length=1, max_length=100, pattern=r"\S")]
 
+
+Acknowledger = Annotated[Caller, require(Permission.ACKNOWLEDGE_ALERTS)]
 
 Ids = Annotated[
     list[Annotated[str, Field(min_length=1, max_length=2000)]],
@@ -85,13 +106,20 @@ class Components:
 
     def __init__(self, settings: WebuiSettings, page: PageFiles) -> None:
         self.page = page
+        self.guard = guard = PageGuard(settings)
         self.state = LiveState()
         self.viewers = Viewers()
-        self.events = EventLog(connect(settings.database("webui")), self.state.publish_event)
-        self.broker = BrokerClient(settings)
+        engine = connect(settings.database("webui"))
+        self.events = EventLog(engine, self.state.publish_event)
+        self.user_settings = UserSettings(engine)
+        self.broker = BrokerClient(settings, credentials=guard.access)
         urls = settings.service_urls
-        self.http = http = httpx.AsyncClient(trust_env=False)
-        self.operator = SimulatedOperator(settings, http, self.state, self.events)
+        self.http = http = httpx.AsyncClient(
+            auth=ServiceCredentials(guard.access, urls.values()),
+            trust_env=False,
+            verify=client_context(*settings.ca_files),
+        )
+        self.operator = SimulatedOperator(settings, http, guard.access, self.state, self.events)
         self.live_socket = LiveSocket(self.state, self.viewers)
         extra = extra_services(settings)
         services = ServiceMonitor(urls, http, self.broker, self.state, self.events, extra=extra)
@@ -102,17 +130,23 @@ class Components:
         self.alerts = Alerts(self.state, self.events, self.broker, processes.refresh)
         handlers = (devices, tasks, ProcessEntities(processes), self.alerts)
         self.entities = BrokerEntities(settings, self.broker, handlers, services)
-        context = SourceContext(settings, http, self.state, self.viewers, services)
+        context = SourceContext(settings, http, self.state, self.viewers, services, guard.access)
         people = People(context)
+        registered_devices = RegisteredDevices(context)
         comments = CommentCounts(self.state)
 
         def on_write(service: str, path: str) -> None:
             people.on_write(service)
+            registered_devices.on_write(service)
             processes.on_write(service, path)
             comments.on_write(service, path)
 
-        self.proxy = ServiceProxy(urls, on_write)
-        on_demand = (Gloves(context), Robots(context), people)
+        async def headers_of(request: Request) -> Mapping[str, str]:
+            return await guard.service_headers(dict(request.scope["headers"]))
+
+        self.control = ControlProxy(urls, guard, settings.ca_files)
+        self.proxy = ServiceProxy(urls, on_write, settings.ca_files, headers_of)
+        on_demand = (Gloves(context), Robots(context), people, registered_devices)
         self._sources = (services, self.entities, self.alerts, processes, *on_demand)
         self.state.publish("cell", cell_view(settings))
 
@@ -144,73 +178,104 @@ def make_app(settings: WebuiSettings, page: PageFiles | None = None) -> ASGIApp:
         description=__doc__ or "",
         lifespan=components.lifespan,
         checks={"page": components.check_page, "storage": storage_check(settings.data_dir)},
+        guard=components.guard,
     )
     components.entities.mount(app)
+    add_sessions(app, components.guard)
+    add_user_settings(app, components.user_settings)
+    add_provider_sign_in(app, components.guard)
     _add_api(app, components)
     _add_proxy(app, components)
     _add_page(app, components)
-    return SecureHeaders(app)
+    return SecureHeaders(CsrfCheck(app, components.guard))
 
 
 def _add_api(app: FastAPI, components: Components) -> None:
-    @app.websocket("/api/live")
+    @app.websocket("/api/live", dependencies=[require_somewhere(Permission.READ)])
     async def live(socket: WebSocket) -> None:
-        await components.live_socket.serve(socket)
+        reader = Reader(partial((await authenticated(socket)).may, Permission.READ))
+        on_new_grants(socket, lambda caller: reader.change(partial(caller.may, Permission.READ)))
+        await components.live_socket.serve(socket, reader)
+
+    @app.websocket(
+        "/api/trajectory-tool/robots/{robot}/control",
+        dependencies=[require(Permission.MOVE_ROBOTS, in_path("Device", "robot"))],
+    )
+    async def control(socket: WebSocket, robot: str) -> None:
+        await components.control.serve(socket, TRAJECTORY, robot)
 
     @app.get("/api/events", tags=["events"])
     async def events(
+        caller: Annotated[Caller, require_somewhere(Permission.READ)],
         after: Annotated[int | None, Query(ge=0, le=MAX_SEQ)] = None,
         before: Annotated[int | None, Query(ge=0, le=MAX_SEQ)] = None,
         limit: Annotated[int, Query(ge=1, le=MAX_EVENTS_PER_REQUEST)] = 200,
     ) -> list[LiveEvent]:
-        """Return events, oldest first: after a `seq`, before one, or the newest."""
+        """Return events, oldest first: after a `seq`, before one, or the newest.
+
+        Events are about everything, so a caller who may not read everything gets none.
+        """
+        if not caller.may(Permission.READ):
+            return []
         if after is not None:
             return await components.events.after(after, limit)
         return await components.events.before(before, limit)
 
     @app.post("/api/alerts/{alert}/acknowledge", tags=["alerts"])
-    async def acknowledge(alert: str, body: AcknowledgeRequest) -> AlertView:
+    async def acknowledge(caller: Acknowledger, alert: str, body: AcknowledgeRequest) -> AlertView:
         """Acknowledge an alert: 404 for an unknown one, 409 if it is acknowledged already."""
-        return await components.alerts.acknowledge(alert, body.by.strip())
+        return await components.alerts.acknowledge(alert, _name(caller, body))
 
     @app.post("/api/alerts/acknowledge", tags=["alerts"])
     @max_body(MAX_ALERTS_BODY_BYTES)
-    async def acknowledge_many(body: AlertsRequest) -> AlertsResult:
+    async def acknowledge_many(caller: Acknowledger, body: AlertsRequest) -> AlertsResult:
         """Acknowledge alerts: `done` lists ids, `failed` the others with problem details."""
-        return await components.alerts.acknowledge_many(body.alerts, body.by.strip())
+        return await components.alerts.acknowledge_many(body.alerts, _name(caller, body))
 
     @app.post("/api/alerts/shelve", tags=["alerts"])
     @max_body(MAX_ALERTS_BODY_BYTES)
-    async def shelve(body: ShelveRequest) -> AlertsResult:
+    async def shelve(caller: Acknowledger, body: ShelveRequest) -> AlertsResult:
         """Shelve alerts for some minutes, after which they return by themselves."""
         until = datetime.now(UTC) + timedelta(minutes=body.minutes)
-        return await components.alerts.shelve_many(body.alerts, body.by.strip(), until)
+        return await components.alerts.shelve_many(body.alerts, _name(caller, body), until)
 
     @app.post("/api/alerts/unshelve", tags=["alerts"])
     @max_body(MAX_ALERTS_BODY_BYTES)
-    async def unshelve(body: AlertsRequest) -> AlertsResult:
+    async def unshelve(caller: Acknowledger, body: AlertsRequest) -> AlertsResult:
         """End the shelving of alerts now."""
-        return await components.alerts.unshelve_many(body.alerts, body.by.strip())
+        return await components.alerts.unshelve_many(body.alerts, _name(caller, body))
 
-    @app.post("/api/operator", status_code=201, tags=["operator"])
+    configure = [require(Permission.CONFIGURE)]
+
+    @app.post("/api/operator", status_code=201, tags=["operator"], dependencies=configure)
     async def start_operator(body: StartOperatorRequest) -> OperatorView:
         """Start the simulated operator: 409 if it is running or the glove is in use."""
         return await components.operator.start(body.glove)
 
-    @app.delete("/api/operator", tags=["operator"])
+    @app.delete("/api/operator", tags=["operator"], dependencies=configure)
     async def stop_operator() -> OperatorView:
         """Stop the simulated operator; has no effect if it is not running."""
         return await components.operator.stop()
 
 
+def _name(caller: Caller, body: AcknowledgeRequest) -> str:
+    """Return who acts: the user, or in local mode the name that the page asked for."""
+    return body.by.strip() if caller.kind is CallerKind.LOCAL else caller.name
+
+
 def _add_proxy(app: FastAPI, components: Components) -> None:
-    @app.api_route("/api/{service}/{path:path}", methods=list(METHODS), include_in_schema=False)
+    methods = list(METHODS)
+    signed_in = [require_signed_in()]  # the service itself requires the permission
+
+    @app.api_route(
+        "/api/{service}/{path:path}", methods=methods, include_in_schema=False, dependencies=signed_in
+    )
     @accepts(*ANY_TYPE)  # the service itself decides, and may accept less
     @max_body(MAX_PROXIED_BODY_BYTES)
     async def forward(service: str, path: str, request: Request) -> Response:  # noqa: ARG001
         return await components.proxy.forward(service, _encoded_path(request, service), request)
 
-    @app.api_route("/api/{rest:path}", methods=list(METHODS), include_in_schema=False)
+    @app.api_route("/api/{rest:path}", methods=methods, include_in_schema=False, dependencies=signed_in)
     @accepts(*ANY_TYPE)
     async def not_found(rest: str) -> Response:
         raise Problem(404, "Not found", f"there is no route /api/{rest}")

@@ -18,6 +18,8 @@ from webui.types import Schema, interface_of, name_of, reference_of
 
 FOLDER: Final = Path(__file__).parent / "app" / "src" / "api" / "generated"
 ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
+    "accounts": ("/",),
+    "device-gateway": ("/",),
     "gesture-controller": ("/gestures", "/people", "/tests"),
     "ros-bridge": ("/rules",),
     "study": ("/",),
@@ -25,6 +27,7 @@ ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
         *("/agents", "/definitions", "/forms", "/mapping", "/pause", "/processes", "/resume", "/statistics"),
         *("/offers", "/tasks"),
     ),
+    "trajectory-tool": ("/robots/{robot}/limits",),
 }
 """The services, and the beginnings of the paths that the page uses."""
 HEAD: Final = """\

@@ -13,6 +13,9 @@ ORCHESTRATOR = "task-orchestrator"
 CONTROLLER = "gesture-controller"
 TRAJECTORY = "trajectory-tool"
 STUDY = "study"
+ALERT_ROUTER = "alert-router"
+ACCOUNTS = "accounts"
+GATEWAY = "device-gateway"
 ROS_BRIDGE = "ros-bridge"
 
 
@@ -46,9 +49,17 @@ class WebuiSettings(Settings):
         None,
         description="where the broker reaches the trajectory tool; http://host:port of it if absent",
     )
+    alert_router_port: int = Field(54280, ge=1, le=65535, description="REST port of the alert router")
+    alert_router_url: str | None = Field(
+        None, description="where the broker reaches the alert router; http://host:port of it if absent"
+    )
     study_port: int = Field(54270, ge=1, le=65535, description="REST port of the study service")
     study_url: str | None = Field(
         None, description="the URL of the study service for others; by default http://host:port"
+    )
+    gateway_port: int = Field(54240, ge=1, le=65535, description="REST port of the device gateway")
+    gateway_url: str | None = Field(
+        None, description="where the broker reaches the device gateway; http://host:port of it if absent"
     )
     bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
     bridge_url: str | None = Field(
@@ -70,6 +81,18 @@ class WebuiSettings(Settings):
         return self.url_of(self.webui_port, self.webui_url)
 
     @property
+    def public_url(self) -> str:
+        """The URL at which people open the page: of the proxy, by the first allowed host, or its own."""
+        if self.tls_proxy_url:
+            return self.tls_proxy_url.rstrip("/")
+        own = urlsplit(self.own_url)
+        host = self.allowed_hosts[0] if self.allowed_hosts else own.hostname
+        if host in {"0.0.0.0", "::"}:  # noqa: S104 - not bound
+            host = "127.0.0.1"
+        name = f"[{host}]" if host and ":" in host else host
+        return f"{own.scheme}://{name}:{own.port}" if own.port else f"{own.scheme}://{name}"
+
+    @property
     def service_urls(self) -> Mapping[str, str]:
         """The URL of each service, by its name; the ROS bridge only if `ros_mapping` is set."""
         urls = {
@@ -77,7 +100,10 @@ class WebuiSettings(Settings):
             ORCHESTRATOR: self.url_of(self.orchestrator_port, self.orchestrator_url),
             CONTROLLER: self.url_of(self.controller_port, self.controller_url),
             TRAJECTORY: self.url_of(self.trajectory_port, self.trajectory_url),
+            GATEWAY: self.url_of(self.gateway_port, self.gateway_url),
+            ALERT_ROUTER: self.url_of(self.alert_router_port, self.alert_router_url),
             STUDY: self.url_of(self.study_port, self.study_url),
+            ACCOUNTS: self.accounts,
         }
         if self.ros_mapping is not None:
             urls[ROS_BRIDGE] = self.url_of(self.bridge_port, self.bridge_url)

@@ -13,9 +13,10 @@ from typing import Any, Final, Self
 
 import httpx
 
-from handover.errors import Problem
+from handover.errors import Problem, UsageError
 from handover.messages import message
 from handover.retry import Backoff
+from handover.security.service_access import ServiceAccess
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
 from webui.live.event_log import Event, EventLog, timestamp
@@ -37,9 +38,15 @@ class SimulatedOperator:
     """At most one process, for one glove; an asynchronous context manager."""
 
     def __init__(
-        self, settings: WebuiSettings, http: httpx.AsyncClient, state: LiveState, events: EventLog
+        self,
+        settings: WebuiSettings,
+        http: httpx.AsyncClient,
+        access: ServiceAccess,
+        state: LiveState,
+        events: EventLog,
     ) -> None:
         self._settings = settings
+        self._access = access
         self._http = http
         self._state = state
         self._events = events
@@ -147,6 +154,12 @@ class SimulatedOperator:
         environment = {**os.environ, LIFELINE: "1", "PYTHONUNBUFFERED": "1"}
         if self._settings.glove_token is not None:
             environment["HANDOVER_GLOVE_TOKEN"] = self._settings.glove_token.get_secret_value()
+        with suppress(UsageError):  # without a token the process reports that it is refused
+            access_token = self._access.secret_token()
+            if access_token is not None:
+                environment["HANDOVER_SERVICE_TOKEN"] = access_token
+        if self._settings.tls_authority is not None:
+            environment["HANDOVER_TLS_AUTHORITY"] = str(self._settings.tls_authority)
         self._process = process = await asyncio.create_subprocess_exec(
             *self._command(),
             stdin=asyncio.subprocess.PIPE,
@@ -170,6 +183,7 @@ class SimulatedOperator:
             "--port", str(settings.glove_port),
             "--controller", settings.service_urls[CONTROLLER],
             "--glove", self._glove,
+            "--tls" if settings.expects_tls(settings.glove_server_host) else "--no-tls",
         ]  # fmt: skip
 
     async def _end(self) -> None:

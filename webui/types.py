@@ -35,8 +35,10 @@ KEYWORDS: Final = frozenset(
         "anyOf",
         "const",
         "description",
+        "discriminator",
         "enum",
         "items",
+        "oneOf",
         "prefixItems",
         "propertyNames",
         "title",
@@ -145,8 +147,9 @@ def _type(schema: Schema, aliases: Mapping[str, str]) -> str:  # noqa: PLR0911 -
         raise InvalidSchema(f"the keyword {unknown.pop()} is not supported: {schema}")
     if "$ref" in schema:
         return reference_of(schema)
-    if "anyOf" in schema:
-        return " | ".join(_type(option, aliases) for option in schema["anyOf"])
+    options = schema.get("anyOf") or schema.get("oneOf")
+    if options:
+        return " | ".join(_type(option, aliases) for option in options)
     if "const" in schema or "enum" in schema:
         union = _union(schema)
         return aliases.get(union, union)

@@ -7,7 +7,8 @@ reached, the error names it.
 
 import asyncio
 import re
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Final, Self
 from urllib.parse import unquote
 
@@ -19,6 +20,7 @@ from starlette.types import Receive, Scope, Send
 from handover.errors import Problem
 from handover.messages import Message, message
 from handover.telemetry import get_logger
+from handover.tls_trust import client_context
 from webui.http.request_limits import READS, UPLOADS, ActiveRequest, ActiveRequests
 from webui.metrics import UPSTREAM_ERRORS
 
@@ -38,6 +40,8 @@ MAX_BUFFERED_BODY_BYTES: Final = 256 * 1024
 CONNECTION_LIMITS: Final = httpx.Limits(
     max_connections=UPLOADS.per_service + READS.per_service, max_keepalive_connections=16
 )
+HeadersOf = Callable[[Request], Awaitable[Mapping[str, str]]]
+"""Returns headers that replace those of the browser: the credentials of its user."""
 OnWrite = Callable[[str, str], None]
 """Called after a successful write, with the service and the path."""
 
@@ -48,16 +52,28 @@ _NOTIFICATION_PATH: Final = re.compile(r"^notifications(/|$)")
 class ServiceProxy:
     """One HTTP client per service; an asynchronous context manager."""
 
-    def __init__(self, urls: Mapping[str, str], on_write: OnWrite = lambda *_: None) -> None:
+    def __init__(
+        self,
+        urls: Mapping[str, str],
+        on_write: OnWrite = lambda *_: None,
+        ca_files: Sequence[Path] = (),
+        headers_of: HeadersOf | None = None,
+    ) -> None:
         self._urls = urls
+        self._headers_of = headers_of
         self._on_write = on_write
+        self._ca_files = ca_files
         self._clients: dict[str, httpx.AsyncClient] = {}
         self._active = ActiveRequests()
 
     async def __aenter__(self) -> Self:
         for service, url in self._urls.items():
             self._clients[service] = httpx.AsyncClient(
-                base_url=url, timeout=TIMEOUT, limits=CONNECTION_LIMITS, trust_env=False
+                base_url=url,
+                timeout=TIMEOUT,
+                limits=CONNECTION_LIMITS,
+                trust_env=False,
+                verify=client_context(*self._ca_files),
             )
         return self
 
@@ -95,11 +111,12 @@ class ServiceProxy:
                     service=service,
                 ),
             )
+        credentials = {} if self._headers_of is None else await self._headers_of(request)
         content = await _read_body(request)
         limits = UPLOADS if isinstance(content, AsyncIterator) else READS
         active = self._active.admit(request.client.host if request.client else "", service, limits)
         try:
-            response = await self._send(client, service, path, request, content)
+            response = await self._send(client, service, path, request, content, credentials)
         except asyncio.CancelledError:
             self._active.release(active)
             if not active.is_evicted:
@@ -114,13 +131,14 @@ class ServiceProxy:
             self._on_write(service, unquote(path))
         return _ProxiedResponse(response, service, self._active, active)
 
-    async def _send(
+    async def _send(  # noqa: PLR0917 - internal
         self,
         client: httpx.AsyncClient,
         service: str,
         path: str,
         request: Request,
         content: bytes | AsyncIterator[bytes] | None,
+        credentials: Mapping[str, str],
     ) -> httpx.Response:
         url = client.base_url.copy_with(
             raw_path=client.base_url.raw_path.rstrip(b"/")
@@ -131,7 +149,7 @@ class ServiceProxy:
         upstream_request = httpx.Request(
             request.method,
             url,
-            headers=_request_headers(request),
+            headers=[*_request_headers(request), *_raw(credentials)],
             content=content,
             extensions={"timeout": TIMEOUT.as_dict()},
         )
@@ -226,6 +244,10 @@ def _check_path(path: str) -> None:
                 "without them (percent-encode a slash within a name as %2F)",
             ),
         )
+
+
+def _raw(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+    return [(name.encode("ascii"), value.encode("ascii")) for name, value in headers.items()]
 
 
 def _request_headers(request: Request) -> list[tuple[bytes, bytes]]:

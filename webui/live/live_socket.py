@@ -13,7 +13,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from datamodels.times import iso
 from handover.telemetry import get_logger
-from webui.live.live_state import LiveState, Viewer
+from webui.live.live_state import LiveState, Reader, Viewer
 from webui.live.viewers import Viewers
 from webui.metrics import BATCHES, COALESCED, PAGES, SLOW_PAGES
 
@@ -35,11 +35,11 @@ class LiveSocket:
         self._send_timeout_s = send_timeout_s
         PAGES.set_function(lambda: len(viewers))
 
-    async def serve(self, socket: WebSocket) -> None:
+    async def serve(self, socket: WebSocket, reader: Reader | None = None) -> None:
         """Send the live state to one page until either side closes the connection."""
         await socket.accept()
         changed = asyncio.Event()
-        viewer = self._state.add_viewer(changed.set)
+        viewer = self._state.add_viewer(changed.set, reader)
         receiving = asyncio.create_task(self._receive(socket, viewer))
         sending = asyncio.create_task(self._send(socket, viewer, changed))
         try:

@@ -238,10 +238,17 @@ class Gripper(TypedDict):
     """The act that a crash of the trajectory tool has interrupted: its outcome is unknown."""
 
 
+class WaitingPerson(TypedDict):
+    """A person who waits for the control of a robot; `id` is that of the session."""
+
+    id: str
+    name: str
+
+
 class RobotView(TypedDict):
     """Topic `robot/<id>`: a robot, from the trajectory tool; another `revision` has another description.
 
-    `scene` is the digest of the scene around it.
+    `scene` is the digest of the scene around it; `awaitsConfirmation`: its hand-over waits for a person.
     """
 
     id: str
@@ -254,9 +261,12 @@ class RobotView(TypedDict):
     toolPose: ToolPose
     gripper: Gripper
     task: str | None
+    awaitsConfirmation: bool
     operation: str | None
     progress: float | None
     remainingS: float | None
+    controlledBy: str | None
+    waitingForControl: list[WaitingPerson]
 
 
 class TasklistView(TypedDict):
@@ -324,6 +334,48 @@ class DeviceView(TypedDict):
     batteryLevel: float | None
     observedAt: str | None
     value: Any
+
+
+class DeviceValue(TypedDict):
+    """The latest value of a sensor or joint: seconds since 1970, the unit as UN/CEFACT code."""
+
+    value: float
+    t: float
+    unit: str | None
+    stale: bool
+
+
+class DeviceSensor(TypedDict):
+    """A sensor of a registered device, which may not have sent a value yet."""
+
+    name: str
+    unit: str | None
+    minimum: float | None
+    maximum: float | None
+
+
+class RegisteredDeviceView(TypedDict):
+    """Topic `registeredDevice/<urn>`: a device of the device gateway, for pages that subscribe to all."""
+
+    name: str
+    entity: str
+    kind: str
+    title: str
+    connected: bool
+    hasToken: bool
+    state: DeviceState | None
+    batteryLevel: float | None
+    seenAt: float | None
+    updatedAt: float
+    location: str | None
+    sensors: list[DeviceSensor]
+    values: dict[str, DeviceValue]
+
+
+class RegisteredDevicesView(TypedDict):
+    """Topic `registeredDevices`: whether the device gateway answers, for subscribed pages."""
+
+    isCurrent: bool
 
 
 class OperatorView(TypedDict):
@@ -407,7 +459,8 @@ class AlertsResult(TypedDict):
 
 VIEWS = (
     ServiceHealth, GloveView, RobotView, JointState, TasklistView, AlertView,
-    DeviceView, OperatorView, CellView, PeopleView, CommentsView, LiveEvent, Batch, SubscribeMessage,
+    DeviceView, RegisteredDeviceView, RegisteredDevicesView, OperatorView, CellView, PeopleView, CommentsView,
+    LiveEvent, Batch, SubscribeMessage,
     ProblemDetails, AlertsResult,
 )  # fmt: skip
 """The types for which TypeScript is generated, with all types that they contain."""
@@ -436,6 +489,8 @@ TOPICS: dict[str, Any] = {
     "tasklist/": TasklistView,
     "alert/": AlertView,
     "device/": DeviceView,
+    "registeredDevices": RegisteredDevicesView,
+    "registeredDevice/": RegisteredDeviceView,
 }
 """The type of each topic; a name that ends in "/" is a family."""
 

@@ -210,7 +210,7 @@ class Alerts(EntityHandler, Source):
             self._past.pop(alert_id, None)
             self._active[alert_id] = alert
         if alert_id in self._active or alert_id in self._past:
-            self._state.publish(f"alert/{alert_id}", view)
+            self._state.publish(f"alert/{alert_id}", view, (alert_id, view["source"]))
         self._log(view)
         if ":Process:" in view["source"]:
             self._on_process(view["source"])

@@ -5,14 +5,16 @@ queried at start, after a broken connection, and every few seconds. This needs s
 """
 
 import asyncio
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
 from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.notifications import NotificationReceiver
+from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.resync import Resync
 from handover.telemetry import get_logger
 from webui.settings import BROKER, WebuiSettings
@@ -23,6 +25,7 @@ log = get_logger(__name__)
 
 QUERY_BATCH_SIZE: Final = 40
 NOTIFICATION_PATH: Final = "/notifications"
+REPLICA_SUBSCRIPTION_S: Final = 3600.0
 YIELD_INTERVAL: Final = 50
 """Entities handled before the event loop runs other tasks."""
 
@@ -62,13 +65,19 @@ class BrokerEntities(Source):
         self._services = services
         self._receiver = NotificationReceiver("webui", settings, broker)
         self._is_subscribed = self._is_unreachable = False
+        self._renew_s = 0.0
         self._notified: set[str] = set()
         self._resync = Resync(self._reconcile_round, settings.reconcile_s)
 
     def mount(self, app: FastAPI) -> None:
         """Add the route for notifications."""
 
-        @app.post(NOTIFICATION_PATH, status_code=204, include_in_schema=False)
+        @app.post(
+            NOTIFICATION_PATH,
+            status_code=204,
+            include_in_schema=False,
+            dependencies=[REQUIRES_NOTIFICATION_KEY],
+        )
         async def notify(request: Request) -> Response:
             received = await self._receiver.receive(request)  # display only: no action depends on it
             for number, entity in enumerate(received, 1):
@@ -103,9 +112,10 @@ class BrokerEntities(Source):
         return True
 
     async def _reconcile(self) -> None:
-        if not self._is_subscribed:
+        if not self._is_subscribed or time.monotonic() >= self._renew_s:
             await self._broker.ensure_subscription(self._subscription())
             self._is_subscribed, self._is_unreachable = True, False
+            self._renew_s = time.monotonic() + REPLICA_SUBSCRIPTION_S / 2
             self._services.check_now()
         for handler in self._handlers.values():
             try:
@@ -147,8 +157,12 @@ class BrokerEntities(Source):
             log.warning("invalid entity", entity=entity.get("id"), error=str(error))
 
     def _subscription(self) -> dict[str, Any]:
+        """Return the subscription; that of a replica expires, since its name may not return."""
+        instance = self._settings.instance
+        expiry = datetime.now(UTC) + timedelta(seconds=REPLICA_SUBSCRIPTION_S)
         return {
-            "id": self._settings.entity_id("Subscription", "webui"),
+            "id": self._settings.entity_id("Subscription", f"webui-{instance}" if instance else "webui"),
+            **({"expiresAt": expiry.strftime("%Y-%m-%dT%H:%M:%SZ")} if instance else {}),
             "type": "Subscription",
             "description": "Entities shown by the web UI",
             "entities": [{"type": name} for name in self._handlers],

@@ -21,6 +21,8 @@ class Gloves(OnDemandSource):
             lambda name: self._socket_url(f"/gloves/{quote(name, safe='')}/live"),
             self._publish_streamed,
             on_end=self._streaming.discard,
+            access=context.access,
+            ca_files=context.settings.ca_files,
         )
 
     async def run(self) -> None:
@@ -53,4 +55,6 @@ class Gloves(OnDemandSource):
         self._streaming.add(name)
 
     def _publish(self, view: dict[str, Any]) -> None:
-        self._state.publish(f"glove/{view['glove']}", view)
+        wearer = view.get("person")
+        worn = () if wearer is None else (self._settings.entity_id("Person", wearer),)
+        self._state.publish(f"glove/{view['glove']}", view, (*self._device(view["glove"]), *worn))

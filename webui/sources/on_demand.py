@@ -2,10 +2,11 @@
 
 import asyncio
 from abc import abstractmethod
-from collections.abc import Callable, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Final, Self
 
 import httpx
@@ -14,7 +15,10 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
 from handover.background_tasks import BackgroundTasks
+from handover.errors import UsageError
+from handover.security.service_access import AccountsUnavailable, ServiceAccess
 from handover.telemetry import get_logger
+from handover.tls_trust import tls_of
 from webui.live.live_state import LiveState
 from webui.live.viewers import Viewers
 from webui.settings import WebuiSettings
@@ -39,6 +43,7 @@ class SourceContext:
     state: LiveState
     viewers: Viewers
     services: ServiceMonitor
+    access: ServiceAccess
 
 
 class OnDemandSource(Source):
@@ -48,6 +53,7 @@ class OnDemandSource(Source):
     family: str
 
     def __init__(self, context: SourceContext) -> None:
+        self._settings = context.settings
         self._http = context.http
         self._url = context.settings.service_urls[self.service]
         self._state = context.state
@@ -59,13 +65,18 @@ class OnDemandSource(Source):
     async def refresh(self) -> None:
         """Fetch the resources and publish them."""
 
+    def _device(self, name: str) -> tuple[str, ...]:
+        """Return the resource of a Device."""
+        return (self._settings.entity_id("Device", name),)
+
     def _socket_url(self, path: str) -> str:
         return f"ws{self._url.removeprefix('http')}{path}"
 
-    async def _fetch(self) -> list[View] | None:
+    async def _fetch(self, query: Mapping[str, str | int] | None = None) -> list[View] | None:
         """Return the resources; on an error return None and have the service checked."""
+        url = f"{self._url}/{self.family}"
         try:
-            response = await self._http.get(f"{self._url}/{self.family}", timeout=REQUEST_TIMEOUT_S)
+            response = await self._http.get(url, params=query, timeout=REQUEST_TIMEOUT_S)
             views: list[View] = response.raise_for_status().json()
         except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
             log.debug("request failed", resource=self.family, error=str(error))
@@ -86,10 +97,15 @@ class Streams:
         url_of: Callable[[str], str],
         on_message: Callable[[str, Any], object],
         on_end: Callable[[str], None] = lambda _: None,
+        *,
+        access: ServiceAccess,
+        ca_files: Sequence[Path] = (),
     ) -> None:
+        self._access = access
         self._url_of = url_of
         self._on_message = on_message
         self._on_end = on_end
+        self._ca_files = ca_files
         self._background = BackgroundTasks("streams")
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
@@ -122,8 +138,10 @@ class Streams:
 
     async def _stream(self, name: str) -> None:
         try:
-            with suppress(OSError, TimeoutError, WebSocketException):
-                async with _connect(self._url_of(name)) as socket:
+            with suppress(OSError, TimeoutError, WebSocketException, AccountsUnavailable, UsageError):
+                url, headers = self._url_of(name), await self._access.headers()
+                tls = tls_of(url, self._ca_files)
+                async with _connect(url, ssl=tls, additional_headers=headers) as socket:
                     async for text in socket:
                         self._on_message(name, orjson.loads(text))
         finally:

@@ -149,10 +149,13 @@ class Processes(Source):
         response = (await self._get("/definitions")).raise_for_status()
         definitions = {f"definition/{one['name']}": one for one in response.json()}
         for topic, definition in definitions.items():
-            self._state.publish(topic, {"parameters": [], **definition})
+            self._state.publish(topic, {"parameters": [], **definition}, self._definition(definition["name"]))
         for topic in self._state.topics_of("definition"):
             if topic not in definitions:
                 self._state.remove(topic)
+
+    def _definition(self, name: str) -> tuple[str, ...]:
+        return (self._settings.entity_id("ProcessDefinition", name),)
 
     async def _read_many(self, processes: Collection[str]) -> None:
         slots = asyncio.Semaphore(MAX_CONCURRENT_READS)
@@ -173,7 +176,7 @@ class Processes(Source):
             self._logged.pop(process, None)
             return
         view: ProcessView = response.raise_for_status().json()
-        self._state.publish(f"process/{process}", view)
+        self._state.publish(f"process/{process}", view, self._definition(view["definition"]))
         if view["status"] in FINISHED:
             self._running.discard(process)
             self._ended.setdefault(process, str(view.get("endedAt")))

@@ -20,7 +20,9 @@ class Robots(OnDemandSource):
         super().__init__(context)
         self._streams = Streams(
             lambda name: self._socket_url(f"/robots/{quote(name, safe='')}/joint_states?hz={JOINTS_HZ}"),
-            lambda name, joints: self._state.publish(f"robot/{name}/joints", joints),
+            lambda name, joints: self._state.publish(f"robot/{name}/joints", joints, self._device(name)),
+            access=context.access,
+            ca_files=context.settings.ca_files,
         )
 
     async def run(self) -> None:
@@ -44,7 +46,7 @@ class Robots(OnDemandSource):
         if views is None:
             return False
         for view in views:
-            self._state.publish(f"robot/{view['id']}", view)
+            self._state.publish(f"robot/{view['id']}", view, self._device(view["id"]))
         names = {f"robot/{view['id']}" for view in views}
         for topic in self._state.topics_of("robot"):
             if topic.removesuffix("/joints") not in names:

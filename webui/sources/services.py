@@ -12,7 +12,7 @@ from handover.broker import BrokerClient, BrokerError
 from webui.live.event_log import Event, EventLog, timestamp
 from webui.live.live_state import LiveState
 from webui.live.views import LastMessage, ServiceHealth
-from webui.settings import BROKER, CONTROLLER, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
+from webui.settings import BROKER, CONTROLLER, GATEWAY, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
 from webui.sources.extra_services import ExtraService
 from webui.sources.source import Source
 
@@ -38,6 +38,10 @@ COUNTERS: Final[Mapping[str, Mapping[str, str]]] = {
     TRAJECTORY: {
         "tasks": "handover_tasks_total",
         "scans": "handover_trajectory_tool_scans_total",
+    },
+    GATEWAY: {
+        "received": "handover_device_messages_total",
+        "tasks": "handover_tasks_total",
     },
     ROS_BRIDGE: {
         "received": "handover_bridge_messages_received_total",
@@ -147,7 +151,9 @@ class ServiceMonitor(Source):
         self._check_requested.set()
 
     def _publish(self) -> None:
-        self._state.publish("services", [row.view() for row in self._rows.values() if row.state is not None])
+        views = [row.view() for row in self._rows.values() if row.state is not None]
+        states = [{**view, "detail": None, "lastMessage": None} for view in views]
+        self._state.publish("services", views, partial=states)
 
     async def _check(self, row: ServiceRow) -> None:
         url = row.url

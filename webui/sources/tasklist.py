@@ -12,8 +12,9 @@ from typing import Any, Final
 from datamodels.attributes import DateTime, Property
 from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
+from handover.security.resource_patterns import ANY_RESOURCE
 from handover.task_life import FINISHED, is_for_people, performers_of
-from webui.live.live_state import LiveState
+from webui.live.live_state import EVERYTHING, LiveState
 from webui.live.views import TasklistView
 from webui.settings import ORCHESTRATOR
 from webui.sources.devices import short_name
@@ -30,11 +31,18 @@ class Tasklist:
 
     def update(self, task: Task) -> None:
         """Publish a Task of a person that is not finished; remove any other."""
-        involved = (link.object for link in task.involves or ())
+        involved = tuple(link.object for link in task.involves or ())
         if task.is_part_of is not None and task.status.value not in FINISHED and is_for_people(involved):
-            self._state.publish(f"tasklist/{task.id}", view_of(task))
+            self._state.publish(f"tasklist/{task.id}", view_of(task), (*involved, self._definition_of(task)))
         else:
             self.remove(task.id)
+
+    def _definition_of(self, task: Task) -> str:
+        """Return the ProcessDefinition of a Task, as far as its process is known here; else everything."""
+        process = (
+            self._state.resources(f"process/{short_name(task.is_part_of.object)}") if task.is_part_of else ()
+        )
+        return process[0] if process else ANY_RESOURCE
 
     def remove(self, task_id: str) -> None:
         """Remove a Task that has ended or was deleted."""
@@ -56,7 +64,7 @@ class CommentCounts:
                 self._counts[name] = self._counts.pop(name, 0) + 1
                 if len(self._counts) > MAX_COMMENTED:
                     self._counts.popitem(last=False)
-                self._state.publish("comments", {"counts": dict(self._counts)})
+                self._state.publish("comments", {"counts": dict(self._counts)}, EVERYTHING)
             case _:
                 pass
 

@@ -6,7 +6,7 @@ import orjson
 from hypothesis import given
 from hypothesis import strategies as st
 
-from webui.live.live_state import MAX_PENDING_EVENTS, LiveState, Viewer
+from webui.live.live_state import MAX_PENDING_EVENTS, LiveState, Reader, Viewer
 
 TOPICS = ["services", "glove/glove-1", "process/p-1", "robot/ur10-1", "robot/ur10-1/joints"]
 JOINTS = "robot/ur10-1/joints"
@@ -15,11 +15,11 @@ JOINTS = "robot/ur10-1/joints"
 class Page:
     """The state of a page in a browser: the newest value of each topic, and the events by `seq`."""
 
-    def __init__(self, state: LiveState) -> None:
+    def __init__(self, state: LiveState, reader: Reader | None = None) -> None:
         self.topics: dict[str, Any] = {}
         self.events: list[int] = []
         self.changes = 0
-        self.viewer: Viewer = state.add_viewer(self.on_change)
+        self.viewer: Viewer = state.add_viewer(self.on_change, reader)
 
     def on_change(self) -> None:
         self.changes += 1
@@ -100,6 +100,40 @@ def test_joints_are_sent_to_subscribed_pages_only() -> None:
     assert subscribed.read()["topics"] == {}
 
 
+def test_one_subscription_brings_all_registered_devices() -> None:
+    state = LiveState()
+    state.publish("registeredDevice/a", 1)
+    page, other = Page(state), Page(state)
+    assert page.read()["topics"] == other.read()["topics"] == {}
+    page.viewer.subscribe(["registeredDevices"])
+    assert page.read()["topics"] == {"registeredDevice/a": 1}
+    state.publish("registeredDevices", {"isCurrent": True})
+    state.publish("registeredDevice/b", 2)
+    assert page.read()["topics"] == {"registeredDevices": {"isCurrent": True}, "registeredDevice/b": 2}
+    state.publish("registeredDevice/b", 3)
+    page.viewer.subscribe([])
+    assert page.read()["topics"] == other.read()["topics"] == {}
+
+
+def test_a_page_receives_only_devices_that_its_user_may_read() -> None:
+    state = LiveState()
+    for name in ("a", "b"):
+        state.publish(f"device/{name}", name)
+        state.publish(f"registeredDevice/{name}", name)
+    state.publish("services", [1])
+    reader = Reader(lambda entity: entity == "a")
+    page = Page(state, reader)
+    page.viewer.subscribe(["registeredDevices"])
+    page.read()
+    assert page.topics == {"device/a": "a", "registeredDevice/a": "a", "services": [1]}
+    state.publish("device/b", "changed")
+    state.remove("registeredDevice/b")
+    assert page.read()["topics"] == {}
+    reader.change(lambda entity: entity == "b")
+    assert page.read()["type"] == "snapshot"
+    assert page.topics == {"device/b": "changed", "services": [1]}
+
+
 def test_subscriptions_to_other_topics_are_ignored() -> None:
     page = Page(LiveState())
     page.viewer.subscribe(["services", "anything"])
@@ -123,6 +157,36 @@ def test_removed_viewers_are_not_notified() -> None:
     state.remove_viewer(page.viewer)
     state.publish("services", [1])
     assert page.changes == 0
+
+
+def test_a_page_receives_nothing_of_a_robot_that_its_user_may_not_read() -> None:
+    state, mine, other = LiveState(), ("robot-1", "anna"), ("robot-2", "*")
+    page = Page(state, Reader(set(mine).__contains__))
+    everything = Page(state)
+
+    def publish(value: int) -> None:
+        state.publish("robot/robot-1", {"value": value}, mine)
+        state.publish("robot/robot-2", {"value": value}, other)
+        state.publish("services", [{"text": f"robot-2: {value}"}], partial=[{"text": None}])
+        state.publish("cell", {"value": value})
+        state.publish_event(value, {"seq": value})
+
+    publish(1)
+    for value in (2, 3):
+        page.read()
+        everything.read()
+        assert set(page.topics) == {"robot/robot-1", "services", "cell"}
+        assert page.topics["services"] == [{"text": None}]
+        assert page.events == []
+        assert "robot/robot-2" in everything.topics
+        publish(value)
+    state.publish("robot/robot-1", {"value": 4}, other)
+    state.remove("robot/robot-2")
+    page.read()
+    everything.read()
+    assert "robot/robot-1" not in page.topics, "it is about another resource now"
+    assert everything.topics["robot/robot-1"] == {"value": 4}
+    assert everything.events == [1, 2, 3]
 
 
 step = st.one_of(

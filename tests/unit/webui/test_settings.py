@@ -34,6 +34,8 @@ def test_every_service_has_a_url() -> None:
     assert urls["context-broker"] == "http://orion:1026"
     assert urls["task-orchestrator"] == "http://orchestrator:54200"
     assert urls["trajectory-tool"] == "http://127.0.0.1:54220"
+    assert urls["device-gateway"] == "http://127.0.0.1:54240"
+    assert urls["alert-router"] == "http://127.0.0.1:54280"
     assert urls["study"] == "http://127.0.0.1:54270"
 
 

@@ -1,9 +1,12 @@
 """Streams of an on-demand source: one WebSocket for each followed resource, against a real server."""
 
+from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 
+from handover.security.service_access import ServiceAccess
+from handover.settings import Settings
 from tests.kit.waiting import until
 from webui.sources.on_demand import Streams
 
@@ -26,6 +29,7 @@ class Recorder:
             lambda name: f"ws://{HOST}:{port}/{name}",
             lambda name, message: self.messages.append((name, message)),
             self.ended.append,
+            access=ServiceAccess(Settings(data_dir=Path("without-accounts"), _env_file=None), "webui"),
         )
 
 

@@ -15,6 +15,9 @@ const CockpitPage = lazy(() => import("~/cockpit/CockpitPage"));
 const TasksPage = lazy(() => import("~/tasks/TasksPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
 const PeoplePage = lazy(() => import("~/people/PeoplePage"));
+const DevicesPage = lazy(() => import("~/devices/DevicesPage"));
+const SensorsPage = lazy(() => import("~/sensors/SensorsPage"));
+const ControlPage = lazy(() => import("~/control/ControlPage"));
 const CalibratePage = lazy(() => import("~/calibrate/CalibratePage"));
 const TestPage = lazy(() => import("~/test/TestPage"));
 const ParticipantFrame = lazy(() => import("~/study/ParticipantFrame"));
@@ -46,6 +49,9 @@ export function App() {
             <Route path="/tasks" component={TasksPage} />
             <Route path="/system" component={SystemPage} />
             <Route path="/people" component={PeoplePage} />
+            <Route path="/sensors" component={SensorsPage} />
+            <Route path="/devices" component={DevicesPage} />
+            <Route path="/control" component={ControlPage} />
             <Route path="/calibrate" component={CalibratePage} />
             <Route path="/test" component={TestPage} />
             <Route path="/study" component={StudyPage} />

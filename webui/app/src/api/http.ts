@@ -1,7 +1,9 @@
 /** REST of the services, through the proxy at `/api/<service>/<path>`. Error responses throw `ApiError`. */
 import { localizedText } from "~/i18n/server";
+import { loadAdmins, missingRight } from "~/session/rights";
+import { currentSession } from "~/session/session";
 
-export type Service = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool" | "study" | "ros-bridge";
+export type Service = "context-broker" | "task-orchestrator" | "accounts" | "device-gateway" | "alert-router" | "gesture-controller" | "trajectory-tool" | "study" | "ros-bridge";
 
 /** Problem details (RFC 7807), with the further members of our services. */
 export interface ProblemDetails {
@@ -31,7 +33,7 @@ export class NetworkError extends Error {
 
 /** The text of an error, in the language of the page if the server sent a code. */
 export function errorText(error: unknown): string {
-  if (error instanceof ApiError) return localizedText(error.problem, "detail") ?? error.message;
+  if (error instanceof ApiError) return missingRight(error.problem) ?? localizedText(error.problem, "detail") ?? error.message;
   return error instanceof Error ? error.message : String(error);
 }
 
@@ -48,6 +50,8 @@ export async function request<T>(path: string, { method = "GET", json, body, typ
   const headers: Record<string, string> = { Accept: "application/json" };
   if (json !== undefined) headers["Content-Type"] = "application/json";
   if (type !== undefined) headers["Content-Type"] = type;
+  const { csrf } = currentSession();
+  if (csrf !== null && method !== "GET") headers["X-CSRF-Token"] = csrf;
   let answer: Response;
   try {
     const sent = json === undefined ? body : JSON.stringify(json);
@@ -63,6 +67,7 @@ export async function request<T>(path: string, { method = "GET", json, body, typ
   }
   const text = await answer.text();
   const isJson = (answer.headers.get("Content-Type") ?? "").includes("json");
+  if (answer.status === 403) await loadAdmins(); // their names are in the text of the error
   if (!answer.ok) throw new ApiError(problemOf(answer, isJson ? (JSON.parse(text) as unknown) : text));
   return (isJson && text !== "" ? JSON.parse(text) : text) as T;
 }

@@ -1,5 +1,5 @@
 /** Loads resources of the services with TanStack Query: equal requests are shared, transient errors retried. */
-import { QueryClient, useQuery } from "@tanstack/react-query";
+import { keepPreviousData, QueryClient, useQuery } from "@tanstack/react-query";
 import { useCallback, useEffect, useRef } from "react";
 import { ApiError, errorText, requestService, type Service } from "./http";
 
@@ -27,16 +27,19 @@ export interface ServiceQueryOptions {
   /** Another value causes another request. */
   revision?: string | number;
   intervalMs?: number;
+  /** While another path loads, the value of the path before it stays. */
+  keepsPrevious?: boolean;
 }
 
 /** Load `path` of `service`; null loads nothing. */
-export function useServiceQuery<T>(service: Service, path: string | null, { revision = "", intervalMs }: ServiceQueryOptions = {}): ServiceQuery<T> {
+export function useServiceQuery<T>(service: Service, path: string | null, { revision = "", intervalMs, keepsPrevious = false }: ServiceQueryOptions = {}): ServiceQuery<T> {
   const { data, error, failureReason, refetch } = useQuery(
     {
       queryKey: [service, path],
       queryFn: ({ signal }) => requestService<T>(service, path ?? "", { signal }),
       enabled: path !== null,
       refetchInterval: intervalMs ?? false,
+      ...(keepsPrevious ? { placeholderData: keepPreviousData<T | undefined> as never } : {}),
     },
     queryClient,
   );

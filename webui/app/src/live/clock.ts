@@ -23,6 +23,11 @@ function watch(listener: () => void): () => void {
   };
 }
 
+/** The time in ms, updated every `stepMs`, which is several seconds. */
+export function useCoarseNow(stepMs: number): number {
+  return useSyncExternalStore(watch, () => Math.floor(now / stepMs) * stepMs);
+}
+
 /** The time in ms, updated every second. */
 export function useNow(): number {
   return useSyncExternalStore(watch, () => now);

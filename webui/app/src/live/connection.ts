@@ -13,6 +13,8 @@ const HEARTBEAT_TIMEOUT_MS = 12_000;
 export interface LiveConnectionOptions {
   url: string;
   /** Fetches events after a `seq`, to fill a gap. */
+  /** The connection was closed: perhaps the session of the user has ended. */
+  onClosed?: () => void;
   fetchEvents: (after: number) => Promise<LiveEvent[]>;
 }
 
@@ -62,7 +64,10 @@ export class LiveConnection {
       this.#restartTimeout(socket);
       this.#receive(JSON.parse(message.data) as Batch);
     };
-    socket.onclose = () => this.#onClose(socket);
+    socket.onclose = () => {
+      this.#options.onClosed?.();
+      this.#onClose(socket);
+    };
   }
 
   #restartTimeout(socket: WebSocket): void {

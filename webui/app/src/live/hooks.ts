@@ -1,7 +1,7 @@
 /** Hooks for live values. */
 import { createContext, useContext, useEffect, useSyncExternalStore } from "react";
 import type { DefinitionView, ProcessView } from "~/api/generated/task-orchestrator";
-import type { AlertView, DeviceView, GloveView, LiveEvent, RobotView, TasklistView, TopicValues } from "./messages";
+import type { AlertView, DeviceView, GloveView, LiveEvent, RegisteredDeviceView, RegisteredDevicesView, RobotView, TasklistView, TopicValues } from "./messages";
 import { LiveStore, type ConnectionState } from "./store";
 
 export const Live = createContext(new LiveStore());
@@ -27,6 +27,7 @@ interface Families {
   definition: DefinitionView;
   alert: AlertView;
   device: DeviceView;
+  registeredDevice: RegisteredDeviceView;
 }
 
 /** All values of a family, in the order of their names. */
@@ -59,6 +60,13 @@ export function useSubscription<T>(topic: string | null): T | undefined {
     (listener) => (topic === null ? () => undefined : live.watch(topic, listener)),
     () => (topic === null ? undefined : (live.value(topic) as T | undefined)),
   );
+}
+
+/** All registered devices by name; null while they are loading. `isCurrent`: the device gateway answers. */
+export function useRegisteredDevices(): { devices: readonly RegisteredDeviceView[] | null; isCurrent: boolean } {
+  const state = useSubscription<RegisteredDevicesView>("registeredDevices");
+  const devices = useFamily("registeredDevice");
+  return { devices: state === undefined ? null : devices, isCurrent: state?.isCurrent ?? true };
 }
 
 export function useEvents(): readonly LiveEvent[] {

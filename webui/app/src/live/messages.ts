@@ -209,10 +209,16 @@ export interface ToolPose {
   orientation: number[];
 }
 
+/** A person who waits for the control of a robot; `id` is that of the session. */
+export interface WaitingPerson {
+  id: string;
+  name: string;
+}
+
 /**
  * Topic `robot/<id>`: a robot, from the trajectory tool; another `revision` has another description.
  *
- * `scene` is the digest of the scene around it.
+ * `scene` is the digest of the scene around it; `awaitsConfirmation`: its hand-over waits for a person.
  */
 export interface RobotView {
   id: string;
@@ -225,9 +231,12 @@ export interface RobotView {
   toolPose: ToolPose;
   gripper: Gripper;
   task: string | null;
+  awaitsConfirmation: boolean;
   operation: string | null;
   progress: number | null;
   remainingS: number | null;
+  controlledBy: string | null;
+  waitingForControl: WaitingPerson[];
 }
 
 /**
@@ -293,6 +302,44 @@ export interface DeviceView {
   batteryLevel: number | null;
   observedAt: string | null;
   value: unknown;
+}
+
+/** A sensor of a registered device, which may not have sent a value yet. */
+export interface DeviceSensor {
+  name: string;
+  unit: string | null;
+  minimum: number | null;
+  maximum: number | null;
+}
+
+/** The latest value of a sensor or joint: seconds since 1970, the unit as UN/CEFACT code. */
+export interface DeviceValue {
+  value: number;
+  t: number;
+  unit: string | null;
+  stale: boolean;
+}
+
+/** Topic `registeredDevice/<urn>`: a device of the device gateway, for pages that subscribe to all. */
+export interface RegisteredDeviceView {
+  name: string;
+  entity: string;
+  kind: string;
+  title: string;
+  connected: boolean;
+  hasToken: boolean;
+  state: DeviceState | null;
+  batteryLevel: number | null;
+  seenAt: number | null;
+  updatedAt: number;
+  location: string | null;
+  sensors: DeviceSensor[];
+  values: Record<string, DeviceValue>;
+}
+
+/** Topic `registeredDevices`: whether the device gateway answers, for subscribed pages. */
+export interface RegisteredDevicesView {
+  isCurrent: boolean;
 }
 
 /** Topic `operator`: the simulated operator. */
@@ -381,4 +428,6 @@ export interface TopicValues {
   [tasklist: `tasklist/${string}`]: TasklistView;
   [alert: `alert/${string}`]: AlertView;
   [device: `device/${string}`]: DeviceView;
+  registeredDevices: RegisteredDevicesView;
+  [registeredDevice: `registeredDevice/${string}`]: RegisteredDeviceView;
 }

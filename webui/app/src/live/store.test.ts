@@ -67,6 +67,16 @@ describe("the live store", () => {
     expect(live.onSubscriptionsChange).toHaveBeenCalledTimes(2);
   });
 
+  it("forgets the registered devices when no page shows them", () => {
+    const live = new LiveStore();
+    const release = live.subscribe("registeredDevices");
+    live.apply(batch({ registeredDevices: { isCurrent: true }, "registeredDevice/a": 1, "device/a": 2 }));
+    expect(live.list("registeredDevice")).toEqual([1]);
+    release();
+    expect(live.list("registeredDevice")).toEqual([]);
+    expect(live.list("device")).toEqual([2]);
+  });
+
   it("lets no watcher pile up", () => {
     const live = new LiveStore();
     const listener = vi.fn();

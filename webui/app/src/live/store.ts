@@ -7,6 +7,9 @@ import type { Batch, LiveEvent, TopicValues } from "./messages";
 export type ConnectionState = "connecting" | "open" | "lost";
 
 const MAX_EVENTS = 500;
+/** Who subscribes to this topic receives all topics of the family as well. */
+const REGISTERED_DEVICES = "registeredDevices";
+const REGISTERED_DEVICE = "registeredDevice";
 
 type Listener = () => void;
 
@@ -107,10 +110,17 @@ export class LiveStore {
         this.#subscribers.set(topic, left);
       } else {
         this.#subscribers.delete(topic);
-        this.#topics.delete(topic);
+        this.#forget(topic);
         this.onSubscriptionsChange();
       }
     };
+  }
+
+  #forget(topic: string): void {
+    this.#topics.delete(topic);
+    if (topic !== REGISTERED_DEVICES) return;
+    for (const member of this.#topics.keys()) if (familyOf(member) === REGISTERED_DEVICE) this.#topics.delete(member);
+    this.#lists.delete(REGISTERED_DEVICE);
   }
 
   #put(topic: string, value: unknown, changed: Set<string>): void {

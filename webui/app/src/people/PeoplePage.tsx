@@ -1,149 +1,58 @@
-/** The people of the site: a list, and the gloves and gestures of one person. */
-import { SearchX, UserPlus, Users } from "lucide-react";
-import { useMemo, useState } from "react";
+/** People: gestures of the people at gloves, users and their rights, invitations, tokens, sessions, the audit. */
 import { useTranslation } from "react-i18next";
-import { useServiceQuery } from "~/api/useServiceQuery";
-import { ConfirmDialog } from "~/design/ConfirmDialog";
-import { Button } from "~/design/Button";
-import { EmptyState } from "~/design/EmptyState";
-import { Field } from "~/design/Field";
-import { ErrorMessage } from "~/design/ErrorMessage";
-import { DataTable, type Column } from "~/design/table/DataTable";
-import { useSorting } from "~/design/table/useSorting";
-import { useSubscription } from "~/live/hooks";
+import { AccountsFrame } from "~/accounts/AccountsFrame";
+import { AuditLogView } from "~/accounts/AuditView";
+import { InvitationsView } from "~/accounts/InvitationsView";
+import { OwnSessionsView } from "~/accounts/Sessions";
+import { TokensView } from "~/accounts/TokensView";
+import { UsersView } from "~/accounts/UsersView";
+import "~/accounts/accounts.css";
+import { SegmentedControl } from "~/design/SegmentedControl";
 import { useQueryParameter } from "~/route/queryParameter";
-import { useKeys } from "~/shell/keys";
-import { addPerson, SERVICE, type Person } from "./people";
-import { PersonPanel } from "./PersonPanel";
+import { mayDo, useSession } from "~/session/session";
+import { GesturesView } from "./GesturesView";
 import "./PeoplePage.css";
 
-const NOBODY: readonly Person[] = [];
+const VIEWS = [
+  { name: "gestures", permission: "read" },
+  { name: "users", permission: "managePeople" },
+  { name: "invitations", permission: "managePeople" },
+  { name: "tokens", permission: "managePeople" },
+  { name: "audit", permission: "readAudit" },
+  { name: "sessions", permission: null },
+] as const;
+type View = (typeof VIEWS)[number]["name"];
+
+const contents: Record<View, () => React.JSX.Element> = {
+  gestures: GesturesView,
+  users: UsersView,
+  invitations: InvitationsView,
+  tokens: TokensView,
+  audit: AuditLogView,
+  sessions: OwnSessionsView,
+};
 
 export default function PeoplePage() {
   // Load `hand` with the page: a panel that loads it later would suspend the page and lose the focus.
-  const { t } = useTranslation(["people", "hand"]);
-  const [requests, setRequests] = useState(0);
-  // The revision changes when somebody has changed a person, here or in another browser.
-  const revision = `${requests} ${useSubscription<{ revision: string }>("people")?.revision ?? ""}`;
-  const [chosen, choose] = useQueryParameter("person");
-  const [isAdding, setAdding] = useState(false);
-  const loaded = useServiceQuery<Person[]>(SERVICE, "people", { revision });
-  const people = loaded.value ?? NOBODY;
-  const reload = () => setRequests((before) => before + 1);
-  const name = people.some((person) => person.name === chosen) ? chosen : (firstByTitle(people)?.name ?? null);
-  useKeys([{ key: "n", does: t("add.act"), act: () => setAdding(true) }]);
+  const { t } = useTranslation(["accounts", "people", "hand", "rights", "common"]);
+  const [asked, setView] = useQueryParameter("view", "gestures");
+  const { hasAccounts } = useSession();
+  const view = VIEWS.find(({ name }) => name === asked) ?? VIEWS[0];
+  const offered = VIEWS.filter(({ name, permission }) => name === view.name || (permission === null ? hasAccounts : mayDo(permission)));
+  const Content = contents[view.name];
   return (
-    <div className="people">
-      <aside className="people__list">
-        <h1>{t("title")}</h1>
-        {loaded.failure !== null && <ErrorMessage>{loaded.failure}</ErrorMessage>}
-        {people.length > 0 && <PeopleTable people={people} name={name} onOpen={choose} />}
-        <Button icon={<UserPlus aria-hidden size={18} />} onPress={() => setAdding(true)}>
-          {t("add.act")}
-        </Button>
-      </aside>
-      <div className="people__place">
-        {name !== null ? (
-          <PersonPanel key={name} name={name} people={people} revision={revision} onChange={reload} onRemoved={() => { choose(""); reload(); }} />
-        ) : (
-          loaded.value !== null && (
-            <EmptyState
-              icon={<Users aria-hidden size={32} />}
-              title={t("none.title")}
-              act={
-                <Button kind="main" onPress={() => setAdding(true)}>
-                  {t("add.act")}
-                </Button>
-              }
-            >
-              {t("none.means")}
-            </EmptyState>
-          )
-        )}
-      </div>
-      <AddPerson isOpen={isAdding} onClose={() => setAdding(false)} onAdded={(added) => { choose(added); reload(); }} />
+    <div className="people-page">
+      <header className="people-page__head">
+        <h1>{t("common:pages.people")}</h1>
+        <SegmentedControl label={t("view.label")} value={view.name} options={offered.map(({ name }) => ({ value: name, name: t(`view.${name}`) }))} onChange={setView} />
+      </header>
+      {view.name === "gestures" ? (
+        <Content />
+      ) : (
+        <AccountsFrame permission={view.permission} isLocalToo={view.name === "audit"}>
+          <Content />
+        </AccountsFrame>
+      )}
     </div>
-  );
-}
-
-function PeopleTable({ people, name, onOpen }: { people: readonly Person[]; name: string | null; onOpen: (name: string) => void }) {
-  const { t } = useTranslation("people");
-  const [find, setFind] = useQueryParameter("find");
-  const [sorting, setSorting] = useSorting("person");
-  const matching = useMemo(() => {
-    const words = find.toLowerCase().split(/\s+/);
-    return people.filter((person) => words.every((word) => `${person.name} ${person.title ?? ""} ${glovesOf(person)}`.toLowerCase().includes(word)));
-  }, [people, find]);
-  const columns: readonly Column<Person>[] = useMemo(
-    () => [
-      { id: "person", name: t("list.person"), width: "minmax(0, 2fr)", sortBy: titleOf, cell: (person) => <strong>{titleOf(person)}</strong> },
-      {
-        id: "gloves", name: t("list.gloves"), width: "minmax(0, 1fr)", sortBy: (person) => glovesOf(person) || null,
-        cell: (person) => <span className="quiet">{glovesOf(person) || t("wearsNone")}</span>,
-      },
-    ],
-    [t],
-  );
-  return (
-    <>
-      <Field label={t("list.find")} value={find} onChange={setFind} type="search" />
-      <DataTable
-        label={t("title")}
-        rows={matching}
-        columns={columns}
-        keyOf={(person) => person.name}
-        nameOf={(person) => `${titleOf(person)}, ${glovesOf(person) || t("wearsNone")}`}
-        rowHeight={44}
-        sorting={sorting}
-        onSort={setSorting}
-        view={find}
-        openKey={name}
-        onOpen={(person) => onOpen(person.name)}
-      >
-        {matching.length === 0 && <EmptyState icon={<SearchX aria-hidden size={32} />} title={t("list.noMatch")} />}
-      </DataTable>
-    </>
-  );
-}
-
-function firstByTitle(people: readonly Person[]): Person | undefined {
-  return people.reduce<Person | undefined>(
-    (first, person) => (first === undefined || titleOf(person).localeCompare(titleOf(first), undefined, { numeric: true }) < 0 ? person : first),
-    undefined,
-  );
-}
-
-function titleOf(person: Person): string {
-  return person.title ?? person.name;
-}
-
-function glovesOf(person: Person): string {
-  return person.gloves.map(({ glove }) => glove).join(", ");
-}
-
-function AddPerson({ isOpen, onClose, onAdded }: { isOpen: boolean; onClose: () => void; onAdded: (name: string) => void }) {
-  const { t } = useTranslation("people");
-  const [name, setName] = useState("");
-  const [title, setTitle] = useState("");
-  const close = () => {
-    setName("");
-    setTitle("");
-    onClose();
-  };
-  return (
-    <ConfirmDialog
-      isOpen={isOpen}
-      onClose={close}
-      title={t("add.title")}
-      act={t("add.act")}
-      isDisabled={name.trim() === ""}
-      onAct={async () => {
-        await addPerson(name.trim(), title.trim());
-        onAdded(name.trim());
-      }}
-    >
-      <Field label={t("add.name")} hint={t("add.nameHint")} value={name} onChange={setName} autoFocus />
-      <Field label={t("add.called")} value={title} onChange={setTitle} />
-    </ConfirmDialog>
   );
 }

@@ -1,6 +1,6 @@
 /** The live 3D view of a robot in its cell. three.js loads with this module when it is first shown. */
 import { RotateCcw, ZoomIn, ZoomOut } from "lucide-react";
-import { useEffect, useRef, useState } from "react";
+import { useCallback, useEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { requestService } from "~/api/http";
 import { Button } from "~/design/Button";
@@ -17,9 +17,27 @@ import "./Robot3d.css";
 
 type Showing = "loading" | "shown" | "noDescription" | "noWebgl" | "failed";
 
-export default function Robot3d({ robot, description, failure }: { robot: string } & DescriptionQuery) {
-  const { t } = useTranslation("system");
+export default function Robot3d({ robot, ...query }: { robot: string } & DescriptionQuery) {
   const live = useLive();
+  const followAll = useCallback(
+    (stage: Stage) => {
+      const ends = [follow(live, robot, stage), followNeighbours(live, robot, stage)];
+      return () => ends.forEach((end) => end());
+    },
+    [live, robot],
+  );
+  return <RobotView robot={robot} follow={followAll} {...query} />;
+}
+
+export interface RobotViewProps extends DescriptionQuery {
+  robot: string;
+  /** Updates the stage until the returned function is called; another function draws the robot again. */
+  follow: (stage: Stage) => () => void;
+}
+
+/** A robot of a description in 3D. */
+export function RobotView({ robot, description, failure, follow }: RobotViewProps) {
+  const { t } = useTranslation("system");
   const theme = useShownTheme();
   const host = useRef<HTMLDivElement>(null);
   const stage = useRef<Stage | null>(null);
@@ -39,8 +57,7 @@ export default function Robot3d({ robot, description, failure }: { robot: string
         setDrawn(error instanceof InvalidDescription ? "noDescription" : "noWebgl");
         return;
       }
-      const ends = [follow(live, robot, stage.current), followNeighbours(live, robot, stage.current)];
-      stop = () => ends.forEach((end) => end());
+      stop = follow(stage.current);
       setDrawn("shown");
     };
     queueMicrotask(draw);
@@ -50,7 +67,7 @@ export default function Robot3d({ robot, description, failure }: { robot: string
       stage.current?.dispose();
       stage.current = null;
     };
-  }, [live, robot, description]);
+  }, [follow, description]);
 
   useEffect(() => {
     if (host.current !== null) stage.current?.restyle(palette(host.current));
@@ -166,6 +183,7 @@ function palette(place: Element): Palette {
     fixture: colour("fixture"),
     bin: colour("bin"),
     part: colour("part"),
+    truepart: colour("truepart"),
     obstacle: colour("obstacle"),
     keepout: colour("keepout"),
     reduced: colour("reduced"),

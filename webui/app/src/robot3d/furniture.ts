@@ -17,11 +17,13 @@ export interface CellScene {
   bins: Record<string, { parts: Spot[] }>;
   fixtures: Record<string, { nests: Spot[] }>;
   parts: { part: string; place: string | null; position: Triple; orientation: Quaternion }[];
+  /** Where the parts of a simulation are, whether or not the tool knows of them. */
+  trueParts?: { size: Triple; position: Triple; orientation: Quaternion }[];
   shapes?: { kind: ShapeKind; name: string; form: Form; size: Triple; position: Triple; orientation: Quaternion }[];
 }
 
-export type ShapeKind = "obstacle" | "fence" | "camera" | "keepOut" | "reducedSpeed";
-export type PieceKind = "table" | "bin" | "fixture" | "nest" | "part" | ShapeKind;
+export type ShapeKind = "obstacle" | "fence" | "camera" | "keepOut" | "reducedSpeed" | "people";
+export type PieceKind = "table" | "bin" | "fixture" | "nest" | "part" | "truePart" | ShapeKind;
 export type Form = "box" | "cylinder" | "sphere";
 
 /** A shape, a box unless it says otherwise: its centre and its size along its own axes. */
@@ -60,7 +62,8 @@ export function furnitureOf(scene: CellScene | null, foot: Footprint = SMALL_FOO
   const standing = [...bins, ...fixtures];
   const shapes = scene?.shapes ?? [];
   const ground = shapes.some(({ name }) => name === "table") ? [] : [table(standing, foot)];
-  return [...ground, ...shapes, ...standing, ...parts];
+  const simulated = (scene?.trueParts ?? []).map((part): Piece => ({ kind: "truePart", name: "simulated part", ...part }));
+  return [...ground, ...shapes, ...standing, ...simulated, ...parts];
 }
 
 /** The table: below the robot and everything on it. */

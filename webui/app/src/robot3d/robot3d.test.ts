@@ -124,4 +124,11 @@ describe("what stands round the robot", () => {
       expect(Math.abs(piece.position[1] - (table?.position[1] ?? 0))).toBeLessThan((table?.size[1] ?? 0) / 2);
     }
   });
+
+  test("draws the parts of a simulation beside those that are known, each with its own size", () => {
+    const part = { size: [0.024, 0.06, 0.024], position: [0.1, 0.2, 0.05], orientation: [0, 0, 0, 1] } as const;
+    const pieces = furnitureOf({ ...scene, trueParts: [part] });
+    expect(pieces.filter((piece) => piece.kind === "truePart")).toEqual([{ kind: "truePart", name: "simulated part", ...part }]);
+    expect(pieces.filter((piece) => piece.kind === "part")).toHaveLength(scene.parts.length);
+  });
 });

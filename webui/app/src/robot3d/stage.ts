@@ -28,7 +28,7 @@ const GROUND_M = -0.051;
 /** Edges of curved surfaces are not drawn. */
 const EDGE_DEG = 30;
 /** What surrounds the cell does not decide the view. */
-const SURROUNDING: ReadonlySet<PieceKind> = new Set(["fence", "keepOut", "reducedSpeed"]);
+const SURROUNDING: ReadonlySet<PieceKind> = new Set(["fence", "keepOut", "reducedSpeed", "people"]);
 
 /** The colours of the page, read from its tokens. */
 export interface Palette {
@@ -38,13 +38,14 @@ export interface Palette {
   fixture: string;
   bin: string;
   part: string;
+  truepart: string;
   obstacle: string;
   keepout: string;
   reduced: string;
 }
 
 /** How clearly a thing is drawn; what surrounds others is transparent. */
-const OPACITY: Partial<Record<PieceKind, number>> = { bin: 0.45, fence: 0.3, keepOut: 0.18, reducedSpeed: 0.14 };
+const OPACITY: Partial<Record<PieceKind, number>> = { bin: 0.45, fence: 0.3, keepOut: 0.18, reducedSpeed: 0.14, people: 0.1 };
 
 /** Another robot of the cell. */
 interface Neighbour {
@@ -307,9 +308,10 @@ export class Stage {
   }
 
   #colour(kind: PieceKind): ColorRepresentation {
-    const { table, fixture, bin, line, part, obstacle, keepout, reduced } = this.#palette;
+    const { table, fixture, bin, line, part, truepart, obstacle, keepout, reduced } = this.#palette;
     return {
-      table, fixture, bin, nest: line, part, obstacle, fence: line, camera: obstacle, keepOut: keepout, reducedSpeed: reduced,
+      table, fixture, bin, nest: line, part, truePart: truepart, obstacle, fence: line, camera: obstacle,
+      keepOut: keepout, reducedSpeed: reduced, people: reduced,
     }[kind];
   }
 

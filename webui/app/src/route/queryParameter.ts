@@ -20,3 +20,26 @@ export function useQueryParameter(name: string, standard = ""): [string, (value:
   );
   return [query.get(name) ?? standard, set];
 }
+
+/**
+ * A function that changes several query parameters at once; "" removes one. Two setters of `useQueryParameter` in the same
+ * event would each begin with the parameters before it.
+ */
+export function useQueryChange(): (changes: Readonly<Record<string, string>>) => void {
+  const [, setQuery] = useSearchParams();
+  return useCallback(
+    (changes) =>
+      setQuery(
+        (before) => {
+          const after = new URLSearchParams(before);
+          for (const [name, value] of Object.entries(changes)) {
+            if (value === "") after.delete(name);
+            else after.set(name, value);
+          }
+          return after;
+        },
+        { replace: true },
+      ),
+    [setQuery],
+  );
+}

@@ -1,6 +1,6 @@
 /** The frame of every page: navigation, connection state and preferences. */
 import {
-  CircleHelp, ClipboardList, Cog, Crosshair, Gauge, HardHat, House, ListTodo, Settings2, SlidersHorizontal, Users, Workflow,
+  CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HardHat, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
 } from "lucide-react";
 import { Suspense, useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -9,6 +9,7 @@ import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
 import { useAlertSound } from "~/alerts/sound";
 import { Button } from "~/design/Button";
 import { useConnectionState } from "~/live/hooks";
+import { AccountMenu } from "~/session/AccountMenu";
 import { KeyList } from "./KeyList";
 import { isForOtherTarget, usePageKeys } from "./keys";
 import { Preferences } from "./Preferences";
@@ -21,6 +22,9 @@ const pages = [
   { path: "/cockpit", name: "cockpit", icon: Gauge, key: "0" },
   { path: "/tasks", name: "tasks", icon: ListTodo, key: "9" },
   { path: "/system", name: "system", icon: Cog, key: "4" },
+  { path: "/sensors", name: "sensors", icon: Thermometer, key: "m" },
+  { path: "/devices", name: "devices", icon: Cpu, key: "v" },
+  { path: "/control", name: "control", icon: Gamepad2, key: "c" },
   { path: "/calibrate", name: "calibrate", icon: SlidersHorizontal, key: "5" },
   { path: "/test", name: "test", icon: Crosshair, key: "6" },
   { path: "/people", name: "people", icon: Users, key: "7" },
@@ -78,6 +82,7 @@ export function Shell({ children }: { children: ReactNode }) {
           ))}
         </nav>
         <div className="shell__aside">
+          <AccountMenu />
           <Button kind="quiet" label={t("keys.open")} icon={<CircleHelp aria-hidden size={20} />} onPress={() => setShowsKeys(true)} />
           <Button
             kind="quiet"

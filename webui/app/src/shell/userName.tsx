@@ -1,14 +1,16 @@
-/** The name of the person at this screen: asked once, stored on this device, recorded with manual actions. */
+/** The name of the person at this screen: that of the user, or without accounts asked once, stored on this device, recorded with manual actions. */
 import { useState, useSyncExternalStore } from "react";
 import { useTranslation } from "react-i18next";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
+import { currentSession } from "~/session/session";
 
 const STORAGE_KEY = "handover.who";
 const listeners = new Set<() => void>();
 
 export function userName(): string {
-  return localStorage.getItem(STORAGE_KEY) ?? "";
+  const { hasAccounts, user } = currentSession();
+  return (hasAccounts ? user?.name : localStorage.getItem(STORAGE_KEY)) ?? "";
 }
 
 export function setUserName(name: string): void {

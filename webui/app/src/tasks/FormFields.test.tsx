@@ -4,7 +4,7 @@ import { useState } from "react";
 import { beforeAll, expect, test } from "vitest";
 import type { FormField } from "~/api/generated/task-orchestrator";
 import { initI18n, setLanguage } from "~/i18n";
-import { field } from "./field.fixture";
+import { field } from "./field";
 import type { Draft } from "./form";
 import { FormFields } from "./FormFields";
 

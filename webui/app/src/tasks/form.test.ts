@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { draftOf, entered, entryOf, inputs } from "./form";
-import { field } from "./field.fixture";
+import { field } from "./field";
 
 const weight = field({ path: "part.weight", kind: "number", minimum: 0.5, maximum: 20, isRequired: true, decimals: 2 });
 const colour = field({ path: "colour", kind: "choice", isRequired: true, options: [{ value: "r", label: "Red" }, { value: 2, label: "Green" }] });

@@ -6,6 +6,7 @@ import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/api/generated/task-orchestrator";
 import type { RobotView } from "~/live/messages";
 import { isSame } from "~/live/urn";
+import { HandOver } from "~/robot/HandOver";
 import { secondsLeft } from "./time_left";
 import "./RobotStage.css";
 
@@ -31,9 +32,13 @@ export function RobotStage({ process, task, robot }: { process: ProcessView; tas
         <ProgressBar className="robot-turn__bar" aria-label={t("robot.progress")} value={100 * (atIt?.progress ?? 0)}>
           {({ percentage = 0 }) => <div className="robot-turn__done" style={{ transform: `scaleX(${percentage / 100})` }} />}
         </ProgressBar>
-        <p className="robot-turn__out">
-          <OctagonAlert aria-hidden /> {t("robot.keepOut")}
-        </p>
+        {atIt?.awaitsConfirmation === true ? (
+          <HandOver robot={atIt} />
+        ) : (
+          <p className="robot-turn__out">
+            <OctagonAlert aria-hidden /> {t("robot.keepOut")}
+          </p>
+        )}
         <p className="work__message">{paused ? t("robot.paused") : task.status === "pending" ? t("robot.waiting") : task.name}</p>
       </div>
     </>

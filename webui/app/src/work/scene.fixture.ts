@@ -63,7 +63,8 @@ export const robot: RobotView = {
   task: null,
   operation: null,
   progress: null,
-  remainingS: null,
+  remainingS: null, controlledBy: null, waitingForControl: [],
+  awaitsConfirmation: false,
 };
 
 export const userTask: TaskView = views.task({

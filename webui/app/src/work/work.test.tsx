@@ -43,7 +43,7 @@ const asks = (part: Partial<GloveView> = {}): [string, unknown] => [
 
 beforeAll(async () => {
   await initI18n();
-  await i18next.loadNamespaces(["work", "hand"]);
+  await i18next.loadNamespaces(["work", "hand", "system"]);
   await setLanguage("en");
 });
 
@@ -133,6 +133,23 @@ describe("the operator's page", () => {
     expect(screen.getByText("about 3 s left")).toBeTruthy();
     expect(screen.getByRole("progressbar").getAttribute("aria-valuenow")).toBe("40");
     expect(screen.getByText("Keep out of the cell")).toBeTruthy();
+  });
+
+  it("asks the person to hold the part of a hand-over, and confirms that very Task", async () => {
+    const sent: unknown[] = [];
+    vi.stubGlobal("fetch", (url: string, { body }: { body: string }) => {
+      sent.push([url, JSON.parse(body)]);
+      return Promise.resolve(new Response("{}", { headers: { "content-type": "application/json" } }));
+    });
+    const waits = { ...robot, task: robotTask.id, operation: "handOver", awaitsConfirmation: true, gripper: { ...robot.gripper, closed: true, holds: "gear-3" } };
+    await open(["glove/glove-1", glove()], ["process/1", process({ tasks: [robotTask] })], ["robot/ur10-1", waits]);
+    expect(screen.getByText("Hold gear-3 firmly, then confirm: the gripper opens.")).toBeTruthy();
+    expect(screen.queryByText("Keep out of the cell")).toBeNull();
+    const button = screen.getByRole("button", { name: "I hold the part" });
+    expect(button.className).toContain("button--large");
+    await userEvent.click(button);
+    expect(sent).toEqual([["/api/trajectory-tool/robots/ur10-1/confirm", { task: robotTask.id }]]);
+    expect(screen.getByRole("button", { name: "I hold the part" })).toHaveProperty("disabled", true);
   });
 
   it("says that the glove is lost and still lets the step be completed by hand", async () => {

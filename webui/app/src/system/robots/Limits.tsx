@@ -1,6 +1,7 @@
 /** What limits the speed of a robot: the rule that holds, the distance of people, and the reset of a stop. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
+import type { RobotLimitsView, SafetyStatusView } from "~/api/generated/trajectory-tool";
 import { requestService } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
@@ -11,28 +12,13 @@ import { metres } from "~/robot/units";
 
 const EVERY_MS = 1000;
 
-interface SafetyStatus {
-  emergencyStop: boolean;
-  protectiveStop: boolean;
-  mode: string;
-  detail: string;
-}
-
-interface RobotLimits {
-  pace: number;
-  rule: string | null;
-  reason: string | null;
-  needsReset: boolean;
-  separation: { distance: number | null; required: number | null; lost: string[] };
-  safetyStatus: SafetyStatus | null;
-}
-
 export function Limits({ robot }: { robot: string }) {
   const { t, i18n } = useTranslation("system");
   const path = `robots/${encodeURIComponent(robot)}/limits`;
-  const { value: limits, reload } = useServiceQuery<RobotLimits>("trajectory-tool", path, { intervalMs: EVERY_MS });
+  const { value: limits, reload } = useServiceQuery<RobotLimitsView>("trajectory-tool", path, { intervalMs: EVERY_MS });
   if (limits === null) return null;
   const { distance, required, lost } = limits.separation;
+  const whole = (force: number) => force.toLocaleString(i18n.language, { maximumFractionDigits: 0 });
   return (
     <section className="limits">
       <h3>{t("limit.title")}</h3>
@@ -48,14 +34,37 @@ export function Limits({ robot }: { robot: string }) {
       {distance !== null && required !== null && (
         <p>{t("limit.distance", { distance: metres(distance, i18n.language), required: metres(required, i18n.language) })}</p>
       )}
-      {limits.safetyStatus?.emergencyStop === true && <p>{t("limit.emergencyStop")}</p>}
-      {limits.safetyStatus?.protectiveStop === true && <p>{t("limit.protectiveStop", { detail: limits.safetyStatus.detail })}</p>}
+      {limits.separation.fields.map((field) => (
+        <p key={field.source} data-stopped={field.protective || undefined}>
+          {t(field.protective ? "limit.protectiveField" : field.warning ? "limit.warningField" : "limit.fieldsFree", { scanner: field.source })}
+        </p>
+      ))}
+      {limits.contact.force !== null && (
+        <p>{t(limits.contact.limit === null ? "limit.force" : "limit.forceWithLimit", { force: whole(limits.contact.force), limit: whole(limits.contact.limit ?? 0) })}</p>
+      )}
+      {limits.safetyStatus !== null && <Controller status={limits.safetyStatus} />}
       {limits.needsReset && <ByPerson path={`${path}/reset`} label={t("limit.reset")} means={t("limit.resetMeans")} onDone={reload} />}
       {lost.length > 0 && (
         <ByPerson path={`${path}/confirm-clear`} label={t("limit.clear")} means={t("limit.clearMeans", { people: lost.join(", ") })} onDone={reload} />
       )}
       <p className="quiet small">{t("limit.notice")}</p>
     </section>
+  );
+}
+
+/** The safety functions of the real robot, as its controller reports them. */
+function Controller({ status }: { status: SafetyStatusView }) {
+  const { t, i18n } = useTranslation("system");
+  const { mode, speed, detail } = status;
+  return (
+    <>
+      <p>
+        {mode === "" || speed === null ? t("limit.controllerUnknown", { detail }) : t("limit.controller", { mode, percent: percent(speed, i18n.language) })}
+      </p>
+      {status.emergencyStop && <p data-stopped>{t("limit.emergencyStop")}</p>}
+      {status.protectiveStop && <p data-stopped>{t("limit.protectiveStop", { detail })}</p>}
+      {status.safeguardStop && <p data-stopped>{t("limit.safeguardStop", { detail })}</p>}
+    </>
   );
 }
 

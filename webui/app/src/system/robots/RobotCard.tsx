@@ -8,6 +8,7 @@ import { deviceTone } from "~/design/states";
 import { duration } from "~/design/times";
 import { useTopicSelector, useTopic } from "~/live/hooks";
 import { useRobotDescription } from "~/robot/description";
+import { HandOver } from "~/robot/HandOver";
 import { Gripper } from "./Gripper";
 import { JointTable } from "./JointTable";
 import { Limits } from "./Limits";
@@ -34,6 +35,7 @@ export function RobotCard({ robot }: { robot: string }) {
         </div>
         <div className="robot__facts">
           <Doing robot={robot} />
+          <Confirmation robot={robot} />
           <Gripper robot={robot} />
           <Limits robot={robot} />
           <JointTable robot={robot} description={query.description} />
@@ -41,6 +43,11 @@ export function RobotCard({ robot }: { robot: string }) {
       </div>
     </Card>
   );
+}
+
+function Confirmation({ robot }: { robot: string }) {
+  const view = useTopic(`robot/${robot}`);
+  return view === undefined ? null : <HandOver robot={view} />;
 }
 
 function Doing({ robot }: { robot: string }) {

@@ -1,4 +1,4 @@
-/** A field for tests. */
+/** A field of a form without anything that is not given. */
 import type { FormField } from "~/api/generated/task-orchestrator";
 
 export function field(over: Partial<FormField> & Pick<FormField, "path" | "kind">): FormField {

@@ -1,0 +1,109 @@
+/** Input devices: their mapping and their scaling gamma, which the user keeps. */
+import { useEffect, useState, type KeyboardEvent } from "react";
+import { useTranslation } from "react-i18next";
+import { Button } from "~/design/Button";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { Select } from "~/design/Select";
+import type { DeviceName, Driver } from "./driver";
+import { keyName } from "./keyName";
+import { BUTTONS, DIRECTIONS, GAMEPAD, isLike, KEYBOARD, MAX_GAMMA, MIN_GAMMA, type ButtonUse, type Direction, type GamepadMapping, type KeyboardMapping } from "./mapping";
+import { Slider } from "./Slider";
+import { useUserSetting } from "./useUserSetting";
+
+const SCREEN = { gamma: 1 };
+const AXES = 6;
+const PAD_BUTTONS = 17;
+
+export function DevicesPanel({ driver }: { driver: Driver }) {
+  const { t, i18n } = useTranslation("control");
+  const [device, setDevice] = useState<DeviceName>("keyboard");
+  const [keyboard, setKeyboard] = useUserSetting("control.keyboard", KEYBOARD, (value): value is KeyboardMapping => isLike(value, KEYBOARD));
+  const [gamepad, setGamepad] = useUserSetting("control.gamepad", GAMEPAD, (value): value is GamepadMapping => isLike(value, GAMEPAD));
+  const [screen, setScreen] = useUserSetting("control.screen", SCREEN, (value): value is typeof SCREEN => isLike(value, SCREEN));
+  useEffect(() => {
+    driver.set({ keyboard, gamepad, screenGamma: screen.gamma });
+  }, [driver, keyboard, gamepad, screen]);
+  const gamma = { keyboard, gamepad, screen }[device].gamma;
+  const setGamma = (value: number) => {
+    if (device === "keyboard") setKeyboard({ ...keyboard, gamma: value });
+    else if (device === "gamepad") setGamepad({ ...gamepad, gamma: value });
+    else setScreen({ gamma: value });
+  };
+  return (
+    <div className="input-devices">
+      <SegmentedControl
+        label={t("devices.device")}
+        value={device}
+        options={(["keyboard", "gamepad", "screen"] as const).map((value) => ({ value, name: t(`devices.${value}`) }))}
+        onChange={setDevice}
+      />
+      <Slider
+        label={t("devices.gamma")}
+        value={gamma}
+        min={MIN_GAMMA}
+        max={MAX_GAMMA}
+        step={0.1}
+        text={gamma.toLocaleString(i18n.language, { minimumFractionDigits: 1, maximumFractionDigits: 1 })}
+        onChange={setGamma}
+      />
+      {device !== "screen" && (
+        <details className="input-devices__mapping">
+          <summary>{t("devices.mapping")}</summary>
+          {device === "keyboard" ? <KeyboardTable mapping={keyboard} onChange={setKeyboard} /> : <GamepadTable mapping={gamepad} onChange={setGamepad} />}
+          <Button onPress={() => (device === "keyboard" ? setKeyboard(KEYBOARD) : setGamepad(GAMEPAD))}>{t("devices.standard")}</Button>
+        </details>
+      )}
+    </div>
+  );
+}
+
+function KeyboardTable({ mapping, onChange }: { mapping: KeyboardMapping; onChange: (mapping: KeyboardMapping) => void }) {
+  const { t } = useTranslation("control");
+  const names = Object.keys(KEYBOARD.keys) as (keyof KeyboardMapping["keys"])[];
+  const assign = (name: keyof KeyboardMapping["keys"], event: KeyboardEvent) => {
+    if (["Tab", "Escape", "ShiftLeft", "ShiftRight"].includes(event.code) || event.code === "") return;
+    event.preventDefault();
+    const keys = { ...mapping.keys };
+    // A key has one use: the other use gets the key that becomes free.
+    const other = names.find((one) => keys[one] === event.code);
+    if (other !== undefined) keys[other] = keys[name];
+    keys[name] = event.code;
+    onChange({ ...mapping, keys });
+  };
+  return (
+    <ul className="input-devices__keys">
+      {names.map((name) => (
+        <li key={name}>
+          <span>{t(`use.${name}`)}</span>
+          <button type="button" data-takes-keys aria-label={t("devices.change", { use: t(`use.${name}`), key: keyName(mapping.keys[name]) })} onKeyDown={(event) => assign(name, event)}>
+            <kbd>{keyName(mapping.keys[name])}</kbd>
+          </button>
+        </li>
+      ))}
+    </ul>
+  );
+}
+
+function GamepadTable({ mapping, onChange }: { mapping: GamepadMapping; onChange: (mapping: GamepadMapping) => void }) {
+  const { t } = useTranslation("control");
+  const none = { value: "", name: t("devices.unused") };
+  const axes = Array.from({ length: AXES }, (_, axis) => [1, -1].map((sense) => ({ value: `${axis} ${sense}`, name: t(sense === 1 ? "devices.axis" : "devices.axisReversed", { axis }) }))).flat();
+  const buttons = Array.from({ length: PAD_BUTTONS }, (_, button) => ({ value: String(button), name: t("devices.button", { button }) }));
+  const setAxis = (direction: Direction, value: string) => {
+    const [axis, sense] = value.split(" ").map(Number);
+    const use = axis === undefined || sense === undefined ? null : { axis, sense: sense === 1 ? (1 as const) : (-1 as const) };
+    onChange({ ...mapping, axes: { ...mapping.axes, [direction]: use } });
+  };
+  const setButton = (button: ButtonUse, value: string) => onChange({ ...mapping, buttons: { ...mapping.buttons, [button]: Number(value) } });
+  return (
+    <div className="input-devices__pad">
+      {DIRECTIONS.map((direction) => {
+        const use = mapping.axes[direction];
+        return <Select key={direction} label={t(`use.${direction}`)} value={use === null ? "" : `${use.axis} ${use.sense}`} options={[none, ...axes]} onChange={(value) => setAxis(direction, value)} />;
+      })}
+      {BUTTONS.map((button) => (
+        <Select key={button} label={t(`use.${button}`)} value={String(mapping.buttons[button])} options={buttons} onChange={(value) => setButton(button, value)} />
+      ))}
+    </div>
+  );
+}

@@ -1,0 +1,92 @@
+/** Who controls the robot, and how this person gets, hands over and ends the control. */
+import { useState } from "react";
+import { useTranslation } from "react-i18next";
+import { errorText, requestService } from "~/api/http";
+import { Button } from "~/design/Button";
+import { Card } from "~/design/Card";
+import { Checkbox } from "~/design/Checkbox";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
+import { useTopic } from "~/live/hooks";
+import { mayDo } from "~/session/session";
+import type { Control } from "./useControl";
+
+export function LeaseCard({ robot, control: { connection, now } }: { robot: string; control: Control }) {
+  const { t } = useTranslation("control");
+  const view = useTopic(`robot/${robot}`);
+  const [isRecorded, setRecorded] = useState(false);
+  const holder = view?.controlledBy ?? null;
+  const isMine = now.phase === "on";
+  const open = (mode: "refuse" | "wait" | "takeOver") => connection.open(robot, mode, isRecorded);
+  return (
+    <Card
+      className="lease"
+      title={isMine ? t("lease.mine", { robot }) : now.phase === "waiting" ? t("lease.waiting", { name: now.holder ?? "" }) : holder === null ? t("lease.free", { robot }) : t("lease.taken", { name: holder, robot })}
+      aside={isMine ? <StatusBadge tone={now.state?.moves === true ? "attention" : "ok"}>{t(now.state?.moves === true ? "state.moves" : "state.rests")}</StatusBadge> : undefined}
+    >
+      <div className="lease__acts">
+        {now.phase === "off" && holder === null && (
+          <Button kind="main" onPress={() => open("refuse")}>
+            {t("lease.take")}
+          </Button>
+        )}
+        {now.phase === "off" && holder !== null && (
+          <>
+            <Button kind="main" onPress={() => open("wait")}>
+              {t("lease.ask")}
+            </Button>
+            {mayDo("manageSettings") && (
+              <Button kind="stop" onPress={() => open("takeOver")}>
+                {t("lease.takeOver", { name: holder })}
+              </Button>
+            )}
+          </>
+        )}
+        {now.phase === "connecting" && <p className="quiet">{t("lease.connecting")}</p>}
+        {now.phase === "waiting" && <Button onPress={() => connection.close()}>{t("lease.stopWaiting")}</Button>}
+        {isMine && <Button onPress={() => connection.close()}>{t("lease.end")}</Button>}
+        {now.phase === "off" ? (
+          <Checkbox isSelected={isRecorded} onChange={setRecorded}>
+            {t("lease.record")}
+          </Checkbox>
+        ) : (
+          now.state?.isRecorded === true && <p className="quiet">{t("lease.recorded")}</p>
+        )}
+        {isMine && <HandOver robot={robot} waiting={view?.waitingForControl ?? []} />}
+      </div>
+      <Ended ended={now.ended} />
+      {now.error !== null && <ErrorMessage>{now.error}</ErrorMessage>}
+      {now.state?.fault != null && <ErrorMessage>{now.state.fault}</ErrorMessage>}
+    </Card>
+  );
+}
+
+const KNOWN_CODES = [4401, 4403, 4404, 4408, 4409, 4410, 4502, 4503];
+
+function Ended({ ended }: { ended: { code: number; reason: string } | null }) {
+  const { t } = useTranslation("control");
+  if (ended === null) return null;
+  const code = KNOWN_CODES.includes(ended.code) ? String(ended.code) : "other";
+  return <ErrorMessage>{t(`ended.${code}`, { reason: ended.reason })}</ErrorMessage>;
+}
+
+function HandOver({ robot, waiting }: { robot: string; waiting: readonly { id: string; name: string }[] }) {
+  const { t } = useTranslation("control");
+  const [failure, setFailure] = useState<string | null>(null);
+  const handOver = (to: string) => {
+    setFailure(null);
+    requestService("trajectory-tool", `robots/${encodeURIComponent(robot)}/control/hand-over`, { method: "POST", json: { to } }).catch(
+      (error: unknown) => setFailure(errorText(error)),
+    );
+  };
+  return (
+    <>
+      {waiting.map(({ id, name }) => (
+        <Button key={id} kind="main" onPress={() => handOver(id)}>
+          {t("lease.handOver", { name })}
+        </Button>
+      ))}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+    </>
+  );
+}

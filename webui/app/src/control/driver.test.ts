@@ -1,0 +1,71 @@
+import { describe, expect, test } from "vitest";
+import { Driver, MAX_TOOL_MPS } from "./driver";
+import { GAMEPAD } from "./mapping";
+
+function driver(): Driver {
+  const made = new Driver(() => []);
+  made.speed = 1;
+  made.joints = [{ maxVelocity: 2 }, { maxVelocity: 1 }];
+  made.position = [0, 0];
+  return made;
+}
+
+describe("the person", () => {
+  test("moves the tool with the screen while the dead-man control is held", () => {
+    const person = driver();
+    person.push("z", 1);
+    expect(person.input()).toMatchObject({ held: false, linear: [0, 0, MAX_TOOL_MPS] });
+    person.hold(true);
+    expect(person.input().held).toBe(true);
+    person.hold(false);
+    expect(person.input().held).toBe(false);
+  });
+
+  test("has to let everything go after the page lost the focus", () => {
+    const pad = { connected: true, axes: [0, -1, 0, 0], buttons: Array.from({ length: 8 }, (_, index) => ({ pressed: index === GAMEPAD.buttons.hold })) };
+    const pads: unknown[] = [pad];
+    const person = new Driver(() => pads as Gamepad[]);
+    expect(person.input().held).toBe(true);
+    person.releaseAll();
+    expect(person.input().held).toBe(false);
+    expect(person.input().held).toBe(false);
+    pads.length = 0;
+    expect(person.input().held).toBe(false);
+    pads.push(pad);
+    expect(person.input().held).toBe(true);
+  });
+
+  test("jogs one joint, and goes to a preset without exceeding a joint's share of its speed", () => {
+    const person = driver();
+    person.pushJoint(1, -1);
+    expect(person.input().joints).toEqual([0, -0.3]);
+    person.pushJoint(1, 0);
+    person.goTo([1, 0.001]);
+    const joints = person.input().joints ?? [];
+    expect(joints[0]).toBeCloseTo(0.6);
+    expect(joints[1]).toBe(0);
+    person.position = [1, 0];
+    expect(person.input().joints).toEqual([0, 0]);
+  });
+
+  test("scales by the gamma of the device in use", () => {
+    const person = driver();
+    person.keyboard = { ...person.keyboard, gamma: 0.5 };
+    person.keys.add("KeyW");
+    expect(person.input().gamma).toBe(0.5);
+    person.keys.clear();
+    person.push("x", 1);
+    expect(person.input().gamma).toBe(1);
+  });
+
+  test("acts with the gripper once for each press", () => {
+    const person = driver();
+    person.keys.add("KeyO");
+    expect(person.input().gripper).toBe("open");
+    expect(person.input().gripper).toBeUndefined();
+    person.keys.clear();
+    person.grip("close");
+    expect(person.input().gripper).toBe("close");
+    expect(person.input().gripper).toBeUndefined();
+  });
+});

@@ -1,0 +1,146 @@
+/** What the person asks for now: all input devices together, the dead-man control, speed and shared control. */
+import type { ControlInput } from "./connection";
+import { atRest, DIRECTIONS, GAMEPAD, isUsed, KEYBOARD, ofGamepad, ofKeys, type Direction, type GamepadMapping, type KeyboardMapping, type Motion } from "./mapping";
+
+export const MAX_TOOL_MPS = 0.25;
+export const MAX_TOOL_RPS = 1;
+/** The fraction of the speed of a joint that the service accepts at most. */
+const MAX_JOINT_FRACTION = 0.3;
+const PRESET_GAIN_PER_S = 1.5;
+const PRESET_REACHED = 0.002;
+
+export type DeviceName = "keyboard" | "gamepad" | "screen";
+
+interface JointLimits {
+  maxVelocity: number;
+}
+
+type Settings = Partial<
+  Pick<Driver, "keyboard" | "gamepad" | "screenGamma" | "speed" | "frame" | "mix" | "arbitration" | "joints" | "position">
+>;
+
+/** The page changes these values by `set`; `input` reads them 50 times a second. Nothing here renders. */
+export class Driver {
+  keyboard: KeyboardMapping = KEYBOARD;
+  gamepad: GamepadMapping = GAMEPAD;
+  screenGamma = 1;
+  /** The part of the highest speed that is used, up to 1. */
+  speed = 0.4;
+  frame: "cell" | "tool" = "cell";
+  mix = 0;
+  arbitration = false;
+  joints: readonly JointLimits[] = [];
+  position: readonly number[] = [];
+  /** The device that was used last: its gamma counts. */
+  device: DeviceName = "screen";
+  readonly keys = new Set<string>();
+  readonly #screen: Motion = atRest();
+  #joint: { index: number; sense: number } | null = null;
+  #preset: readonly number[] | null = null;
+  #gripper: "open" | "close" | null = null;
+  #wasPressed = false;
+  /** After a loss of focus everything must be let go first. */
+  #isBlocked = false;
+  readonly gamepads: () => readonly (Gamepad | null)[];
+
+  constructor(gamepads: () => readonly (Gamepad | null)[] = () => navigator.getGamepads()) {
+    this.gamepads = gamepads;
+  }
+
+  /** Change what the person has set. */
+  set(settings: Settings): void {
+    Object.assign(this, settings);
+  }
+
+  /** Forget all that is pressed: the page lost the focus, is hidden, or the control ended. */
+  releaseAll(): void {
+    this.keys.clear();
+    Object.assign(this.#screen, atRest());
+    this.#joint = null;
+    this.#preset = null;
+    this.#gripper = null;
+    this.#isBlocked = true;
+  }
+
+  hold(isHeld: boolean): void {
+    this.#screen.hold = isHeld;
+  }
+
+  push(direction: Direction, value: number): void {
+    this.#screen.axes[direction] = value;
+  }
+
+  pushJoint(index: number, sense: number): void {
+    this.#joint = sense === 0 ? null : { index, sense };
+  }
+
+  goTo(position: readonly number[] | null): void {
+    this.#preset = position;
+  }
+
+  grip(act: "open" | "close"): void {
+    this.#gripper = act;
+  }
+
+  /** What is asked for now. */
+  input(): ControlInput {
+    const pad = this.gamepads().find((each) => each?.connected === true) ?? null;
+    const sources: [DeviceName, Motion][] = [
+      ["keyboard", ofKeys(this.keys, this.keyboard)],
+      ["gamepad", pad === null ? atRest() : ofGamepad(pad, this.gamepad)],
+      ["screen", this.#screen],
+    ];
+    const used = sources.filter(([, motion]) => isUsed(motion));
+    if (used.length === 0) this.#isBlocked = false;
+    const held = !this.#isBlocked && used.some(([, motion]) => motion.hold);
+    this.device = used.find(([, motion]) => DIRECTIONS.some((one) => motion.axes[one] !== 0))?.[0] ?? this.device;
+    const gripper = this.#gripperOf(used.map(([, motion]) => motion));
+    const common: ControlInput = {
+      held,
+      gamma: this.#gamma(),
+      mix: this.mix,
+      arbitration: this.arbitration,
+      ...(gripper === null ? {} : { gripper }),
+    };
+    const joints = this.#jointVelocities();
+    if (joints !== null) return { ...common, joints, mix: 0 };
+    const axis = (direction: Direction) => limited(used.reduce((sum, [, motion]) => sum + motion.axes[direction], 0)) * this.speed;
+    return {
+      ...common,
+      linear: [axis("x") * MAX_TOOL_MPS, axis("y") * MAX_TOOL_MPS, axis("z") * MAX_TOOL_MPS],
+      angular: [axis("rx") * MAX_TOOL_RPS, axis("ry") * MAX_TOOL_RPS, axis("rz") * MAX_TOOL_RPS],
+      frame: this.frame,
+    };
+  }
+
+  #gamma(): number {
+    if (this.device === "keyboard") return this.keyboard.gamma;
+    return this.device === "gamepad" ? this.gamepad.gamma : this.screenGamma;
+  }
+
+  /** An act of the gripper begins with the press of its button, once. */
+  #gripperOf(motions: readonly Motion[]): "open" | "close" | null {
+    const pressed = motions.some((one) => one.open) ? "open" : motions.some((one) => one.close) ? "close" : null;
+    const begins = pressed !== null && !this.#wasPressed ? pressed : this.#gripper;
+    this.#wasPressed = pressed !== null;
+    this.#gripper = null;
+    return begins;
+  }
+
+  #jointVelocities(): number[] | null {
+    const highest = (index: number) => (this.joints[index]?.maxVelocity ?? 0) * MAX_JOINT_FRACTION * this.speed;
+    const joint = this.#joint;
+    if (joint !== null) return this.joints.map((_, index) => (index === joint.index ? joint.sense * highest(index) : 0));
+    const preset = this.#preset;
+    if (preset?.length !== this.joints.length || this.position.length !== preset.length) return null;
+    const ways = preset.map((target, index) => target - (this.position[index] ?? target));
+    const wanted = ways.map((way) => (Math.abs(way) < PRESET_REACHED ? 0 : way * PRESET_GAIN_PER_S));
+    // Slowed down together, so that all joints arrive at the same time.
+    const excess = Math.max(1, ...wanted.map((speed, index) => Math.abs(speed) / Math.max(highest(index), 1e-6)));
+    return wanted.map((speed) => speed / excess);
+  }
+}
+
+function limited(value: number): number {
+  return Math.max(-1, Math.min(1, value));
+}

@@ -1,0 +1,78 @@
+/** The control of one robot by this page: the connection, what the person asks for, and when it ends. */
+import { useEffect, useRef, useState, useSyncExternalStore } from "react";
+import { ControlConnection, type ControlSnapshot } from "./connection";
+import { Driver } from "./driver";
+
+export interface Control {
+  connection: ControlConnection;
+  driver: Driver;
+  now: ControlSnapshot;
+}
+
+export function useControl(robot: string): Control {
+  const [{ connection, driver }] = useState(() => {
+    const made = new Driver();
+    return { driver: made, connection: new ControlConnection(() => made.input()) };
+  });
+  const now = useSyncExternalStore(connection.subscribe, connection.snapshot);
+  useEffect(() => () => connection.close(), [connection, robot]);
+  useRelease(connection, driver);
+  useKeyboard(connection, driver, now.phase === "on");
+  return { connection, driver, now };
+}
+
+/** Stop when the page is hidden or loses the focus: nobody sees the robot, or keys are released elsewhere. */
+function useRelease(connection: ControlConnection, driver: Driver): void {
+  useEffect(() => {
+    const release = () => {
+      driver.releaseAll();
+      connection.send();
+    };
+    const onVisibility = () => {
+      if (document.hidden) release();
+    };
+    addEventListener("blur", release);
+    addEventListener("pagehide", release);
+    document.addEventListener("visibilitychange", onVisibility);
+    return () => {
+      removeEventListener("blur", release);
+      removeEventListener("pagehide", release);
+      document.removeEventListener("visibilitychange", onVisibility);
+    };
+  }, [connection, driver]);
+}
+
+/** Follow the pressed keys while the robot is controlled; keys meant for a text field or a dialog are not used. */
+function useKeyboard(connection: ControlConnection, driver: Driver, isOn: boolean): void {
+  const on = useRef(isOn);
+  useEffect(() => {
+    on.current = isOn;
+    if (!isOn) driver.releaseAll();
+  }, [isOn, driver]);
+  useEffect(() => {
+    const down = (event: KeyboardEvent) => {
+      if (!on.current || event.ctrlKey || event.metaKey || event.altKey || isForField(event)) return;
+      if (!Object.values(driver.keyboard.keys).includes(event.code)) return;
+      event.preventDefault();
+      event.stopPropagation(); // a key that moves the robot does nothing else
+      driver.keys.add(event.code);
+    };
+    const up = (event: KeyboardEvent) => {
+      if (!driver.keys.delete(event.code)) return;
+      event.preventDefault();
+      event.stopPropagation();
+      if (event.code === driver.keyboard.keys.hold) connection.send();
+    };
+    addEventListener("keydown", down, true);
+    addEventListener("keyup", up, true);
+    return () => {
+      removeEventListener("keydown", down, true);
+      removeEventListener("keyup", up, true);
+    };
+  }, [connection, driver]);
+}
+
+function isForField(event: KeyboardEvent): boolean {
+  const target = event.target as Element | null;
+  return target?.closest("input:not([type=range], [type=checkbox]), textarea, select, [contenteditable], [role=dialog], [data-takes-keys]") != null;
+}

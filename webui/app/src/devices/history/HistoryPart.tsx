@@ -1,0 +1,112 @@
+/** Charts of the values of a device, each with its own scale, over the same time; and their download. */
+import { ChevronLeft, ChevronRight, Download, RotateCcw, ZoomIn, ZoomOut } from "lucide-react";
+import { useMemo } from "react";
+import { useTranslation } from "react-i18next";
+import { ToggleButton, ToggleButtonGroup } from "react-aria-components";
+import type { SeriesView } from "~/api/generated/device-gateway";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { Button } from "~/design/Button";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { exactTime } from "~/design/times";
+import { useNow } from "~/live/clock";
+import type { RegisteredDeviceView } from "~/live/messages";
+import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
+import { pathOf, SERVICE, type SymbolOf } from "../gateway";
+import { digits, isoOf, spaced, valuesOf } from "../values";
+import { HistoryChart } from "./HistoryChart";
+import { columnsOf, intervalIn, intervalText, isSpan, lastInterval, moved, SPANS, summaryOf, zoomed, type Interval, type Span } from "./interval";
+
+const POINTS = 600;
+const INITIAL_CHARTS = 3;
+const NONE: readonly SeriesView[] = [];
+
+export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView; symbolOf: SymbolOf }) {
+  const { t, i18n } = useTranslation("devices");
+  const names = useMemo(() => valuesOf(device).filter(({ latest }) => latest !== null).map(({ name }) => name), [device]);
+  const [wanted, setWanted] = useQueryParameter("values");
+  const [spanText] = useQueryParameter("span", "hour");
+  const change = useQueryChange();
+  const [zoom, setZoom] = useQueryParameter("time");
+  const span: Span = isSpan(spanText) ? spanText : "hour";
+  const fixed = useMemo(() => intervalIn(zoom), [zoom]);
+  const last = lastInterval(span, useNow() / 1000);
+  const interval = useMemo(() => fixed ?? { begin: last.begin, end: last.end }, [fixed, last.begin, last.end]);
+  const chosen = wanted === "" ? names.slice(0, INITIAL_CHARTS) : names.filter((name) => wanted.split(",").includes(name));
+  const query = `${chosen.map((name) => `name=${encodeURIComponent(name)}&`).join("")}begin=${interval.begin}&end=${interval.end}`;
+  const path = chosen.length === 0 ? null : `${pathOf(device.name)}/values`;
+  // The path without the time stays, so that the charts keep their values while the next ones load.
+  const { value, failure } = useSeries(path, query);
+  const set = (next: Interval) => setZoom(intervalText(next));
+  const title = (name: string) => t(`value.${name}`, { defaultValue: spaced(name) });
+  const at = (seconds: number) => exactTime(isoOf(seconds), i18n.language);
+  if (names.length === 0) return <p className="quiet">{t("history.none")}</p>;
+  return (
+    <div className="device-history">
+      <div className="device-history__bar">
+        <SegmentedControl
+          label={t("history.span")}
+          value={fixed === null ? span : "own"}
+          options={[...Object.keys(SPANS).map((value) => ({ value, name: t(`history.spans.${value}`) })), ...(fixed === null ? [] : [{ value: "own", name: t("history.own") }])]}
+          onChange={(next) => {
+            if (next === "own") return;
+            change({ time: "", span: next });
+          }}
+        />
+        <div className="device-history__zoom" role="group" aria-label={t("history.zoom")}>
+          <Button label={t("history.earlier")} icon={<ChevronLeft aria-hidden size={20} />} onPress={() => set(moved(interval, -0.5))} />
+          <Button label={t("history.later")} icon={<ChevronRight aria-hidden size={20} />} onPress={() => set(moved(interval, 0.5))} />
+          <Button label={t("history.nearer")} icon={<ZoomIn aria-hidden size={20} />} onPress={() => set(zoomed(interval, 0.5))} />
+          <Button label={t("history.farther")} icon={<ZoomOut aria-hidden size={20} />} onPress={() => set(zoomed(interval, 2))} />
+          <Button label={t("history.reset")} icon={<RotateCcw aria-hidden size={20} />} onPress={() => setZoom("")} isDisabled={fixed === null} />
+        </div>
+        <a className="button button--plain button--normal" href={`/api/${SERVICE}/${pathOf(device.name)}/values.csv?${query}`} download={`${device.name}.csv`}>
+          <Download aria-hidden size={18} />
+          {t("history.csv")}
+        </a>
+      </div>
+      <ToggleButtonGroup className="device-history__values" aria-label={t("history.values")} selectionMode="multiple" selectedKeys={chosen} onSelectionChange={(keys) => setWanted(names.filter((name) => keys.has(name)).join(",") || (names[0] ?? ""))}>
+        {names.map((name) => (
+          <ToggleButton key={name} id={name} className="device-history__value">
+            {title(name)}
+          </ToggleButton>
+        ))}
+      </ToggleButtonGroup>
+      <p className="quiet small">
+        {at(interval.begin)} – {at(interval.end)} · {t("history.hint")}
+      </p>
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+      {chosen.map((name) => {
+        const series = value.find((each) => each.name === name);
+        const symbol = symbolOf(series?.unit ?? device.values[name]?.unit);
+        return <Series key={name} title={title(name)} series={series ?? null} symbol={symbol} interval={interval} onZoom={set} />;
+      })}
+    </div>
+  );
+}
+
+function Series({ title, series, symbol, interval, onZoom }: { title: string; series: SeriesView | null; symbol: string; interval: Interval; onZoom: (interval: Interval) => void }) {
+  const { t, i18n } = useTranslation("devices");
+  const points = series?.points;
+  const data = useMemo(() => columnsOf(points ?? [], (interval.end - interval.begin) / POINTS), [points, interval]);
+  const summary = summaryOf(points ?? []);
+  const text = (value: number) => `${digits(value, i18n.language)} ${symbol}`.trim();
+  const said = summary === null ? t("history.empty") : t("history.summary", { min: text(summary.min), mean: text(summary.mean), max: text(summary.max) });
+  return (
+    <section className="device-history__series" aria-label={title}>
+      <header>
+        <h3>
+          {title} {symbol !== "" && <span className="quiet">({symbol})</span>}
+        </h3>
+        <span className="quiet small">{points === undefined ? "" : said}</span>
+      </header>
+      <HistoryChart data={data} interval={interval} symbol={symbol} language={i18n.language} label={`${title}: ${said}`} onZoom={onZoom} />
+    </section>
+  );
+}
+
+/** The series of an interval; those of the interval before while the next ones load. */
+function useSeries(path: string | null, query: string) {
+  const { value, failure } = useServiceQuery<SeriesView[]>(SERVICE, path === null ? null : `${path}?points=${POINTS}&${query}`, { keepsPrevious: true });
+  return { value: value ?? NONE, failure };
+}

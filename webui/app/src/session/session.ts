@@ -1,0 +1,55 @@
+/** Who is signed in. Loaded before the page is rendered; signing in and out loads the page again. */
+import { useSyncExternalStore } from "react";
+
+export interface SignedInUser {
+  subject: string;
+  name: string;
+  person: string | null;
+  /** The permissions of at least one grant. */
+  permissions: readonly string[];
+  isLocal: boolean;
+}
+
+export interface Session {
+  /** Whether people sign in; without accounts everybody on the machine is the owner. */
+  hasAccounts: boolean;
+  user: SignedInUser | null;
+  csrf: string | null;
+  /** The OpenID Connect provider where people may sign in, while nobody has. */
+  provider: string | null;
+}
+
+const listeners = new Set<() => void>();
+let session: Session = { hasAccounts: false, user: null, csrf: null, provider: null };
+
+export function currentSession(): Session {
+  return session;
+}
+
+export function useSession(): Session {
+  return useSyncExternalStore((listener) => {
+    listeners.add(listener);
+    return () => listeners.delete(listener);
+  }, currentSession);
+}
+
+/** Load who is signed in; a server that does not answer changes nothing. */
+export async function loadSession(): Promise<void> {
+  try {
+    const answer = await fetch("/api/session", { headers: { Accept: "application/json" } });
+    if (!answer.ok) return;
+    session = (await answer.json()) as Session;
+    for (const listener of listeners) listener();
+  } catch {
+    // The connection state of the page shows that the server is away.
+  }
+}
+
+/** Whether the page may be shown: somebody is signed in, or there are no accounts. */
+export function isSignedIn(): boolean {
+  return !session.hasAccounts || session.user !== null;
+}
+
+export function mayDo(permission: string): boolean {
+  return session.user === null || session.user.permissions.includes(permission);
+}
