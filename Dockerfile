@@ -1,9 +1,11 @@
-# One image for every service of Handover; the command selects the service.
+# One image for the services of Handover; the command selects the service. With LOCK=physics it has the extras motion
+# and physics instead of research: the image `handover-motion` of the trajectory tool.
 #
 # Behind a mirror or a proxy, the configuration of pip and npm and the certificates are build secrets, so that the
 # image does not contain them: deploy/README.md shows how.
 
 ARG BASE=python:3.12-slim
+ARG LOCK=container
 
 # The build stages install into a virtual environment.
 FROM ${BASE} AS build
@@ -25,12 +27,13 @@ RUN --mount=type=secret,id=npmrc --mount=type=secret,id=certificates \
     python -m webui.build
 
 
-# The wheel with the page, and the packages of requirements/container.lock.
+# The wheel with the page, and the packages of the lock.
 FROM build AS install
+ARG LOCK
 RUN python -m venv /opt/handover
-COPY requirements/container.lock requirements/build.lock requirements/
+COPY requirements/${LOCK}.lock requirements/build.lock requirements/
 RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
-    /opt/handover/bin/pip install --quiet --require-hashes --only-binary :all: -r requirements/container.lock \
+    /opt/handover/bin/pip install --quiet --require-hashes --only-binary :all: -r requirements/${LOCK}.lock \
     && pip install --quiet --require-hashes --only-binary :all: -r requirements/build.lock
 COPY . .
 COPY --from=page /source/webui/page webui/page
@@ -43,8 +46,16 @@ RUN hatchling build -t wheel -d /wheel \
 FROM ${BASE}
 LABEL org.opencontainers.image.title="Handover" \
       org.opencontainers.image.description="People and robots hand work to each other"
+# Motion planning needs OpenMP, which slim images lack.
+ARG LOCK
+RUN if [ "$LOCK" = physics ]; then \
+        apt-get update && apt-get install --yes --no-install-recommends libgomp1 && rm -rf /var/lib/apt/lists/*; \
+    fi
 RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data --shell /usr/sbin/nologin handover \
-    && install -d -o handover -g handover -m 0700 /data /secrets
+    && install -d -o handover -g handover -m 0700 /data /secrets /authority /security \
+    && install -d -o handover -g handover -m 0755 /tls /tls/clients /tls/context-broker /tls/task-orchestrator \
+        /tls/gesture-controller /tls/trajectory-tool /tls/study /tls/alert-router /tls/accounts /tls/device-gateway /tls/webui /tls/ros-bridge \
+        /tls/operator
 COPY --from=install /opt/handover /opt/handover
 ENV PATH=/opt/handover/bin:$PATH \
     PYTHONUNBUFFERED=1 \

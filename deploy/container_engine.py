@@ -13,7 +13,8 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = "handover-try"
-IMAGE = "handover:latest"
+IMAGES = {"handover:latest": "container", "handover-motion:latest": "physics"}
+"""The lock of each image."""
 BASE = "docker.io/library/python:3.12-slim"
 PACKAGES = "podman buildah runc netavark aardvark-dns catatonit iptables debootstrap python3-venv"
 COMPOSE_PLACE = Path("/var/cache/handover-try")
@@ -147,7 +148,7 @@ def check_health_again_and_again(engine: Engine) -> None:
 
 
 def build(engine: Engine, place: Path) -> None:
-    """Build the image, reaching pip's and npm's registries in the way this machine does."""
+    """Build the images, reaching pip's and npm's registries in the way this machine does."""
     secrets = {}
     for name in ("PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"):
         if os.environ.get(name):
@@ -160,7 +161,8 @@ def build(engine: Engine, place: Path) -> None:
     npm = {"cafile": trusted, **of_npm()}
     secrets["npmrc"] = written(place / "npmrc", [f"{k}={v}" for k, v in npm.items() if v])
     words = [word for name, path in secrets.items() for word in ("--secret", f"id={name},src={path}")]
-    engine("build", "--network=host", "-t", IMAGE, *words, ".")
+    for image, lock in IMAGES.items():
+        engine("build", "--network=host", "-t", image, "--build-arg", f"LOCK={lock}", *words, ".")
 
 
 def of_pip() -> dict[str, str]:

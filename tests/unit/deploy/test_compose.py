@@ -10,10 +10,12 @@ from dotenv import dotenv_values
 
 from glove_sdk_bridge.command_line import parse
 from handover.cli.glove import bridge_arguments
+from handover.cli.secure import Plan
 from handover.cli.services import OPTIONAL_SERVICES
 from handover.cli.services import SERVICES as USUAL
 from handover.settings import origins
 from services.context_broker.settings import BrokerSettings
+from webui.settings import WebuiSettings
 
 REPOSITORY = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((REPOSITORY / "docker-compose.yml").read_text())
@@ -23,10 +25,10 @@ SERVICES = (*USUAL, *OPTIONAL_SERVICES)
 OURS = {
     name: each
     for name, each in CONTAINERS.items()
-    if each["image"].startswith(("handover:", "handover-ros:"))
+    if each["image"].startswith(("handover:", "handover-motion:", "handover-ros:"))
 }
-ONE_SHOT = "secrets"
-"""Ends once the secrets are made."""
+INIT = "init"
+"""Ends once certificates, tokens, secrets and accounts are made."""
 THIRD_PARTY = {name: each for name, each in CONTAINERS.items() if name not in OURS}
 CHOSEN = {name for name in ENV["COMPOSE_PROFILES"].split(",") if name}
 VARIABLE = re.compile(r"\$\{([A-Z_]+)(?::-([^}]*))?\}")
@@ -63,11 +65,11 @@ def test_no_secret_is_printed_in_the_repository() -> None:
 
 def test_who_needs_a_secret_reads_it_from_a_file_and_depends_on_no_container_that_ends() -> None:
     for name, each in CONTAINERS.items():
-        assert ONE_SHOT not in each.get("depends_on", {}), "podman would never restart it"
+        assert INIT not in each.get("depends_on", {}), "podman would never restart it"
         mounts = [mount for mount in each.get("volumes", []) if mount.startswith("secrets:")]
         said = each.get("environment", {})
-        if name == ONE_SHOT:
-            assert mounts == ["secrets:/secrets"]
+        if name == INIT:
+            assert (mounts, said["HANDOVER_SECRETS_DIR"]) == (["secrets:/secrets"], "/secrets")
         elif {"HANDOVER_GLOVE_TOKEN", "HANDOVER_DATABASE_PASSWORD"} & set(said):
             assert (mounts, said["HANDOVER_SECRETS_DIR"]) == (["secrets:/secrets:ro"], "/secrets")
             assert each["command"][:2] in (["handover", "run"], ["handover", "glove"]), "these wait for it"
@@ -78,38 +80,118 @@ def test_who_needs_a_secret_reads_it_from_a_file_and_depends_on_no_container_tha
             assert mounts == [], name
 
 
-def test_the_one_shot_makes_the_secrets_as_the_user_of_the_image() -> None:
-    each = OURS[ONE_SHOT]
-    assert (each["entrypoint"], each["command"]) == (["handover", "secrets"], ["make"])
+def test_the_first_container_makes_what_is_secret_as_the_user_of_the_image() -> None:
+    each = OURS[INIT]
+    assert (each["entrypoint"], each["command"][0]) == (["handover"], "secure")
     assert each["restart"] == "no"
     assert "profiles" not in each
-    assert next(iter(CONTAINERS)) == ONE_SHOT, "podman gives an empty volume to the first user of it"
-    dockerfile = (REPOSITORY / "Dockerfile").read_text()
-    assert re.search(r"install -d -o handover -g handover -m 0700 .*/secrets\s", dockerfile)
+    assert next(iter(CONTAINERS)) == INIT, "podman gives an empty volume to the first user of it"
+    targets = {mount.split(":")[1] for mount in each["volumes"]}
+    folders = {
+        each["environment"][f"HANDOVER_{name}_DIR"] for name in ("DATA", "AUTHORITY", "SECURITY", "SECRETS")
+    }
+    assert {target for target in targets if not target.startswith("/tls/")} == folders
+    dockerfile = (REPOSITORY / "Dockerfile").read_text().replace("\\\n", " ")
+    made = [
+        set(found.split())
+        for found in re.findall(r"install -d -o handover -g handover -m 07\d\d ([^&\n]*)", dockerfile)
+    ]
+    assert made == [folders, {"/tls", *targets - folders}], "an empty volume gets the owner of the folder"
+
+
+def test_each_service_has_a_certificate_of_its_name_and_a_token_of_its_own() -> None:
+    plan = plan_of(OURS[INIT]["command"][1:])
+    assert {str(folder): names[0] for folder, names in plan.servers} == {
+        f"/tls/{service.name}": service.name for service in SERVICES
+    }
+    assert plan.clients == ((Path("/tls/operator"), "cli"),)
+    assert plan.trusting == (Path("/tls/clients"),)
+    mounts = dict(reversed(mount.split(":")) for mount in OURS[INIT]["volumes"])
+    folders = [folder for folder, _ in (*plan.servers, *plan.clients)] + list(plan.trusting)
+    assert {mounts[str(folder)] for folder in folders} == {f"tls-{folder.name}" for folder in folders}
+    assert plan.token_files() == {
+        **{service.name: Path(f"/tls/{service.name}/service-token") for service in SERVICES},
+        "cli": Path("/tls/operator/service-token"),
+    }
+
+
+def plan_of(words: list[str]) -> Plan:
+    """Return what the arguments of the first container ask for, with nothing edited."""
+    given: dict[str, list[str]] = {"--server": [], "--client": [], "--trust": []}
+    for word in words:
+        option, _, value = word.partition("=")
+        given[option].append(VARIABLE.sub(lambda met: ENV.get(met[1], met[2] or ""), value))
+    return Plan.of(given["--server"], given["--client"], given["--trust"])
+
+
+def test_a_container_mounts_its_own_certificate_and_token_alone() -> None:
+    """Nobody but the first container mounts the key of the authority; only accounts writes public keys."""
+    for name, each in CONTAINERS.items():
+        mounts = [
+            mount
+            for mount in each.get("volumes", [])
+            if mount.startswith(("tls-", "authority:", "security:"))
+        ]
+        said = each.get("environment", {})
+        if name in {service.name for service in SERVICES}:
+            mode = "" if name == "accounts" else ":ro"
+            assert mounts == [f"tls-{name}:/tls:ro", f"security:/security{mode}"]
+            assert said["HANDOVER_TLS_CERTIFICATE"] == "/tls/certificate.pem"
+            assert said["HANDOVER_TLS_KEY"] == "/tls/key.pem"
+        elif name == "simulated-operator":
+            assert mounts == ["tls-operator:/tls:ro", "security:/security:ro"]
+        elif name == "prometheus":
+            assert mounts == ["tls-clients:/tls:ro"]
+        else:
+            assert name == INIT or mounts == []
+        if mounts and "HANDOVER_SECURITY_DIR" in said and name != INIT:
+            assert said["HANDOVER_TLS_AUTHORITY"] == "/tls/authority.pem"
+            assert said["HANDOVER_SERVICE_TOKEN_FILE"] == "/tls/service-token"
+            assert said["HANDOVER_SECURITY_DIR"] == "/security"
+
+
+@pytest.mark.parametrize(
+    ("environment", "address"),
+    [
+        ({}, "https://127.0.0.1:54400"),
+        ({"CELL_ADDRESS": "192.168.7.4", "CELL_UI_PORT": "443"}, "https://192.168.7.4:443"),
+        ({"CELL_ADDRESS": "0.0.0.0"}, "https://127.0.0.1:54400"),
+        ({"CELL_ADDRESS": "0.0.0.0", "CELL_HOSTS": "cell-3.example,cell-3"}, "https://cell-3.example:54400"),
+    ],
+)
+def test_the_link_of_the_owner_leads_to_the_page(
+    environment: dict[str, str], address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in OURS[INIT]["environment"].items():
+        monkeypatch.setenv(
+            name, VARIABLE.sub(lambda met: {**ENV, **environment}.get(met[1], met[2] or ""), value)
+        )
+    assert WebuiSettings.load(secrets_dir=None).public_url == address
 
 
 def test_the_only_other_container_of_ours_is_an_operator_whom_the_bridge_understands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    (other,) = set(OURS) - {service.name for service in SERVICES} - {ONE_SHOT}
+    (other,) = set(OURS) - {service.name for service in SERVICES} - {INIT}
     for name, value in OURS[other]["environment"].items():
         monkeypatch.setenv(name, VARIABLE.sub(lambda met: ENV.get(met[1], met[2] or ""), value))
     words = OURS[other]["command"]
     assert words[:2] == ["handover", "glove"]
     asked = parse(bridge_arguments(words[2:]), "handover glove")
     assert (asked.command, asked.host, asked.port) == ("simulate", "gesture-controller", 54000)
-    assert asked.controller == "http://gesture-controller:54210"
+    assert asked.tls
+    assert asked.controller == "https://gesture-controller:54210"
 
 
-@pytest.mark.parametrize("name", sorted(set(OURS) - {ONE_SHOT}))
+@pytest.mark.parametrize("name", sorted(set(OURS) - {INIT}))
 def test_the_health_check_asks_where_the_service_listens(name: str) -> None:
     test = OURS[name]["healthcheck"]["test"]
     assert test[:4] == ["CMD", "python", "-m", "handover.health"]
     ports = {service.name: service.settings.model_fields[service.port_field].default for service in SERVICES}
     expected = (
-        f"http://127.0.0.1:{ports[name]}/readyz"
+        f"https://127.0.0.1:{ports[name]}/readyz"
         if name in ports
-        else (f"http://gesture-controller:{ports['gesture-controller']}/gloves/{OURS[name]['command'][-1]}")
+        else (f"https://gesture-controller:{ports['gesture-controller']}/gloves/{OURS[name]['command'][-1]}")
     )
     assert test[4] == expected
 
@@ -119,8 +201,8 @@ def test_the_addresses_by_which_services_find_each_other_lead_to_containers() ->
         if service.name == "context-broker":
             continue
         url = OURS[service.name]["environment"][service.port_setting.replace("_PORT", "_URL")]
-        assert url == f"http://{service.name}:{service.settings.model_fields[service.port_field].default}"
-    assert ENV["CELL_BROKER_URL"] == "http://context-broker:1026"
+        assert url == f"https://{service.name}:{service.settings.model_fields[service.port_field].default}"
+    assert ENV["CELL_BROKER_URL"] == "https://context-broker:1026"
 
 
 @pytest.mark.parametrize("more", ["", "192.168.7.0/24,scada.example"])
@@ -140,14 +222,15 @@ def test_environment_of_a_container_has_known_settings_only(name: str) -> None:
     assert set(OURS[name]["environment"]) <= known
 
 
-def test_two_ports_are_published_and_on_this_machine_alone() -> None:
+def test_three_ports_are_published_and_on_this_machine_alone() -> None:
     published = {name: each["ports"] for name, each in CONTAINERS.items() if "ports" in each}
     assert published.pop("grafana") == ["127.0.0.1:${CELL_GRAFANA_PORT:-54490}:3000"]
     assert published == {
         "gesture-controller": ["${CELL_ADDRESS:-127.0.0.1}:${CELL_GLOVE_PORT:-54000}:54000"],
+        "device-gateway": ["${CELL_DEVICE_ADDRESS:-127.0.0.1}:${CELL_DEVICE_PORT:-54010}:54010"],
         "webui": ["${CELL_ADDRESS:-127.0.0.1}:${CELL_UI_PORT:-54400}:54400"],
     }
-    assert ENV["CELL_ADDRESS"] == "127.0.0.1"
+    assert ENV["CELL_ADDRESS"] == ENV["CELL_DEVICE_ADDRESS"] == "127.0.0.1"
     assert not CHOSEN & set(CONTAINERS["grafana"]["profiles"])
 
 
@@ -156,7 +239,7 @@ def test_a_container_is_watched_limited_and_comes_back(name: str) -> None:
     each = CONTAINERS[name]
     assert each["init"] is True
     assert each["security_opt"] == ["no-new-privileges:true"]
-    if name != ONE_SHOT:
+    if name != INIT:
         assert each["restart"] == "unless-stopped"
         assert each["healthcheck"]["test"][0] == "CMD"
         assert {"interval", "timeout", "retries", "start_period"} < set(each["healthcheck"])
@@ -173,6 +256,19 @@ def test_a_container_of_ours_has_nothing_it_does_not_need(name: str) -> None:
     assert [mount.split(":")[0] for mount in each["tmpfs"]] == ["/tmp"]
     assert "user" not in each, "the image has one"
     assert "privileged" not in each
+
+
+def test_only_the_trajectory_tool_has_the_image_with_motion_and_physics() -> None:
+    made = {name for name, each in OURS.items() if each["image"].startswith("handover-motion:")}
+    assert made == {"trajectory-tool"}
+    lock = OURS["trajectory-tool"]["build"]["args"]["LOCK"]
+    dockerfile = (REPOSITORY / "Dockerfile").read_text()
+    assert dockerfile.count("requirements/${LOCK}.lock") == 2
+    assert re.search(r"AS install\nARG LOCK\n", dockerfile), "an argument ends with its stage"
+    packages = (REPOSITORY / "requirements" / f"{lock}.lock").read_text()
+    assert all(re.search(rf"^{each}==", packages, re.MULTILINE) for each in ("coal", "ompl", "mujoco-core"))
+    (usual,) = re.findall(r"^ARG LOCK=(.+)$", dockerfile, re.MULTILINE)
+    assert (REPOSITORY / "requirements" / f"{usual}.lock").is_file()
 
 
 def test_the_image_runs_as_nobody_of_importance() -> None:
@@ -253,7 +349,7 @@ def test_every_volume_is_declared_and_used() -> None:
     }
     assert mounted == set(COMPOSE["volumes"])
     keeping = {name for name, each in OURS.items() if each.get("volumes")}
-    assert keeping == {service.name for service in SERVICES} | {ONE_SHOT, "simulated-operator"}
+    assert keeping == {service.name for service in SERVICES} | {INIT, "simulated-operator"}
 
 
 def test_every_file_that_is_mounted_is_there() -> None:

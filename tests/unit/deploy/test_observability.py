@@ -78,12 +78,13 @@ def test_prometheus_asks_every_service_where_it_listens() -> None:
     }
 
 
-def test_prometheus_asks_the_bridge_where_there_is_one() -> None:
+def test_prometheus_asks_a_service_of_a_profile_where_there_is_one() -> None:
+    name, profile = "ros-bridge", "ros"
     jobs = yaml.safe_load((HERE / "prometheus.yml").read_text())["scrape_configs"]
-    (bridge,) = [job for job in jobs if job["job_name"] == "ros-bridge"]
-    (found,) = bridge["dns_sd_configs"]
+    (job,) = [job for job in jobs if job["job_name"] == name]
+    (found,) = job["dns_sd_configs"]
     compose = yaml.safe_load((HERE.parents[1] / "docker-compose.yml").read_text())
-    assert compose["services"][found["names"][0]]["profiles"] == ["ros"]
+    assert compose["services"][found["names"][0]]["profiles"] == [profile]
     assert found["port"] == BridgeSettings.model_fields["bridge_port"].default
 
 
