@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-screen pictures clean
+.PHONY: help setup demo up test ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-load bench-sign-in bench-screen pictures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -101,7 +101,7 @@ kill-test: setup  ## kill broker, orchestrator and performer at random moments f
 	@$(BIN)/python -m tests.load.kill_test $(ARGS)
 
 thorough: crashes  ## the crashes, the tests of all databases on PostgreSQL, and many more examples
-	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit $(addprefix tests/integration/,context_broker task_orchestrator gesture_controller study) $(ARGS)
+	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit $(addprefix tests/integration/,context_broker task_orchestrator gesture_controller device_gateway study) $(ARGS)
 
 check: setup  ## lint, types, structure and quick tests, for an everyday change
 	$(call checks_and_tests,-m "not slow")
@@ -154,7 +154,7 @@ lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with has
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
 
-bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion  ## measure everything
+bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices  ## measure everything
 
 bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
 	@$(BIN)/python -m benchmarks.broker
@@ -175,8 +175,19 @@ bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker,
 
 bench-motion: setup  ## motion planning, and bin picking in simulated physics (ARGS="--problems 100")
 	@$(BIN)/python -m benchmarks.motion $(ARGS)
+	@$(BIN)/python -m benchmarks.random_moves
+	@$(BIN)/python -m benchmarks.limits
 	@$(BIN)/python -m benchmarks.universal_robots
 	@$(BIN)/python -m benchmarks.physics
+
+bench-devices: setup  ## the device gateway: 1,000 devices at 1 Hz, values stored a second (ARGS=--postgres)
+	@$(BIN)/python -m benchmarks.devices $(ARGS)
+
+bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas behind HAProxy, sign-ins, latency (ARGS="--replicas 1")
+	@$(BIN)/python -m benchmarks.load $(ARGS)
+
+bench-sign-in: setup  ## 1,000 wrong passwords a second for a minute, while a person signs in (ARGS="--addresses 500")
+	@$(BIN)/python -m benchmarks.sign_in $(ARGS)
 
 bench-screen: setup  ## the screen in Chromium: response times and memory
 	@$(BIN)/python -m benchmarks.screen $(ARGS)

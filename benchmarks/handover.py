@@ -123,7 +123,9 @@ def free_ports(count: int) -> list[int]:
 
 def environment(data_dir: str) -> dict[str, str]:
     """The environment of a cell on free ports."""
-    broker, orchestrator, controller, trajectory, study, glove, webui = free_ports(7)
+    broker, orchestrator, controller, trajectory, study, gateway, devices, alerts, accounts, glove, webui = (
+        free_ports(11)
+    )
     return {
         **{name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")},
         "HANDOVER_DATA_DIR": data_dir,
@@ -133,6 +135,10 @@ def environment(data_dir: str) -> dict[str, str]:
         "HANDOVER_CONTROLLER_PORT": str(controller),
         "HANDOVER_TRAJECTORY_PORT": str(trajectory),
         "HANDOVER_STUDY_PORT": str(study),
+        "HANDOVER_ALERT_ROUTER_PORT": str(alerts),
+        "HANDOVER_GATEWAY_PORT": str(gateway),
+        "HANDOVER_DEVICE_PORT": str(devices),
+        "HANDOVER_ACCOUNTS_PORT": str(accounts),
         "HANDOVER_GLOVE_PORT": str(glove),
         "HANDOVER_WEBUI_PORT": str(webui),
         "HANDOVER_ANNOUNCE_MS": "100",

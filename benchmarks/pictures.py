@@ -32,6 +32,9 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from benchmarks.handover import environment, stop, up
+from services.device_gateway.device_client import DeviceClient
+from services.device_gateway.model.description import DeviceDescription
+from services.device_gateway.simulation import SimulatedDevice, examples
 
 OUT = Path(__file__).parent.parent / "webui" / "pictures"
 FLAGS = ["--disable-gpu", "--disable-quic", "--disable-sync", "--enable-unsafe-swiftshader"]
@@ -54,6 +57,7 @@ PAGES = {
     "cockpit": "/cockpit?of=bin-picking", "offers": "/processes/offers", "mapping": "/cockpit?view=mapping",
     "system": "/system", "alerts": "/system?tab=alerts", "events": "/system?tab=events",
     "robots": "/system?tab=robots",
+    "sensors": "/sensors", "devices": "/devices?device=sim-panda",
     "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
 }  # fmt: skip
 INITIAL_ORDER = 4711
@@ -343,6 +347,39 @@ def calibrate(product: Product) -> None:
     product.hand.show("00000")
 
 
+def devices(product: Product) -> None:
+    """Rooms with the values of simulated devices, one of which is away, and a robot with its history."""
+    rooms = ("Hall A", "Hall B", "Kitchen")
+    played: list[SimulatedDevice] = []
+    try:
+        for number, (name, description) in enumerate(examples().items()):
+            body = description.model_dump(mode="json", by_alias=True)
+            body["placement"] = {"location": rooms[number % len(rooms)]}
+            made = product.post("/device-gateway/devices", name=name, description=body)
+            client = DeviceClient("127.0.0.1", made["port"], name, made["token"])
+            one = SimulatedDevice(client, DeviceDescription.model_validate(body))
+            if name != "sim-camera":
+                one.start()
+                played.append(one)
+            earlier = range(-170, 0)
+            if name in {"sim-sensor", "sim-actuator", "sim-panda"}:
+                for step in earlier:
+                    now_s = time.time() + 10 * step
+                    client.send(one.values_at(now_s), now_s)
+        wait_until(lambda: not any(one.client.waiting() for one in played))
+        with product.page("/sensors", viewport=TALL) as page:
+            page.get_by_role("article", name="sim-panda").wait_for()
+            time.sleep(3)
+            product.keep(page, "sensors")
+        with product.page("/devices?device=sim-panda&part=history&values=externalForce,gripperWidth") as page:
+            page.get_by_role("img", name="External force").wait_for()
+            time.sleep(2)
+            product.keep(page, "devices")
+    finally:
+        for one in played:
+            one.stop()
+
+
 def people(product: Product) -> None:
     """A person with gestures of one hand, of both hands, and in sequence."""
     controller = product.http
@@ -441,8 +478,9 @@ def all_looks(product: Product, folder: Path) -> None:
     product.complete(process)
 
 
-SCENES = {"people": people, "work": work, "processes": processes, "tasks": tasks, "cockpit": cockpit,
-          "system": system, "calibrate": calibrate, "test": test, "study": study}  # fmt: skip
+SCENES = {"people": people, "devices": devices, "work": work, "processes": processes, "tasks": tasks,
+          "cockpit": cockpit, "system": system, "calibrate": calibrate, "test": test,
+          "study": study}  # fmt: skip
 
 
 def main() -> None:

@@ -328,11 +328,15 @@ class Asset(Entity):
 
 
 class Person(Entity):
-    """A person; `performer` is the component that executes their Tasks."""
+    """A person; `performer` is the component that executes their Tasks.
+
+    `relative_position` is ours: x and y in m in the frame of the cell, with `observedAt`.
+    """
 
     first_name: Property[str] | None = None
     last_name: Property[str] | None = None
     state: Property[Any] | None = None
+    relative_position: Property[Numbers] | None = None
     is_specified_by: Links[Relationship] | None = None
     performer: Property[str] | None = None
 

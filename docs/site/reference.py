@@ -6,7 +6,6 @@ python -m docs.site.reference --check    # fail if a page is not up to date
 
 import argparse
 import ast
-import importlib
 import os
 import socket
 import tempfile
@@ -21,8 +20,9 @@ from typer.main import get_command
 
 from glove_sdk_bridge.command_line import parser as glove_parser
 from handover.cli.main import app as command_line
-from handover.cli.services import OPTIONAL_SERVICES, SERVICES
+from handover.cli.services import OPTIONAL_SERVICES, SERVICES, application_of
 from handover.extensions import Service
+from handover.security.guard import PUBLIC_PATHS, requirements
 from handover.settings import PREFIX, Settings
 from webui.messages import found_messages
 
@@ -58,6 +58,11 @@ REST = f"""\
 Every service answers `/healthz`, `/readyz`, `/metrics` and `/context.jsonld`, and shows its interface with
 schemas on `/docs`. Errors are problem details (RFC 7807). The context broker answers NGSI-LD;
 [its operations](../../services/context_broker/operations.md) are a page of their own.
+
+As long as no account exists, every local caller may do everything. With accounts, a caller sends a token
+(`Authorization: Bearer`), and the column *Permission* names what the route asks: a permission, and the
+resource for which the caller needs a role that has it. A list concerns everything, so it asks for every
+resource.
 """
 
 METRICS = f"""\
@@ -137,7 +142,7 @@ def rest_page() -> Iterator[str]:
         os.environ[f"{PREFIX}DATA_DIR"] = folder
         os.environ[f"{PREFIX}GLOVE_PORT"] = str(_free_port())  # the controller opens it with its application
         for service in ALL:
-            app = _application(service)
+            app = application_of(service)
             if app is not None:
                 yield from _routes(service, app)
 
@@ -232,34 +237,25 @@ def _glove_command(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
         yield f"| `{shown}` | {f'`{default}`' if is_shown else ''} | {_cell(meaning)} |"
 
 
-def _application(service: Service) -> FastAPI | None:
-    for module in ("app", "server"):
-        try:
-            make = getattr(importlib.import_module(f"{service.module}.{module}"), "make_app", None)
-        except ModuleNotFoundError:
-            continue
-        if make is not None:
-            made: Any = make(service.settings.load())
-            while not isinstance(made, FastAPI):  # a wrapper of the application
-                made = next(value for name, value in vars(made).items() if name.lstrip("_") == "app")
-            return made
-    return None
-
-
 def _routes(service: Service, app: FastAPI) -> Iterator[str]:
     yield ""
     yield f"## {service.name}"
     yield ""
     yield f"`http://127.0.0.1:{service.settings.model_fields[service.port_field].default}`"
     yield ""
-    yield "| Method and path | Meaning |"
-    yield "|---|---|"
+    yield "| Method and path | Permission | Meaning |"
+    yield "|---|---|---|"
+    asked = requirements(app)
     for path, methods in app.openapi()["paths"].items():
-        if path in {"/healthz", "/readyz", "/metrics", "/context.jsonld"}:
+        if path in PUBLIC_PATHS:
             continue
         for method, operation in methods.items():
             meaning = operation.get("description") or operation.get("summary", "")
-            yield f"| `{method.upper()} {path}` | {_cell(meaning.partition(chr(10) * 2)[0])} |"
+            name = f"{method.upper()} {path}"
+            yield f"| `{name}` | {_cell(asked[name])} | {_cell(meaning.partition(chr(10) * 2)[0])} |"
+    for name in asked:
+        if name.startswith("WebSocket "):
+            yield f"| `{name}` | {_cell(asked[name])} | A WebSocket. |"
 
 
 def _metrics() -> Iterator[tuple[str, str, tuple[str, ...], str]]:

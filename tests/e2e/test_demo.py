@@ -16,7 +16,17 @@ from tests.kit.waiting import scaled
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
-SERVICES = {"context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "study", "webui"}
+SERVICES = {
+    "context_broker",
+    "task_orchestrator",
+    "gesture_controller",
+    "trajectory_tool",
+    "device_gateway",
+    "alert_router",
+    "study",
+    "accounts",
+    "webui",
+}
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -60,18 +70,62 @@ def services_of(process: subprocess.Popen[str]) -> dict[str, psutil.Process]:
     return found
 
 
-def test_the_demo_completes_and_runs_again_on_the_same_data(handover: Start, cell: Any) -> None:
-    for _ in range(2):
-        process = handover("demo", "--once", "--data-dir", str(cell.data_dir / "data"))
-        story, _ = process.communicate(timeout=scaled(180))
-        assert process.returncode == 0, story
-        assert "process   completed" in story
-        assert "no part found" in story
-        assert ", part found" in story
-        gestures = set(re.findall(r"showed ([A-Z].*?) for", story))
-        assert len(gestures) >= 4, story
-        assert "pick done" in story
-        assert "place done" in story
+TASK_BY_TASK = (
+    ("scan", "trajectory_tool"),
+    ("is asked", "task_orchestrator"),
+    ("pick", "context_broker"),
+    ("place", "gesture_controller"),
+    ("home", "context_broker"),
+)
+TWICE_IN_A_TASK = (
+    ("pick", "task_orchestrator"),
+    ("pick", "trajectory_tool"),
+    ("place", "trajectory_tool"),
+    ("place", "webui"),
+)
+"""Services that are killed when the next line of the demo has these words."""
+
+
+def run_with_kills(
+    handover: Start, data_dir: Path | None, killed: tuple[tuple[str, str], ...]
+) -> tuple[int, str]:
+    """Return status and output of a demo in which services are killed."""
+    folder = ("--data-dir", str(data_dir)) if data_dir else ()
+    process = handover("demo", "--once", "--timeout", "150", *folder)
+    assert process.stdout is not None
+    output = []
+    left = list(killed)
+    for line in process.stdout:
+        output.append(line)
+        if left and left[0][0] in line:
+            services_of(process)[left.pop(0)[1]].kill()
+    return process.wait(timeout=scaled(180)), "".join(output)
+
+
+def require_completed_once(status: int, output: str, kills: int) -> None:
+    assert status == 0, output
+    assert output.count("SIGKILL") == kills, output
+    assert "process   completed" in output
+    assert output.count("pick done") == 1, output
+    assert output.count("place done") == 1, output
+
+
+def test_the_demo_completes_and_runs_again_on_the_same_data_while_services_are_killed(
+    handover: Start, cell: Any
+) -> None:
+    data_dir = cell.data_dir / "data"
+    process = handover("demo", "--once", "--data-dir", str(data_dir))
+    output, _ = process.communicate(timeout=scaled(180))
+    require_completed_once(process.returncode, output, 0)
+    assert "no part found" in output
+    assert ", part found" in output
+    gestures = set(re.findall(r"showed ([A-Z].*?) for", output))
+    assert len(gestures) >= 4, output
+    require_completed_once(*run_with_kills(handover, data_dir, TASK_BY_TASK), len(TASK_BY_TASK))
+
+
+def test_services_that_are_killed_twice_in_a_task_are_restarted(handover: Start) -> None:
+    require_completed_once(*run_with_kills(handover, None, TWICE_IN_A_TASK), len(TWICE_IN_A_TASK))
 
 
 def test_ctrl_c_stops_everything(handover: Start) -> None:
@@ -92,44 +146,6 @@ def test_no_service_outlives_a_killed_launcher(handover: Start, eventually: Call
     process.kill()
     process.wait(timeout=120)
     eventually(lambda: not any(child.is_running() for child in children), 15)
-
-
-@pytest.mark.parametrize(
-    "killed",
-    [
-        [
-            ("scan", "trajectory_tool"),
-            ("is asked", "task_orchestrator"),
-            ("pick", "context_broker"),
-            ("place", "gesture_controller"),
-            ("home", "context_broker"),
-        ],
-        [
-            ("pick", "task_orchestrator"),
-            ("pick", "trajectory_tool"),
-            ("place", "trajectory_tool"),
-            ("place", "webui"),
-        ],
-    ],
-    ids=["task by task", "twice in a task"],
-)
-def test_killed_services_are_restarted_and_the_process_completes(
-    handover: Start, killed: list[tuple[str, str]]
-) -> None:
-    process = handover("demo", "--once", "--timeout", "150")
-    assert process.stdout is not None
-    story = []
-    left = list(killed)
-    for line in process.stdout:
-        story.append(line)
-        if left and left[0][0] in line:
-            services_of(process)[left.pop(0)[1]].kill()
-    assert process.wait(timeout=scaled(180)) == 0, "".join(story)
-    output = "".join(story)
-    assert output.count("SIGKILL") == len(killed), output
-    assert "process   completed" in output
-    assert output.count("pick done") == 1, output
-    assert output.count("place done") == 1, output
 
 
 @pytest.mark.parametrize(

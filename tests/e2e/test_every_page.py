@@ -1,12 +1,18 @@
 """Every page in both themes, three languages and all sizes: nothing truncated, no axe violations."""
 
-from collections.abc import Callable
+import re
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
+from services.device_gateway.device_client import DeviceClient
 from tests.e2e.conftest import OpenPage
 from tests.kit.cell import Cell
 
@@ -35,11 +41,19 @@ PAGES = {
     "tasks": "/tasks",
     "cockpit": "/cockpit",
     "system": "/system",
+    "control": "/control",
     "calibrate": "/calibrate",
     "people": "/people",
     "test": "/test",
     "study": "/study",
+    "sensors": "/sensors",
+    "devices": "/devices?device=page-arm",
 }
+URDF = """<robot name="two">
+<link name="base"><visual><geometry><box size="0.2 0.2 0.1"/></geometry></visual></link>
+<link name="tip"><visual><geometry><cylinder radius="0.03" length="0.4"/></geometry></visual></link>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="tip"/><origin xyz="0 0 0.3"/>
+<axis xyz="0 0 1"/><limit lower="0" upper="0.5" velocity="1" effort="9"/></joint></robot>"""
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +62,60 @@ def cell(shared_cell: Cell) -> Cell:
     return shared_cell
 
 
+@pytest.fixture
+def screen(screen: Cell) -> Cell:
+    """A screen with devices: an arm, a sensor out of its range, and one that was never connected."""
+    if screen.runs("device_gateway"):
+        return screen
+    screen.run("device_gateway")
+    with httpx.Client(base_url=screen.url("device_gateway"), timeout=120, trust_env=False) as rest:
+
+        def add(name: str, description: dict[str, Any], values: dict[str, float] | None = None) -> None:
+            body = {"name": name, "description": description}
+            token = rest.post("/devices", json=body).raise_for_status().json()["token"]
+            if values is not None:
+                message = {"type": "telemetry", "values": values}
+                bearer = {"Authorization": f"Bearer {token}"}
+                rest.post(f"/ingest/{name}", json=message, headers=bearer).raise_for_status()
+
+        arm = rest.get("/templates").json()["panda"]
+        joints = {joint["name"]: 0.0 for joint in arm["joints"]}
+        add("page-arm", {**arm, "placement": {"location": "hall"}}, {**joints, "externalForce": 3})
+        sensors = [{"name": "temperature", "unit": "CEL", "minimum": 0, "maximum": 250}]
+        oven = {"kind": "sensor", "title": "Oven", "sensors": sensors, "placement": {"location": "kitchen"}}
+        add("page-oven", oven, {"temperature": 260})
+        add("page-away", {"kind": "sensor", "sensors": sensors})
+    return screen
+
+
+@pytest.fixture
+def keep_sending(screen: Cell) -> Iterator[Callable[[str, dict[str, float]], None]]:
+    """Let a device send the same values again and again until the test ends."""
+    stopped = threading.Event()
+    with ExitStack() as stack:
+
+        def start(device: str, values: dict[str, float]) -> None:
+            url = f"{screen.url('device_gateway')}/devices/{device}/token"
+            token = httpx.post(url, timeout=120, trust_env=False).raise_for_status().json()["token"]
+            client = DeviceClient("127.0.0.1", screen.ports["devices"], device, token)
+
+            def send() -> None:
+                while not stopped.wait(0.5):
+                    client.send(values)
+
+            client.start()
+            stack.callback(client.stop)
+            thread = threading.Thread(target=send)
+            thread.start()
+            stack.callback(thread.join)
+            stack.callback(stopped.set)
+
+        yield start
+
+
 def settled(page: Page) -> None:
     """Wait until the page shows what it has to show."""
-    page.locator("main h1, main h2").first.wait_for()
+    page.locator("main h1, main h2").locator("visible=true").first.wait_for()
     page.evaluate("document.fonts.ready.then(() => true)")
 
 
@@ -81,12 +146,94 @@ def test_engineer_pages_fit_a_phone(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page(viewport=PHONE, has_touch=True, is_mobile=True)
-    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study"):
+    device = PAGES["devices"]
+    devices = ("/sensors", "/devices", device, f"{device}&part=history", f"{device}&part=settings")
+    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study", *devices):
         page.goto(path)
         settled(page)
         nothing_is_cut_off(page)
         accessible(page)
-        keep(page, f"phone{path.replace('/', '-')}")
+        keep(page, f"phone{re.sub('[^a-z]+', '-', path)}")
+
+
+@pytest.mark.usefixtures("screen")
+def test_sensors_show_rooms_and_what_needs_attention(
+    open_page: OpenPage, keep: Callable[[Page, str], Path], keep_sending: Callable[..., None]
+) -> None:
+    keep_sending("page-oven", {"temperature": 260})
+    page = open_page("/sensors")
+    oven = page.get_by_role("article", name="Oven")
+    expect(oven).to_contain_text("Above 250 °C")
+    expect(oven).to_contain_text("Out of range")
+    expect(page.get_by_role("article", name="page-away")).to_contain_text("No value yet")
+    assert [room.split()[0] for room in page.locator("main h2").all_inner_texts()] == [
+        "hall",
+        "kitchen",
+        "No",
+    ]
+    page.get_by_role("radio", name="Needs attention").click()
+    expect(page.get_by_role("article", name="page-away")).to_contain_text("Not connected")
+    page.get_by_role("searchbox", name="Search").fill("kitchen temperature")
+    expect(page.get_by_role("article")).to_have_count(1)
+    keep(page, "sensors-attention")
+    oven.get_by_role("link", name="History of Oven").click()
+    expect(page.get_by_role("img", name=re.compile("Temperature: least 260 °C"))).to_be_visible()
+
+
+@pytest.mark.usefixtures("screen")
+def test_a_device_is_added_described_and_deleted_on_the_page(
+    open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+) -> None:
+    page = open_page("/devices", forgives=("status of 409", "status of 422"))
+    page.get_by_role("button", name="Add a device").first.click()
+    page.get_by_label("Template").select_option(label="Franka Emika Panda")
+    name = page.get_by_role("textbox", name="Name", exact=True).first
+    name.fill("page-oven")
+    add = page.get_by_role("button", name="Add a device").last
+    add.click()
+    expect(page.get_by_role("alert")).to_contain_text('there is a device "page-oven" already')
+    name.fill("page-robot")
+    add.click()
+    dialog = page.get_by_role("dialog", name="Token of page-robot")
+    expect(dialog.get_by_role("textbox", name="Token", exact=True)).to_contain_text("hnd_device_")
+    expect(dialog).to_contain_text("--device page-robot")
+    accessible(page)
+    dialog.get_by_role("button", name="I have stored the token").click()
+    robot = page.get_by_role("region", name="page-robot")
+    expect(robot.get_by_role("region", name="Values now")).to_contain_text("-2.897 … 2.897 rad")
+
+    robot.get_by_role("radio", name="Commands").click()
+    robot.get_by_label("Command", exact=True).select_option("grip")
+    robot.get_by_role("textbox", name="Width (required)").fill("1")
+    robot.get_by_role("button", name="Send “Grip”").click()
+    expect(robot).to_contain_text("0.08")
+    robot.get_by_role("textbox", name="Width (required)").fill("0.04")
+    robot.get_by_role("button", name="Send “Grip”").click()
+    ask = page.get_by_role("dialog", name="Move page-robot?")
+    ask.get_by_role("button", name="Send “Grip”").click()
+    expect(ask.get_by_role("alert")).to_contain_text("is not connected")
+    ask.get_by_role("button", name="Cancel").click()
+
+    robot.get_by_role("radio", name="3D model").click()
+    with page.expect_file_chooser() as chooser:
+        robot.get_by_role("button", name="Choose a URDF").click()
+    chooser.value.set_files({"name": "two.urdf", "mimeType": "application/xml", "buffer": URDF.encode()})
+    expect(robot.get_by_role("heading", name="Preview of two.urdf")).to_be_visible()
+    expect(robot.get_by_role("application")).to_be_visible()
+    keep(page, "device-model")
+    robot.get_by_role("button", name="Save the URDF").click()
+    expect(robot.get_by_role("rowheader", name="lift")).to_be_visible()
+
+    robot.get_by_role("radio", name="Settings").click()
+    robot.get_by_label("Room").fill("cell 4")
+    robot.get_by_role("button", name="Save the description").click()
+    robot.get_by_role("radio", name="Overview").click()
+    expect(robot.get_by_text("cell 4")).to_be_visible()
+    robot.get_by_role("radio", name="Settings").click()
+    robot.get_by_role("button", name="Delete the device").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete the device").click()
+    expect(page.get_by_role("row", name="page-robot")).to_have_count(0)
+    expect(page.get_by_role("row", name="Oven")).to_be_visible()
 
 
 @pytest.mark.usefixtures("screen")

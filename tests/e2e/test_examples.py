@@ -150,6 +150,23 @@ async def test_robot_moves_for_a_task(extended_cell: Cell, driver: str) -> None:
     assert ET.fromstring(urdf.text).get("name") == "rail"
 
 
+def test_the_driver_does_what_every_driver_does(extended_cell: Cell) -> None:
+    """As its author runs the tests: in a project of its own, with the contract that Handover has."""
+    tests = REPOSITORY / "examples" / "rail_robot" / "tests"
+    options = ["-q", "-c", os.devnull, "-o", "asyncio_mode=auto", "-p", "no:cacheprovider"]
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, str(tests)],
+        env=extended_cell.environment,
+        cwd=extended_cell.data_dir,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=scaled(120),
+    )
+    assert run.returncode == 0, run.stdout
+    assert " passed" in run.stdout
+
+
 DATAGRAM_RULES = """
 ros_to_ngsild:
   level: {topic: /level, type: std_msgs/Float64, entity: Device:tank-1, attributes: {level: data}}

@@ -38,6 +38,13 @@ def ask(cell: Cell, method: str, path: str, **options: Any) -> Any:
     return answer.json()
 
 
+def bin_picking(cell: Cell, **given: Any) -> Any:
+    """Start a process and return it with its first Task: the robot may still be reserved by a test before."""
+    process = ask(cell, "POST", "processes", json={"definition": "bin-picking", **given})["id"]
+    wait_for(lambda: ask(cell, "GET", f"processes/{process}")["tasks"])
+    return ask(cell, "GET", f"processes/{process}")
+
+
 def element(page: Page, name: str) -> Any:
     """An element of the drawing."""
     return page.locator(f".djs-element[data-element-id={name}]")
@@ -105,7 +112,7 @@ def test_a_process_is_started_monitored_and_cancelled(
 def test_an_incident_is_marked_at_its_element_and_retried(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
+    process = bin_picking(cell)
     page = open_page(f"/processes/{process['id']}", who="")
     has_look(page, "confirm_clear", "token")
     answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
@@ -130,7 +137,7 @@ def test_an_incident_is_marked_at_its_element_and_retried(
 def test_an_engineer_resolves_incidents_with_a_name_and_a_reason(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
-    process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
+    process = bin_picking(cell)
     answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
     page = open_page(f"/processes/{process['id']}", who="")
     has_look(page, "confirm_clear", "incident")
@@ -218,7 +225,7 @@ def test_a_process_shows_who_holds_the_robot_and_an_engineer_releases_it(
 
 @pytest.mark.usefixtures("quiet_screen")
 def test_a_step_is_skipped_with_results_and_a_branch_is_ended(cell: Cell, open_page: OpenPage) -> None:
-    process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
+    process = bin_picking(cell)
     answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
     page = open_page(f"/processes/{process['id']}")
     dialog = page.get_by_role("dialog")
@@ -235,8 +242,7 @@ def test_a_step_is_skipped_with_results_and_a_branch_is_ended(cell: Cell, open_p
     assert (process["acts"][-1]["act"], process["acts"][-1]["by"]) == ("skip", "Anna")
 
     ask(cell, "POST", f"processes/{process['id']}/cancel")
-    other = {"definition": "bin-picking", "parameters": {"robot": "Device:ur10-2"}}
-    process = ask(cell, "POST", "processes", json=other)
+    process = bin_picking(cell, parameters={"robot": "Device:ur10-2"})
     answer(cell, process["tasks"][0]["id"], "failed", reason="nobody was there")
     page.goto(f"/processes/{process['id']}")
     page.get_by_role("button", name="End branch …").click()

@@ -4,6 +4,8 @@ import json
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 import httpx
@@ -11,9 +13,10 @@ import pytest
 from playwright.sync_api import Page, expect
 from websockets.sync.client import connect
 
+from datamodels.times import iso
 from tests.e2e.conftest import OpenPage, answer
 from tests.kit.cell import Cell
-from tests.kit.waiting import wait_for
+from tests.kit.waiting import Bound, wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -42,6 +45,10 @@ def complete(cell: Cell, words: str) -> None:
 @pytest.fixture(scope="module")
 def cell(shared_cell: Cell) -> Cell:
     """One cell for all of this page's tests: none needs it as new."""
+    shared_cell.run("accounts")
+    shared_cell.run("context_broker")
+    shared_cell.run("device_gateway")
+    shared_cell.run("alert_router")
     return shared_cell
 
 
@@ -135,6 +142,47 @@ def test_the_robot_moves_and_its_gripper_is_released_only_when_idle(
 
 
 @pytest.mark.usefixtures("quiet_screen")
+def test_a_hand_over_is_confirmed_with_a_button_that_is_large_enough_for_gloves(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    page = open_page("/system?tab=robots")
+    expect(page.get_by_role("heading", name="No task")).to_be_visible()
+    entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
+    task = "urn:ngsi-ld:Task:demo:hand-over-1"
+    wanted = {
+        "id": task,
+        "type": "Task",
+        "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:handOver"},
+        "status": {"type": "Property", "value": "pending", "observedAt": iso(datetime.now(UTC))},
+        "involves": {
+            "type": "Property",
+            "value": [{"type": "Relationship", "object": "urn:ngsi-ld:Device:demo:ur10-1"}],
+        },
+        "workParameters": {
+            "type": "Property",
+            "value": {"direction": "take", "part": "housing-1", "pose": {"position": [-0.6, 0.0, 0.4]}},
+        },
+    }
+    context = f"<{cell.url('task_orchestrator')}/context.jsonld>"
+    link = {"Link": f'{context}; rel="http://www.w3.org/ns/json-ld#context"'}
+    httpx.post(entities, json=wanted, headers=link, timeout=120).raise_for_status()
+    button = page.get_by_role("button", name="The part is in place")
+    expect(button).to_be_visible()
+    box = button.bounding_box()
+    assert box is not None
+    assert box["height"] >= 64
+    stale = f"{cell.url('trajectory_tool')}/robots/ur10-1/confirm"
+    assert httpx.post(stale, json={"task": "urn:ngsi-ld:Task:demo:other"}, timeout=120).status_code == 409
+    accessible(page)
+    keep(page, "system-hand-over")
+    button.click()
+    expect(page.get_by_text("Holding housing-1")).to_be_visible()
+    wait_for(lambda: '"completed"' in httpx.get(f"{entities}/{task}", timeout=120).text)
+    free = f"{cell.url('trajectory_tool')}/robots/ur10-1/gripper/free"
+    httpx.post(free, timeout=120).raise_for_status()
+
+
+@pytest.mark.usefixtures("quiet_screen")
 def test_the_stop_of_a_robot_for_a_body_signal_is_reset_by_a_person(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
@@ -200,3 +248,52 @@ def test_the_simulated_operator_is_started_and_the_event_log_is_exported(
         page.get_by_role("button", name="Save as JSON").click()
     happened = json.loads(saved.value.path().read_text())
     assert "operator.started" in {event["key"] for event in happened}
+
+
+@pytest.mark.usefixtures("quiet_screen")
+def test_a_person_moves_the_robot_while_the_control_is_held(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    robot = f"{cell.url('trajectory_tool')}/robots/ur10-1"
+
+    def is_at_rest() -> bool:
+        return not any(httpx.get(robot, timeout=120).json()["joints"]["velocity"])
+
+    # Without the 3D view, which a machine without a graphics card draws too slowly for inputs every 20 ms.
+    panels = {"order": ["jog", "latency"], "hidden": ["view"]}
+    httpx.put(f"{cell.url('webui')}/api/user-settings/control.panels", json=panels, timeout=120)
+    page = open_page("/control")
+    expect(page.get_by_text("No safety function and no emergency stop.")).to_be_visible()
+    page.get_by_role("button", name="Take control").click()
+    expect(page.get_by_role("heading", name="You control ur10-1")).to_be_visible()
+    assert httpx.get(robot, timeout=120).json()["controlledBy"] == "local owner"
+    accessible(page)
+
+    def hold_until_it_moves() -> None:
+        """Hold and jog; where a busy machine delayed the inputs, the control has to be pressed again."""
+        bound = Bound(90)
+        while is_at_rest():
+            bound.check(lambda: page.inner_text(".hold-bar"))
+            page.keyboard.up("Space")
+            page.keyboard.down("r")
+            page.keyboard.down("Space")
+            with suppress(AssertionError):
+                expect(page.get_by_text("The robot moves. Release to stop.")).to_be_visible(timeout=1000)
+
+    hidden = "Object.defineProperty(document, 'hidden', {value: true, configurable: true});"
+    for end in (
+        lambda: page.keyboard.up("Space"),
+        lambda: page.evaluate("dispatchEvent(new Event('blur'))"),
+        lambda: page.evaluate(f"{hidden} document.dispatchEvent(new Event('visibilitychange'))"),
+    ):
+        hold_until_it_moves()
+        end()
+        wait_for(is_at_rest)
+        expect(page.get_by_text("Hold this button or Space, and jog.")).to_be_visible()
+        page.keyboard.up("Space")
+        page.keyboard.up("r")
+        page.evaluate("delete document.hidden")
+    expect(page.locator(".control__panel--latency")).to_contain_text(re.compile(r"rest\s*\d+"))
+    keep(page, "control")
+    page.get_by_role("button", name="End control").click()
+    expect(page.get_by_role("heading", name="Nobody controls ur10-1")).to_be_visible()

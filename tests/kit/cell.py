@@ -21,11 +21,15 @@ SERVICES = (
     "gesture_controller",
     "trajectory_tool",
     "study",
+    "device_gateway",
+    "alert_router",
+    "devices",
+    "accounts",
     "glove",
     "webui",
     "ros_fiware_bridge",
 )
-"""What has a port of its own; `glove` is the controller's TCP port for gloves."""
+"""What has a port of its own; `glove` is the controller's TCP port for gloves, `devices` the gateway's."""
 
 
 @dataclass
@@ -58,6 +62,10 @@ class Cell:
             "HANDOVER_CONTROLLER_PORT": str(self.ports["gesture_controller"]),
             "HANDOVER_TRAJECTORY_PORT": str(self.ports["trajectory_tool"]),
             "HANDOVER_STUDY_PORT": str(self.ports["study"]),
+            "HANDOVER_GATEWAY_PORT": str(self.ports["device_gateway"]),
+            "HANDOVER_ALERT_ROUTER_PORT": str(self.ports["alert_router"]),
+            "HANDOVER_DEVICE_PORT": str(self.ports["devices"]),
+            "HANDOVER_ACCOUNTS_PORT": str(self.ports["accounts"]),
             "HANDOVER_GLOVE_PORT": str(self.ports["glove"]),
             "HANDOVER_WEBUI_PORT": str(self.ports["webui"]),
             "HANDOVER_BRIDGE_PORT": str(self.ports["ros_fiware_bridge"]),
@@ -87,12 +95,16 @@ class Cell:
             self.host.start("context_broker")
             services = tuple(service for service in services if service != "context_broker")
         for service in services:
-            module = service if service in TOP_LEVEL else f"services.{service}"
-            self.processes[service] = processes.spawn_module(
-                module, self.environment, self._log_file(service), self.data_dir
-            )
+            self.spawn(service)
         for service in services:
             self.wait_ready(service, within_s)
+
+    def spawn(self, service: str) -> None:
+        """Start a service without waiting."""
+        module = service if service in TOP_LEVEL else f"services.{service}"
+        self.processes[service] = processes.spawn_module(
+            module, self.environment, self._log_file(service), self.data_dir
+        )
 
     def run(self, *services: str) -> None:
         """Start those of the services that do not run."""

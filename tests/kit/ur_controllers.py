@@ -57,6 +57,7 @@ class RunningController:
             "script_port": ports.script,
             "robotiq_port": ports.robotiq,
             "watchdog_s": PATIENT_S,
+            "silence_s": PATIENT_S,
             **changes,
         }
 

