@@ -1,6 +1,6 @@
-import { fireEvent, render, screen, within } from "@testing-library/react";
+import { act, fireEvent, render, screen, within } from "@testing-library/react";
 import userEvent from "@testing-library/user-event";
-import { useState } from "react";
+import { useLayoutEffect, useState } from "react";
 import { beforeAll, beforeEach, expect, test, vi } from "vitest";
 import { initI18n, setLanguage } from "~/i18n";
 import { DataTable, type Column, type Grouping, type Sorting } from "./DataTable";
@@ -84,6 +84,29 @@ test("has only the visible rows of a long table in the document, and the arrow k
   await user.click(screen.getByRole("row", { name: "device 0" }));
   await user.keyboard("{ArrowDown}{ArrowDown}{ArrowUp}{Enter}");
   expect(opened).toEqual(["device 0", "device 1"]);
+});
+
+test("a key that is pressed before the effects of a refresh have run moves the focus too", () => {
+  // The key arrives after the refreshed rows are in the document and before the effects of that render.
+  let press: (() => void) | null = null;
+  const Probe = () => {
+    useLayoutEffect(() => {
+      press?.();
+      press = null;
+    });
+    return null;
+  };
+  const probed: readonly Column<Device>[] = [{ id: "id", name: "Device", width: "1fr", sortBy: (device) => device.id, cell: (device) => <>{device.id}<Probe /></> }];
+  const rows = Array.from({ length: 500 }, (_, index) => ({ id: `device ${index}`, kind: "glove", level: index }));
+  const table = (shown: readonly Device[]) => (
+    <DataTable label="Devices" rows={shown} columns={probed} keyOf={(device) => device.id} nameOf={(device) => device.id} rowHeight={40} sorting={{ by: "id", isDescending: false }} onSort={() => undefined} />
+  );
+  const { rerender } = render(table(rows));
+  act(() => screen.getByRole("row", { name: "device 0" }).focus());
+  press = () => fireEvent.keyDown(screen.getByRole("row", { name: "device 0" }), { key: "End" });
+  rerender(table(rows.map((device) => ({ ...device }))));
+  expect(press).toBeNull();
+  expect(document.activeElement?.getAttribute("aria-label")).toBe("device 499");
 });
 
 test("keeps its order while it has the focus, and shows new rows on request", () => {

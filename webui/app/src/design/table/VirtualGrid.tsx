@@ -3,7 +3,7 @@
  * between rows, Space selects a row, Enter opens it. On a narrow screen each row is a card.
  */
 import { defaultRangeExtractor, useVirtualizer, type Range } from "@tanstack/react-virtual";
-import { useCallback, useEffect, useRef, useState, type CSSProperties, type KeyboardEvent, type MouseEvent, type ReactNode, type Ref } from "react";
+import { useCallback, useEffect, useLayoutEffect, useRef, useState, type CSSProperties, type KeyboardEvent, type MouseEvent, type ReactNode, type Ref } from "react";
 import { useTranslation } from "react-i18next";
 import "./VirtualGrid.css";
 
@@ -53,7 +53,9 @@ export function VirtualGrid<T>(props: VirtualGridProps<T>) {
   const { t } = useTranslation("common");
   const frame = useRef<HTMLDivElement>(null);
   const [activeKey, setActiveKey] = useState<string | null>(null);
-  const shouldFocus = useRef(false);
+  // The key of the row to focus. A flag would not do: the effects of an earlier render can run after a key was
+  // pressed and before the row it moves to is marked active, and would use up the flag for the previous row.
+  const focusKey = useRef<string | null>(null);
   const rangeStart = useRef<string | null>(null);
 
   const firstRow = lines.findIndex((line) => line.kind === "row");
@@ -77,11 +79,10 @@ export function VirtualGrid<T>(props: VirtualGridProps<T>) {
     rangeExtractor,
   });
 
-  useEffect(() => {
-    if (!shouldFocus.current) return;
+  useLayoutEffect(() => {
     const row = frame.current?.querySelector<HTMLElement>('[role="row"][tabindex="0"]');
-    if (row == null) return;
-    shouldFocus.current = false;
+    if (row == null || focusKey.current === null || row.dataset["key"] !== focusKey.current) return;
+    focusKey.current = null;
     row.focus({ preventScroll: true });
   });
 
@@ -102,7 +103,7 @@ export function VirtualGrid<T>(props: VirtualGridProps<T>) {
   const moveTo = (index: number) => {
     const line = lines[index];
     if (line?.kind !== "row") return;
-    shouldFocus.current = true;
+    focusKey.current = line.key;
     setActiveKey(line.key);
     virtualizer.scrollToIndex(index);
   };
