@@ -3,9 +3,9 @@
     python -m requirements.third_party            # write the file
     python -m requirements.third_party --check    # fail if the file is not up to date
 
-The names come from the locks (`container.lock`, `motion.lock`, `physics.lock`, `ros.lock`,
-`package-lock.json`), the licences from the metadata of the installed packages. Versions are left out, because
-the locks have them.
+The names come from the locks (`container.lock`, `human-state.lock`, `motion.lock`, `physics.lock`,
+`ros.lock`, `package-lock.json`), the licences from the metadata of the installed packages. Versions are left
+out, because the locks have them.
 Both commands fail on a package with a licence that Apache-2.0 software cannot be distributed with (GPL),
 and on a package without a licence.
 """
@@ -20,10 +20,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 FILE = ROOT / "THIRD_PARTY.md"
-LOCKS = tuple(ROOT / "requirements" / f"{name}.lock" for name in ("container", "motion", "physics", "ros"))
+LOCKS = tuple(
+    ROOT / "requirements" / f"{name}.lock"
+    for name in ("container", "human-state", "motion", "physics", "ros")
+)
 APP = ROOT / "webui" / "app"
 
 SPDX = {
+    "bsd 3-clause license": "BSD-3-Clause",
     "apache 2.0": "Apache-2.0",
     "apache software license": "Apache-2.0",
     "bsd": "BSD-3-Clause",
@@ -40,6 +44,21 @@ SPDX = {
 """Spellings of licences in metadata that has no SPDX expression."""
 
 KNOWN = {
+    "skops": "MIT",
+    "winrt-windows-storage-streams": "MIT",  # macOS and Windows only
+    "winrt-windows-foundation-collections": "MIT",  # macOS and Windows only
+    "winrt-windows-foundation": "MIT",  # macOS and Windows only
+    "winrt-windows-devices-radios": "MIT",  # macOS and Windows only
+    "winrt-windows-devices-enumeration": "MIT",  # macOS and Windows only
+    "winrt-windows-devices-bluetooth-genericattributeprofile": "MIT",  # macOS and Windows only
+    "winrt-windows-devices-bluetooth-advertisement": "MIT",  # macOS and Windows only
+    "winrt-windows-devices-bluetooth": "MIT",  # macOS and Windows only
+    "winrt-runtime": "MIT",  # macOS and Windows only
+    "pyobjc-framework-libdispatch": "MIT",  # macOS and Windows only
+    "pyobjc-framework-corebluetooth": "MIT",  # macOS and Windows only
+    "pyobjc-framework-cocoa": "MIT",  # macOS and Windows only
+    "pyobjc-core": "MIT",  # macOS and Windows only
+    "brainflow": "MIT",
     "colorama": "BSD-3-Clause",  # Windows only
     "tzdata": "Apache-2.0",  # Windows only
     "cmeel-qhull": "Qhull",
@@ -56,9 +75,9 @@ Written by `make third-party`; do not edit. Versions are in `requirements/` and 
 
 ## Python packages
 
-They are installed from their own packages, with or without the extras `motion` and `ros`. The extra
-`ros-rclpy` also installs wheels of ROS 2, which have their licences (Apache-2.0, BSD-3-Clause) in their own
-metadata. Packages under the LGPL are used unmodified and can be replaced.
+They are installed from their own packages, with or without the extras `human-state`, `motion` and `ros`. The
+extra `ros-rclpy` also installs wheels of ROS 2, which have their licences (Apache-2.0, BSD-3-Clause) in
+their own metadata. Packages under the LGPL are used unmodified and can be replaced.
 
 """
 PAGE_INTRODUCTION = """
