@@ -1,0 +1,1 @@
+"""Sensor drivers: one folder each, with settings, a pure protocol parser, a driver and a simulator."""

@@ -1,0 +1,1 @@
+"""The values of human state, without input or output."""

@@ -1,0 +1,1 @@
+"""Signal to feature: streaming, bounded in memory, each value with its quality."""

@@ -1,0 +1,22 @@
+"""What a processor is: it turns samples of one signal of one sensor into features."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from services.human_state.model.features import Feature
+from services.human_state.model.signals import Samples, SensorReport
+
+
+class Processor(Protocol):
+    """Streaming analysis of one signal of one sensor, pure: no clock, no input, no output.
+
+    Memory is bounded by the longest window, whatever is fed.
+    """
+
+    def feed(self, samples: Samples) -> Sequence[Feature]:
+        """Take the next samples; return the features that they complete, oldest first."""
+        ...
+
+    def report(self, report: SensorReport) -> Sequence[Feature]:
+        """Take a fault or lost contact: no later value may depend on samples before and after it."""
+        ...
