@@ -154,14 +154,16 @@ class AuditLog:
         outcome: str = "done",
         method: str = "",
         text: str | None = None,
+        is_personal: bool = False,
     ) -> int:
         """Append a record in the transaction of `connection`; return its number.
 
+        `is_personal`: the resource names a person in another way than by the id of a Person.
         The row of the head is locked until the transaction ends, so that concurrent appends are ordered.
         """
         tables = self._tables
         seq, previous = self._next(connection)
-        resource = self._aliased(connection, resource[:400])
+        resource = self._aliased(connection, resource[:400], is_personal=is_personal)
         text = text[:MAX_TEXT_CHARACTERS] if text is not None else None
         salt = secrets.token_hex(_SALT_BYTES) if text is not None else ""
         values: dict[str, Any] = {
@@ -205,10 +207,10 @@ class AuditLog:
             return 1, GENESIS
         return int(row[0]), str(row[1])
 
-    def _aliased(self, connection: Connection, resource: str) -> str:
+    def _aliased(self, connection: Connection, resource: str, *, is_personal: bool) -> str:
         """Return the alias of a resource that names a person, a new one if necessary; others unchanged."""
         aliases = self._tables.aliases
-        if aliases is None or not resource.startswith(_PERSON):
+        if aliases is None or not (is_personal or resource.startswith(_PERSON)):
             return resource
         found = connection.execute(select(aliases.c.alias).where(aliases.c.name == resource)).scalar()
         if found is None:
@@ -228,6 +230,11 @@ class AuditLog:
             connection.execute(delete(aliases).where(aliases.c.name == name))
         gone = connection.execute(delete(texts).where(texts.c.subject.in_(names) | texts.c.about.in_(names)))
         return gone.rowcount
+
+    def aliased(self, connection: Connection) -> list[str]:
+        """Return the resources that have an alias."""
+        aliases = self._tables.aliases
+        return [] if aliases is None else list(connection.execute(select(aliases.c.name)).scalars())
 
     def expire(self, connection: Connection, before_ms: int) -> int:
         """Delete the records older than `before_ms` from the start of the chain; return how many."""

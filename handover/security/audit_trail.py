@@ -12,14 +12,19 @@ A service gives its `AuditTrail` to `create_app`. Each request to a route with a
 A request that cannot be recorded is answered with 503. Services and devices are not recorded: they act for
 processes and people whose acts are recorded where they are requested.
 
+Records that wait for the database at the same time share one transaction, so that many requests at once cost
+few of them.
+
 The action of a record is the method and the path of the route, the resource is what the permission was
 required for, and the text is the path that was requested. A transaction in another thread finds the act by
 `asyncio.to_thread`, which copies the context; a queue of changes keeps `current_request()` itself.
 """
 
 import asyncio
+import math
 import time
 from collections import OrderedDict
+from collections.abc import Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from threading import Lock
@@ -30,7 +35,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from handover.background_tasks import BackgroundTasks
 from handover.database import connect
-from handover.errors import Problem
+from handover.errors import Problem, UsageError
 from handover.migrations import migrate
 from handover.security.audit import AuditLog, AuditTables
 from handover.security.caller import Caller, CallerKind
@@ -47,6 +52,31 @@ DONE, REFUSED, FAILED = "done", "refused", "failed"
 _PRIVATE: Final = frozenset({Permission.READ_HEALTH_DATA, Permission.READ_STUDIES})
 _UNRECORDED: Final = frozenset({CallerKind.SERVICE, CallerKind.DEVICE})
 _current: ContextVar["AuditedRequest | None"] = ContextVar("handover_act", default=None)
+
+
+@dataclass(frozen=True, slots=True)
+class AuditEntry:
+    """A record to append. `is_personal`: the resource names a person, so the record has an alias of it."""
+
+    caller: Caller
+    action: str
+    resource: str
+    outcome: str
+    text: str
+    is_personal: bool = False
+
+    def append(self, log: AuditLog, connection: Connection) -> None:
+        """Append it to `log` in the transaction of `connection`."""
+        log.append(
+            connection,
+            self.caller.subject,
+            self.action,
+            resource=self.resource,
+            outcome=self.outcome,
+            method=self.caller.kind,
+            text=self.text,
+            is_personal=self.is_personal,
+        )
 
 
 @dataclass(slots=True)
@@ -71,7 +101,7 @@ class AuditedRequest:
     @property
     def is_relevant(self) -> bool:
         """Return whether the audit trail has acts of this caller with this permission."""
-        if self.caller is None or self.caller.kind in _UNRECORDED:
+        if self.caller is None or not is_recorded(self.caller):
             return False
         return self.is_change or self.permission in _PRIVATE
 
@@ -85,20 +115,17 @@ class AuditedRequest:
             return
         self._transaction = transaction
         self.is_recorded = True
-        self.write(connection, DONE)
+        self.entry(DONE).append(self.trail.log, connection)
 
-    def write(self, connection: Connection, outcome: str) -> None:
-        """Append the record with an outcome."""
+    def entry(self, outcome: str) -> AuditEntry:
+        """Return the record with an outcome."""
         assert self.caller is not None  # noqa: S101 - `is_relevant`
-        self.trail.log.append(
-            connection,
-            self.caller.subject,
-            self.action,
-            resource=self.resource,
-            outcome=outcome,
-            method=self.caller.kind,
-            text=self.path,
-        )
+        return AuditEntry(self.caller, self.action, self.resource, outcome, self.path)
+
+
+def is_recorded(caller: Caller) -> bool:
+    """Return whether the audit trail has acts of this caller: of people, stations and scripts."""
+    return caller.kind not in _UNRECORDED
 
 
 def begin_request(trail: "AuditTrail", action: str, path: str) -> AuditedRequest:
@@ -142,6 +169,9 @@ class AuditTrail:
         self._opening = Lock()
         self._repeated: OrderedDict[tuple[str, str, str], float] = OrderedDict()
         self._tasks = BackgroundTasks(f"audit of {service}")
+        self._waiting: list[tuple[AuditEntry, asyncio.Future[None]]] = []
+        self._turn = asyncio.Lock()
+        self._writing: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
         await asyncio.to_thread(self._opened)
@@ -171,14 +201,15 @@ class AuditTrail:
         outcome = DONE if status < 400 else REFUSED if status == 403 else FAILED
         if outcome == FAILED and status < 500:
             return  # the request was wrong and had no effect
-        if not act.is_change and (outcome != DONE or self._is_repeated(act)):
-            return
-        await self._store(act, outcome)
+        if act.is_change:
+            await self.store([act.entry(outcome)])
+        elif outcome == DONE:
+            await self.store_once([act.entry(outcome)])
 
     async def open(self, act: AuditedRequest) -> None:
         """Record that a stream begins. Raises `Problem` 503."""
         if act.is_relevant:
-            await self._store(act, DONE)
+            await self.store([act.entry(DONE)])
 
     async def record(self, caller: Caller, action: str, resource: str) -> None:
         """Record what is no request to a route. Raises `Problem` 503."""
@@ -188,30 +219,62 @@ class AuditTrail:
 
         await self.read(append)
 
-    async def _store(self, act: AuditedRequest, outcome: str) -> None:
+    async def store(self, entries: Sequence[AuditEntry]) -> None:
+        """Append records. Raises `Problem` 503 if the database does not accept them."""
+        loop = asyncio.get_running_loop()
+        stored = [(entry, loop.create_future()) for entry in entries]
+        self._waiting += stored
+        async with self._turn:
+            if self._waiting:
+                batch, self._waiting = self._waiting, []
+                self._writing = loop.create_task(self._write(batch))
+                await asyncio.shield(self._writing)  # others wait for it, too
+        for _, future in stored:
+            await future
+
+    async def _write(self, batch: Sequence[tuple[AuditEntry, asyncio.Future[None]]]) -> None:
         def append() -> None:
             with self._opened().begin() as connection:
-                act.write(connection, outcome)
+                for entry, _ in batch:
+                    entry.append(self.log, connection)
 
+        reason = None
         try:
             await asyncio.to_thread(append)
-        except SQLAlchemyError as error:
+        except (SQLAlchemyError, UsageError) as error:
             reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
-            raise Problem(
-                503, "Not recorded", f"the audit log cannot be written, so the request is refused: {reason}"
-            ) from None
+        for _, future in batch:
+            if future.done():
+                continue  # the request was cancelled
+            if reason is None:
+                future.set_result(None)
+            else:
+                future.set_exception(
+                    Problem(
+                        503,
+                        "Not recorded",
+                        f"the audit log cannot be written, so the request is refused: {reason}",
+                    )
+                )
 
-    def _is_repeated(self, act: AuditedRequest) -> bool:
-        assert act.caller is not None  # noqa: S101 - `is_relevant`
-        key, now_s = (act.caller.subject, act.action, act.resource), time.monotonic()
-        last_s = self._repeated.get(key)
-        if last_s is not None and now_s - last_s < REPEAT_S:
-            return True
-        self._repeated[key] = now_s
-        self._repeated.move_to_end(key)
-        if len(self._repeated) > MAX_REMEMBERED:
+    async def store_once(self, entries: Sequence[AuditEntry]) -> None:
+        """Append records of reads, without those that were recorded in the last `REPEAT_S`.
+
+        Raises `Problem` 503 if the database does not accept them.
+        """
+        now_s = time.monotonic()
+        new = {_read_of(one): one for one in entries if self._read_s(one) <= now_s - REPEAT_S}
+        if not new:
+            return
+        await self.store(list(new.values()))
+        for read in new:
+            self._repeated[read] = now_s
+            self._repeated.move_to_end(read)
+        while len(self._repeated) > MAX_REMEMBERED:
             self._repeated.popitem(last=False)
-        return False
+
+    def _read_s(self, entry: AuditEntry) -> float:
+        return self._repeated.get(_read_of(entry), -math.inf)
 
     async def _expire(self) -> None:
         days = self._settings.audit_retention_days
@@ -232,3 +295,7 @@ class AuditTrail:
                 return function(connection)
 
         return await asyncio.to_thread(run)
+
+
+def _read_of(entry: AuditEntry) -> tuple[str, str, str]:
+    return entry.caller.subject, entry.action, entry.resource

@@ -14,6 +14,7 @@ from handover.errors import Problem
 from handover.security.authentication import Guard
 from handover.security.caller import Caller
 from handover.telemetry import get_logger
+from services.context_broker.access.access_record import AccessLog, AccessRecord
 from services.context_broker.access.authorization import Authorization
 from services.context_broker.api.application import BrokerApplication
 from services.context_broker.api.request_metrics import RequestMetrics
@@ -69,6 +70,8 @@ class Broker:
         self.authorization = Authorization(self.guard, settings)
         self.journal = journal
         self.tenants = Tenants(journal, settings)
+        self.access_log = AccessLog(settings, self.tenants, self.authorization.health_types)
+        self.audit = self.access_log.trail
         policy, ca_files = settings.outbound_policy(), settings.ca_files
         self.contexts = ContextResolver(
             self._keep_documents,
@@ -123,6 +126,8 @@ class Broker:
         self.tenants.ends.start()
         await self.federation.start(self.journal)
         self.retention.start()
+        if self.guard.has_accounts():
+            await self.access_log.start()
         ENTITIES.set_function(self.tenants.entities)
         gc.set_threshold(*GC_THRESHOLDS)
         gc.freeze()  # what was loaded stays
@@ -131,6 +136,7 @@ class Broker:
     async def stop(self) -> None:
         """Commit what is pending, and close."""
         await self.guard.__aexit__()
+        await self.access_log.stop()
         for task in self._running:
             task.cancel("the broker stops")
         self.tenants.ends.stop()
@@ -157,20 +163,46 @@ class Broker:
         await read(request, body, self.settings.broker_max_body_bytes)
         started_s = time.perf_counter()
         try:
-            answer = await self._execute(operation, request, names, caller)
+            if self.access_log.has_records_of(caller):
+                answer = await self._execute_recorded(operation, request, names, caller)
+            else:
+                answer = await self._execute(operation, request, names, caller)
         except Problem as problem:
             answer = problem_response(problem)
         answer = with_echoed_headers(request, answer)
         REQUESTS.note(operation.title, answer.status, time.perf_counter() - started_s)
         return answer
 
-    async def _execute(
+    async def _execute_recorded(
         self, operation: Operation, request: Request, names: tuple[str, ...], caller: Caller
+    ) -> Response:
+        """Execute an operation, and record what it has changed and which private data it has read."""
+        tenant = b"" if operation.of_no_tenant else request.headers.get(b"ngsild-tenant", b"")
+        rights = self.authorization.rights_of(caller, tenant.decode("latin-1"))
+        record = AccessRecord(rights, operation, request, names)
+        try:
+            answer = await self._execute(operation, request, names, caller, record)
+        except Problem as problem:
+            await self.access_log.finish(record, problem.status)
+            raise
+        except Exception:
+            await self.access_log.finish(record, 500)
+            raise
+        await self.access_log.finish(record, answer.status)
+        return answer
+
+    async def _execute(
+        self,
+        operation: Operation,
+        request: Request,
+        names: tuple[str, ...],
+        caller: Caller,
+        record: AccessRecord | None = None,
     ) -> Response:
         named = b"" if operation.of_no_tenant else request.headers.get(b"ngsild-tenant", b"")
         tenant = self.tenants.of(named, makes=operation.makes_tenant)
         try:
-            visible = self.authorization.tenant_for(caller, operation, request, names, tenant)
+            visible = self.authorization.tenant_for(caller, operation, request, names, tenant, record)
             context = RequestContext(request, names, self.contexts, visible)
             if request.parameters:
                 context.require_known(operation.parameters)

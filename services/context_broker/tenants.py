@@ -44,6 +44,7 @@ class Tenant:
             self.notifier.deliver,
             recorder=tenants.recorder,
             ends=tenants.ends,
+            on_deletion=lambda entity: tenants.on_deletion(name, entity),
         )
         self.notifier.store = self.store
         self.federation = tenants.federation_of(self)
@@ -103,6 +104,8 @@ class Tenants:
         self._tenants: dict[str, Tenant] = {}
         self.federation_of: Callable[[Tenant], TenantFederation] = lambda _: LocalTenant()
         """Creates the federation state of a new tenant."""
+        self.on_deletion: Callable[[str, Entity], None] = lambda *_: None
+        """Called with the tenant's name and an entity that was deleted."""
         self._identity = ""
 
     def alias_of(self, tenant: str) -> str:

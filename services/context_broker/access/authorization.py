@@ -9,20 +9,19 @@ only. A Person is created, changed and deleted by our services, or with the perm
 
 import copy
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import orjson
 
 from handover.errors import Problem
-from handover.security.authentication import Guard
+from handover.security.authentication import Guard, not_allowed
 from handover.security.caller import LOCAL_OWNER, Caller, CallerKind
 from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
 from services.context_broker.access.operation_access import OperationAccess, access_of
-from services.context_broker.access.restricted_store import RestrictedStore
+from services.context_broker.access.restricted_store import Recording, RestrictedStore
 from services.context_broker.model.entity import Entity, Event
-from services.context_broker.model.problems import access_denied
 from services.context_broker.request.request_context import Request
 from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
@@ -60,7 +59,7 @@ class Rights:
         """Return whether the caller may see `entity`."""
         if not self.may(Permission.READ, entity.id):
             return False
-        return not _is_of(entity, self.health_types) or self.may(Permission.READ_HEALTH_DATA, entity.id)
+        return not is_of(entity, self.health_types) or self.may(Permission.READ_HEALTH_DATA, entity.id)
 
     def refusal(self, event: Event) -> Problem | None:
         """Return why the caller may not make a change; None if it may."""
@@ -70,13 +69,13 @@ class Rights:
             return self.denied(Permission.WRITE_ENTITIES, entity.id)
         ends = [one for one in (event.before, event.after) if one is not None]
         is_service = self.caller.kind is CallerKind.SERVICE
-        if not is_service and any(_is_of(one, _PEOPLE) for one in ends):
+        if not is_service and any(is_of(one, _PEOPLE) for one in ends):
             return (
                 None
                 if self.may(Permission.MANAGE_PEOPLE, entity.id)
                 else self.denied(Permission.MANAGE_PEOPLE, entity.id)
             )
-        if any(_is_of(one, self.health_types) for one in ends) and not self.may(
+        if any(is_of(one, self.health_types) for one in ends) and not self.may(
             Permission.READ_HEALTH_DATA, entity.id
         ):
             return self.denied(Permission.READ_HEALTH_DATA, entity.id)
@@ -84,12 +83,7 @@ class Rights:
 
     def denied(self, permission: Permission, entity_id: str = ANY_RESOURCE) -> Problem:
         """The caller lacks a permission."""
-        resource = self.prefix + entity_id
-        where = "everything" if resource == ANY_RESOURCE else resource
-        return access_denied(
-            f'"{self.caller.name}" has no permission "{permission}" for {where}; an admin can grant a role '
-            "that has it"
-        )
+        return not_allowed(self.caller, permission, self.prefix + entity_id)
 
     def is_unrestricted(self) -> bool:
         """Return whether the caller may see and change every entity of the tenant."""
@@ -101,18 +95,31 @@ class Rights:
         )
 
 
+def resource_prefix(tenant: str, own_tenant: str) -> str:
+    """Return what the resources of a tenant begin with; `own_tenant` is that of our own services."""
+    if tenant == "" and own_tenant:
+        return "default/"
+    return "" if tenant in {"", own_tenant} else f"{tenant}/"
+
+
 class Authorization:
     """Checks the requests of a broker."""
 
     def __init__(self, guard: Guard, settings: BrokerSettings) -> None:
         self._guard = guard
         self._own_tenant = settings.broker_tenant or ""
-        self._health_types = frozenset(settings.broker_health_types)
+        self.health_types = frozenset(settings.broker_health_types)
 
-    def tenant_for(
-        self, caller: Caller, operation: Operation, request: Request, names: tuple[str, ...], tenant: Tenant
+    def tenant_for(  # noqa: PLR0917 - internal
+        self,
+        caller: Caller,
+        operation: Operation,
+        request: Request,
+        names: tuple[str, ...],
+        tenant: Tenant,
+        recording: Recording | None = None,
     ) -> Tenant:
-        """Return `tenant` as `caller` may use it for an operation.
+        """Return `tenant` as `caller` may use it for an operation; `recording` notes what it does.
 
         Raises a problem: 403 without the permission, 503 if a revocation may have been missed.
         """
@@ -120,18 +127,20 @@ class Authorization:
             return tenant
         if access_of(operation) is OperationAccess.OWN_CREDENTIAL:
             return tenant
-        prefix = "" if tenant.name in {"", self._own_tenant} else f"{tenant.name}/"
-        if tenant.name == "" and self._own_tenant:
-            prefix = "default/"
-        rights = Rights(caller, prefix, self._health_types)
+        rights = self.rights_of(caller, tenant.name)
         self._require(rights, operation, request, names)
-        if rights.is_unrestricted():
+        is_unrestricted = rights.is_unrestricted()
+        if is_unrestricted and recording is None:
             return tenant
-        if b"ngsild-snapshot" in request.headers:
+        if not is_unrestricted and b"ngsild-snapshot" in request.headers:
             raise rights.denied(Permission.WRITE_ENTITIES)
         restricted = copy.copy(tenant)
-        restricted.store = RestrictedStore(tenant.store, rights.shows, rights.refusal)
+        restricted.store = RestrictedStore(tenant.store, rights.shows, rights.refusal, recording)
         return restricted
+
+    def rights_of(self, caller: Caller, tenant: str) -> Rights:
+        """Return the rights of `caller` in a tenant."""
+        return Rights(caller, resource_prefix(tenant, self._own_tenant), self.health_types)
 
     def _require(
         self, rights: Rights, operation: Operation, request: Request, names: tuple[str, ...]
@@ -175,12 +184,13 @@ class Authorization:
         )
         texts = [one for one in types if isinstance(one, str) and one != ANY_RESOURCE]
         if not texts or len(texts) < len(types):
-            raise access_denied(
-                f'"{rights.caller.name}" has no permission "{Permission.READ_HEALTH_DATA}", so each selector '
-                "of a subscription names a type; add `entities` with a `type` each"
+            raise replace(
+                rights.denied(Permission.READ_HEALTH_DATA),
+                detail=f'"{rights.caller.name}" has no permission "{Permission.READ_HEALTH_DATA}", so each '
+                "selector of a subscription names a type; add `entities` with a `type` each",
             )
-        named = {_short_name(name) for one in texts for name in _NAME.findall(one)}
-        if not named.isdisjoint(self._health_types):
+        named = {short_name(name) for one in texts for name in _NAME.findall(one)}
+        if not named.isdisjoint(self.health_types):
             raise rights.denied(Permission.READ_HEALTH_DATA)
 
 
@@ -208,11 +218,11 @@ def _ids_in(body: bytes) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _is_of(entity: Entity, kinds: frozenset[str]) -> bool:
+def is_of(entity: Entity, kinds: frozenset[str]) -> bool:
     """Return whether one of the types of an entity (IRIs) has a name of `kinds`, in any vocabulary."""
-    return any(_short_name(kind) in kinds for kind in entity.types)
+    return any(short_name(kind) in kinds for kind in entity.types)
 
 
-def _short_name(kind: str) -> str:
+def short_name(kind: str) -> str:
     """Return the last part of a type, which may be an IRI of any vocabulary."""
     return kind.rpartition("/")[2].rpartition("#")[2]

@@ -7,6 +7,7 @@ with a problem.
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol
 
 from handover.errors import Problem
 from services.context_broker.model.entity import Entity, Event
@@ -16,17 +17,35 @@ from services.context_broker.query.type_selection import TypeSelection
 from services.context_broker.storage.store import OverlayStore, Store
 
 
+class Recording(Protocol):
+    """Notes which entities a request reads and changes."""
+
+    def note_read(self, entities: Iterable[Entity]) -> None:
+        """Note that the response contains `entities`."""
+
+    def note_change(self, event: Event, *, is_refused: bool) -> None:
+        """Note a change, or that it was refused."""
+
+
 class RestrictedStore(Store):
-    """A view of `store`: `shows` selects visible entities, `refusal` gives the reason against a change."""
+    """A view of `store`: `shows` selects visible entities, `refusal` gives the reason against a change.
+
+    `recording` notes what is read and changed, if the caller is recorded.
+    """
 
     def __init__(
-        self, store: Store, shows: Callable[[Entity], bool], refusal: Callable[[Event], Problem | None]
+        self,
+        store: Store,
+        shows: Callable[[Entity], bool],
+        refusal: Callable[[Event], Problem | None],
+        recording: Recording | None = None,
     ) -> None:
         super().__init__(store.tenant, store._commits, store._places, store._announce, store._deliver)
         self.type_statistics = store.type_statistics
         self._store = store
         self._shows = shows
         self._refusal = refusal
+        self._recording = recording
 
     def __len__(self) -> int:
         return len(self.candidates())
@@ -34,6 +53,11 @@ class RestrictedStore(Store):
     def shows(self, entity: Entity) -> bool:
         """Return whether the caller may see `entity`."""
         return self._shows(entity)
+
+    def note_read(self, entities: Iterable[Entity]) -> None:
+        """Note that a response contains `entities`."""
+        if self._recording is not None:
+            self._recording.note_read(entities)
 
     def get(self, entity_id: str) -> Entity | None:
         """Return the committed entity if the caller may see it."""
@@ -62,6 +86,8 @@ class RestrictedStore(Store):
     def stage(self, event: Event) -> asyncio.Future[None]:
         """Start to write a change; the future fails with a problem (403) if the caller may not make it."""
         refusal = self._refusal(event)
+        if self._recording is not None:
+            self._recording.note_change(event, is_refused=refusal is not None)
         if refusal is None:
             return self._store.stage(event)
         refused: asyncio.Future[None] = asyncio.get_running_loop().create_future()

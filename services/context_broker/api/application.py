@@ -13,7 +13,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from shutil import disk_usage
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from prometheus_client import Gauge
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -35,6 +35,13 @@ from services.context_broker.request.request_context import (
 from services.context_broker.storage.journal import Journal, NotStored
 
 if TYPE_CHECKING:
+    from fastapi import FastAPI
+    from sqlalchemy import Connection
+
+    from handover.security.audit import AuditLog
+    from handover.security.audit_trail import AuditTrail
+    from handover.security.authentication import Guard
+    from handover.security.caller import Caller
     from handover.service import Check
 
 log = get_logger(__name__)
@@ -48,6 +55,8 @@ class Broker(Protocol):
     """What the application needs of a broker."""
 
     journal: Journal
+    guard: "Guard"
+    audit: "AuditTrail"
 
     async def start(self) -> None:
         """Load the database and serve."""
@@ -72,7 +81,7 @@ class BrokerApplication:
         self._is_serving = False
         self._standby_reason = ""
         self._checks: Mapping[str, Check] = {"database": self._check_database, "storage": self._check_storage}
-        self._rest: ASGIApp | None = None
+        self._rest: FastAPI | None = None
         self.protocol = None if over_asgi else partial(BrokerProtocol, handler=self.answer)
 
     def open(self) -> None:
@@ -162,7 +171,16 @@ class BrokerApplication:
                 description="An NGSI-LD broker (ETSI GS CIM 009). NGSI-LD itself is under /ngsi-ld/v1.",
                 checks=self._checks,
             )
+            self._rest.state.audit = None
+            service.add_audit_routes(self._rest, _PresentAudit(self))
+        self._rest.state.guard = self._broker.guard
         return self._rest
+
+    def audit(self) -> "AuditTrail":
+        """Return the audit trail of this broker. Raises `Problem` 503 while it is a standby."""
+        if not self._is_serving:
+            raise is_standby(self._standby_reason)
+        return self._broker.audit
 
     async def answer(self, request: Request, body: bytes | Receive) -> Response | None:
         """Return the response to an NGSI-LD request; None if the client has disconnected."""
@@ -195,3 +213,24 @@ class BrokerApplication:
             free = disk_usage(self._data_dir).free
             raise NotStored(f"{self._data_dir} ({free} bytes free) does not take changes: {error}") from error
         require_storage(self._data_dir)
+
+
+class _PresentAudit:
+    """The audit log of the broker that serves now, for the routes of all audit logs."""
+
+    def __init__(self, application: BrokerApplication) -> None:
+        self._application = application
+
+    @property
+    def service(self) -> str:
+        return self._application.audit().service
+
+    @property
+    def log(self) -> "AuditLog":
+        return self._application.audit().log
+
+    async def read(self, function: Callable[["Connection"], Any], /) -> Any:
+        return await self._application.audit().read(function)
+
+    async def record(self, caller: "Caller", action: str, resource: str, /) -> None:
+        await self._application.audit().record(caller, action, resource)

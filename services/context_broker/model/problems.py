@@ -46,11 +46,6 @@ def not_supported(detail: str) -> Problem:
     return Problem(422, "Operation not supported", detail, ERRORS + "OperationNotSupported")
 
 
-def access_denied(detail: str) -> Problem:
-    """The caller lacks a permission; the standard has no error type for it (clause 5.5.2)."""
-    return Problem(403, "Not allowed", detail)
-
-
 def too_many_results(detail: str) -> Problem:
     """The result is larger than the broker returns."""
     return Problem(403, "Too many results", detail, ERRORS + "TooManyResults")

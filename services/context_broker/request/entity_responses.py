@@ -35,6 +35,7 @@ def entity_answer(request: RequestContext, entity: Entity, showing: Showing) -> 
     """Return a response with one entity; with flat linked ones it is a list, even of one (4.5.23.3)."""
     if showing.join is not None and showing.join.is_flat:
         return Response(200, *_list_body(request, [entity], showing))
+    showing = _noted(request, [entity], showing)
     accept, context = request.accept(WITH_GEO_JSON), showing.context
     if accept == GEO_JSON:
         (feature,) = _features(request, [entity], showing)
@@ -74,6 +75,7 @@ def entities_answer(
 def _list_body(
     request: RequestContext, entities: list[Entity], showing: Showing
 ) -> tuple[bytes, list[tuple[bytes, bytes]]]:
+    showing = _noted(request, entities, showing)
     accept, context = request.accept(WITH_GEO_JSON), showing.context
     if accept == GEO_JSON:
         in_body = has_context_in_body(request)
@@ -85,6 +87,22 @@ def _list_body(
         texts = (with_context(text, context) for text in texts)
         headers = [(b"content-type", JSON_LD.encode())]
     return b"[" + b",".join(texts) + b"]", headers
+
+
+def _noted(request: RequestContext, entities: list[Entity], showing: Showing) -> Showing:
+    """Note which entities the response contains, the linked ones as they are found."""
+    store = request.tenant.store
+    store.note_read(entities)
+    if showing.join is None:
+        return showing
+
+    def lookup(entity_id: str) -> Entity | None:
+        found = showing.lookup(entity_id)
+        if found is not None:
+            store.note_read((found,))
+        return found
+
+    return showing._replace(lookup=lookup)
 
 
 def _texts(entities: list[Entity], showing: Showing) -> Iterable[bytes]:

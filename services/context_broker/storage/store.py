@@ -82,7 +82,7 @@ class Store:
 
     `announce` returns the notifications of a change, `deliver` sends them once they are committed. `places`
     returns the next sequence number; `recorder` records history (None: no history); `ends` deletes transient
-    entities.
+    entities; `on_deletion` is called with each entity whose deletion is durable.
     """
 
     def __init__(
@@ -95,6 +95,7 @@ class Store:
         *,
         recorder: Recorder | None = None,
         ends: ExpiryQueue | None = None,
+        on_deletion: Callable[[Entity], None] = lambda _: None,
     ) -> None:
         self.tenant = tenant
         self._commits = commits
@@ -104,6 +105,7 @@ class Store:
         self._recorder = recorder
         self.type_statistics = TypeStatistics()
         self._ends = ends
+        self._on_deletion = on_deletion
         self._every = OrderedEntities()
         self._by_type: dict[str, OrderedEntities] = {}
         self._indexes: dict[str, AttributeIndex] = {}
@@ -122,6 +124,15 @@ class Store:
     def shows(self, entity: Entity) -> bool:  # noqa: ARG002 - a restricted store decides
         """Return whether the reader of this store may see `entity`."""
         return True
+
+    def note_read(self, entities: Iterable[Entity]) -> None:
+        """Note that a response contains `entities`; a recording store does."""
+
+    def entities_of(self, is_wanted: Callable[[str], bool]) -> Iterator[Entity]:
+        """Yield the entities with a type (an IRI) that is wanted."""
+        for kind, ranks in self._by_type.items():
+            if is_wanted(kind):
+                yield from ranks.by_id.values()
 
     def get(self, entity_id: str) -> Entity | None:
         """Return the committed entity."""
@@ -236,6 +247,8 @@ class Store:
         self._put(before, event.after, event.written if before is event.before else None)
         if staged.notices:
             self._deliver(staged.notices)
+        if event.after is None:
+            self._on_deletion(entity)
 
     def forget_staged(self) -> None:
         """Drop all staged changes: the disk has refused them."""
@@ -317,6 +330,10 @@ class OverlayStore(Store):
         """By entity, the registrations it comes from, and `@none` for this broker (clause 5.2.39)."""
         self._store = store
         self._others = others
+
+    def note_read(self, entities: Iterable[Entity]) -> None:
+        """Note it as the store of the tenant does."""
+        self._store.note_read(entities)
 
     def get(self, entity_id: str) -> Entity | None:
         """Return the merged entity, or the committed one."""

@@ -124,6 +124,7 @@ class TemporalOperations:
         if answered is None:
             raise absent(entity_id)
         found, (text,) = answered
+        _note_read(request, found)
         if text in {b"{}", with_context(b"{}", options.context)}:
             raise nothing_left(entity_id)
         return _answer(text, found, options)
@@ -190,6 +191,7 @@ class TemporalOperations:
             return found, _texts(found, options)
 
         found, texts = await self._looked(look)
+        _note_read(request, found)
         answer = _answer(b"[" + b",".join(texts) + b"]", found, options)
         if window.count:
             answer.headers.append((b"ngsild-results-count", str(found.total).encode()))
@@ -203,6 +205,12 @@ class TemporalOperations:
             return await asyncio.get_running_loop().run_in_executor(self._readers, look)
         except NotStored as error:
             raise not_read(str(error)) from error
+
+
+def _note_read(request: RequestContext, found: EvolutionPage) -> None:
+    store = request.tenant.store
+    subjects = (one.subject for one in found.evolutions)
+    store.note_read(store.get(one.id) or one.as_entity() for one in subjects)
 
 
 def _texts(found: EvolutionPage, options: _ReadOptions) -> list[bytes]:

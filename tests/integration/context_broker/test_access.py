@@ -1,5 +1,6 @@
 """With accounts, callers see and change what their grants include, and nothing else."""
 
+import sqlite3
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -7,14 +8,17 @@ from typing import Any
 import httpx
 import pytest
 
-from handover.security import revocations
+from handover.security import audit_chains, revocations
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.caller import Caller, CallerKind
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import OWNER_GRANTS, Grant, Role
+from handover.settings import Settings
 from services.context_broker.app import create_broker
 from services.context_broker.settings import BrokerSettings
+from tests.kit.waiting import until
 
+ROOT = "http://localhost"
 KEY = SigningKey.generate()
 ROBOT = "urn:ngsi-ld:Device:demo:ur10-1"
 OTHER_ROBOT = "urn:ngsi-ld:Device:demo:ur10-2"
@@ -22,6 +26,7 @@ ANNA = "urn:ngsi-ld:Person:demo:anna"
 STATE = "urn:ngsi-ld:HumanState:demo:anna"
 HEALTH = {
     "type": "HumanState",
+    "refPerson": {"type": "Relationship", "object": ANNA},
     "heartRate": {"type": "Property", "value": 72, "observedAt": "2026-11-01T10:00:00Z"},
 }
 
@@ -30,8 +35,8 @@ def entity(entity_id: str, kind: str, **attributes: Any) -> dict[str, Any]:
     return {"id": entity_id, "type": kind, **attributes}
 
 
-def token(*grants: Grant, kind: CallerKind = CallerKind.USER) -> dict[str, str]:
-    caller = Caller(kind, "subject-1", "Anna", grants)
+def token(*grants: Grant, kind: CallerKind = CallerKind.USER, subject: str = "subject-1") -> dict[str, str]:
+    caller = Caller(kind, subject, "Anna", grants)
     return {"Authorization": f"Bearer {KEY.issue(caller, valid_s=600)}"}
 
 
@@ -218,3 +223,146 @@ async def test_no_operation_of_a_caller_without_a_grant_changes_anything(
             is_query = "query" in operation.path or "entityMaps" in operation.path
             assert is_query or answer.status_code in {400, 401, 403, 404}, (operation.title, answer.text)
     assert await content() == before
+
+
+AUDITOR = token(Grant(Role.ADMIN), subject="auditor")
+
+
+async def records(http: httpx.AsyncClient, **chosen: str) -> list[tuple[str, str, str]]:
+    """Return action, resource and outcome of the audit records, oldest first."""
+    answer = await http.get(f"{ROOT}/audit", params=chosen, headers=AUDITOR)
+    assert answer.status_code == 200, answer.text
+    return [(one["action"], one["resource"], one["outcome"]) for one in reversed(answer.json())]
+
+
+async def test_a_refusal_names_the_permission_and_the_roles_that_have_it(http: httpx.AsyncClient) -> None:
+    answer = await http.delete(f"/entities/{OTHER_ROBOT}", headers=VIEWER)
+    assert (answer.status_code, answer.json()["permission"]) == (403, "writeEntities")
+    assert (answer.json()["roles"], answer.json()["resource"]) == (["engineer"], OTHER_ROBOT)
+    subscription = {
+        "type": "Subscription",
+        "watchedAttributes": ["heartRate"],
+        "notification": {"endpoint": {"uri": "http://127.0.0.1:9/notifications"}},
+    }
+    refused = (await http.post("/subscriptions", json=subscription, headers=ENGINEER)).json()
+    assert (refused["permission"], refused["roles"]) == ("readHealthData", ["researcher"])
+    assert "add `entities`" in refused["detail"]
+
+
+async def test_who_changes_an_entity_is_recorded_and_services_are_not(http: httpx.AsyncClient) -> None:
+    assert await records(http) == [], "what a service has created"
+    change = {"deviceState": {"type": "Property", "value": "busy"}}
+    path = f"/entities/{ROBOT}/attrs"
+    for caller in (SERVICE, token(Grant(Role.ENGINEER), kind=CallerKind.DEVICE), ENGINEER_OF_ONE):
+        assert (await http.patch(path, json=change, headers=caller)).status_code == 204
+    refused = await http.patch(f"/entities/{OTHER_ROBOT}/attrs", json=change, headers=ENGINEER_OF_ONE)
+    assert refused.status_code == 403
+    assert (await http.patch("/entities/urn:a:b/attrs", json=change, headers=ENGINEER)).status_code == 404
+    assert (await http.get(f"/entities/{ROBOT}", headers=ENGINEER)).status_code == 200
+    batch = [
+        entity(ROBOT, "Device", **change),
+        entity(OTHER_ROBOT, "Device", **change),
+        entity(ANNA, "Person"),
+    ]
+    answer = await http.post("/entityOperations/upsert", json=batch, headers=ENGINEER)
+    assert answer.status_code == 207, answer.text
+    patch, upsert = "PATCH entities/{id}/attrs", "POST entityOperations/upsert"
+    expected = [
+        (patch, ROBOT, "done"),
+        (patch, OTHER_ROBOT, "refused"),
+        (upsert, ROBOT, "done"),
+        (upsert, OTHER_ROBOT, "done"),
+        (upsert, ANNA, "refused"),
+    ]
+    assert await records(http) == expected
+    assert (await http.get(f"{ROOT}/audit", headers=ENGINEER)).status_code == 403
+    assert (await http.get(f"{ROOT}/audit/verification", headers=AUDITOR)).json()["fault"] is None
+
+
+async def test_subscribing_and_other_changes_of_a_tenant_are_recorded(http: httpx.AsyncClient) -> None:
+    body = {
+        "id": "urn:ngsi-ld:Subscription:1",
+        "type": "Subscription",
+        "entities": [{"type": "HumanState"}],
+        "notification": {"endpoint": {"uri": "http://127.0.0.1:9/notifications"}},
+    }
+    assert (await http.post("/subscriptions", json=body, headers=OWNER)).status_code == 201
+    assert (await http.get("/subscriptions", headers=OWNER)).status_code == 200
+    clinic = {"NGSILD-Tenant": "clinic"}
+    assert (await http.post("/entities", json=entity(ROBOT, "Device"), headers=OWNER | clinic)).is_success
+    assert await records(http) == [
+        ("POST subscriptions", body["id"], "done"),
+        ("POST entities", f"clinic/{ROBOT}", "done"),
+    ]
+
+
+EVER = "timerel=after&timeAt=1970-01-01T00:00:00Z"
+READS = {
+    "one": ("GET", f"/entities/{STATE}", None),
+    "its values only": ("GET", f"/entities/{STATE}?options=keyValues&pick=heartRate", None),
+    "all": ("GET", "/entities?local=true", None),
+    "batch": ("POST", "/entityOperations/query", {"type": "Query", "entities": [{"type": "HumanState"}]}),
+    "linked": ("GET", f"/entities/{ROBOT}?join=inline&joinLevel=1", None),
+    "linked, flat": ("GET", f"/entities/{ROBOT}?join=flat&joinLevel=1", None),
+    "as a map": ("GET", "/entities?type=HumanState", {"Accept": "application/geo+json"}),
+    "history": ("GET", f"/temporal/entities/{STATE}", None),
+    "histories": (
+        "GET",
+        "/temporal/entities?type=HumanState&timerel=after&timeAt=1970-01-01T00:00:00Z",
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("read", READS.values(), ids=READS)
+async def test_who_reads_about_the_body_of_a_person_is_recorded_once(
+    http: httpx.AsyncClient, read: tuple[str, str, dict[str, Any] | None]
+) -> None:
+    method, path, more = read
+    headers = more if method == "GET" and more else {}
+    body = None if method == "GET" else more
+    for caller in (RESEARCHER, RESEARCHER, SERVICE, VIEWER):
+        answer = await http.request(method, path, json=body, headers=caller | headers)
+        assert answer.status_code in {200, 404}, answer.text
+    ((_, resource, outcome),) = await records(http)
+    assert (resource, outcome) == (ANNA, "done")
+    assert len(await records(http, subject="subject-1", resource="anna")) == 1
+
+
+async def test_reading_other_entities_is_not_recorded(http: httpx.AsyncClient) -> None:
+    assert await ids(http, RESEARCHER, type="Device") == {ROBOT, OTHER_ROBOT}
+    assert (await http.get(f"/entities/{ROBOT}", headers=RESEARCHER)).status_code == 200
+    assert await records(http) == []
+
+
+async def test_a_deleted_person_is_named_nowhere_in_the_audit_log(
+    http: httpx.AsyncClient, tmp_path: Path
+) -> None:
+    await http.get(f"/entities/{STATE}", headers=RESEARCHER)
+    change = {"state": {"type": "Property", "value": "away"}}
+    assert (await http.post(f"/entities/{ANNA}/attrs", json=change, headers=OWNER)).status_code == 204
+    assert {resource for _, resource, _ in await records(http)} == {ANNA}
+    assert (await http.delete(f"/entities/{ANNA}", headers=OWNER)).status_code == 204
+    assert {resource for _, resource, _ in await records(http)} == {ANNA}, "data about the body remains"
+    assert (await http.delete(f"/entities/{STATE}", headers=SERVICE)).status_code == 204
+
+    async def is_forgotten() -> bool:
+        return "anna" not in (await http.get(f"{ROOT}/audit", headers=AUDITOR)).text
+
+    await until(is_forgotten, why="the name is still there")
+    assert len(await records(http)) == 3
+    verified = (await http.get(f"{ROOT}/audit/verification", headers=AUDITOR)).json()
+    assert (verified["records"], verified["fault"]) == (3, None)
+    (chain,) = audit_chains.chains_of(Settings(data_dir=tmp_path, _env_file=None))
+    assert (chain.service, len(audit_chains.records_of([chain]))) == ("context-broker", 3)
+
+
+async def test_a_request_that_cannot_be_recorded_is_refused(http: httpx.AsyncClient, tmp_path: Path) -> None:
+    assert (await http.get(f"/entities/{STATE}", headers=RESEARCHER)).status_code == 200
+    with sqlite3.connect(tmp_path / "context-broker-audit.db") as database:
+        database.execute("DROP TABLE context_broker_audit")
+    change = {"state": {"type": "Property", "value": "away"}}
+    refused = await http.post(f"/entities/{ROBOT}/attrs", json=change, headers=ENGINEER)
+    assert (refused.status_code, refused.json()["title"]) == (503, "Not recorded")
+    assert (await http.get("/entities?type=HumanState", headers=OWNER)).status_code == 503
+    assert (await http.get(f"/entities/{STATE}", headers=SERVICE)).status_code == 200

@@ -6,7 +6,7 @@ import { queryClient } from "~/api/useServiceQuery";
 
 export type { AuditVerification, AuditView };
 
-export const AUDITED = ["accounts", "task-orchestrator", "gesture-controller", "trajectory-tool", "device-gateway", "alert-router", "study"] as const satisfies readonly Service[];
+export const AUDITED = ["accounts", "task-orchestrator", "gesture-controller", "trajectory-tool", "device-gateway", "alert-router", "study", "context-broker"] as const satisfies readonly Service[];
 export type Audited = (typeof AUDITED)[number];
 export const OUTCOMES = ["done", "refused", "failed"] as const;
 const PAGE = 100;
