@@ -1,0 +1,1 @@
+"""Features of several sensors become the state of one person, by quality."""

@@ -1,0 +1,99 @@
+"""Plausibility: which values of a sensor may be used.
+
+A value is plausible within the range of its kind, with a quality of 0.5 at least, and if it does not change
+faster than a body can. The first plausible value only starts a series: a value counts from the second one on
+that agrees with the one before. So a single outlier never counts, and neither does the first value after a
+fault, a lost contact or a pause.
+
+Example: 70, 71, 140, 72 bpm at 1 Hz. 70 starts the series, 71 counts, 140 is too fast (20 bpm/s at most) and
+starts a series of its own, 72 does not agree with 140 and starts another one; the next value near 72 counts.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from services.human_state.model.features import Feature, FeatureName, Status
+
+MIN_QUALITY: Final = 0.5
+STALE_S: Final = 3.0
+STALE_PERIODS: Final = 3.0
+MAX_PERIOD_S: Final = 60.0
+"""A sensor cannot extend its own staleness beyond three of these."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The plausible values of a feature, and how fast it changes, per second."""
+
+    lowest: float
+    highest: float
+    slew_per_s: float = math.inf
+
+
+RANGES: Final[Mapping[FeatureName, Range]] = {
+    FeatureName.HEART_RATE: Range(30.0, 220.0, 20.0),
+    FeatureName.BREATHING_RATE: Range(3.0, 70.0),
+    FeatureName.HRV_RMSSD: Range(0.0, 500.0),
+    FeatureName.HRV_SDNN: Range(0.0, 500.0),
+    FeatureName.SPO2: Range(50.0, 100.0),
+    FeatureName.EDA_TONIC: Range(0.0, 100.0),
+    FeatureName.SKIN_TEMPERATURE: Range(10.0, 45.0),
+    FeatureName.MOVEMENT: Range(0.0, math.inf),
+    FeatureName.LOAD: Range(0.0, math.inf),
+}
+"""Heart rate: the contract of human state. The others are what the human body can have."""
+
+
+def stale_after_s(period_s: float) -> float:
+    """Return the age at which a value with this period is stale; a period that is no number counts as 0."""
+    period = period_s if math.isfinite(period_s) and period_s > 0 else 0.0
+    return max(STALE_S, STALE_PERIODS * min(period, MAX_PERIOD_S))
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """The values of one feature of one sensor: the last plausible one, and how many agreed in a row."""
+
+    last: Feature | None = None
+    agreeing: int = 0
+
+    def take(self, feature: Feature) -> tuple["Series", Feature | None]:
+        """Return the series with the next value, and the value with its status.
+
+        None instead of a value: it starts a series and does not count yet, or it is older than the last one.
+        """
+        last = self.last
+        if not math.isfinite(feature.at_s) or (last is not None and feature.at_s <= last.at_s):
+            return self, None
+        if feature.status is Status.STALE:
+            return Series(), feature
+        if not _is_acceptable(feature):
+            return Series(), replace(feature, status=Status.IMPLAUSIBLE)
+        if last is None or feature.at_s - last.at_s > stale_after_s(last.period_s):
+            return Series(feature, 1), None
+        if not _is_reachable(last, feature):
+            return Series(feature, 1), replace(feature, status=Status.IMPLAUSIBLE)
+        return Series(feature, self.agreeing + 1), feature
+
+
+def _is_acceptable(feature: Feature) -> bool:
+    """Return whether status, quality and range are those of a usable value."""
+    if feature.status is not Status.VALID:
+        return False
+    if not (math.isfinite(feature.quality) and MIN_QUALITY <= feature.quality <= 1.0):
+        return False
+    if isinstance(feature.value, str):
+        return feature.name not in RANGES
+    limits = RANGES.get(feature.name, Range(-math.inf, math.inf))
+    return math.isfinite(feature.value) and limits.lowest <= feature.value <= limits.highest
+
+
+def _is_reachable(before: Feature, now: Feature) -> bool:
+    if isinstance(before.value, str) or isinstance(now.value, str):
+        return True
+    limits = RANGES.get(now.name)
+    if limits is None:
+        return True
+    return abs(now.value - before.value) <= limits.slew_per_s * (now.at_s - before.at_s) + 1e-9
