@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-load bench-sign-in bench-screen pictures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-load bench-sign-in bench-screen pictures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -72,6 +72,13 @@ up: setup  ## every service, with the simulated robot only
 
 test: setup  ## every check and every test
 	$(call checks_and_tests)
+
+# Six failed tests are no accident.
+test-failed: setup  ## every check, and alone the tests that failed in the last run, of which there may be five
+	@$(MAKE) --no-print-directory python-check page-check
+	@$(BIN)/python -c 'import json, sys; failed = json.load(open(".pytest_cache/v/cache/lastfailed")); print(*failed, sep="\n"); sys.exit(not 0 < len(failed) <= 5)' >build/failed-tests.txt
+	@echo "repeated alone:" && cat build/failed-tests.txt
+	@$(BIN)/pytest -n 0 @build/failed-tests.txt $(ARGS)
 
 # ROS 2 with Fast DDS from wheels, in a separate environment, because it starts more slowly and its types replace
 # ours. The wheels are for Python 3.11 on Linux.
