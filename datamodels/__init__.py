@@ -12,6 +12,7 @@ from datamodels.states import (
     AlertPriority,
     AlertState,
     DeviceState,
+    MeasurementStatus,
     Outcome,
     RequestedStatus,
     Severity,
@@ -19,16 +20,19 @@ from datamodels.states import (
 )
 
 if TYPE_CHECKING:
-    from datamodels.attributes import GeoProperty, Links, Property, Relationship, TaskLocation
+    from datamodels.attributes import GeoProperty, Links, Measurement, Property, Relationship, TaskLocation
     from datamodels.entities import (
         TYPES,
         Alert,
         Asset,
         Device,
         Entity,
+        HumanState,
         Location,
         Material,
         Person,
+        PhysiologicalSession,
+        PressureMat,
         Process,
         ProcessDefinition,
         ResourceSpecification,
@@ -50,11 +54,16 @@ __all__ = [
     "Entity",
     "Form",
     "GeoProperty",
+    "HumanState",
     "Links",
     "Location",
     "Material",
+    "Measurement",
+    "MeasurementStatus",
     "Outcome",
     "Person",
+    "PhysiologicalSession",
+    "PressureMat",
     "Process",
     "ProcessDefinition",
     "Property",

@@ -7,7 +7,7 @@ attributes) are stored in normalized form and written again.
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from enum import Enum
-from typing import Annotated, Any, ClassVar, Generic, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -31,6 +31,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from datamodels import forms
 from datamodels.forms import Bare
+from datamodels.states import MeasurementStatus
 from datamodels.times import Timestamp, as_written
 
 T = TypeVar("T")
@@ -93,6 +94,7 @@ Uri = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9+.-]*:\S+$")]
 Whole = Annotated[int, BeforeValidator(_whole)]
 Number = StrictInt | StrictFloat
 Fraction = Annotated[float, Field(ge=0, le=1, strict=True)]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Words = Annotated[tuple[str, ...], BeforeValidator(_as_list)]
 WordsOrObjects = Annotated[tuple[str | dict[str, Any], ...], BeforeValidator(_as_list)]
 Objects = Annotated[tuple[dict[str, Any], ...], BeforeValidator(_as_list)]
@@ -212,6 +214,34 @@ class Property(Attribute, Generic[T]):
 
     value: T
     unit_code: str | None = None
+
+
+class Measurement(Property[T], Generic[T]):
+    """A Property that was measured on a person: its quality from 0 to 1, status, method and sensor.
+
+    The fused value is the default instance. Each sensor has an instance of its own with a `datasetId`.
+    """
+
+    quality: "Property[Fraction] | None" = None
+    status: "Property[MeasurementStatus] | None" = None
+    method: "Property[str] | None" = None
+    observed_by: "Relationship | None" = None
+
+    def instances(self) -> tuple[Self, ...]:
+        """Return this instance and the others, each checked.
+
+        Raises ValidationError (pydantic) for another instance that is no such measurement.
+        """
+        return (
+            self.model_copy(update={"alternatives": ()}),
+            *(type(self).model_validate(one) for one in self.alternatives),
+        )
+
+    @classmethod
+    def _from_one(cls, given: Any) -> dict[str, Any]:
+        """Accept keyValues of several instances in any form, since no measurement is a JSON object."""
+        is_bare = forms.bare_instances(given) is not None
+        return cls._from_bare(given) if is_bare else super()._from_one(given)
 
 
 class Relationship(Attribute):

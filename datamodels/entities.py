@@ -27,6 +27,7 @@ from datamodels.attributes import (
     Fraction,
     GeoProperty,
     Links,
+    Measurement,
     Moment,
     Number,
     Numbers,
@@ -34,6 +35,7 @@ from datamodels.attributes import (
     Property,
     PropertyOrRelationship,
     Relationship,
+    Sha256,
     TaskLocation,
     Uri,
     Whole,
@@ -65,10 +67,13 @@ __all__ = [
     "DeviceState",
     "Entity",
     "Form",
+    "HumanState",
     "Location",
     "Material",
     "Outcome",
     "Person",
+    "PhysiologicalSession",
+    "PressureMat",
     "Process",
     "ProcessDefinition",
     "RequestedStatus",
@@ -384,6 +389,63 @@ class SpeedLimit(Entity):
     max_speed: Property[Number] | None = None
 
 
+class HumanState(Entity):
+    """How a person is, as sensors on and near the body measure it: one entity a Person.
+
+    Each attribute is a `Measurement` with `observed_at`: the fused value is the default instance, that of
+    each sensor has a `datasetId`. Units: heart rate `BPM`, breathing rate and cadence `C94` (per minute),
+    heart rate variability `C26` (ms), SpO2 `P1` (%), skin conductance `D80` (microsiemens), skin
+    temperature `CEL`. `movement`, `fatigue` and `stress` are fractions from 0 to 1. It is the record: a
+    control loop never waits for it, and it is no diagnosis.
+    """
+
+    ref_person: Relationship
+    heart_rate: Measurement[Number] | None = None
+    breathing_rate: Measurement[Number] | None = None
+    hrv_rmssd: Measurement[Number] | None = None
+    hrv_sdnn: Measurement[Number] | None = None
+    spo2: Measurement[Number] | None = None
+    eda_tonic: Measurement[Number] | None = None
+    skin_temperature: Measurement[Number] | None = None
+    movement: Measurement[Number] | None = None
+    steps: Measurement[Number] | None = None
+    cadence: Measurement[Number] | None = None
+    activity: Measurement[str] | None = None
+    posture: Measurement[str] | None = None
+    sleep_position: Measurement[str] | None = None
+    wear_state: Measurement[str] | None = None
+    exertion_level: Measurement[Number | str] | None = None
+    fatigue: Measurement[Number] | None = None
+    stress: Measurement[Number] | None = None
+
+
+class PressureMat(Entity):
+    """What a pressure mat measures of the person on it.
+
+    The centre of pressure is in mm (`MMT`) in the frame of the mat, to the right and to the front. `load` is
+    the fraction of the full scale of all cells, `active_cells` the number of cells with load.
+    """
+
+    ref_device: Relationship
+    cop_x: Measurement[Number] | None = None
+    cop_y: Measurement[Number] | None = None
+    load: Measurement[Number] | None = None
+    active_cells: Measurement[Whole] | None = None
+
+
+class PhysiologicalSession(Entity):
+    """A recording of body signals of a person: its URI, and the SHA-256 of the file in hexadecimal digits.
+
+    Until it ends it has neither `sha256` nor `end`.
+    """
+
+    ref_person: Relationship
+    start: Property[DateTime]
+    end: Property[DateTime] | None = None
+    recording: Property[Uri] | None = None
+    sha256: Property[Sha256] | None = None
+
+
 TYPES: dict[str, type[Entity]] = {
     model.ngsi_type(): model
     for model in (
@@ -399,6 +461,9 @@ TYPES: dict[str, type[Entity]] = {
         Person,
         Alert,
         SpeedLimit,
+        HumanState,
+        PressureMat,
+        PhysiologicalSession,
     )
 }
 """The models by entity type."""

@@ -1,4 +1,4 @@
-"""The enumerations of states: Task, requested action, outcome, device and Alert."""
+"""The enumerations of states: Task, requested action, outcome, device, Alert and measurement."""
 
 from enum import StrEnum
 
@@ -69,3 +69,11 @@ class AlertPriority(StrEnum):
     MEDIUM = "medium"
     HIGH = "high"
     CRITICAL = "critical"
+
+
+class MeasurementStatus(StrEnum):
+    """Whether a value of a body signal may be used; only a `valid` one may raise a speed limit."""
+
+    VALID = "valid"
+    STALE = "stale"
+    IMPLAUSIBLE = "implausible"

@@ -80,18 +80,25 @@ def _shortened(schema: dict[str, Any]) -> dict[str, Any]:
 
     This is shorter and independent of the names of pydantic's definitions.
     """
-    kinds = {name: made for name, made in schema["$defs"].items() if name.startswith("Property_")}
+    kinds = {
+        name: (made, common)
+        for name, made in schema["$defs"].items()
+        if (common := name.partition("_")[0]) in {"Property", "Measurement"} and "_" in name
+    }
     definitions = {name: made for name, made in schema["$defs"].items() if name not in kinds}
-    values = {name: made["properties"]["value"] for name, made in kinds.items()}
-    for made in kinds.values():
+    values = {name: (made["properties"]["value"], common) for name, (made, common) in kinds.items()}
+    for made, common in kinds.values():
         members = {key: value for key, value in made["properties"].items() if key != "value"}
-        definitions["Property"] = {**made, "properties": members}
+        definitions[common] = {**made, "properties": members}
     short: dict[str, Any] = _referred({**schema, "$defs": dict(sorted(definitions.items()))}, values)
     return short
 
 
-def _referred(schema: Any, values: Mapping[str, Any]) -> Any:
-    """Return the schema with each Property of `values` as the common one with a specific value."""
+def _referred(schema: Any, values: Mapping[str, tuple[Any, str]]) -> Any:
+    """Return the schema with each Property of `values` as the common one with a specific value.
+
+    A measurement may also be a list of instances.
+    """
     if isinstance(schema, list):
         return [_referred(item, values) for item in schema]
     if not isinstance(schema, Mapping):
@@ -99,8 +106,12 @@ def _referred(schema: Any, values: Mapping[str, Any]) -> Any:
     name = str(schema.get("$ref", "")).removeprefix("#/$defs/")
     if name not in values:
         return {key: _referred(value, values) for key, value in schema.items()}
-    value = _referred(values[name], values)
-    return {"$ref": "#/$defs/Property"} | ({"properties": {"value": value}} if value else {})
+    given, common = values[name]
+    value = _referred(given, values)
+    one = {"$ref": f"#/$defs/{common}"} | ({"properties": {"value": value}} if value else {})
+    if common == "Property":
+        return one
+    return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
 
 
 def _untitled(schema: Any) -> Any:

@@ -12,7 +12,9 @@ from datamodels import (
     DataModelError,
     Device,
     Entity,
+    HumanState,
     Links,
+    MeasurementStatus,
     Person,
     Property,
     Relationship,
@@ -354,3 +356,36 @@ def test_an_infinite_number_is_refused() -> None:
     }
     with pytest.raises(DataModelError, match='attribute "batteryLevel"'):
         Device.from_ngsild(device)
+
+
+def test_a_measurement_has_one_instance_a_sensor_and_each_is_checked() -> None:
+    fused = {"type": "Property", "value": 90.5, "quality": 0.9, "status": "valid", "method": "fused"}
+    strap = {"type": "Property", "value": 92, "status": "stale", "datasetId": "urn:ngsi-ld:Dataset:strap"}
+    state = HumanState.from_ngsild(
+        {
+            "id": "urn:ngsi-ld:HumanState:demo:p",
+            "refPerson": "urn:ngsi-ld:Person:demo:p",
+            "heartRate": [strap, fused],
+        }
+    )
+    assert state.heart_rate is not None
+    default, other = state.heart_rate.instances()
+    assert (default.value, default.alternatives) == (90.5, ())
+    assert other.value == 92
+    assert other.status is not None
+    assert other.status.value is MeasurementStatus.STALE
+    wrong = state.heart_rate.model_copy(update={"alternatives": ({**strap, "status": "good"},)})
+    with pytest.raises(ValidationError, match="stale"):
+        wrong.instances()
+
+
+@pytest.mark.parametrize("member", [{"quality": 1.5}, {"status": "good"}, {"observedBy": "strap"}])
+def test_a_measurement_outside_its_rules_is_refused(member: dict[str, Any]) -> None:
+    with pytest.raises(DataModelError, match="heartRate"):
+        HumanState.from_ngsild(
+            {
+                "id": "urn:ngsi-ld:HumanState:demo:p",
+                "refPerson": "urn:ngsi-ld:Person:demo:p",
+                "heartRate": {"type": "Property", "value": 90, **member},
+            }
+        )

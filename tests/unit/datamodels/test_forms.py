@@ -7,7 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels import TYPES, DataModelError, DeviceState, Form, RequestedStatus, Severity, TaskStatus, read
+from datamodels import (
+    TYPES,
+    DataModelError,
+    DeviceState,
+    Form,
+    MeasurementStatus,
+    RequestedStatus,
+    Severity,
+    TaskStatus,
+    read,
+)
 from datamodels.forms import kind_of, normalized_attribute, to_concise, to_key_values
 
 words = st.text(st.characters(codec="utf-8"), max_size=12)
@@ -83,6 +93,33 @@ def property_of(said: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any
     return attributes("Property", said)
 
 
+@st.composite
+def measurements_of(draw: st.DrawFn, said: st.SearchStrategy[Any]) -> Any:
+    """Draw one measurement, or a fused value and those of two sensors."""
+    instances = [
+        draw(attributes("Property", said, 0))
+        | draw(
+            st.fixed_dictionaries(
+                {},
+                optional={
+                    "quality": attributes("Property", st.floats(0, 1), 0),
+                    "status": attributes("Property", st.sampled_from([*map(str, MeasurementStatus)]), 0),
+                    "method": attributes("Property", words, 0),
+                    "observedBy": attributes("Relationship", uris, 0),
+                },
+            )
+        )
+        for _ in range(draw(st.sampled_from([1, 3])))
+    ]
+    if len(instances) == 1:
+        return instances[0]
+    instances[0].pop("datasetId", None)
+    named = [
+        one | {"datasetId": f"urn:ngsi-ld:Dataset:{number}"} for number, one in enumerate(instances[1:], 1)
+    ]
+    return [instances[0], *named]
+
+
 links = st.lists(attributes("Relationship", uris), max_size=3)
 one_of = {
     state: st.sampled_from([str(word) for word in state]) for state in (TaskStatus, DeviceState, Severity)
@@ -110,6 +147,9 @@ REQUIRED: dict[str, dict[str, Any]] = {
         "reason": text,
         "validUntil": property_of(date_times),
     },
+    "HumanState": {"refPerson": relationship},
+    "PressureMat": {"refDevice": relationship},
+    "PhysiologicalSession": {"refPerson": relationship, "start": property_of(date_times)},
 }
 OPTIONAL: dict[str, dict[str, Any]] = {
     "ProcessDefinition": {"description": text},
@@ -162,6 +202,27 @@ OPTIONAL: dict[str, dict[str, Any]] = {
         "humanVerified": property_of(st.booleans()),
     },
     "SpeedLimit": {"refPerson": relationship, "maxSpeed": property_of(numbers)},
+    "HumanState": {
+        "heartRate": measurements_of(numbers),
+        "breathingRate": measurements_of(numbers),
+        "hrvRmssd": measurements_of(numbers),
+        "spo2": measurements_of(numbers),
+        "activity": measurements_of(words),
+        "wearState": measurements_of(words),
+        "exertionLevel": measurements_of(words) | measurements_of(numbers),
+        "stress": measurements_of(numbers),
+    },
+    "PressureMat": {
+        "copX": measurements_of(numbers),
+        "copY": measurements_of(numbers),
+        "load": measurements_of(numbers),
+        "activeCells": measurements_of(st.integers(0, 99)),
+    },
+    "PhysiologicalSession": {
+        "end": property_of(date_times),
+        "recording": property_of(uris),
+        "sha256": property_of(st.binary(min_size=32, max_size=32).map(bytes.hex)),
+    },
 }
 
 
