@@ -76,6 +76,7 @@ test: setup  ## every check and every test
 # Six failed tests are no accident.
 test-failed: setup  ## every check, and alone the tests that failed in the last run, of which there may be five
 	@$(MAKE) --no-print-directory python-check page-check
+	@mkdir -p build
 	@$(BIN)/python -c 'import json, sys; failed = json.load(open(".pytest_cache/v/cache/lastfailed")); print(*failed, sep="\n"); sys.exit(not 0 < len(failed) <= 5)' >build/failed-tests.txt
 	@echo "repeated alone:" && cat build/failed-tests.txt
 	@$(BIN)/pytest -n 0 @build/failed-tests.txt $(ARGS)
