@@ -18,6 +18,7 @@ import asyncio
 import copy
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -53,7 +54,7 @@ RESEND_S = 0.1
 """A changed pace is sent no sooner after the goal before; a stop is sent at once."""
 MAX_DURATION_S = 3600.0
 FOLLOWING_RAD = 0.05
-"""An arm follows its goal within an angle, and the delay of the options at its speed."""
+"""An arm follows its goal within an angle, and the way of the goal in the delay of the options."""
 END_TIMEOUT_S = 10.0
 """A goal ends no later after its last point."""
 STILL_S, STILL_RAD, STILL_RAD_S = 0.3, 0.003, 0.02
@@ -125,6 +126,30 @@ class _Place:
     due_s: float
 
 
+class Way:
+    """How far the commanded joints turned in the last `delay_s`: so far may a delayed arm be behind them."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+        self._entries: deque[tuple[float, Joints, float]] = deque()
+        """Time in s, positions, and the way until then in rad; the first entry is the delay old, or older."""
+
+    def advance(self, now_s: float, positions: Joints) -> None:
+        """Add commanded joints."""
+        way_rad = 0.0
+        if self._entries:
+            _, before, way_rad = self._entries[-1]
+            way_rad += _distance_rad(before, positions)
+        self._entries.append((now_s, positions, way_rad))
+        while len(self._entries) > 1 and self._entries[1][0] <= now_s - self._delay_s:
+            self._entries.popleft()
+
+    def is_near(self, measured: Joints) -> bool:
+        """Return whether an arm at `measured` follows the commanded joints, with the delay."""
+        _, positions, way_rad = self._entries[-1]
+        return _distance_rad(measured, positions) <= FOLLOWING_RAD + way_rad - self._entries[0][2]
+
+
 class _FellBehind(RobotFault):
     """The arm has left its goal; it was stopped, and the rest can be planned again."""
 
@@ -149,6 +174,7 @@ class RosRobot(CyclicRobot):
         self._stored = JointState(time.time(), context.joints, (0.0,) * len(context.joints))
         self._gripper = _GripperOrders(context, broker, self.arm)
         self._in_motion = asyncio.Lock()
+        self._way = Way(self.options.max_delay_s)
 
     @classmethod
     def from_context(cls, context: RobotContext) -> Self:
@@ -190,8 +216,8 @@ class RosRobot(CyclicRobot):
 
     def command(self, setpoint: Setpoint) -> None:
         """Command the velocities of a setpoint; used by `servo`."""
-        measured = self.measured()
-        if not self._is_near(measured.positions, setpoint):
+        self._way.advance(self.clock.now_s(), setpoint.positions)
+        if not self._way.is_near(self.measured().positions):
             raise RobotFault(
                 message(
                     "robot.ros_does_not_follow",
@@ -282,6 +308,7 @@ class RosRobot(CyclicRobot):
 
     def _follow(self, motion: Motion, pace: Pace, now_s: float) -> Cycles[None]:
         """Send a motion as goals; after a fault, bring the arm to rest, then raise it."""
+        self._way = Way(self.options.max_delay_s)
         try:
             if isinstance(motion, Jog):
                 yield from super()._follow(motion, pace, now_s)
@@ -403,7 +430,8 @@ class RosRobot(CyclicRobot):
     def _require_following(self, plan: _Plan, cycle: int) -> None:
         """Stop an arm that has left its goal, so that the next goal does not make it jump."""
         measured = self.measured().positions
-        if self._is_near(measured, plan.at(cycle)):
+        self._way.advance(self.clock.now_s(), plan.at(cycle).positions)
+        if self._way.is_near(measured):
             return
         if _distance_rad(measured, plan.began_at) > FOLLOWING_RAD:
             raise _FellBehind(f"{self.arm} did not follow its goal")
@@ -413,13 +441,6 @@ class RosRobot(CyclicRobot):
                 "{arm} does not follow its goal; check that its trajectory controller is active",
                 arm=self.arm,
             )
-        )
-
-    def _is_near(self, positions: Joints, setpoint: Setpoint) -> bool:
-        """Return whether an arm at `positions` follows a setpoint, with a delay."""
-        fastest = max(map(abs, setpoint.velocities))
-        return (
-            _distance_rad(positions, setpoint.positions) <= FOLLOWING_RAD + self.options.max_delay_s * fastest
         )
 
     def _velocities(self, setpoint: Setpoint) -> Joints:

@@ -7,7 +7,7 @@ from services.trajectory_tool.limits.limiter import JointLimiter
 from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.robots.ur10 import ROBOT
 from services.trajectory_tool.ros_link import in_order
-from services.trajectory_tool.ros_robot import MAX_POINTS, points
+from services.trajectory_tool.ros_robot import FOLLOWING_RAD, MAX_POINTS, Way, points
 from services.trajectory_tool.trajectory import Course, Setpoint
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
@@ -90,3 +90,24 @@ def test_joints_are_read_by_name_in_any_order_and_beside_other_joints() -> None:
 def test_incomplete_joints_are_refused(names: object, values: object, why: str) -> None:
     with pytest.raises(RobotFault, match=why):
         in_order(JOINT_NAMES, names, values)
+
+
+def test_an_arm_that_is_late_at_the_end_of_a_motion_follows_it_within_the_delay_only() -> None:
+    """The last setpoints hardly move, so the delay counts by the way and not by the present speed."""
+    way, planned = Way(delay_s=0.2), setpoints(1.0)
+    for number, setpoint in enumerate(planned):
+        way.advance(number * CYCLE_S, setpoint.positions)
+    cycles = round(0.2 / CYCLE_S)
+    assert way.is_near(planned[-1].positions)
+    assert way.is_near(planned[-cycles].positions)
+    assert not way.is_near(planned[-2 * cycles].positions)
+
+
+def test_an_arm_that_stands_still_is_not_near_a_motion_that_was_computed_late() -> None:
+    way = Way(delay_s=0.5)
+    way.advance(0.0, HOME)
+    way.advance(2.0, AWAY)
+    assert way.is_near(HOME), "no later report can have come yet"
+    way.advance(3.0, AWAY)
+    assert not way.is_near(HOME)
+    assert way.is_near((AWAY[0] + 0.9 * FOLLOWING_RAD, *AWAY[1:]))
