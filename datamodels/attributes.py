@@ -19,6 +19,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     PlainValidator,
+    StrictBool,
     StrictFloat,
     StrictInt,
     Tag,
@@ -226,6 +227,8 @@ class Measurement(Property[T], Generic[T]):
     status: "Property[MeasurementStatus] | None" = None
     method: "Property[str] | None" = None
     observed_by: "Relationship | None" = None
+    calibrated: "Property[StrictBool] | None" = None
+    """False: such a value never feeds a limit. Without it, the value is calibrated."""
 
     def instances(self) -> tuple[Self, ...]:
         """Return this instance and the others, each checked.
