@@ -7,19 +7,26 @@ nothing else in the tree knows its name:
     my-belt = "my_belt:BeltDriver"
 
 `run` serves one connection: it opens the device, passes samples and reports to the sink, raises `LinkLost`
-when the device is gone. Reconnection with backoff, the mapping of the device's clock, gaps, jumps, rates and
-saturation are the same for all drivers.
+when the device is gone, and returns when there will never be more samples (the end of a recording).
+Reconnection with backoff, the mapping of the device's clock, gaps, jumps, rates and saturation are the same
+for all drivers: `runner.SensorRunner` does them.
+
+A driver passes times as it knows them. Samples with `ClockKind.DEVICE` have `start_s` (or `times_s`) on the
+clock of the device, in s since any origin; the runner maps them. With `ClockKind.ARRIVAL`, the times follow
+from `now_s()` when the packet was received: its last sample is as old as the device says, or 0 s.
+With `ClockKind.RECORDING` the times are kept.
 """
 
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 from pydantic import BaseModel, ConfigDict
 
 from handover.extensions import ExtensionPoint
-from services.human_state.model.signals import Samples, SensorReport, SignalInfo
+from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
 
 Sink = Callable[[Samples | SensorReport], None]
 """Receives what a driver produces. It never blocks."""
@@ -48,6 +55,12 @@ class SensorDriver(ABC):
     """One sensor of a person or a place. Its methods run on the event loop of the service."""
 
     settings_model: ClassVar[type[DriverSettings]]
+    max_latency_s: ClassVar[float] = 0.1
+    """At least one packet in 30 s is this fast: the uncertainty of a mapped device clock."""
+    silence_limits_s: ClassVar[Mapping[SignalKind, float]] = {}
+    """How long a signal may send nothing, where the default of the runner does not fit."""
+    max_silence_s: ClassVar[float] = 10.0
+    """A connection that is silent for this long is closed and opened again."""
 
     def __init__(self, source: str, settings: Any) -> None:
         self.source: Final = source
@@ -63,9 +76,21 @@ class SensorDriver(ABC):
         """Serve one connection until it is cancelled. Raise `LinkLost` when the device is gone."""
 
     @classmethod
-    async def discover(cls, timeout_s: float) -> list[FoundDevice]:  # noqa: ARG003
+    async def discover(cls, timeout_s: float) -> list[FoundDevice]:
         """Return the devices of this kind that answer within `timeout_s`; none if there is no search."""
         return []
 
 
-SENSOR_DRIVERS: Final = ExtensionPoint("sensor driver", "handover.sensor_drivers", {})
+def now_s() -> float:
+    """Return the time of arrival in s since 1970."""
+    return time.time()
+
+
+_DRIVERS: Final = "services.human_state.drivers"
+SENSOR_DRIVERS: Final = ExtensionPoint(
+    "sensor driver",
+    "handover.sensor_drivers",
+    {
+        "simulated": f"{_DRIVERS}.simulated.driver:SimulatedDriver",
+    },
+)

@@ -170,3 +170,5 @@ class SensorReport:
     """What a person should know: why the link was lost, what is wrong."""
     details: dict[str, float] = field(default_factory=dict)
     """Figures: `gap_s`, `jump_s`, `uncertainty_s`."""
+    kind: SignalKind | None = None
+    """The signal that the fault concerns; None: all of this sensor."""

@@ -1,0 +1,1 @@
+"""Simulated sensors on a simulated person, with faults on request."""

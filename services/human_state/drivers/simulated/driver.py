@@ -1,0 +1,227 @@
+"""The simulated sensor: packets of the chosen signals at their pace, seeded, with faults on request.
+
+With a `pace` of 1 the packets come in real time, stamped by a device clock with its own origin and drift;
+with another pace, or 0 for as fast as possible, the times are those of a recording.
+"""
+
+import asyncio
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from services.human_state.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
+from services.human_state.drivers.simulated.person import SimulatedPerson
+from services.human_state.drivers.simulated.waveforms import WAVES, Wave
+from services.human_state.model.signals import (
+    ClockKind,
+    LinkState,
+    Samples,
+    SensorReport,
+    SignalInfo,
+    SignalKind,
+)
+
+FaultKind = Literal[
+    "gap",
+    "clockJump",
+    "artefact",
+    "strapOff",
+    "silentStrapOff",
+    "saturated",
+    "flat",
+    "reconnect",
+    "rate",
+    "unit",
+]
+
+
+class SimulatedFault(DriverSettings):
+    """One fault: from `at_s` for `duration_s` of simulated time, of one signal or of all.
+
+    `size` is the jump in s (`clockJump`), or the factor of the rate or of the values (`rate`, `unit`).
+    `strapOff` is reported by the contact of the device, `silentStrapOff` is not: the electrodes are open.
+    """
+
+    kind: FaultKind
+    at_s: Annotated[float, Field(ge=0)]
+    duration_s: Annotated[float, Field(gt=0)] = 5.0
+    size: float = 2.0
+    signal: SignalKind | None = None
+
+    def is_on(self, at_s: float, signal: SignalKind) -> bool:
+        """Return whether the fault holds at this time of this signal."""
+        return self.at_s <= at_s < self.at_s + self.duration_s and self.signal in (None, signal)
+
+
+class EffortStep(DriverSettings):
+    """From `at_s` on the person works with `effort`, 0 to 1, in a posture, breathing or not."""
+
+    at_s: Annotated[float, Field(ge=0)]
+    effort: Annotated[float, Field(ge=0, le=1)] = 0.0
+    posture: str | None = None
+    is_breathing: bool = True
+
+
+class SimulatedSettings(DriverSettings):
+    """What is simulated."""
+
+    signals: tuple[SignalKind, ...] = (SignalKind.ECG, SignalKind.HEART_RATE, SignalKind.ACCELERATION)
+    rates_hz: dict[SignalKind, Annotated[float, Field(gt=0, le=4000)]] = Field(default_factory=dict)
+    seed: int = Field(0, ge=0)
+    rest_bpm: float = 65.0
+    max_bpm: float = 185.0
+    program: tuple[EffortStep, ...] = ()
+    faults: tuple[SimulatedFault, ...] = ()
+    packet_s: float = Field(0.25, gt=0, le=5)
+    pace: float = Field(1.0, ge=0)
+    """How many times faster than life; 0: as fast as possible."""
+    duration_s: float | None = Field(None, gt=0)
+    start_s: float | None = None
+    """The time of the first sample, in s since 1970; None: now."""
+    drift: float = Field(20e-6, ge=-200e-6, le=200e-6)
+    """How much faster the clock of the device runs than ours."""
+    battery: float = Field(0.9, ge=0, le=1)
+
+    @model_validator(mode="after")
+    def _signals_are_known(self) -> "SimulatedSettings":
+        unknown = [kind for kind in self.signals if kind not in WAVES]
+        if unknown or not self.signals:
+            raise ValueError(
+                f"{', '.join(unknown) or 'no signal'} cannot be simulated; choose from {', '.join(WAVES)}"
+            )
+        return self
+
+
+class SimulatedDriver(SensorDriver):
+    """A sensor on a `SimulatedPerson`, which may be shared: who gives one advances it by this driver only."""
+
+    settings_model = SimulatedSettings
+
+    def __init__(
+        self, source: str, settings: SimulatedSettings, person: SimulatedPerson | None = None
+    ) -> None:
+        super().__init__(source, settings)
+        self.person = person or SimulatedPerson(
+            settings.seed, rest_bpm=settings.rest_bpm, max_bpm=settings.max_bpm
+        )
+        self._has_program = bool(settings.program)
+        self._tracks = [
+            _Track(source, _with_rate(*WAVES[kind], settings), settings, number)
+            for number, kind in enumerate(settings.signals, start=1)
+        ]
+        self._elapsed_s = 0.0
+        self._began_s: float | None = None
+        self._lost: set[SimulatedFault] = set()
+        self.person.advance(0.0)
+
+    @property
+    def signals(self) -> tuple[SignalInfo, ...]:
+        return tuple(track.info for track in self._tracks)
+
+    @classmethod
+    async def discover(cls, timeout_s: float) -> list[FoundDevice]:
+        """Return the one simulated person."""
+        return [FoundDevice("simulated", "Simulated person")]
+
+    async def run(self, sink: Sink) -> None:
+        settings: SimulatedSettings = self.settings
+        sink(SensorReport(self.source, now_s(), link=LinkState.CONNECTED, battery=settings.battery))
+        began = asyncio.get_running_loop().time() - self._elapsed_s / (settings.pace or 1.0)
+        if self._began_s is None:
+            self._began_s = now_s() if settings.start_s is None else settings.start_s
+        while settings.duration_s is None or self._elapsed_s < settings.duration_s - 1e-9:
+            self._elapsed_s += settings.packet_s
+            due = began + self._elapsed_s / settings.pace if settings.pace else 0.0
+            await asyncio.sleep(max(0.0, due - asyncio.get_running_loop().time()) if settings.pace else 0.0)
+            self._advance()
+            for track in self._tracks:
+                samples = track.until(self.person, self._elapsed_s, self._began_s)
+                if samples is not None:
+                    sink(samples)
+            self._lose_link()
+
+    def _advance(self) -> None:
+        for step in self.settings.program:
+            if self._elapsed_s - self.settings.packet_s <= step.at_s < self._elapsed_s:
+                self.person.effort = step.effort
+                self.person.is_breathing = step.is_breathing
+                self.person.posture = step.posture or self.person.posture
+        self.person.advance(self._elapsed_s - self.person.now_s)
+
+    def _lose_link(self) -> None:
+        for fault in self.settings.faults:
+            if fault.kind == "reconnect" and fault.at_s <= self._elapsed_s and fault not in self._lost:
+                self._lost.add(fault)
+                self._elapsed_s += fault.duration_s
+                self._advance()
+                for track in self._tracks:
+                    track.until(self.person, self._elapsed_s, 0.0)
+                raise LinkLost("the simulated connection was lost")
+
+
+class _Track:
+    """The samples of one signal, with its faults."""
+
+    def __init__(
+        self, source: str, made: tuple[SignalInfo, Wave], settings: SimulatedSettings, number: int
+    ) -> None:
+        self.info, self._wave = made
+        self._source = source
+        self._settings = settings
+        self._random = np.random.default_rng([settings.seed, number])
+        self._sent = 0
+        self._next_s = 0.0
+        self._last: np.ndarray | None = None
+
+    def until(self, person: SimulatedPerson, end_s: float, began_s: float) -> Samples | None:
+        """Return the samples before `end_s` of simulated time; None when there are none or a gap."""
+        faults = [fault for fault in self._settings.faults if fault.is_on(self._next_s, self.info.kind)]
+        rate_hz = self.info.rate_hz or 1.0
+        true_hz = rate_hz * math.prod(fault.size for fault in faults if fault.kind == "rate")
+        count = math.ceil((end_s - self._next_s) * true_hz - 1e-9)
+        if count <= 0:
+            return None
+        times_s = self._next_s + np.arange(count) / true_hz
+        start_s, self._next_s = self._next_s, self._next_s + count / true_hz
+        values = self._faulty(self._wave(person, times_s, self._random), faults)
+        self._last = values[-1]
+        if any(fault.kind == "gap" for fault in faults):
+            return None
+        device_s = start_s + sum(
+            fault.size
+            for fault in self._settings.faults
+            if fault.kind == "clockJump" and fault.at_s <= start_s and fault.signal in (None, self.info.kind)
+        )
+        samples = Samples(self._source, self.info, began_s + device_s, values, clock=ClockKind.RECORDING)
+        if self._settings.pace == 1:
+            origin_s = 1000.0  # any; a device counts from when it was switched on
+            device_s = origin_s + device_s * (1 + self._settings.drift)
+            samples = replace(samples, start_s=device_s, clock=ClockKind.DEVICE)
+        if any(fault.kind == "strapOff" for fault in faults):
+            return replace(samples, has_contact=False)
+        return replace(samples, has_contact=True if self.info.method.startswith("chest strap") else None)
+
+    def _faulty(self, values: np.ndarray, faults: Sequence[SimulatedFault]) -> np.ndarray:
+        info, random = self.info, self._random
+        for fault in faults:
+            if fault.kind == "artefact":
+                spread = max(1.0, float(np.nanstd(values)))
+                values = values + random.normal(0, 8 * spread, values.shape)
+            elif fault.kind in {"strapOff", "silentStrapOff"}:
+                values = np.zeros_like(values) if fault.kind == "silentStrapOff" else values * 0.01
+            elif fault.kind == "saturated":
+                values = np.full_like(values, info.max_value)
+            elif fault.kind == "flat":
+                values = np.tile(values[:1] if self._last is None else self._last, (len(values), 1))
+            elif fault.kind == "unit":
+                values = values * fault.size
+        clipped: np.ndarray = np.clip(values, info.min_value, info.max_value)
+        return clipped
+
+
+def _with_rate(info: SignalInfo, wave: Wave, settings: SimulatedSettings) -> tuple[SignalInfo, Wave]:
+    return replace(info, rate_hz=settings.rates_hz.get(info.kind, info.rate_hz)), wave

@@ -1,0 +1,180 @@
+"""What sensors measure on a simulated person: samples of a signal at times, vectorized.
+
+The ECG and the PPG are sums of Gaussians in the time of each beat: McSharry, Clifford, Tarassenko, Smith, "A
+dynamical model for generating synthetic electrocardiogram signals", IEEE TBME 50(3), 2003, without the
+integration, so that each sample depends on its time only and rates may change at every beat. `neurokit2` has
+the integrated model, but for whole records at one rate; a test compares what it detects with our beats.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.human_state.drivers.simulated.person import SimulatedPerson
+from services.human_state.model.signals import SignalInfo, SignalKind
+
+Floats = NDArray[np.float64]
+Wave = Callable[[SimulatedPerson, Floats, np.random.Generator], Floats]
+
+GRAVITY: Final = 9.80665
+MAT_ROWS: Final = 3
+MAT_COLUMNS: Final = 4
+
+# Amplitude in microvolt, offset from the R peak and width in s at 60 bpm. P and T move with the root of RR
+# (Bazett).
+_ECG_WAVES: Final = (
+    (110.0, -0.17, 0.025, True),
+    (-120.0, -0.028, 0.010, False),
+    (1100.0, 0.0, 0.011, False),
+    (-230.0, 0.028, 0.010, False),
+    (280.0, 0.26, 0.045, True),
+)
+_PPG_WAVES: Final = ((1.0, 0.25, 0.09, True), (0.35, 0.50, 0.10, True))
+_POSTURES: Final = {
+    "sitting": (0.10, 0.05, 0.994),
+    "standing": (0.0, 0.0, 1.0),
+    "lying": (0.0, 0.995, 0.10),
+    "lyingLeft": (0.98, 0.15, 0.10),
+    "lyingRight": (-0.98, 0.15, 0.10),
+    "prone": (0.0, -0.995, 0.10),
+}
+
+
+def ecg(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return one lead in microvolt, with wander of the baseline and noise of muscles that grows with effort."""
+    wave = _beats(person, times_s, _ECG_WAVES)
+    wander = 60.0 * person.breath_at(times_s)
+    noise = random.normal(0, 8.0 + 25.0 * person.effort, len(times_s))
+    return (wave + wander + noise)[:, None]
+
+
+def ppg(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return a pulse wave in the units of the converter, 20,000 to 80,000, with breathing in its amplitude."""
+    breath = person.breath_at(times_s)
+    wave = _beats(person, times_s, _PPG_WAVES) * (1 + 0.1 * breath)
+    noise = random.normal(0, 0.01 + 0.05 * person.effort, len(times_s))
+    values: Floats = 50_000 + 4_000 * (wave + noise) + 800 * breath
+    return values[:, None]
+
+
+def respiration(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return the expansion of a belt, -1.5 to 1.5."""
+    return (person.breath_at(times_s) + random.normal(0, 0.01, len(times_s)))[:, None]
+
+
+def eda(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return the conductance of the skin in microsiemens: a level that follows strain, and responses."""
+    load = (person.heart_rate_bpm - person.rest_bpm) / (person.max_bpm - person.rest_bpm)
+    tonic = 4.0 + 6.0 * load + 0.3 * np.sin(2 * np.pi * times_s / 90)
+    since_s = np.mod(times_s, 25.0)  # one response in 25 s: rise 0.75 s, fall 3 s
+    phasic = (0.3 + load) * (np.exp(-since_s / 3.0) - np.exp(-since_s / 0.75))
+    return (tonic + phasic + random.normal(0, 0.005, len(times_s)))[:, None]
+
+
+def emg(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return the muscle of an arm in microvolt: bursts twice in 3 s whose size follows effort."""
+    burst = 0.5 + 0.5 * np.sign(np.sin(2 * np.pi * times_s / 1.5))
+    values: Floats = random.normal(0, 1, len(times_s)) * (4.0 + 350.0 * person.effort * burst)
+    return values[:, None]
+
+
+def eeg(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return a channel in microvolt: alpha waves and noise."""
+    alpha = 15 * np.sin(2 * np.pi * 10.2 * times_s) * (1 + np.sin(2 * np.pi * 0.2 * times_s))
+    values: Floats = alpha + random.normal(0, 6.0, len(times_s))
+    return values[:, None]
+
+
+def acceleration(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return three axes at the chest in m/s²: gravity by posture, and steps once effort exceeds 0.1."""
+    upright = np.array(_POSTURES.get(person.posture, _POSTURES["sitting"]))
+    values = np.tile(GRAVITY * upright, (len(times_s), 1)) + random.normal(0, 0.05, (len(times_s), 3))
+    if person.effort > 0.1:
+        cadence_hz = 1.5 + 1.0 * person.effort
+        swing = np.sin(2 * np.pi * cadence_hz * times_s)
+        sway = np.sin(np.pi * cadence_hz * times_s)
+        values += (1.0 + 5.0 * person.effort) * swing[:, None] * upright + np.outer(sway, [0.8, 0.5, 0.0])
+    return values
+
+
+def pressure_map(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return 3 by 4 cells, 0 to 4095: two thighs and the seat bones, leaning with breath and movement."""
+    rows, columns = np.mgrid[0:MAT_ROWS, 0:MAT_COLUMNS]
+    lean = 0.15 * person.breath_at(times_s) + 0.3 * person.effort * np.sin(2 * np.pi * 0.2 * times_s)
+    shape = np.zeros((len(times_s), MAT_ROWS * MAT_COLUMNS))
+    for column in (0.7, 2.3):
+        distance = (rows - 1.2).ravel() ** 2 + (columns.ravel() - column - lean[:, None]) ** 2
+        shape += 1500 * np.exp(-distance / 1.2)
+    if person.posture == "standing":
+        shape *= 0
+    return np.clip(np.round(shape + random.normal(0, 6, shape.shape)), 0, 4095)
+
+
+def heart_rate(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return what a strap computes: the mean of the last beats."""
+    beats = np.array([beat for beat in person.beats_s if beat <= times_s[-1]])
+    rate = 60.0 / np.diff(beats[-6:]).mean() if len(beats) > 1 else np.nan
+    return np.full((len(times_s), 1), np.round(rate))
+
+
+def breathing_rate(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return breaths per minute as a radar does: whole numbers with an error of about 1."""
+    rate = person.breathing_rate
+    return np.full((len(times_s), 1), round(rate + random.normal(0, 0.8)) if rate else np.nan)
+
+
+def spo2(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return percent; the saturation of a healthy person."""
+    return np.round(97.5 + random.normal(0, 0.5, (len(times_s), 1))).clip(90, 100)
+
+
+def skin_temperature(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return degrees Celsius at the wrist."""
+    return 33.0 + 0.5 * person.effort + random.normal(0, 0.05, (len(times_s), 1))
+
+
+def movement(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return the movement that a radar sees, 0 to 100."""
+    return np.clip(np.round(2 + 90 * person.effort + random.normal(0, 2, (len(times_s), 1))), 0, 100)
+
+
+def _beats(
+    person: SimulatedPerson, times_s: Floats, waves: tuple[tuple[float, float, float, bool], ...]
+) -> Floats:
+    beats = np.array([beat for beat in person.beats_s if times_s[0] - 1.5 < beat < times_s[-1] + 0.5])
+    value = np.zeros(len(times_s))
+    if len(beats) == 0:
+        return value
+    intervals = np.diff(beats, append=beats[-1] + 60 / person.heart_rate_bpm)
+    since_s = times_s[None, :] - beats[:, None]
+    stretch = np.sqrt(np.clip(intervals, 0.25, 2.0))[:, None]
+    for amplitude, offset_s, width_s, is_stretched in waves:
+        scale = stretch if is_stretched else 1.0
+        value += (amplitude * np.exp(-0.5 * ((since_s - offset_s * scale) / (width_s * scale)) ** 2)).sum(
+            axis=0
+        )
+    return value
+
+
+_MAT_CELLS: Final = tuple(f"r{row}c{column}" for row in range(MAT_ROWS) for column in range(MAT_COLUMNS))
+WAVES: Final[dict[SignalKind, tuple[SignalInfo, Wave]]] = {
+    info.kind: (info, wave)
+    for info, wave in (
+        (SignalInfo(SignalKind.ECG, "D82", 130.0, ("I",), -20_000, 20_000, 1.0, "chest strap, one lead"), ecg),
+        (SignalInfo(SignalKind.PPG, "C62", 100.0, ("ir",), 0, 262_143, 1.0, "infrared at the finger"), ppg),
+        (SignalInfo(SignalKind.RESPIRATION, "C62", 25.0, ("belt",), -4, 4, None, "belt"), respiration),
+        (SignalInfo(SignalKind.EDA, "D80", 10.0, ("palm",), 0, 60, 0.01, "palm"), eda),
+        (SignalInfo(SignalKind.EMG, "D82", 500.0, ("arm",), -5_000, 5_000, 1.0, "biceps"), emg),
+        (SignalInfo(SignalKind.EEG, "D82", 250.0, ("O1",), -2_000, 2_000, 0.1, "O1"), eeg),
+        (SignalInfo(SignalKind.ACCELERATION, "MSK", 50.0, ("x", "y", "z"), -78.5, 78.5, None, "chest"), acceleration),
+        (SignalInfo(SignalKind.PRESSURE_MAP, "C62", 10.0, _MAT_CELLS, 0, 4096, 1.0, "seat, 3 by 4 cells"), pressure_map),
+        (SignalInfo(SignalKind.HEART_RATE, "BPM", 1.0, ("",), 0, 255, 1.0, "chest strap"), heart_rate),
+        (SignalInfo(SignalKind.BREATHING_RATE, "C94", 1 / 3, ("",), 0, 60, 1.0, "radar 60 GHz"), breathing_rate),
+        (SignalInfo(SignalKind.SPO2, "P1", 1.0, ("",), 0, 101, 1.0, "finger"), spo2),
+        (SignalInfo(SignalKind.SKIN_TEMPERATURE, "CEL", 1.0, ("",), 10, 50, 0.1, "wrist"), skin_temperature),
+        (SignalInfo(SignalKind.MOVEMENT, "C62", 1.0, ("",), -1, 101, 1.0, "radar 60 GHz"), movement),
+    )
+}  # fmt: skip
+"""The signals that can be simulated, with the function that makes them."""

@@ -1,0 +1,177 @@
+"""The simulated person and sensor: the same seed gives the same signals, and each fault is found."""
+
+import asyncio
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from services.human_state.drivers.runner import SensorRunner
+from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
+from services.human_state.drivers.simulated.person import SimulatedPerson
+from services.human_state.drivers.simulated.waveforms import WAVES
+from services.human_state.model.signals import (
+    ClockKind,
+    LinkState,
+    Samples,
+    SensorFault,
+    SensorReport,
+    SignalKind,
+)
+
+START_S = 1_700_000_000.0
+
+
+async def simulate(**settings: object) -> tuple[list[Samples], list[SensorReport], SimulatedDriver]:
+    given = {"pace": 0, "duration_s": 30, "start_s": START_S, **settings}
+    driver = SimulatedDriver("person", SimulatedSettings.model_validate(given))
+    items: list[Samples | SensorReport] = []
+    runner = SensorRunner(driver, items.append)
+    await runner.run()
+    return (
+        [item for item in items if isinstance(item, Samples)],
+        [item for item in items if isinstance(item, SensorReport)],
+        driver,
+    )
+
+
+def rate_after(person: SimulatedPerson, seconds: float) -> float:
+    person.advance(seconds)
+    return person.heart_rate_bpm
+
+
+def test_the_heart_follows_effort_in_its_time() -> None:
+    person = SimulatedPerson(1, rest_bpm=60, max_bpm=180)
+    assert rate_after(person, 60) == pytest.approx(60, abs=1)
+    person.effort = 0.5
+    rises = rate_after(person, 25)
+    assert 60 + 0.4 * 60 < rises < 60 + 0.7 * 60, "one time constant"
+    assert rate_after(person, 1000) == pytest.approx(120, abs=1)
+    person.effort = 0.0
+    recovers = rate_after(person, 50)
+    assert 80 < recovers < 100
+    assert rate_after(person, 1000) == pytest.approx(60, abs=1)
+
+
+def test_beats_agree_with_the_rate_and_memory_is_bounded() -> None:
+    person = SimulatedPerson(2, rest_bpm=70)
+    person.advance(600)
+    assert person.beat_count == pytest.approx(700, rel=0.02)
+    assert len(person.beats_s) < 40
+    assert np.all(np.diff(person.beats_s) > 0.3)
+
+
+def test_an_apnoea_slows_the_heart_and_breath_returns_with_a_rise() -> None:
+    person = SimulatedPerson(3, rest_bpm=60)
+    person.advance(60)
+    person.is_breathing = False
+    slow = rate_after(person, 25)
+    person.is_breathing = True
+    fast = rate_after(person, 3)
+    assert slow < 53
+    assert fast > 63
+
+
+def test_a_heart_that_no_person_has_is_refused() -> None:
+    with pytest.raises(ValueError, match="rest below maximum"):
+        SimulatedPerson(rest_bpm=120, max_bpm=100)
+
+
+async def test_every_signal_is_simulated_at_its_rate_within_its_range() -> None:
+    samples, reports, driver = await simulate(signals=list(WAVES), duration_s=30)
+    assert not [report for report in reports if report.fault]
+    for info in driver.signals:
+        mine = [one for one in samples if one.info.kind is info.kind]
+        values = np.concatenate([one.values for one in mine])
+        assert len(values) == math.ceil(30 * (info.rate_hz or 0) - 1e-6), info.kind
+        known = values[np.isfinite(values)]
+        assert known.size > 0.5 * values.size, info.kind
+        assert known.min() >= info.min_value
+        assert known.max() <= info.max_value
+        assert all(one.quality == 1.0 and one.clock is ClockKind.RECORDING for one in mine)
+
+
+async def test_a_seed_repeats_its_signals() -> None:
+    first, _, _ = await simulate(seed=7, duration_s=5)
+    again, _, _ = await simulate(seed=7, duration_s=5)
+    other, _, _ = await simulate(seed=8, duration_s=5)
+    assert all(
+        np.array_equal(one.values, two.values, equal_nan=True) for one, two in zip(first, again, strict=True)
+    )
+    assert not all(
+        np.array_equal(one.values, two.values, equal_nan=True) for one, two in zip(first, other, strict=True)
+    )
+
+
+async def test_neurokit_finds_the_beats_of_the_simulated_ecg() -> None:
+    import neurokit2
+
+    beats: set[float] = set()
+    driver = SimulatedDriver(
+        "person",
+        SimulatedSettings(
+            signals=(SignalKind.ECG,), rates_hz={SignalKind.ECG: 250}, pace=0, duration_s=60, start_s=0.0
+        ),
+    )
+    chunks: list[np.ndarray] = []
+
+    def sink(item: Samples | SensorReport) -> None:
+        beats.update(beat for beat in driver.person.beats_s if beat < 60)
+        if isinstance(item, Samples):
+            chunks.append(item.values[:, 0])
+
+    await driver.run(sink)
+    cleaned = neurokit2.ecg_clean(np.concatenate(chunks), sampling_rate=250)
+    found = neurokit2.ecg_peaks(cleaned, sampling_rate=250)[1]["ECG_R_Peaks"] / 250
+    inner = [beat for beat in sorted(beats) if 1 < beat < 59]
+    assert len(inner) > 50
+    assert all(np.abs(found - beat).min() < 0.03 for beat in inner)
+    assert abs(len(found) - len(beats)) <= 2
+
+
+@pytest.mark.parametrize(
+    ("fault", "found"),
+    [
+        ("gap", SensorFault.GAP),
+        ("clockJump", SensorFault.GAP),  # forward, in a recording: it looks like a gap
+        ("strapOff", SensorFault.NO_CONTACT),
+        ("silentStrapOff", SensorFault.FLAT),
+        ("saturated", SensorFault.SATURATED),
+        ("flat", SensorFault.FLAT),
+        ("reconnect", SensorFault.RECONNECTED),
+        ("unit", SensorFault.UNIT),
+    ],
+)
+async def test_each_fault_is_found_by_the_runner(fault: str, found: SensorFault) -> None:
+    size = {"unit": 1e-6, "clockJump": 5.0}.get(fault, 2.0)
+    faults = [{"kind": fault, "at_s": 10, "duration_s": 6, "size": size}]
+    samples, reports, _ = await simulate(signals=["ecg"], faults=faults)
+    assert found in {report.fault for report in reports}
+    assert all(one.quality == 1.0 for one in samples if one.end_s < START_S + 10)
+
+
+async def test_a_simulated_rate_that_lies_is_found() -> None:
+    faults = [{"kind": "rate", "at_s": 5, "duration_s": 10, "size": 0.7}]
+    _, reports, _ = await simulate(signals=["ecg"], faults=faults)
+    assert {SensorFault.GAP, SensorFault.RATE} & {report.fault for report in reports}
+
+
+async def test_a_lost_connection_is_simulated_and_the_samples_resume() -> None:
+    samples, reports, _ = await simulate(faults=[{"kind": "reconnect", "at_s": 5, "duration_s": 4}])
+    assert [report.link for report in reports if report.link].count(LinkState.LOST) == 2  # and the end
+    assert samples[-1].end_s > START_S + 29
+
+
+async def test_at_its_pace_the_device_stamps_and_the_times_are_ours() -> None:
+    before_s = asyncio.get_running_loop().time()
+    samples, reports, _ = await simulate(pace=1, duration_s=1.0, signals=["ecg"], start_s=None)
+    assert asyncio.get_running_loop().time() - before_s >= 0.95
+    assert {one.clock for one in samples} == {ClockKind.DEVICE}
+    assert all(report.at_s - 5 < samples[-1].end_s for report in reports)
+    assert all(one.uncertainty_s > 0 for one in samples)
+
+
+def test_a_signal_that_cannot_be_simulated_is_refused_with_those_that_can() -> None:
+    with pytest.raises(ValidationError, match="choose from ecg"):
+        SimulatedSettings(signals=(SignalKind.MOOD,))
