@@ -12,6 +12,8 @@ reached, and opens it at the next goal. It sees nothing of the scene, and has on
 - Noise in proportion to the command (Harris and Wolpert, 1998); 15 % is our choice.
 - Errors of perception: our choice, for a camera picture without stereo. They are drawn for each attempt,
   larger in depth, grow with the distance between tool and object, and do not vanish at it.
+- Goal: of cloth, a person who shares control first goes where the autonomous motion goes; else, and after a
+  grip that failed, to a place where the fingers seem to find room.
 - Correction: a person sees after a short lift whether the grip holds; else opens, rises and aims again.
 """
 
@@ -50,6 +52,9 @@ YAW_DEG: Final = 5.0
 ABOVE_M: Final = 0.07
 LIFT_M: Final = 0.07
 CARRY_M: Final = 0.20
+ABOVE_RIM_M: Final = 0.14
+MAX_CARRY_M: Final = 0.55
+"""The height over the box: what hangs down is carried above its rim, as far as the arm reaches."""
 ALIGNED_M: Final = 0.008
 ALIGNED_RAD: Final = 0.12
 AT_HEIGHT_M: Final = 0.004
@@ -57,7 +62,7 @@ DECIDE_S: Final = 0.3
 STALLED_S: Final = 3.0
 """A person who does not come nearer for this long closes the gripper where it is."""
 
-REACHED_M: Final = 0.002
+REACHED_M: Final = 0.0007
 PLACED_M: Final = 0.015
 
 
@@ -128,9 +133,19 @@ class Supervisor:
 
 
 class Person:
-    """Steers to the object and to the box by what is seen; `mix` is the largest share of the robot."""
+    """Steers to the object and to the box by what is seen; `mix` is the largest share of the robot.
 
-    def __init__(self, thing: SeenObject, box: Vector, mix: float, random: np.random.Generator) -> None:
+    `offered` is the grasp to which the autonomous motion goes, None without.
+    """
+
+    def __init__(
+        self,
+        thing: SeenObject,
+        box: Vector,
+        mix: float,
+        random: np.random.Generator,
+        offered: Pose | None = None,
+    ) -> None:
         self.attempts = 0
         self.outcome: str | None = None
         self._thing, self._box, self._mix, self._random = thing, box, mix, random
@@ -144,7 +159,7 @@ class Person:
         self._tremor = random.normal(size=3)
         self._noise = np.zeros(4)
         self._lift_from_m = 0.0
-        self._aim()
+        self._aim(offered)
 
     def acted(self, view: View, now_s: float) -> None:  # noqa: ARG002
         """Continue after the gripper has acted."""
@@ -175,9 +190,10 @@ class Person:
         self._phase, self._since_s = phase, now_s
         self._best_m, self._best_s = math.inf, now_s
 
-    def _aim(self) -> None:
+    def _aim(self, offered: Pose | None = None) -> None:
         """Look at the object: the errors of this attempt."""
         self.attempts += 1
+        self._thing.look(offered)
         self._error = self._random.normal(size=3)
         self._yaw_error = math.radians(YAW_DEG) * float(self._random.normal())
 
@@ -227,11 +243,12 @@ class Person:
         self._aim()
         return {**self._steer(np.zeros(3), 0.0, now_s, mix=0.0), "gripper": "open"}
 
-    def _carry(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:  # noqa: ARG002
+    def _carry(self, tool: Frame, target: Target, is_held: bool, now_s: float) -> Message:
         if not is_held:
             self._begin(self._open, now_s)
         way = np.subtract(self._box, tool.position)
-        way[2] = CARRY_M - tool.position[2]
+        hangs_m = tool.position[2] - target.bottom_m
+        way[2] = min(max(CARRY_M, ABOVE_RIM_M + hangs_m), MAX_CARRY_M) - tool.position[2]
         if way[2] > 0.05:
             way[:2] = 0.0
         elif math.hypot(way[0], way[1]) < 0.02:

@@ -37,7 +37,7 @@ from services.trajectory_tool.control.session import ControlSession
 from services.trajectory_tool.cyclic_robot import Cycles
 from services.trajectory_tool.drivers import Clock
 from services.trajectory_tool.physics.robot import PhysicsRobot
-from services.trajectory_tool.physics.world_model import STEP_S
+from services.trajectory_tool.physics.world_model import STEP_S, fingers_of
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.work import Work
 from services.trajectory_tool.workcell import Workcell
@@ -59,7 +59,10 @@ class Mode(StrEnum):
 
 @dataclass(slots=True)
 class Outcome:
-    """What a trial measured; `time_s` is simulated, `estimate_error_mm` that of the camera pipeline."""
+    """What a trial measured; `time_s` is simulated.
+
+    `estimate_error_mm` is that of the camera pipeline; None for cloth, of which it estimates a piece.
+    """
 
     thing: str
     mode: Mode
@@ -122,7 +125,7 @@ class Trial:
         robot = cell.robot
         assert isinstance(robot, PhysicsRobot)  # noqa: S101 - the plan says so
         clock = robot.clock
-        seen = SeenObject(robot.simulation, robot.name, self._thing)
+        seen = SeenObject(robot.simulation, robot.name, self._thing, fingers_of(cell.model))
         began_s = clock.now_s()
         self._ends_s = began_s + TIME_LIMIT_S
         scan, error_mm = "", None
@@ -170,7 +173,8 @@ class Trial:
             return Supervisor()
         random = np.random.default_rng([self._seed, 17])
         above = cell.scene.fixtures["into-the-box"].nests[0].position
-        return Person(seen, above, MAX_MIX if self._mode is Mode.SHARED else 0.0, random)
+        offered = next((lying.pose for lying in cell.contents.lying if lying.place == "tray"), None)
+        return Person(seen, above, MAX_MIX if self._mode is Mode.SHARED else 0.0, random, offered)
 
     async def _scan(self, cell: Cell, seen: SeenObject) -> tuple[str, float | None]:
         """Scan the tray as a Task does; return why there is no grasp, and the error of the estimate in mm."""
@@ -184,7 +188,7 @@ class Trial:
             return str(found["reason"]), None
         lying = cell.contents.find(found["part"])
         middle, true = (lying.middle if lying else (math.nan,) * 3), seen.middle()
-        return "", 1000 * math.dist(middle[:2], true[:2])
+        return "", None if seen.is_cloth else 1000 * math.dist(middle[:2], true[:2])
 
     async def _operate(self, session: ControlSession, robot: PhysicsRobot, operator: Operator) -> None:
         clock, paced = robot.clock, robot.world.paced

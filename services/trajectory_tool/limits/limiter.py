@@ -13,10 +13,10 @@ import math
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from ruckig import ControlInterface, InputParameter, Ruckig, Synchronization
+from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization
 from ruckig import Trajectory as RuckigProfile
 
-from handover.messages import message
+from handover.messages import message, text_of
 from services.trajectory_tool.limits.guards import Guard
 from services.trajectory_tool.robot import Joints, RobotFault
 from services.trajectory_tool.trajectory import NOTHING_RAD, Limits, Setpoint
@@ -27,6 +27,9 @@ START_TOLERANCE_RAD = 0.02
 """The first setpoint of a motion is this near to the joints."""
 SHARES = (1.0, 0.5, 0.2)
 """The fractions of a commanded velocity that are tried."""
+ACCELERATION_SHARES = (1.0, 1 - 1e-9, 1 - 1e-6)
+"""Rounding leaves Ruckig without a profile for some states whose acceleration ends exactly at rest; a state
+beside them has one that differs by less than `EPSILON`."""
 STOP_SAMPLES = 6
 """A way to rest is divided into this many parts for the guards."""
 
@@ -196,16 +199,29 @@ class JointLimiter:
         return all(guard.permits_stop(stop) for guard in self.guards)
 
     def _to_velocity(self, start: Setpoint, velocity: Sequence[float] | None = None) -> Any:
-        """Return the quickest motion of each joint to a velocity; to rest by default."""
+        """Return the quickest motion of each joint to a velocity; to rest by default. Raises `RobotFault`."""
         count = len(start.positions)
         inputs = self._inputs
         inputs.current_position = start.positions
         inputs.current_velocity = start.velocities
-        inputs.current_acceleration = start.accelerations
         inputs.target_velocity = velocity if velocity is not None else [0.0] * count
         profile = RuckigProfile(count)
-        self._ruckig.calculate(inputs, profile)
-        return profile
+        for share in ACCELERATION_SHARES:
+            inputs.current_acceleration = [share * one for one in start.accelerations]
+            try:
+                self._ruckig.calculate(inputs, profile)
+            except RuckigError as error:
+                failure = error
+            else:
+                return profile
+        raise RobotFault(
+            message(
+                "robot.no_motion_because",
+                "there is no motion along {line}: {error}",
+                line="a stop",
+                error=text_of(failure),
+            )
+        ) from failure
 
 
 def _setpoint(profile: Any, since_s: float) -> Setpoint:

@@ -35,7 +35,7 @@ MIN_BELOW_M = 0.005
 REACHES = (0.9, 0.65, 0.5)
 """How far the fingers reach below the top of a thing of any shape, as shares of its height."""
 
-MARGIN_BELOW_M = 0.002
+MARGIN_BELOW_M = 0.0005
 """The fingers end this far above where they would touch the bottom, there."""
 
 OFFSETS = (0.0, -0.2, 0.2, -0.35, 0.35)

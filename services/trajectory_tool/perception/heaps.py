@@ -1,11 +1,12 @@
 """Things of unknown shape in a bin: what stands out of its bottom in a depth image.
 
 The points above the bottom are cut into connected pieces. A piece that fits between the fingers is one
-thing: the smallest rectangle around it from above, and its height. Of a wider one, such as cloth, the part
-above some height is taken that fits, about its highest point: two fingers can grip a fold. What cannot
-be seen, below the widest place, is assumed to be as wide as it.
+thing: the smallest rectangle around it from above, and its height. Of a wider one, such as cloth, a piece is
+taken beside which the fingers find room (`pinches`); the rest of it is an obstacle. Without such a piece it
+is the part above some height that fits, about its highest point: two fingers can grip a fold. What cannot be
+seen, below the widest place, is assumed to be as wide as it.
 
-Example: a ball of 74 mm is a square of 74 mm, 74 mm high; a crumpled jacket is its highest fold.
+Example: a ball of 74 mm is a square of 74 mm, 74 mm high; a jacket that lies spread out, one of its sleeves.
 """
 
 import math
@@ -16,22 +17,26 @@ import cv2
 import numpy as np
 
 from services.trajectory_tool.perception.depth_image import Array, DepthImage, Mask, frame_of
+from services.trajectory_tool.perception.grasps import CLEARANCE_M, Fingers
+from services.trajectory_tool.perception.pinches import Pinch, best_pinch
 from services.trajectory_tool.perception.segmentation import MIN_PIXELS, Inside, SeenPart, contents_of
 
 LEVELS: Final = 8
 """Heights at which a wide piece is cut."""
 MIN_HEIGHT_M: Final = 0.006
+MIN_PLAY_M: Final = 0.005
+"""Between the opened fingers and a thing, together."""
 JOINED_PIXELS: Final = 5
 """Pieces of a thing this near to each other in the image are one."""
 UP: Final = np.array([0.0, 0.0, 1.0])
 
 
-def find_things(image: DepthImage, inside: Inside, max_width_m: float) -> list[SeenPart]:
-    """Return the things in a bin, the highest first; `max_width_m` is what the gripper can take."""
+def find_things(image: DepthImage, inside: Inside, fingers: Fingers) -> list[SeenPart]:
+    """Return the things in a bin, the highest first."""
     content = contents_of(image.points, inside)
     found = []
     for pixels in _pieces(content, JOINED_PIXELS):
-        thing = _graspable(image.points, pixels & content, inside.bottom.position[2], max_width_m)
+        thing = _graspable(image.points, pixels & content, inside.bottom.position[2], fingers)
         if thing is not None:
             found.append(thing)
     return sorted(found, key=lambda part: -part.top_m)
@@ -47,13 +52,43 @@ def _pieces(mask: Mask, joined: int) -> Iterator[Mask]:
             yield piece
 
 
-def _graspable(points: Array, pixels: Mask, bottom_m: float, max_width_m: float) -> SeenPart | None:
-    """Return what of a piece fits between the fingers: all of it, or what is above some height."""
+def _graspable(points: Array, pixels: Mask, bottom_m: float, fingers: Fingers) -> SeenPart | None:
+    """Return what of a piece fits between the fingers: all of it, a pinch, or what is above some height."""
     heights = points[..., 2]
     top = float(np.percentile(heights[pixels], 98))
     if top - bottom_m < MIN_HEIGHT_M:
         return None
-    for share in np.linspace(0.0, 0.8, LEVELS):
+    max_width_m = fingers.opening - MIN_PLAY_M
+    whole = _rectangle(points, pixels, pixels, top, bottom_m)
+    if min(whole.size[:2]) <= max_width_m:
+        return whole
+    pinch = best_pinch(points[pixels], fingers)
+    if pinch is not None:
+        return _pinched(points, pixels, pinch, bottom_m, fingers)
+    return _highest_fold(points, pixels, top, bottom_m, max_width_m)
+
+
+def _pinched(points: Array, pixels: Mask, pinch: Pinch, bottom_m: float, fingers: Fingers) -> SeenPart:
+    """Return the piece between the fingers at a pinch, along whose first axis they close."""
+    c, s = math.cos(pinch.closing_rad), math.sin(pinch.closing_rad)
+    local = (points[..., :2] - np.array(pinch.place)) @ np.array([[c, -s], [s, c]])
+    between = (
+        pixels
+        & (np.abs(local[..., 0]) < fingers.opening / 2)
+        & (np.abs(local[..., 1]) < fingers.width / 2 + CLEARANCE_M)
+    )
+    height = max(float(np.percentile(points[between][:, 2], 98)) - bottom_m, MIN_HEIGHT_M)
+    x_axis = np.array([c, s, 0.0])
+    middle = np.array([*pinch.place, bottom_m + height / 2])
+    frame = frame_of(x_axis, np.cross(UP, x_axis), UP, middle)
+    return SeenPart(frame, (pinch.width_m, fingers.width, height), 1.0, between, is_known=False)
+
+
+def _highest_fold(
+    points: Array, pixels: Mask, top: float, bottom_m: float, max_width_m: float
+) -> SeenPart | None:
+    heights = points[..., 2]
+    for share in np.linspace(0.0, 0.8, LEVELS)[1:]:
         level = bottom_m + share * (top - bottom_m)
         above = pixels & (heights > level)
         pieces = [piece & above for piece in _pieces(above, 3)]

@@ -78,8 +78,12 @@ class Parts:
         x, y = self._random.uniform(-0.5, 0.5, 2) * DROPPED_SHARE * np.array(walls.size[:2])
         half = self._random.uniform(-math.pi, math.pi) / 2
         upright = Pose((x, y, walls.size[2] + DROP_FROM_M), (0.0, 0.0, math.sin(half), math.cos(half)))
-        self._simulation.put(part, Pose.of(walls.pose.frame() @ upright.frame()))
+        at = walls.pose.frame() @ upright.frame()
+        self._simulation.put(part, Pose.of(at))
         self._simulation.bend(part, self._random, CRUMPLED_RAD)
+        above_m = self._simulation.lowest_m(part) - at.position[2]
+        if above_m < 0:  # a sleeve that hangs down would begin inside of the table
+            self._simulation.move(part, (0.0, 0.0, -above_m))
 
     def stir(self, bin_name: str) -> Iterator[float]:
         """Push the parts of a bin up and towards its middle, and wait until they lie still."""

@@ -210,6 +210,21 @@ class Simulation:
             self._data.qpos[hinges] = random.uniform(-most_rad, most_rad, len(hinges))
             mujoco.mj_forward(self._model, self._data)
 
+    def lowest_m(self, part: int) -> float:
+        """Return the height of the lowest point of a part."""
+        return min(
+            pose.position[2]
+            - sum(abs(row) * side for row, side in zip(pose.frame().rotation[2], size, strict=True)) / 2
+            for pose, size in self.part_boxes(part)
+        )
+
+    def move(self, part: int, way: Vector) -> None:
+        """Move a part by `way` in m as it is; no time passes."""
+        with self.lock:
+            at = self._part_q[part]
+            self._data.qpos[at : at + 3] += way
+            mujoco.mj_forward(self._model, self._data)
+
     def push(self, part: int, velocity: Sequence[float], spin: Sequence[float]) -> None:
         """Set the velocity of a part in m/s and rad/s."""
         with self.lock:

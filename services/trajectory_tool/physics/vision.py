@@ -21,8 +21,6 @@ from services.trajectory_tool.scene import OpenBox, Scene
 from services.trajectory_tool.vision import SeenBall, SeenGrasp, Sighting
 
 MAX_GRASPS = 16
-MIN_PLAY_M = 0.005
-"""Between the opened fingers and a thing of any shape, together."""
 MAX_REPEATS_M = 0.002
 SAME_PART_M = 0.01
 """A part that two views show this near to each other is one: parts are thicker than that."""
@@ -150,7 +148,7 @@ class PhysicsVision:
             further = [other for other in images.values() if other is not each]
             finder = GraspFinder(each, inside, fingers, further)
             if bin_.objects:
-                parts = find_things(each, inside, fingers.opening - MIN_PLAY_M)
+                parts = find_things(each, inside, fingers)
             else:
                 parts = find_parts(each, inside, self._part_size_m)
             seen += [(part, finder) for part in parts]

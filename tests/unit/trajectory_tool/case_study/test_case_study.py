@@ -62,7 +62,7 @@ def test_the_supervisor_closes_at_the_goal_and_ends_without_a_part() -> None:
     operator = Supervisor()
     assert operator.next(view(), 0.0) == {"held": False}
     assert operator.next(view(goal_distance_m=0.2), 1.0) == {"held": True, "mix": 1.0}
-    assert operator.next(view(goal_distance_m=0.001), 2.0)["gripper"] == "close"
+    assert operator.next(view(goal_distance_m=0.0005), 2.0)["gripper"] == "close"
     operator.acted(view(), 3.0)
     assert operator.outcome == "nothing gripped"
 

@@ -22,7 +22,7 @@ from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, RobotFault
 from services.trajectory_tool.robots import ROBOTS
-from services.trajectory_tool.trajectory import Course, Setpoint
+from services.trajectory_tool.trajectory import Course, Limits, Setpoint
 
 CYCLE_S = 0.001
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -90,6 +90,19 @@ def test_jogging_never_violates_a_limit(seed: int) -> None:
     require_limits(found)
     assert found[-1].is_at_rest
     assert max(abs(a - b) for a, b in zip(found[-1].positions, UR10.home, strict=True)) > 0.01
+
+
+def test_a_joint_whose_brake_motion_ends_at_rest_but_for_rounding_can_stop() -> None:
+    accelerations = (15.0, -7.5, -10.0, 12.5, -15.0, 20.0, 20.0)
+    limits = Limits(
+        (2.0,) * 7, tuple(map(abs, accelerations)), tuple(500 * abs(one) for one in accelerations)
+    )
+    limiter = JointLimiter(limits)
+    velocities = tuple(-math.copysign(one * one / 2 / (500 * abs(one)), one) for one in accelerations)
+    rounded = tuple(one + math.copysign(4.4e-15, one) for one in velocities)
+    limiter.resume(Setpoint((0.0,) * 7, rounded, accelerations), 0.0)
+    assert limiter.step((0.0,) * 7, 0.1).velocities == (0.0,) * 7
+    assert limiter.brake(0.2).velocities == (0.0,) * 7
 
 
 def test_a_joint_that_is_jogged_to_its_end_stops_there() -> None:

@@ -44,7 +44,7 @@ def test_an_object_lies_where_the_camera_finds_it(name: str) -> None:
     ]
     walls = scene.bins["tray"].walls
     assert walls is not None
-    found = find_things(camera.image(), inside_of(walls), fingers.opening - 0.005)
+    found = find_things(camera.image(), inside_of(walls), fingers)
     assert found
     x, y, _ = found[0].pose.position
     assert min(math.dist((x, y), at[:2]) for at, _ in masses) < 0.04
@@ -61,3 +61,11 @@ def test_an_object_that_is_unknown_or_named_twice_is_refused() -> None:
         objects_of(scene_with("melon"))
     with pytest.raises(UsageError, match='"cube" is named twice'):
         objects_of(scene_with("cube", "cube"))
+
+
+def test_cloth_that_hangs_down_falls_from_above_its_bin() -> None:
+    scene = scene_with("jacket")
+    view = PANDA.reach(scene.bins["tray"].view.pose, PANDA.home)
+    simulation = Simulation(build({"panda-1": PANDA}, scene, 0), {"panda-1": view})
+    next(Parts(simulation, scene, seed=5).fill("tray"))
+    assert simulation.lowest_m(0) > TRAY["walls"]["size"][2]  # type: ignore[index]
