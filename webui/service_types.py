@@ -19,6 +19,7 @@ from webui.types import Schema, interface_of, name_of, reference_of
 FOLDER: Final = Path(__file__).parent / "app" / "src" / "api" / "generated"
 ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
     "accounts": ("/",),
+    "alert-router": ("/",),
     "device-gateway": ("/",),
     "gesture-controller": ("/gestures", "/people", "/tests"),
     "ros-bridge": ("/rules",),

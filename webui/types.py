@@ -60,6 +60,8 @@ CONSTRAINTS: Final = frozenset(
         "minLength",
         "minimum",
         "pattern",
+        "uniqueItems",
+        "writeOnly",
     }
 )
 """Keywords without a counterpart in TypeScript."""

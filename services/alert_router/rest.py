@@ -25,6 +25,7 @@ from services.alert_router.model import (
     AppriseChannel,
     Channel,
     Route,
+    WebhookChannel,
     is_name,
 )
 from services.alert_router.occurrence import AlertView, concerns
@@ -150,7 +151,13 @@ def _add_channels(app: FastAPI, store: Store, directory: Directory, senders: Sen
 
     @app.put("/channels/{name}", tags=["channels"], dependencies=[CAN_SET])
     @max_body(MAX_BYTES)
-    async def save_channel(name: str, channel: Channel) -> ChannelView:
+    async def save_channel(
+        name: str,
+        channel: Channel,
+        keep_secret: Annotated[
+            bool, Query(alias="keepSecret", description="a webhook without a secret keeps the one it has")
+        ] = False,
+    ) -> ChannelView:
         """Add or replace a channel."""
         _require_writable(name, in_file=name in directory.in_file.channels)
         if isinstance(channel, AppriseChannel):
@@ -164,6 +171,9 @@ def _add_channels(app: FastAPI, store: Store, directory: Directory, senders: Sen
                 ),
             )
         _require_not_full(len(directory.channels), MAX_CHANNELS, is_new=name not in directory.channels)
+        present = directory.channels.get(name)
+        if keep_secret and isinstance(channel, WebhookChannel) and isinstance(present, WebhookChannel):
+            channel = channel.model_copy(update={"secret": channel.secret or present.secret})
         await directory.set_channel(name, channel)
         return view(name)
 

@@ -48,6 +48,7 @@ PAGES = {
     "study": "/study",
     "sensors": "/sensors",
     "devices": "/devices?device=page-arm",
+    "alerting": "/alerting?add=yes",
 }
 URDF = """<robot name="two">
 <link name="base"><visual><geometry><box size="0.2 0.2 0.1"/></geometry></visual></link>

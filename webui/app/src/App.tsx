@@ -16,6 +16,7 @@ const TasksPage = lazy(() => import("~/tasks/TasksPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
 const PeoplePage = lazy(() => import("~/people/PeoplePage"));
 const DevicesPage = lazy(() => import("~/devices/DevicesPage"));
+const AlertingPage = lazy(() => import("~/alerting/AlertingPage"));
 const SensorsPage = lazy(() => import("~/sensors/SensorsPage"));
 const ControlPage = lazy(() => import("~/control/ControlPage"));
 const CalibratePage = lazy(() => import("~/calibrate/CalibratePage"));
@@ -51,6 +52,7 @@ export function App() {
             <Route path="/people" component={PeoplePage} />
             <Route path="/sensors" component={SensorsPage} />
             <Route path="/devices" component={DevicesPage} />
+            <Route path="/alerting" component={AlertingPage} />
             <Route path="/control" component={ControlPage} />
             <Route path="/calibrate" component={CalibratePage} />
             <Route path="/test" component={TestPage} />

@@ -1,6 +1,6 @@
 /** The frame of every page: navigation, connection state and preferences. */
 import {
-  CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HardHat, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
+  BellRing, CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HardHat, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
 } from "lucide-react";
 import { Suspense, useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -24,6 +24,7 @@ const pages = [
   { path: "/system", name: "system", icon: Cog, key: "4" },
   { path: "/sensors", name: "sensors", icon: Thermometer, key: "m" },
   { path: "/devices", name: "devices", icon: Cpu, key: "v" },
+  { path: "/alerting", name: "alerting", icon: BellRing, key: "w" },
   { path: "/control", name: "control", icon: Gamepad2, key: "c" },
   { path: "/calibrate", name: "calibrate", icon: SlidersHorizontal, key: "5" },
   { path: "/test", name: "test", icon: Crosshair, key: "6" },
