@@ -92,5 +92,6 @@ SENSOR_DRIVERS: Final = ExtensionPoint(
     "handover.sensor_drivers",
     {
         "simulated": f"{_DRIVERS}.simulated.driver:SimulatedDriver",
+        "recording": f"{_DRIVERS}.recording.driver:RecordingDriver",
     },
 )

@@ -1,0 +1,371 @@
+"""The signals of a recording, read from files of five formats.
+
+A file is read whole (in a thread, at most `MAX_BYTES`), and checked: lengths, rates, times that increase,
+units that are known. What cannot be read is a `RecordingError` that names the file and the way out.
+"""
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handover.errors import UsageError
+from services.human_state.model.signals import SignalInfo, SignalKind
+
+MAX_BYTES: Final = 512 * 1024 * 1024
+MAX_TRACKS: Final = 128
+MAX_CSV_ROWS: Final = 20_000_000
+
+Floats = NDArray[np.float64]
+
+
+class RecordingError(UsageError):
+    """A recording that cannot be replayed; the text names the file, the rule and the way out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """One signal of a recording: `values` (samples, channels), from `start_s` after the beginning.
+
+    Irregular signals have `times_s` after the beginning, which increase.
+    """
+
+    name: str
+    info: SignalInfo
+    values: Floats
+    start_s: float = 0.0
+    times_s: Floats | None = None
+
+    @property
+    def end_s(self) -> float:
+        """Return the time after the last sample."""
+        if self.times_s is not None:
+            return float(self.times_s[-1]) if len(self.times_s) else 0.0
+        return self.start_s + len(self.values) / (self.info.rate_hz or 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """All signals of a recording. `began_s` is when it was made, in s since 1970, if the file says so."""
+
+    tracks: tuple[Track, ...]
+    began_s: float | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """Return the time of the last sample after the beginning."""
+        return max(track.end_s for track in self.tracks)
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a channel of a file is: its kind, and its unit where the file does not say or is wrong."""
+
+    kind: SignalKind
+    unit: str | None = None
+
+
+_VOLTS: Final = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0, "microvolts": 1.0, "nv": 1e-3}
+_UNITS: Final = {
+    "bpm": ("BPM", 1.0), "us": ("D80", 1.0), "µs": ("D80", 1.0), "ms": ("C26", 1.0), "s": ("SEC", 1.0),
+    "%": ("P1", 1.0),
+    "m/s2": ("MSK", 1.0), "m/s^2": ("MSK", 1.0), "m/s²": ("MSK", 1.0),
+    "g": ("MSK", 9.80665),
+    "mg": ("MSK", 9.80665e-3), "degc": ("CEL", 1.0),
+    "°c": ("CEL", 1.0), "1/min": ("C94", 1.0), "cm": ("CMT", 1.0),
+}  # fmt: skip
+"""Units as files write them: the code of UN/CEFACT Recommendation 20, and the factor."""
+_CODES: Final = frozenset({"D82", "C62", *(code for code, _ in _UNITS.values())})
+_LEADS: Final = frozenset(
+    {
+        "i",
+        "ii",
+        "iii",
+        "avr",
+        "avl",
+        "avf",
+        "mlii",
+        "mli",
+        "mv1",
+        "v",
+        "v1",
+        "v2",
+        "v3",
+        "v4",
+        "v5",
+        "v6",
+        "ecg",
+    }
+)
+_KINDS: Final = {
+    "pleth": SignalKind.PPG, "ppg": SignalKind.PPG, "bvp": SignalKind.PPG, "resp": SignalKind.RESPIRATION,
+    "rsp": SignalKind.RESPIRATION, "emg": SignalKind.EMG, "eda": SignalKind.EDA, "gsr": SignalKind.EDA,
+    "eeg": SignalKind.EEG, "eog": SignalKind.EOG, "acc": SignalKind.ACCELERATION,
+    "accelerometer": SignalKind.ACCELERATION, "spo2": SignalKind.SPO2, "hr": SignalKind.HEART_RATE,
+    "rr": SignalKind.INTER_BEAT_INTERVAL, "temp": SignalKind.SKIN_TEMPERATURE,
+}  # fmt: skip
+
+
+def kind_of(name: str) -> SignalKind | None:
+    """Return what a channel of this name usually is, None if that is not clear."""
+    text = name.strip().lower()
+    if text in _LEADS or text.startswith("ecg"):
+        return SignalKind.ECG
+    if text in {kind.value.lower() for kind in SignalKind}:
+        return next(kind for kind in SignalKind if kind.value.lower() == text)
+    return next((kind for word, kind in _KINDS.items() if text.startswith(word)), None)
+
+
+def unit_of(text: str, name: str) -> tuple[str, float]:
+    """Return the code of a unit, and what to multiply values with; raise `RecordingError`."""
+    plain = text.strip()
+    if plain in _CODES:
+        return plain, 1.0
+    small = plain.lower().replace(" ", "")
+    if small in _VOLTS:
+        return "D82", _VOLTS[small]
+    if small in _UNITS:
+        return _UNITS[small]
+    if small in {"", "nu", "n/a", "a.u.", "au", "-", "1"}:
+        return "C62", 1.0
+    raise RecordingError(
+        f'the unit "{plain}" of "{name}" is not known; name it with a code in `channels` of the driver: '
+        f"{', '.join(sorted(_CODES))}"
+    )
+
+
+def read(path: Path, meanings: dict[str, Meaning]) -> Recording:
+    """Return the recording in `path`. `meanings` are by channel; those that nothing explains are left out."""
+    suffix = path.suffix.lower()
+    reader = _READERS.get(suffix)
+    if reader is None:
+        known = ", ".join(sorted(_READERS))
+        raise RecordingError(f"{path.name} is no recording that can be read; it must end with one of {known}")
+    if not path.is_file():
+        raise RecordingError(f"there is no recording {path}; give the path of a file that exists")
+    if (size := path.stat().st_size) > MAX_BYTES:
+        raise RecordingError(f"{path.name} has {size:,} bytes; at most {MAX_BYTES:,} are read, so cut it")
+    try:
+        recording = reader(path, meanings)
+    except RecordingError:
+        raise
+    except ImportError as error:
+        raise RecordingError(
+            f'{path.name} needs {error.name}; install the extra: pip install "handover[human-state]"'
+        ) from error
+    except Exception as error:  # the libraries raise anything for a damaged file
+        raise RecordingError(
+            f"{path.name} cannot be read: {type(error).__name__}: {error}; is the file complete?"
+        ) from error
+    if not recording.tracks:
+        raise RecordingError(
+            f"{path.name} has no channel whose kind is known; name some in `channels` of the driver"
+        )
+    for track in recording.tracks:
+        _check(track, path)
+    return recording
+
+
+def _check(track: Track, path: Path) -> None:
+    times_s = track.times_s
+    if len(track.values) == 0:
+        raise RecordingError(f'"{track.name}" in {path.name} has no samples; leave it out of `channels`')
+    if not math.isfinite(track.start_s) or (times_s is not None and not np.all(np.isfinite(times_s))):
+        raise RecordingError(f'"{track.name}" in {path.name} has times that are no numbers; repair the file')
+    if times_s is not None and np.any(np.diff(times_s) < 0):
+        raise RecordingError(f'the times of "{track.name}" in {path.name} run backwards; sort the file')
+
+
+def _track(
+    name: str, values: Floats, rate_hz: float | None, unit: str, meanings: dict[str, Meaning], **times: Any
+) -> Track | None:
+    meaning = meanings.get(name)
+    kind = meaning.kind if meaning else kind_of(name)
+    if kind is None or (meanings and meaning is None):
+        return None
+    code, factor = unit_of(meaning.unit if meaning and meaning.unit else unit, name)
+    columns = values.reshape(len(values), -1) * factor
+    channels = (name,) if columns.shape[1] == 1 else tuple(str(one) for one in range(columns.shape[1]))
+    try:
+        info = SignalInfo(kind, code, rate_hz, channels, method=f"recorded, {name}")
+    except ValueError as error:
+        raise RecordingError(f'"{name}": {error}') from None
+    return Track(name, info, columns, **times)
+
+
+def _present(tracks: Iterable[Track | None]) -> tuple[Track, ...]:
+    found = tuple(track for track in tracks if track is not None)
+    if len(found) > MAX_TRACKS:
+        raise RecordingError(f"{len(found)} signals are too many; name at most {MAX_TRACKS} in `channels`")
+    return found
+
+
+def _wfdb(path: Path, meanings: dict[str, Meaning]) -> Recording:
+    import wfdb  # type: ignore[import-untyped]  # noqa: PLC0415 - of the extra
+
+    record = wfdb.rdrecord(str(path.with_suffix("")))
+    if record.p_signal is None or not record.fs:
+        raise RecordingError(f"{path.name} has no signals with a rate; give the header of a signal record")
+    began_s = record.base_datetime.timestamp() if record.base_datetime else None
+    return Recording(
+        _present(
+            _track(name, record.p_signal[:, at], float(record.fs), record.units[at] or "", meanings)
+            for at, name in enumerate(record.sig_name)
+        ),
+        began_s,
+    )
+
+
+def _edf(path: Path, meanings: dict[str, Meaning]) -> Recording:
+    import pyedflib  # noqa: PLC0415 - of the extra
+
+    with pyedflib.EdfReader(str(path)) as edf:
+        tracks = _present(
+            _track(
+                edf.getLabel(at).strip(),
+                edf.readSignal(at),
+                float(edf.getSampleFrequency(at)),
+                edf.getPhysicalDimension(at),
+                meanings,
+            )
+            for at in range(edf.signals_in_file)
+        )
+        return Recording(tracks, edf.getStartdatetime().timestamp())
+
+
+def _xdf(path: Path, meanings: dict[str, Meaning]) -> Recording:
+    import pyxdf  # type: ignore[import-untyped]  # noqa: PLC0415 - of the extra
+
+    with path.open("rb") as file:
+        streams, _ = pyxdf.load_xdf(file, verbose=False)
+    filled = [stream for stream in streams if len(stream["time_stamps"])]
+    origin_s = min((float(stream["time_stamps"][0]) for stream in filled), default=0.0)
+    return Recording(_present(_xdf_track(stream, origin_s, meanings) for stream in filled))
+
+
+def _xdf_track(stream: dict[str, Any], origin_s: float, meanings: dict[str, Meaning]) -> Track | None:
+    info, times_s = stream["info"], np.asarray(stream["time_stamps"], dtype=np.float64) - origin_s
+    if info["channel_format"][0] == "string":
+        return None  # markers
+    name = str(info["name"][0])
+    kind = kind_of(name) or kind_of(str(info["type"][0]))
+    if not meanings and kind is not None:
+        meanings = {name: Meaning(kind)}
+    desc = info.get("desc") or [None]
+    channels = ((desc[0] or {}).get("channels") or [{}])[0] or {}
+    units = [one.get("unit", [""])[0] for one in channels.get("channel", [])] if channels else []
+    values = np.asarray(stream["time_series"], dtype=np.float64)
+    nominal = float(info["nominal_srate"][0])
+    unit = str(units[0]) if units else ""
+    # Gaps are kept: the times of a stream are those that were recorded, not only its rate.
+    is_even = nominal > 0 and np.all(np.abs(np.diff(times_s) * nominal - 1) < 0.5)
+    if is_even:
+        return _track(name, values, nominal, unit, meanings, start_s=float(times_s[0]))
+    return _track(name, values, None, unit, meanings, times_s=times_s)
+
+
+def _mcap(path: Path, meanings: dict[str, Meaning]) -> Recording:
+    """Read JSON messages with the fields of `Samples`; other encodings are left out."""
+    from mcap.reader import make_reader  # noqa: PLC0415 - of the extra
+
+    chunks: dict[str, list[dict[str, Any]]] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            if channel.message_encoding != "json":
+                continue
+            content = json.loads(message.data)
+            if isinstance(content, dict) and "kind" in content and "values" in content:
+                chunks.setdefault(channel.topic, []).append(content)
+    origin_s = min((float(parts[0]["start_s"]) for parts in chunks.values()), default=0.0)
+    tracks = [_mcap_track(topic, parts, origin_s, meanings) for topic, parts in chunks.items()]
+    return Recording(_present(tracks), origin_s or None)
+
+
+def _mcap_track(
+    topic: str, parts: Sequence[dict[str, Any]], origin_s: float, meanings: dict[str, Meaning]
+) -> Track | None:
+    first = parts[0]
+    info = SignalInfo(
+        SignalKind(first["kind"]),
+        str(first["unit"]),
+        first.get("rate_hz"),
+        tuple(map(str, first.get("channels") or ("",))),
+        method=str(first.get("method", "")),
+    )
+    if meanings and topic not in meanings:
+        return None
+    blocks, times = [], []
+    for part in parts:
+        values = np.array(part["values"], dtype=np.float64).reshape(-1, len(info.channels))
+        start_s = float(part["start_s"]) - origin_s
+        given = part.get("times_s")
+        blocks.append(values)
+        times.append(
+            np.asarray(given, dtype=np.float64) - origin_s
+            if given is not None
+            else start_s + np.arange(len(values)) / (info.rate_hz or 1.0)
+        )
+    values, times_s = np.concatenate(blocks), np.concatenate(times)
+    if info.rate_hz and np.all(np.abs(np.diff(times_s) * info.rate_hz - 1) < 0.5):
+        return Track(topic, info, values, start_s=float(times_s[0]))
+    return Track(topic, replace(info, rate_hz=None), values, times_s=times_s)
+
+
+def _csv(path: Path, meanings: dict[str, Meaning]) -> Recording:
+    """Read a table with a header `time, ecg [mV], …`; times in s or, with `time [ms]`, in milliseconds."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file)
+        header = next(rows, None)
+        if header is None or not header or not header[0].lower().startswith(("time", "t", "seconds")):
+            raise RecordingError(
+                f"the first column of {path.name} is no time; the header must be like `time,ecg [mV]`"
+            )
+        table: list[list[float]] = []
+        for number, row in enumerate(rows, start=2):
+            if not row:
+                continue
+            if len(row) != len(header):
+                raise RecordingError(f"line {number} of {path.name} has {len(row)} of {len(header)} values")
+            try:
+                table.append([float(cell) if cell.strip() else math.nan for cell in row])
+            except ValueError:
+                raise RecordingError(f"line {number} of {path.name} has a cell that is no number") from None
+            if len(table) > MAX_CSV_ROWS:
+                raise RecordingError(f"{path.name} has more than {MAX_CSV_ROWS:,} lines; cut it")
+    if len(table) < 2:
+        raise RecordingError(f"{path.name} has fewer than two lines of values; there is nothing to replay")
+    array = np.array(table)
+    times_s = array[:, 0] * (1e-3 if "[ms]" in header[0].lower() else 1.0)
+    began_s, times_s = float(times_s[0]), times_s - times_s[0]
+    period_s = float(np.median(np.diff(times_s)))
+    is_even = period_s > 0 and bool(np.all(np.abs(np.diff(times_s) - period_s) <= 0.5 * period_s))
+    rate_hz = (len(times_s) - 1) / float(times_s[-1]) if is_even else None
+    names = [_named(cell) for cell in header[1:]]
+    return Recording(
+        _present(
+            _track(name, array[:, at], rate_hz, unit, meanings, **({} if rate_hz else {"times_s": times_s}))
+            for at, (name, unit) in enumerate(names, start=1)
+        ),
+        began_s if began_s > 1e8 else None,
+    )
+
+
+def _named(cell: str) -> tuple[str, str]:
+    name, bracket, rest = cell.partition("[")
+    return name.strip(), rest.rstrip("] ") if bracket else ""
+
+
+_READERS: Final[dict[str, Callable[[Path, dict[str, Meaning]], Recording]]] = {
+    ".hea": _wfdb,
+    ".edf": _edf,
+    ".bdf": _edf,
+    ".xdf": _xdf,
+    ".mcap": _mcap,
+    ".csv": _csv,
+}

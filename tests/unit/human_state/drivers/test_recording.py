@@ -1,0 +1,243 @@
+"""Recordings of five formats are replayed with their times and units; damaged files are refused by name."""
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from services.human_state.drivers.recording.driver import RecordingDriver, RecordingSettings
+from services.human_state.drivers.recording.tracks import RecordingError, kind_of, read
+from services.human_state.drivers.runner import SensorRunner
+from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalKind
+from tests.kit.paths import REPOSITORY
+
+PHYSIOLOGY = REPOSITORY.parent / "shared" / "data" / "physiology"
+needs_records = pytest.mark.skipif(not PHYSIOLOGY.exists(), reason="the records of PhysioNet are not here")
+ECG_MV = np.sin(np.arange(500) / 10) + np.random.default_rng(0).normal(0, 0.01, 500)
+
+
+def in_wfdb(folder: Path) -> Path:
+    import wfdb
+
+    wfdb.wrsamp(
+        "made",
+        250,
+        ["mV", "NU"],
+        ["II", "PLETH"],
+        np.column_stack([ECG_MV, ECG_MV]),
+        fmt=["16", "16"],
+        write_dir=str(folder),
+    )
+    return folder / "made.hea"
+
+
+def in_edf(folder: Path) -> Path:
+    import pyedflib
+
+    path = folder / "made.edf"
+    with pyedflib.EdfWriter(str(path), 1) as writer:
+        writer.setSignalHeaders(
+            [{"label": "ECG II", "dimension": "mV", "sample_frequency": 250,
+              "physical_max": 5.0, "physical_min": -5.0,
+              "digital_max": 32767, "digital_min": -32768, "transducer": "", "prefilter": ""}]
+        )  # fmt: skip
+        writer.writeSamples([ECG_MV])
+    return path
+
+
+def in_csv(folder: Path) -> Path:
+    path = folder / "made.csv"
+    lines = [f"{at / 250:.6f},{value:.9f},\n" for at, value in enumerate(ECG_MV)]
+    path.write_text("time,ecg [mV],note\n" + "".join(lines))
+    return path
+
+
+def in_mcap(folder: Path) -> Path:
+    from mcap.writer import Writer
+
+    path = folder / "made.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Samples", "jsonschema", b"{}")
+        channel = writer.register_channel("/ecg", "json", schema)
+        for first in range(0, 500, 50):
+            start_s = 1_700_000_000 + first / 250
+            body = {
+                "kind": "ecg", "unit": "D82", "rate_hz": 250.0, "channels": ["I"], "start_s": start_s,
+                "values": [[1000 * value] for value in ECG_MV[first : first + 50]],
+            }  # fmt: skip
+            writer.add_message(channel, round(start_s * 1e9), json.dumps(body).encode(), round(start_s * 1e9))
+        writer.finish()
+    return path
+
+
+def in_xdf(folder: Path) -> Path:
+    """Write one stream as XDF 1.0: magic, file header, stream header, samples, stream footer."""
+    import struct
+
+    def chunk(tag: int, content: bytes) -> bytes:
+        return b"\x04" + struct.pack("<I", len(content) + 2) + struct.pack("<H", tag) + content
+
+    header = (
+        b"<?xml version='1.0'?><info><name>ECG</name><type>ECG</type><channel_count>1</channel_count>"
+        b"<nominal_srate>250</nominal_srate><channel_format>double64</channel_format><source_id>x</source_id>"
+        b"<desc><channels><channel><label>I</label><unit>mV</unit></channel></channels></desc></info>"
+    )
+    body = struct.pack("<I", 1) + b"\x04" + struct.pack("<I", len(ECG_MV))
+    for at, value in enumerate(ECG_MV):
+        body += b"\x08" + struct.pack("<d", 50 + at / 250) + struct.pack("<d", value)
+    footer = (
+        b"<?xml version='1.0'?><info><first_timestamp>50</first_timestamp>"
+        b"<last_timestamp>51.996</last_timestamp>"
+        b"<sample_count>500</sample_count><clock_offsets></clock_offsets></info>"
+    )
+    stream = struct.pack("<I", 1)
+    path = folder / "made.xdf"
+    path.write_bytes(
+        b"XDF:"
+        + chunk(1, b"<?xml version='1.0'?><info><version>1.0</version></info>")
+        + chunk(2, stream + header)
+        + chunk(3, body)
+        + chunk(6, stream + footer)
+    )
+    return path
+
+
+WRITERS = {".hea": in_wfdb, ".edf": in_edf, ".csv": in_csv, ".mcap": in_mcap, ".xdf": in_xdf}
+
+
+async def replay(path: Path, **given: Any) -> tuple[list[Samples], list[SensorReport]]:
+    driver = RecordingDriver("file", RecordingSettings(path=path, **{"pace": 0, **given}))
+    items: list[Samples | SensorReport] = []
+    await SensorRunner(driver, items.append).run()
+    return [one for one in items if isinstance(one, Samples)], [
+        one for one in items if isinstance(one, SensorReport)
+    ]
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+async def test_each_format_is_replayed_in_microvolts_without_faults(suffix: str, tmp_path: Path) -> None:
+    samples, reports = await replay(WRITERS[suffix](tmp_path))
+    ecg = [one for one in samples if one.info.kind is SignalKind.ECG]
+    values = np.concatenate([one.values[:, 0] for one in ecg])
+    assert len(values) == 500
+    assert ecg[0].info.unit == "D82"
+    assert ecg[0].info.rate_hz == pytest.approx(250, rel=1e-4)
+    assert values == pytest.approx(1000 * ECG_MV, abs=1)
+    times = np.concatenate([one.sample_times_s() for one in ecg])
+    assert np.allclose(np.diff(times), 1 / 250, atol=1e-6)
+    assert not [report for report in reports if report.fault]
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(cut=st.integers(0, 2000), noise=st.binary(max_size=20))
+def test_a_damaged_file_is_refused_or_read_and_nothing_else(
+    suffix: str, cut: int, noise: bytes, tmp_path: Path
+) -> None:
+    path = WRITERS[suffix](tmp_path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: cut % len(whole)] + noise)
+    try:
+        recording = read(path, {})
+    except RecordingError:
+        pass
+    else:
+        assert all(len(track.values) for track in recording.tracks)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.txt", "x", "must end with one of"),
+        ("a.csv", "ecg,time\n1,2\n", "first column"),
+        ("a.csv", "time,ecg [furlong]\n0,1\n1,2\n", "not known"),
+        ("a.csv", "time,ecg\n0,1\n1\n", "line 3"),
+        ("a.csv", "time,ecg\n0,1\n1,many\n", "no number"),
+        ("a.csv", "time,ecg\n0,1\n5,2\n1,3\n", "backwards"),
+        ("a.csv", "time,other\n0,1\n1,2\n", "`channels`"),
+        ("a.csv", "time,ecg\n", "fewer than two"),
+    ],
+)
+def test_a_file_that_is_wrong_is_refused_with_the_way_out(
+    name: str, text: str, message: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(RecordingError, match=message):
+        read(tmp_path / name, {})
+
+
+def test_a_file_that_is_absent_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"there is no recording .*gone\.csv"):
+        read(tmp_path / "gone.csv", {})
+
+
+async def test_a_loop_continues_without_a_fault(tmp_path: Path) -> None:
+    items: list[Samples | SensorReport] = []
+
+    class Enough(Exception):
+        pass
+
+    def sink(item: Samples | SensorReport) -> None:
+        items.append(item)
+        if isinstance(item, Samples) and item.end_s - first_s() > 5:
+            raise Enough
+
+    def first_s() -> float:
+        return next(one for one in items if isinstance(one, Samples)).start_s
+
+    driver = RecordingDriver("file", RecordingSettings(path=in_csv(tmp_path), pace=0, loop=True))
+    with pytest.raises(Enough):
+        await driver.run(sink)
+    ends = [one for one in items if isinstance(one, Samples)]
+    steps = [after.start_s - before.end_s for before, after in itertools.pairwise(ends)]
+    assert max(abs(step - 1 / 250) for step in steps) < 1e-4
+
+
+async def test_times_that_were_recorded_are_kept(tmp_path: Path) -> None:
+    samples, _ = await replay(in_mcap(tmp_path), times="recorded")
+    assert samples[0].start_s == pytest.approx(1_700_000_000)
+
+
+async def test_a_gap_in_a_table_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "gap.csv"
+    rows = [f"{at / 250 + (3 if at > 200 else 0)},{np.sin(at)}\n" for at in range(400)]
+    path.write_text("time,ecg [mV]\n" + "".join(rows))
+    samples, _ = await replay(path)
+    times = np.concatenate([one.sample_times_s() for one in samples])
+    assert np.diff(times).max() == pytest.approx(3 + 1 / 250)
+
+
+@needs_records
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [
+        ("100", ["ecg", "ecg"]),
+        ("a103l", ["ecg", "ecg", "ppg"]),
+        ("v102s", ["ecg", "ecg", "ppg", "respiration"]),
+    ],
+)
+async def test_records_of_physionet_are_replayed(name: str, kinds: list[str]) -> None:
+    driver = RecordingDriver("file", RecordingSettings(path=PHYSIOLOGY / f"{name}.hea", pace=0, packet_s=10))
+    assert [info.kind.value for info in driver.signals] == kinds
+    items: list[Samples | SensorReport] = []
+    await SensorRunner(driver, items.append).run()
+    jumps = {one.fault for one in items if isinstance(one, SensorReport)} & {
+        SensorFault.GAP,
+        SensorFault.CLOCK_JUMP,
+        SensorFault.RATE,
+        SensorFault.UNIT,
+    }
+    assert not jumps
+
+
+def test_names_of_channels_are_understood() -> None:
+    assert kind_of("MLII") is SignalKind.ECG
+    assert kind_of("heartRate") is SignalKind.HEART_RATE
+    assert kind_of("whatever") is None
