@@ -1,0 +1,87 @@
+"""ECG to heart rate, variability and breathing: beats of the first channel, then the rhythm of the beats."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from services.human_state.model.features import Feature
+from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo
+from services.human_state.processing.beats import Beat, BeatDetector
+from services.human_state.processing.breathing import BeatBreathing
+from services.human_state.processing.rhythm import Rhythm
+
+METHOD: Final = "ecg-1"
+"""The version of the algorithm; it changes when values change."""
+BLOCK_S: Final = 0.5
+SHORT_FAULTS: Final = frozenset(
+    {SensorFault.GAP, SensorFault.RATE, SensorFault.CLOCK_JUMP, SensorFault.SATURATED}
+)
+"""Faults after which the electrodes still sit where they sat: the learned shape of a beat stays."""
+RELEARN_BELOW: Final = 0.3
+RELEARN_AFTER_S: Final = 15.0
+
+
+class EcgProcessor:
+    """An ECG of 50 to 2,000 Hz, any unit and polarity, one lead: the first channel."""
+
+    def __init__(self, info: SignalInfo) -> None:
+        if info.rate_hz is None:
+            raise ValueError("an ECG needs a rate; the driver must give rate_hz")
+        self._rate_hz: Final = info.rate_hz
+        self._detector: Final = BeatDetector(info.rate_hz)
+        self._rhythm: Final = Rhythm(METHOD)
+        self._breathing: Final = BeatBreathing(METHOD)
+        self._pending: list[Samples] = []
+        self._waiting = 0
+        self._fed = 0
+        self._poor_s = 0.0
+
+    @property
+    def rhythm(self) -> Rhythm:
+        """The intervals of the last 300 s."""
+        return self._rhythm
+
+    def feed(self, samples: Samples) -> Sequence[Feature]:
+        """Take samples; blocks of 0.5 s at least are analysed, so that small packets cost no more."""
+        self._pending.append(samples)
+        self._waiting += len(samples.values)
+        if self._waiting < BLOCK_S * self._rate_hz:
+            return []
+        block = np.concatenate([each.values[:, 0] for each in self._pending])
+        quality = min(each.quality for each in self._pending)
+        end_s = samples.end_s
+        self._pending.clear()
+        self._fed += self._waiting
+        self._waiting = 0
+        beats = self._detector.feed(block)
+        for beat in beats:
+            at_s = end_s - (self._fed - 1 - beat.position) / self._rate_hz
+            self._rhythm.add_beat(at_s, beat.quality * quality, is_usual_shape=beat.is_usual_shape)
+            self._breathing.add_beat(at_s, beat.height, beat.quality * quality)
+        self._relearn_if_poor(beats, len(block) / self._rate_hz)
+        found = self._rhythm.features(samples.source, end_s, max(1.0, len(block) / self._rate_hz))
+        found += self._breathing.features(samples.source, end_s)
+        return found
+
+    def report(self, report: SensorReport) -> Sequence[Feature]:
+        """Forget the signal before a fault."""
+        if report.fault is not None or report.has_contact is False:
+            self._detector.reset(keep_shape=report.fault in SHORT_FAULTS)
+            self._rhythm.reset()
+            self._breathing.reset()
+            self._pending.clear()
+            self._waiting = self._fed = 0
+            self._poor_s = 0.0
+        return []
+
+    def _relearn_if_poor(self, beats: list[Beat], block_s: float) -> None:
+        """Learn the shape again when nothing has matched for 15 s: the electrodes were moved."""
+        is_good = any(beat.quality >= RELEARN_BELOW for beat in beats)
+        self._poor_s = 0.0 if is_good else self._poor_s + block_s
+        if self._poor_s > RELEARN_AFTER_S:
+            self._detector.reset()
+            self._rhythm.reset()
+            self._breathing.reset()
+            self._fed = 0
+            self._poor_s = 0.0

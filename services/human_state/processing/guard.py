@@ -1,0 +1,329 @@
+"""Faults of a signal: samples that must not become values are found before any analysis sees them.
+
+`SignalGuard.check` takes each packet and returns it if it may be used, else the fault:
+
+| fault | found by |
+|---|---|
+| gap | the packet begins later than the last one ended, or `advance` finds the sensor silent |
+| clockJump | it begins earlier, or more than a minute later |
+| rate | two packets in a row are off by the same ratio, or the samples drift from the rate by 2 % in 5 s |
+| noContact | the device says so; the ECG becomes quiet, as with a strap that was taken off |
+| saturated | samples at the bounds of the sensor, or clipped at one value |
+| flat | every channel keeps one value for longer than a body signal can |
+| unit | values that no body produces in this unit, gravity that is not 9.8 m/s2, a level that rose by 30 |
+| artefact | NaN, or a level 10 times the usual one of this ECG, PPG or breathing signal |
+
+After a fault samples are used again when `SETTLE_S` of good ones have come: transients of amplifiers are not
+values. Time from the fault to its report is one packet, and at most 1 s of signal.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.human_state.model.signals import (
+    ClockKind,
+    Samples,
+    SensorFault,
+    SensorReport,
+    SignalInfo,
+    SignalKind,
+)
+
+Floats = NDArray[np.float64]
+Finding = tuple[SensorFault, str, dict[str, float]]
+"""A fault, what a person should know of it, and figures."""
+
+SETTLE_S: Final = 1.0
+MAX_GAP_S: Final = 60.0
+"""A longer step of the clock is a jump: a sensor that was away so long starts over anyway."""
+MAX_ARRIVAL_JITTER_S: Final = 0.25
+SILENCE_S: Final = 0.95
+GRAVITY_MPS2: Final = 9.80665
+
+WAVEFORMS: Final = frozenset(
+    {
+        SignalKind.ECG, SignalKind.PPG, SignalKind.EDA, SignalKind.EMG, SignalKind.EEG, SignalKind.EOG,
+        SignalKind.ICG, SignalKind.BCG, SignalKind.RESPIRATION, SignalKind.ACCELERATION,
+        SignalKind.ANGULAR_VELOCITY, SignalKind.MAGNETIC_FIELD,
+    }
+)  # fmt: skip
+STEADY_LEVEL: Final = frozenset({SignalKind.ECG, SignalKind.PPG, SignalKind.RESPIRATION})
+"""Kinds whose level does not rise tenfold while they mean anything. A muscle or an arm may."""
+
+FLAT_AFTER_S: Final[dict[SignalKind, float]] = {
+    SignalKind.ECG: 0.5,
+    SignalKind.PPG: 0.6,
+    SignalKind.EMG: 0.5,
+    SignalKind.EEG: 0.5,
+    SignalKind.ACCELERATION: 0.8,
+    SignalKind.RESPIRATION: 3.0,
+}
+
+PLAUSIBLE: Final[dict[tuple[SignalKind, str], tuple[float, float]]] = {
+    (SignalKind.ECG, "D82"): (-500_000, 500_000),  # microvolt: electrode offsets of 300 mV are normal
+    (SignalKind.ECG, "2Z"): (-500, 500),
+    (SignalKind.ACCELERATION, "MSK"): (-320, 320),
+    (SignalKind.EDA, "D80"): (0.0, 100),
+    (SignalKind.HEART_RATE, "BPM"): (25, 250),
+    (SignalKind.INTER_BEAT_INTERVAL, "C26"): (240, 2400),
+    (SignalKind.INTER_BEAT_INTERVAL, "SEC"): (0.24, 2.4),
+    (SignalKind.BREATHING_RATE, "C94"): (3, 70),
+    (SignalKind.HEART_RATE_VARIABILITY, "C26"): (0, 500),
+    (SignalKind.SPO2, "P1"): (50, 100),
+    (SignalKind.SKIN_TEMPERATURE, "CEL"): (10, 45),
+}
+"""What a body can produce, by kind and unit. A value outside is never used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """The packet if it may be used, and the faults that begin with it."""
+
+    samples: Samples | None
+    faults: tuple[SensorReport, ...] = ()
+
+
+class SignalGuard:
+    """Checks the packets of one signal of one sensor. It keeps figures of the last 20 s, no samples."""
+
+    def __init__(self, info: SignalInfo) -> None:
+        self.info: Final = info
+        self._next_s: float | None = None
+        self._packet_s: deque[float] = deque(maxlen=9)
+        self._drift: deque[tuple[float, int]] = deque(maxlen=64)
+        self._offsets: deque[float] = deque(maxlen=3)
+        self._constant_s = np.zeros(len(info.channels))
+        self._last_row: Floats | None = None
+        self._levels: deque[float] = deque(maxlen=40)
+        self._quiet_s = 0.0
+        self._settle_s = 0.0
+        self._fault: SensorFault | None = None
+        self._source = ""
+
+    @property
+    def fault(self) -> SensorFault | None:
+        """Return the fault that lasts, or None."""
+        return self._fault
+
+    def advance(self, now_s: float) -> tuple[SensorReport, ...]:
+        """Report a sensor that is silent: after 0.95 s for fast signals, after two periods for others."""
+        if self._next_s is None or self._fault is SensorFault.GAP:
+            return ()
+        silent_s = now_s - self._next_s
+        period_s = float(np.median(self._packet_s)) if self._packet_s else 1.0
+        allowed_s = max(SILENCE_S, 2 * period_s) if self.info.rate_hz is None or period_s > 1 else SILENCE_S
+        if silent_s <= allowed_s:
+            return ()
+        return self._begin(SensorFault.GAP, now_s, f"no samples for {silent_s:.1f} s", gap_s=silent_s)
+
+    def check(self, samples: Samples) -> Checked:
+        """Return the packet if it may be used, and new faults."""
+        self._source = samples.source
+        if not len(samples.values):
+            return Checked(None)
+        times_s = samples.sample_times_s()
+        found = self._clock_fault(samples, times_s) or self._value_fault(samples)
+        duration_s = self._duration_s(samples, times_s)
+        self._last_row = samples.values[-1]
+        if found is not None:
+            fault, text, details = found
+            return Checked(None, self._begin(fault, float(times_s[-1]), text, **details))
+        if self._fault is not None:
+            self._settle_s -= duration_s if self.info.rate_hz is not None else SETTLE_S
+            if self._settle_s > 0:
+                return Checked(None)
+            self._fault = None
+        return Checked(samples)
+
+    def _begin(
+        self, fault: SensorFault, at_s: float, text: str, **details: float
+    ) -> tuple[SensorReport, ...]:
+        self._settle_s = SETTLE_S if self.info.kind in WAVEFORMS else 0.0
+        if fault is self._fault:
+            return ()
+        self._fault = fault
+        return (
+            SensorReport(self._source, at_s, fault=fault, text=f"{self.info.kind}: {text}", details=details),
+        )
+
+    def _duration_s(self, samples: Samples, times_s: Floats) -> float:
+        rate_hz = self.info.rate_hz
+        if rate_hz is not None:
+            return len(samples.values) / rate_hz
+        return float(times_s[-1] - times_s[0])
+
+    # --- time
+
+    def _clock_fault(  # noqa: PLR0911 -- one return a rule
+        self, samples: Samples, times_s: Floats
+    ) -> Finding | None:
+        if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
+            self._next_s = None
+            return SensorFault.CLOCK_JUMP, "its times are not in order", {}
+        expected_s, rate_hz = self._next_s, samples.info.rate_hz
+        start_s, end_s = float(times_s[0]), float(times_s[-1])
+        if rate_hz is None:
+            return self._irregular_fault(expected_s, start_s, end_s)
+        count = len(samples.values)
+        self._next_s = start_s + count / rate_hz
+        if rate_hz != self.info.rate_hz:
+            return SensorFault.RATE, f"says {rate_hz:g} Hz, was {self.info.rate_hz} Hz", {}
+        if expected_s is None:
+            self._drift.append((start_s, 0))
+            return None
+        offset_s = start_s - expected_s
+        self._packet_s.append(count / rate_hz)
+        tolerance_s = max(1.5 / rate_hz, 0.01, 3 * samples.uncertainty_s)
+        if samples.clock is ClockKind.ARRIVAL:
+            tolerance_s = max(tolerance_s, MAX_ARRIVAL_JITTER_S)
+            if abs(offset_s) <= tolerance_s:  # jitter of the arrival must not add up
+                self._next_s = expected_s + 0.1 * offset_s + count / rate_hz
+        previous = self._offsets[-1] if self._offsets else 0.0
+        self._offsets.append(offset_s)
+        if abs(offset_s) > tolerance_s:
+            self._drift.clear()
+            alike = abs(previous) > tolerance_s and 0.6 < offset_s / previous < 1.6
+            if alike:
+                true_hz = rate_hz / max(1e-3, 1 + offset_s * rate_hz / count)
+                return SensorFault.RATE, f"says {rate_hz:g} Hz, sends {true_hz:.1f} Hz", {"rate_hz": true_hz}
+            if 0 < offset_s <= MAX_GAP_S:
+                return SensorFault.GAP, f"{offset_s:.3f} s are missing", {"gap_s": offset_s}
+            return SensorFault.CLOCK_JUMP, f"its clock jumped by {offset_s:.3f} s", {"jump_s": offset_s}
+        return self._drift_fault(start_s, count, rate_hz, tolerance_s)
+
+    def _drift_fault(self, start_s: float, count: int, rate_hz: float, tolerance_s: float) -> Finding | None:
+        """Compare samples counted with the time that passed, over 5 s at least."""
+        total = (self._drift[-1][1] if self._drift else 0) + round(self._packet_s[-1] * rate_hz)
+        self._drift.append((start_s, total))
+        # `total` counts the samples up to the end of this packet; its start is `count` before. Only packets
+        # of one size are compared, which is what sensors send.
+        first_s, first_total = self._drift[0]
+        passed_s = start_s - first_s
+        if passed_s < 5:
+            return None
+        counted_s = (total - first_total) / rate_hz
+        if abs(counted_s - passed_s) > 0.02 * passed_s + tolerance_s + 2 * count / rate_hz * 0.02:
+            true_hz = (total - first_total) / passed_s
+            self._drift.clear()
+            return SensorFault.RATE, f"says {rate_hz:g} Hz, sends {true_hz:.1f} Hz", {"rate_hz": true_hz}
+        return None
+
+    def _irregular_fault(self, expected_s: float | None, start_s: float, end_s: float) -> Finding | None:
+        self._next_s = end_s
+        if expected_s is None:
+            return None
+        step_s = start_s - expected_s
+        if step_s < -0.001:
+            return SensorFault.CLOCK_JUMP, f"its clock jumped by {step_s:.3f} s", {"jump_s": step_s}
+        period_s = float(np.median(self._packet_s)) if len(self._packet_s) >= 3 else None
+        if step_s > MAX_GAP_S:
+            return SensorFault.CLOCK_JUMP, f"its clock jumped by {step_s:.1f} s", {"jump_s": step_s}
+        if period_s is not None and step_s > max(1.0, 2 * period_s):
+            return SensorFault.GAP, f"no value for {step_s:.1f} s", {"gap_s": step_s}
+        self._packet_s.append(max(step_s, 0.0))
+        return None
+
+    # --- values
+
+    def _value_fault(  # noqa: PLR0911 -- one return a rule
+        self, samples: Samples
+    ) -> Finding | None:
+        values, info = samples.values, self.info
+        if samples.has_contact is False:
+            return SensorFault.NO_CONTACT, "the sensor does not touch the body", {}
+        if samples.info.unit != info.unit:
+            return SensorFault.UNIT, f"its unit changed from {info.unit} to {samples.info.unit}", {}
+        if not np.isfinite(values).all():
+            return SensorFault.ARTEFACT, "the device could not measure some samples", {}
+        saturated = (values <= info.min_value) | (values >= info.max_value)
+        if info.kind in WAVEFORMS and saturated.any():
+            return SensorFault.SATURATED, f"samples at {info.min_value:g} or {info.max_value:g}", {}
+        if info.kind is SignalKind.PRESSURE_MAP and saturated.mean() > 0.5:
+            return SensorFault.SATURATED, "more than half of the cells are at their bound", {}
+        lower, upper = PLAUSIBLE.get((info.kind, info.unit), (-np.inf, np.inf))
+        if (values < lower).any() or (values > upper).any():
+            return SensorFault.UNIT, f"a value outside {lower:g} to {upper:g} {info.unit}", {}
+        if info.kind not in WAVEFORMS or info.rate_hz is None:
+            return None
+        return self._flat_fault(samples) or self._level_fault(samples)
+
+    def _flat_fault(self, samples: Samples) -> Finding | None:
+        """Find channels that keep one value; a part of them that do at an extreme is clipped."""
+        rate_hz = samples.info.rate_hz or 1.0
+        values = samples.values
+        rows = values if self._last_row is None else np.vstack((self._last_row, values))
+        same = np.diff(rows, axis=0) == 0
+        limit_s = FLAT_AFTER_S.get(self.info.kind, 5.0)
+        longest_s = np.zeros(values.shape[1])
+        for channel in range(values.shape[1]):
+            changes = np.flatnonzero(~same[:, channel])
+            if len(changes):
+                runs = np.diff(np.concatenate(([-1], changes, [len(same)]))) - 1
+                runs_s = runs / rate_hz
+                runs_s[0] += self._constant_s[channel]
+                longest_s[channel] = runs_s.max()
+                self._constant_s[channel] = runs_s[-1]
+                at_extreme = self._is_clipped(values[:, channel], rate_hz)
+            else:
+                self._constant_s[channel] += len(same) / rate_hz
+                longest_s[channel] = self._constant_s[channel]
+                at_extreme = False
+            if at_extreme:
+                return SensorFault.SATURATED, "clipped at one value", {}
+        if longest_s.min() >= limit_s:
+            return SensorFault.FLAT, f"one value for {longest_s.min():.1f} s", {}
+        return None
+
+    def _is_clipped(self, values: Floats, rate_hz: float) -> bool:
+        """Return whether an extreme of a varying block repeats in a row for 0.06 s."""
+        if self.info.kind not in {SignalKind.ECG, SignalKind.ACCELERATION, SignalKind.PPG} or len(values) < 8:
+            return False
+        distinct = len(np.unique(values))
+        if distinct < 4:
+            return False
+        need = max(4, round(0.06 * rate_hz))
+        for extreme in (values.max(), values.min()):
+            at = np.concatenate(([0], (values == extreme).astype(int), [0]))
+            edges = np.diff(at)
+            if (np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)).max() >= need:
+                return True
+        return False
+
+    def _level_fault(  # noqa: PLR0911 -- one return a rule
+        self, samples: Samples
+    ) -> Finding | None:
+        kind, values = self.info.kind, samples.values
+        rate_hz = samples.info.rate_hz or 1.0
+        if kind is SignalKind.ACCELERATION and values.shape[1] == 3 and self.info.unit in {"MSK", "K40"}:
+            size = float(np.median(np.linalg.norm(values, axis=1)))
+            gravity = GRAVITY_MPS2 if self.info.unit == "MSK" else 1.0
+            if len(values) >= 0.1 * rate_hz and not 0.45 * gravity < size < 2.5 * gravity:
+                return (
+                    SensorFault.UNIT,
+                    f"gravity is {size:.2f}; it must be near {gravity:.2f}",
+                    {"gravity": size},
+                )
+            return None
+        if kind not in STEADY_LEVEL:
+            return None
+        level = float(np.std(np.diff(values[:, 0]))) if len(values) > 2 else 0.0
+        usual = float(np.median(self._levels)) if len(self._levels) >= 4 else None
+        duration_s = len(values) / rate_hz
+        if usual is None or usual <= 0:
+            self._levels.append(level)
+            return None
+        ratio = level / usual
+        if ratio > 30:
+            return SensorFault.UNIT, f"its level rose by {ratio:.0f}", {"ratio": ratio}
+        if ratio > 10:
+            return SensorFault.ARTEFACT, f"its level rose by {ratio:.0f}", {"ratio": ratio}
+        self._quiet_s = self._quiet_s + duration_s if ratio < 0.12 else 0.0
+        if kind is SignalKind.ECG and (ratio < 1 / 100 or self._quiet_s > 0.85):
+            return SensorFault.NO_CONTACT, f"its level fell to {ratio:.3f} of the usual one", {"ratio": ratio}
+        if ratio >= 0.12:
+            self._levels.append(level)
+        return None

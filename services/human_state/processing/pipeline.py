@@ -1,0 +1,131 @@
+"""All analysis of one signal of one sensor: its guard, its processors, and what a fault does to their values.
+
+    pipeline = pipeline_for(info)
+    features = pipeline.feed(samples)       # each packet
+    features = pipeline.advance(now_s)      # once a second or so: finds sensors that are silent
+    reports = pipeline.take_reports()       # the faults that were found
+
+A fault resets every processor, and each feature that was valid is given out once more as implausible with
+quality 0, so that nobody keeps using it until it is stale. A package adds a processor with an entry point:
+
+    [project.entry-points."handover.signal_processors"]
+    my-gait = "my_gait:processor_for"
+
+`processor_for(info: SignalInfo) -> Processor | None` returns a processor for the signals it understands. It
+is called once per signal, after ours; a processor that raises is dropped with a report, the others stay.
+"""
+
+import importlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+from handover.extensions import ExtensionPoint
+from services.human_state.model.features import Feature, FeatureName, Status
+from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
+from services.human_state.processing.base import Processor
+from services.human_state.processing.guard import SignalGuard
+
+SIGNAL_PROCESSORS: Final = ExtensionPoint("signal processor", "handover.signal_processors", {})
+
+_HERE: Final = "services.human_state.processing"
+OWN: Final[dict[SignalKind, tuple[str, ...]]] = {
+    SignalKind.ECG: ("ecg:EcgProcessor",),
+    SignalKind.RESPIRATION: ("breathing:WaveBreathing",),
+}
+"""Our processors by kind, imported when the first signal of the kind comes. Each takes the `SignalInfo`."""
+
+
+def processors_for(info: SignalInfo) -> tuple[Processor, ...]:
+    """Return new processors of a signal, ours first; none for a kind that nobody analyses.
+
+    Raises `ValueError` if the signal cannot be analysed, an ECG of 10 Hz for instance; the text says why.
+    """
+    found: list[Processor] = []
+    for place in OWN.get(info.kind, ()):
+        module, name = place.split(":")
+        found.append(getattr(importlib.import_module(f"{_HERE}.{module}"), name)(info))
+    for name in SIGNAL_PROCESSORS.names():
+        make: Callable[[SignalInfo], Processor | None] = SIGNAL_PROCESSORS.load(name)
+        processor = make(info)
+        if processor is not None:
+            found.append(processor)
+    return tuple(found)
+
+
+def pipeline_for(info: SignalInfo) -> "SignalPipeline":
+    """Return the guard and the processors of one signal of one sensor."""
+    return SignalPipeline(info, processors_for(info))
+
+
+class SignalPipeline:
+    """A guard and processors of one signal of one sensor. It is itself a `Processor`."""
+
+    def __init__(self, info: SignalInfo, processors: Sequence[Processor]) -> None:
+        self.info: Final = info
+        self._guard: Final = SignalGuard(info)
+        self._processors = list(processors)
+        self._valid: dict[FeatureName, Feature] = {}
+        self._reports: list[SensorReport] = []
+
+    @property
+    def is_faulty(self) -> bool:
+        """Return whether a fault lasts, or good samples have not lasted long enough after it."""
+        return self._guard.fault is not None
+
+    def feed(self, samples: Samples) -> Sequence[Feature]:
+        """Take the next packet; return the features that it completes, or ends."""
+        checked = self._guard.check(samples)
+        found = [feature for fault in checked.faults for feature in self._end(fault)]
+        if checked.samples is not None:
+            usable = checked.samples
+            found += self._each(lambda processor: processor.feed(usable), usable.source, usable.end_s)
+        return found
+
+    def report(self, report: SensorReport) -> Sequence[Feature]:
+        """Take news of the driver: a fault, or lost contact, ends all values."""
+        if report.fault is None and report.has_contact is not False:
+            return []
+        return self._end(report, is_new=False)
+
+    def advance(self, now_s: float) -> Sequence[Feature]:
+        """Take the time; return ended features if the sensor is silent for too long."""
+        return [feature for fault in self._guard.advance(now_s) for feature in self._end(fault)]
+
+    def take_reports(self) -> list[SensorReport]:
+        """Return the faults found since the last call."""
+        taken, self._reports = self._reports, []
+        return taken
+
+    def _end(self, report: SensorReport, *, is_new: bool = True) -> list[Feature]:
+        if is_new:
+            self._reports.append(report)
+        ended = [
+            replace(feature, at_s=report.at_s, quality=0.0, status=Status.IMPLAUSIBLE)
+            for feature in self._valid.values()
+        ]
+        self._valid.clear()
+        return ended + self._each(lambda processor: processor.report(report), report.source, report.at_s)
+
+    def _each(
+        self, call: Callable[[Processor], Sequence[Feature]], source: str, at_s: float
+    ) -> list[Feature]:
+        found: list[Feature] = []
+        for processor in tuple(self._processors):
+            try:
+                found += call(processor)
+            except Exception as error:  # noqa: BLE001 -- a processor of somebody else may fail in any way
+                self._processors.remove(processor)
+                name = type(processor).__name__
+                text = f"the processor {name} of {self.info.kind} failed: {error!r}; it was dropped"
+                self._reports.append(SensorReport(source, at_s, text=text))
+        for feature in self._remembered(found):
+            self._valid[feature.name] = feature
+        return found
+
+    def _remembered(self, found: list[Feature]) -> Iterator[Feature]:
+        for feature in found:
+            if feature.status is Status.VALID:
+                yield feature
+            else:
+                self._valid.pop(feature.name, None)
