@@ -105,6 +105,8 @@ class Attribute(Conversion):
     """The replacement for NaN and infinity; by default such a value leaves out the attribute."""
     dead_band: Annotated[DeadBand, short_form("absolute")] | None = None
     origin: Origin | None = None
+    sub_attributes: "dict[AttributeName, AttributeGiven]" = Field(default_factory=dict)
+    """Attributes of the attribute, such as its quality. Only of attributes that a topic writes."""
 
     @property
     def known_kind(self) -> Kind:
@@ -126,6 +128,8 @@ class Attribute(Conversion):
                 f"this one has {' and '.join(given) or 'none'}"
             )
         self._fits_its_kind(given[0])
+        if any(one.sub_attributes for one in self.sub_attributes.values()):
+            raise ValueError("a sub-attribute has no sub-attributes; write them beside it")
         return self
 
     def _fits_its_kind(self, made_of: str) -> None:
@@ -207,4 +211,5 @@ class Condition(Part):
 
 
 AttributeGiven = Annotated[Attribute, short_form("field")]
+Attribute.model_rebuild()
 SourceGiven = Annotated[Source, short_form("attribute")]

@@ -40,6 +40,8 @@ class MadeAttribute:
     make: Make
     unit_code: str | None = None
     dead_band: DeadBand | None = None
+    parts: "tuple[MadeAttribute, ...]" = ()
+    """Its sub-attributes."""
 
     def written(self, value: Any, observed_at: str | None) -> dict[str, Any]:
         """Return the attribute as NGSI-LD (normalized)."""
@@ -79,7 +81,8 @@ def compiled(
         _require_convertible(attribute, schema)
         unconverted, converted = make, convert
         make = lambda scope: converted(unconverted(scope))  # noqa: E731 - a composition
-    return MadeAttribute(name, kind, make, attribute.unit_code, attribute.dead_band or dead_band)
+    parts = tuple(compiled(part, one, context) for part, one in attribute.sub_attributes.items())
+    return MadeAttribute(name, kind, make, attribute.unit_code, attribute.dead_band or dead_band, parts)
 
 
 def entity_id(template: Template, schema: MessageSchema, settings: Mapping[str, str]) -> Callable[[Any], str]:

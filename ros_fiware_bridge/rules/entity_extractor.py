@@ -154,9 +154,28 @@ class EntityExtractor:
                 extraction.errors.append(f"{attribute.name}: {_described(error)}")
                 continue
             values[attribute.name] = value
-            written[attribute.name] = attribute.written(value, observed_at)
+            written[attribute.name] = {
+                **attribute.written(value, observed_at),
+                **self._parts(attribute, scope, values, extraction),
+            }
         if written:
             extraction.entities.append(EntityState(entity_id, self.rule.entity.type, values, written))
+
+    def _parts(
+        self, attribute: MadeAttribute, scope: Any, values: dict[str, Any], extraction: Extraction
+    ) -> dict[str, Any]:
+        """Return the sub-attributes; `values` gets each as `attribute.part`, so that its changes count."""
+        written: dict[str, Any] = {}
+        for part in attribute.parts:
+            try:
+                value = part.make(scope)
+            except MESSAGE_ERRORS as error:
+                extraction.errors.append(f"{attribute.name}.{part.name}: {_described(error)}")
+                continue
+            if value is not None:
+                values[f"{attribute.name}.{part.name}"] = value
+                written[part.name] = part.written(value, None)
+        return written
 
     def _scopes(self, message: dict[str, Any]) -> Iterator[Any]:
         if self.rule.each is None:

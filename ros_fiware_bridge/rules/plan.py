@@ -322,6 +322,10 @@ class _Maker:
         made = []
         for name, attribute in asked.items():
             with ErrorScope(report, (name,)):
+                if attribute.sub_attributes:
+                    raise InvalidRule(
+                        "only attributes that a topic writes have `sub_attributes`; remove them"
+                    )
                 made.append(attributes.compiled(name, attribute, context))
         return tuple(made)
 

@@ -236,10 +236,15 @@ class TopicForwarder:
     def _new_filter(self) -> UpdateFilter:
         rule = self.planned.rule
         attributes = self.extractor.attributes if self.extractor is not None else ()
+        dead_bands = {each.name: each.dead_band for each in attributes if each.dead_band is not None}
+        for each in attributes:
+            for part in each.parts:
+                if part.dead_band is not None:
+                    dead_bands[f"{each.name}.{part.name}"] = part.dead_band
         return UpdateFilter(
             every_s=rule.every_ms / 1000,
             on_change=rule.on_change,
-            dead_bands={each.name: each.dead_band for each in attributes if each.dead_band is not None},
+            dead_bands=dead_bands,
             at_least_every_s=rule.at_least_every_s,
             max_entities=rule.max_entities,
         )

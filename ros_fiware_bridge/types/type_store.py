@@ -18,7 +18,8 @@ from ros_fiware_bridge.types.fitting import Fitting
 from ros_fiware_bridge.types.type_hash import rihs01
 from ros_fiware_bridge.types.wire import Wire, attribute
 
-SHIPPED = Path(__file__).parent / "definitions"
+SHIPPED = (Path(__file__).parent / "definitions", Path(__file__).parent.parent / "messages")
+"""Excerpts of packages of others, and our own packages."""
 
 # The definitions of the common interfaces in the library have no defaults.
 _DEFAULTS: Mapping[str, Mapping[str, Any]] = {
@@ -38,7 +39,9 @@ class TypeStore:
         Raises:
             BadDefinition: a path of `type_paths` does not exist, or two files define one type differently.
         """
-        self._files: dict[str, Path] = dict(definition_files.find(SHIPPED))
+        self._files: dict[str, Path] = {
+            name: file for folder in SHIPPED for name, file in definition_files.find(folder)
+        }
         self._definitions: dict[str, Definition] = {}
         self._hashes: dict[str, str] = {}
         self._sound: set[str] = set()

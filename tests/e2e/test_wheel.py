@@ -61,6 +61,7 @@ def test_wheel_contains_page_processes_and_licences(wheel: Path) -> None:
         "services/trajectory_tool/robots/ur10/ur10.urdf",
         "datamodels/contexts/handover.jsonld",
         "ros_fiware_bridge/mappings/arm.yaml",
+        "ros_fiware_bridge/messages/handover_human_msgs/msg/HeartRate.msg",
     ):
         assert needed in names
     licences = {Path(name).name for name in names if ".dist-info/licenses/" in name}

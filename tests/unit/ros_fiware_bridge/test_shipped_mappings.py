@@ -1,14 +1,17 @@
 """The shipped mappings compile, and convert the messages that they are for."""
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from datamodels import HumanState
 from handover.errors import HandoverError
 from ros_fiware_bridge.mapping import load
-from ros_fiware_bridge.mapping.document import SHIPPED
+from ros_fiware_bridge.mapping.document import SHIPPED, parse
+from ros_fiware_bridge.mapping.values import Attribute
 from ros_fiware_bridge.rules import plan
 from ros_fiware_bridge.rules.change_tracker import scope_of
 from ros_fiware_bridge.rules.entity_extractor import Extraction
@@ -146,3 +149,59 @@ def test_a_task_becomes_a_moveit_goal() -> None:
     trajectory = made["trajectory"]["joint_trajectory"]
     assert list(trajectory["joint_names"]) == ["a", "b"]
     assert trajectory["points"][0]["positions"].tolist() == [0.1, 0.2]
+
+
+def test_values_of_the_body_are_written_with_quality_status_and_sensor() -> None:
+    info = {
+        **TYPES.default("handover_human_msgs/msg/SignalInfo"),
+        "source": "strap",
+        "method": "ecg",
+        "quality": 0.9,
+        "validity": 1,
+        "calibrated": True,
+    }
+    made = planned("human-state")
+    (rule,) = (one for one in made.ros_to_ngsild if one.name == "heart-rate")
+    extractor = rule.for_topic(made, "/human/p-1/heart_rate", {"person": "p-1"}).extractor
+    assert extractor is not None
+    message = {**TYPES.default(extractor.type_name), "info": info, "rate_bpm": 92.46}
+    state = extractor.extract(message, 1_770_000_000.0)
+    assert state.errors == []
+    (entity,) = state.entities
+    assert entity.entity_id == "urn:ngsi-ld:HumanState:demo:p-1"
+    read = HumanState.from_ngsild({"id": entity.entity_id, "type": entity.entity_type, **entity.attributes})
+    assert read.heart_rate is not None
+    assert (read.heart_rate.value, read.heart_rate.unit_code) == (92.5, "BPM")
+    assert read.heart_rate.to_normalized() == entity.attributes["heartRate"]
+    assert entity.values["heartRate.status"] == "valid"
+    assert entity.attributes["heartRate"]["observedBy"]["object"] == "urn:ngsi-ld:Device:demo:strap"
+
+
+def test_the_messages_of_ros4hc_are_written_without_a_status() -> None:
+    rate = extracted("ros4hc", "ros4hc-heart-rate", {"hr": 92, "hr_quality": 3})
+    (entity,) = rate.entities
+    assert entity.attributes["heartRate"]["value"] == 92
+    assert "status" not in entity.attributes["heartRate"]
+    assert extracted("ros4hc", "ros4hc-heart-rate", {"hr": 0}).entities == []
+    mat = extracted(
+        "ros4hc", "ros4hc-pressure-mat", {"rows": 3, "cols": 4, "pressures": np.ones(12, np.float32)}
+    )
+    assert mat.entities[0].values["pressures"] == [1.0] * 12
+    assert extracted("ros4hc", "ros4hc-activity", {"adl": 4}).entities[0].values["activity"] == "4"
+
+
+def test_sub_attributes_are_of_topics_and_have_none_themselves() -> None:
+    deep = {"field": "a", "sub_attributes": {"b": {"field": "b", "sub_attributes": {"c": "c"}}}}
+    with pytest.raises(ValueError, match="no sub-attributes"):
+        Attribute.model_validate(deep)
+    text = """
+        services:
+          reset:
+            service: /reset
+            type: std_srvs/srv/Trigger
+            task: reset
+            resource: Device:arm-1
+            outputs: {words: {field: message, sub_attributes: {ok: success}}}
+        """
+    with pytest.raises(HandoverError, match="sub_attributes"):
+        plan.make(parse(textwrap.dedent(text)), TYPES, "demo")

@@ -1,0 +1,141 @@
+"""Samples and features come back from the bytes of ROS 2 messages."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
+
+from ros_fiware_bridge.types.type_store import TypeStore
+from services.human_state.exchange import ros
+from services.human_state.exchange.errors import ExchangeError
+from services.human_state.model.features import Feature, FeatureName
+from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
+from tests.unit.human_state.exchange.random_signals import features, same_values, samples
+
+TYPES = TypeStore()
+FOLDER = Path(__file__).parents[4] / "ros_fiware_bridge" / "messages" / "handover_human_msgs"
+OURS = sorted(name for name in TYPES.type_names() if name.startswith(ros.PACKAGE))
+
+
+def over_the_wire(type_name: str, message: dict[str, Any]) -> dict[str, Any]:
+    return TYPES.decode(type_name, TYPES.encode(type_name, message))
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_message_type_is_sound_has_a_hash_and_says_what_it_is(name: str) -> None:
+    assert TYPES.sound(name).fields
+    assert TYPES.hash(name).startswith("RIHS01_")
+    text = (FOLDER / "msg" / f"{name.removeprefix(ros.PACKAGE)}.msg").read_text()
+    assert text.startswith("# ")
+
+
+def test_colcon_gets_every_message_file() -> None:
+    listed = re.findall(r'"msg/(\w+)\.msg"', (FOLDER / "CMakeLists.txt").read_text())
+    assert sorted(listed) == sorted(name.removeprefix(ros.PACKAGE) for name in OURS)
+    assert sorted(listed) == sorted(file.stem for file in (FOLDER / "msg").iterdir())
+
+
+def test_the_parser_of_rosbags_reads_every_message_file() -> None:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for file in (FOLDER / "msg").iterdir():
+        store.register(get_types_from_msg(file.read_text(), ros.PACKAGE + file.stem))
+    assert store.generate_msgdef(f"{ros.PACKAGE}HumanState", ros_version=2)[0]
+
+
+@given(samples())
+def test_samples_come_back(given: Samples) -> None:
+    found = [
+        ros.samples_of(name, over_the_wire(name, message)) for name, message in ros.messages_of(given, "p-1")
+    ]
+    joined = replace(
+        found[0],
+        values=np.concatenate([each.values for each in found]),
+        times_s=np.concatenate([each.sample_times_s() for each in found]),
+    )
+    assert same_values(joined, given)
+    for each in found:
+        assert (each.info.method, each.clock, each.quality, each.has_contact, each.uncertainty_s) == (
+            given.info.method,
+            given.clock,
+            given.quality,
+            given.has_contact,
+            given.uncertainty_s,
+        )
+        assert replace(each.info, method="") == replace(given.info, method="")
+
+
+@given(features())
+def test_a_feature_comes_back(given: Feature) -> None:
+    name, message = ros.feature_message(given, "p-1")
+    back = ros.feature_of(over_the_wire(name, message))
+    assert back.at_s == pytest.approx(given.at_s, abs=1e-6)
+    assert replace(back, at_s=given.at_s) == given
+    if (typed := ros.typed_message(given, "p-1")) is not None:
+        assert over_the_wire(*typed)["info"]["subject"] == "p-1"
+    state = ros.state_message([given], "p-1", given.at_s)
+    assert len(over_the_wire(*state)["features"]) == 1
+
+
+def test_intervals_are_in_seconds_whatever_the_sensor_gives() -> None:
+    info = SignalInfo(SignalKind.INTER_BEAT_INTERVAL, "C26", None, max_value=2000.0)
+    given = Samples("strap", info, 10.0, np.array([[800.0], [810.0]]), np.array([10.0, 10.81]))
+    ((name, message),) = ros.messages_of(given)
+    assert over_the_wire(name, message)["intervals_s"].tolist() == [0.8, 0.81]
+    back = ros.samples_of(name, message)
+    assert (back.info.unit, back.info.max_value) == ("SEC", 2.0)
+
+
+def test_a_value_in_another_unit_is_not_mislabelled() -> None:
+    info = SignalInfo(SignalKind.SKIN_TEMPERATURE, "FAH", 1.0)
+    ((name, message),) = ros.messages_of(Samples("s", info, 0.0, np.array([[97.0]])))
+    assert (name, message["kind"], message["info"]["unit"]) == (
+        f"{ros.PACKAGE}OtherSignal",
+        "skinTemperature",
+        "FAH",
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"samples": {"channels": ["a", "b"], "values": [1.0], "start_s": 0.0, "times_s": []}},
+        {"samples": {"channels": ["a"], "values": [1.0], "start_s": 0.0, "times_s": [1.0, 2.0]}},
+        {"samples": {"channels": [], "values": [], "start_s": 0.0, "times_s": []}},
+        {"kind": "soul"},
+        {"info": {}},
+    ],
+)
+def test_a_faulty_message_is_refused(change: dict[str, Any]) -> None:
+    info = SignalInfo(SignalKind.SLEEP, "", 1.0)
+    ((name, message),) = ros.messages_of(Samples("s", info, 0.0, np.array([[1.0]])))
+    with pytest.raises(ExchangeError, match="OtherSignal"):
+        ros.samples_of(name, {**message, **change})
+
+
+def test_a_quality_that_is_none_counts_as_the_worst() -> None:
+    name, message = ros.feature_message(Feature(FeatureName.HEART_RATE, "s", 80.0, 1.0, 1.0))
+    message["info"]["quality"] = 3.0
+    assert ros.feature_of(message).quality == 0.0
+    with pytest.raises(ExchangeError, match="no signal"):
+        ros.samples_of(name, message)
+
+
+@given(st.sampled_from(SensorFault))
+def test_faults_and_markers_are_messages(fault: SensorFault) -> None:
+    report = SensorReport("strap", 10.5, fault=fault, text="off", details={"gap_s": 2.0})
+    message = ros.fault_message(report, "p-1")
+    assert message is not None
+    assert over_the_wire(*message)["fault"] == fault.value
+    assert ros.fault_message(replace(report, fault=None)) is None
+    assert (
+        over_the_wire(*ros.marker_message("task", "start", 1.5))["header"]["stamp"]["nanosec"] == 500_000_000
+    )
