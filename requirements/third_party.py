@@ -4,8 +4,8 @@
     python -m requirements.third_party --check    # fail if the file is not up to date
 
 The names come from the locks (`container.lock`, `human-state.lock`, `motion.lock`, `physics.lock`,
-`ros.lock`, `package-lock.json`), the licences from the metadata of the installed packages. Versions are left
-out, because the locks have them.
+`ros.lock`, `whole-body.lock`, `package-lock.json`), the licences from the metadata of the installed packages.
+Versions are left out, because the locks have them.
 Both commands fail on a package with a licence that Apache-2.0 software cannot be distributed with (GPL),
 and on a package without a licence.
 """
@@ -22,7 +22,7 @@ ROOT = Path(__file__).parent.parent
 FILE = ROOT / "THIRD_PARTY.md"
 LOCKS = tuple(
     ROOT / "requirements" / f"{name}.lock"
-    for name in ("container", "human-state", "motion", "physics", "ros")
+    for name in ("container", "human-state", "motion", "physics", "ros", "whole-body")
 )
 APP = ROOT / "webui" / "app"
 
@@ -75,9 +75,9 @@ Written by `make third-party`; do not edit. Versions are in `requirements/` and 
 
 ## Python packages
 
-They are installed from their own packages, with or without the extras `human-state`, `motion` and `ros`. The
-extra `ros-rclpy` also installs wheels of ROS 2, which have their licences (Apache-2.0, BSD-3-Clause) in
-their own metadata. Packages under the LGPL are used unmodified and can be replaced.
+They are installed from their own packages, with or without the extras `human-state`, `motion`, `ros` and
+`whole-body`. The extra `ros-rclpy` also installs wheels of ROS 2, which have their licences (Apache-2.0,
+BSD-3-Clause) in their own metadata. Packages under the LGPL are used unmodified and can be replaced.
 
 """
 PAGE_INTRODUCTION = """

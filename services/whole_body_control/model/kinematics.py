@@ -1,0 +1,132 @@
+"""Kinematics and dynamics of a humanoid with a floating base, in the order of its joints.
+
+A configuration is q = (position of the base in m, orientation as a quaternion x y z w, joints), a velocity
+is v = (linear and angular velocity of the base in its own frame, joints). Poses are in the world.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from handover.errors import UsageError
+from services.whole_body_control.model.humanoid import Humanoid
+
+Array = NDArray[np.float64]
+
+BASE_POSITIONS, BASE_VELOCITIES = 7, 6
+
+
+class Kinematics:
+    """A humanoid for computations; not thread-safe, so each thread makes its own.
+
+    `update` computes everything for one state; the other methods read from it without computing again.
+    """
+
+    def __init__(self, humanoid: Humanoid) -> None:
+        self.humanoid = humanoid
+        try:
+            free = pin.buildModelFromXML(humanoid.urdf, pin.JointModelFreeFlyer())
+        except (ValueError, RuntimeError) as error:
+            raise UsageError(f"the URDF of {humanoid.name} cannot be used: {error}") from None
+        self.pin_model = free
+        self.data = free.createData()
+        self.n_joints = len(humanoid.joints)
+        self.n_velocities = BASE_VELOCITIES + self.n_joints
+        # pinocchio sorts the children of a link by name; these say where it keeps each of our joints.
+        ids = [free.getJointId(name) for name in humanoid.joint_names]
+        self._q_of = np.array([free.joints[each].idx_q for each in ids])
+        self._v_of = np.array([free.joints[each].idx_v for each in ids])
+        self._columns = np.concatenate([np.arange(BASE_VELOCITIES), self._v_of])
+        self._frames: dict[str, int] = {
+            frame.name: index
+            for index, frame in enumerate(free.frames)
+            if frame.type == pin.FrameType.BODY and frame.name in humanoid.links
+        }
+        self._q, self._v = pin.neutral(free), np.zeros(free.nv)
+
+    def neutral(self, joints: Sequence[float] | Array) -> Array:
+        """Return the configuration with the base at the origin, upright, and these joints."""
+        return np.concatenate([[0.0, 0, 0, 0, 0, 0, 1], np.asarray(joints, dtype=np.float64)])
+
+    def standing(self, pose: str) -> Array:
+        """Return a named pose with its lowest contact corner on the ground, between the soles."""
+        q = self.neutral(self.humanoid.pose(pose))
+        self.update(q)
+        corners = [
+            self.pose(contact.link).act(np.array(corner))
+            for contact in self.humanoid.contacts.values()
+            for corner in contact.corners
+        ]
+        lowest = min(float(corner[2]) for corner in corners)
+        q[:3] = [*(-np.mean(corners, axis=0)[:2]), -lowest]
+        return q
+
+    def update(self, q: Array, v: Array | None = None) -> None:
+        """Compute positions, Jacobians, and the centre of mass of a state."""
+        self._q[:BASE_POSITIONS] = q[:BASE_POSITIONS]
+        self._q[self._q_of] = q[BASE_POSITIONS:]
+        self._v[:] = 0.0
+        if v is not None:
+            self._v[:BASE_VELOCITIES] = v[:BASE_VELOCITIES]
+            self._v[self._v_of] = v[BASE_VELOCITIES:]
+        pin.forwardKinematics(self.pin_model, self.data, self._q, self._v)
+        pin.computeJointJacobians(self.pin_model, self.data)
+        pin.jacobianCenterOfMass(self.pin_model, self.data, False)
+        pin.updateFramePlacements(self.pin_model, self.data)
+
+    def pose(self, link: str) -> Any:
+        """Return the pose of a link as a `pinocchio.SE3`. Raises `UsageError` for an unknown link."""
+        return self.data.oMf[self._frame(link)]
+
+    def jacobian(self, link: str) -> Array:
+        """Return the Jacobian of a link: (6, n_velocities), linear first, in axes of the world."""
+        full = pin.getFrameJacobian(
+            self.pin_model, self.data, self._frame(link), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        return np.asarray(full)[:, self._columns]
+
+    def velocity(self, link: str) -> Array:
+        """Return the velocity of a link: linear and angular, at the link in axes of the world."""
+        motion = pin.getFrameVelocity(
+            self.pin_model, self.data, self._frame(link), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        return np.asarray(motion.vector)
+
+    def centre_of_mass(self) -> Array:
+        """Return the centre of mass in m."""
+        return np.asarray(self.data.com[0]).copy()
+
+    def centre_of_mass_jacobian(self) -> Array:
+        """Return the Jacobian of the centre of mass: (3, n_velocities)."""
+        return np.asarray(self.data.Jcom)[:, self._columns]
+
+    def momentum_matrix(self) -> Array:
+        """Return the centroidal momentum matrix: (6, n_velocities), linear first."""
+        return np.asarray(pin.computeCentroidalMap(self.pin_model, self.data, self._q))[:, self._columns]
+
+    def integrate(self, q: Array, v: Array, dt_s: float) -> Array:
+        """Return the configuration after moving with `v` for `dt_s`."""
+        ours = np.empty_like(q)
+        base = pin.SE3(pin.Quaternion(q[3:7]).normalized(), q[:3]) * pin.exp6(
+            pin.Motion(v[:BASE_VELOCITIES] * dt_s)
+        )
+        ours[:3] = base.translation
+        ours[3:7] = pin.Quaternion(base.rotation).coeffs()
+        ours[BASE_POSITIONS:] = q[BASE_POSITIONS:] + v[BASE_VELOCITIES:] * dt_s
+        return ours
+
+    def joint_vector(self, values: Mapping[str, float]) -> Array:
+        """Return values by joint as a vector of joints. Raises `UsageError` for an unknown joint."""
+        vector = np.zeros(self.n_joints)
+        for name, value in values.items():
+            vector[self.humanoid.index(name)] = value
+        return vector
+
+    def _frame(self, link: str) -> int:
+        found = self._frames.get(link)
+        if found is None:
+            raise UsageError(f'{self.humanoid.name} has no link "{link}"')
+        return found

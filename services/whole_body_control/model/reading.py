@@ -1,0 +1,255 @@
+"""Reads a humanoid from URDF, SRDF and `robot.yaml`, and says what is wrong with a stranger's file.
+
+urdf: coman.urdf                 # robot.yaml
+srdf: coman.srdf
+gains: {default: {stiffness: 300, damping: 6}, left_arm: {stiffness: 60, damping: 3}}
+contacts:
+  left_sole: {link: l_sole, corners: [[0.13, 0.05, 0], …], friction: 0.7}
+notes: [The velocity limits are placeholders.]
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from handover.errors import UsageError
+from services.whole_body_control.model.humanoid import (
+    Chain,
+    ContactSurface,
+    Gains,
+    Humanoid,
+    Joint,
+    LinkPair,
+    Sensors,
+)
+from services.whole_body_control.model.urdf import Tree, number, parsed
+
+FILE = "robot.yaml"
+MAX_FILE_BYTES = 20_000_000
+DEFAULT_GAINS = "default"
+INERTIAL_GROUP, FORCE_TORQUE_GROUP = "imu_sensors", "force_torque_sensors"
+"""Groups of the SRDF that list sensors, as in CoSiMA."""
+
+Positive = Annotated[FiniteFloat, Field(gt=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Gains(_Strict):
+    stiffness: Positive
+    damping: Positive
+
+
+class _Contact(_Strict):
+    link: str
+    corners: Annotated[tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat], ...], Field(min_length=3)]
+    friction: Positive = 0.7
+
+
+class _RobotFile(_Strict):
+    name: Annotated[str, Field(min_length=1)]
+    urdf: Path
+    srdf: Path
+    gains: dict[str, _Gains]
+    contacts: dict[str, _Contact]
+    notes: tuple[str, ...] = ()
+
+
+def read_folder(folder: Path) -> Humanoid:
+    """Return the humanoid of a folder. Raises `UsageError` with a line for each fault."""
+    try:
+        entry = _RobotFile.model_validate(yaml.safe_load(_text(folder / FILE)))
+    except (ValidationError, yaml.YAMLError) as error:
+        raise UsageError(f"{folder / FILE}: {error}") from None
+    return read(entry, _text(folder / entry.urdf), _text(folder / entry.srdf))
+
+
+def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
+    """Return the humanoid of three texts. Raises `UsageError` with a line for each fault."""
+    tree = Tree.of(urdf)
+    semantics = _Semantics(parsed(srdf, "SRDF"), tree)
+    faults = [*semantics.faults(), *_entry_faults(entry, tree, semantics)]
+    if faults:
+        raise UsageError("\n".join(faults))
+    joints = tuple(_joint(element, entry, semantics) for element in tree.moving)
+    return Humanoid(
+        name=entry.name,
+        root=tree.root,
+        joints=joints,
+        links=tree.links,
+        chains=semantics.chains,
+        groups=semantics.groups,
+        end_effectors=semantics.end_effectors,
+        contacts={
+            name: ContactSurface(name, contact.link, contact.corners, contact.friction)
+            for name, contact in entry.contacts.items()
+        },
+        sensors=semantics.sensors,
+        poses=semantics.poses(joints),
+        collision_pairs=semantics.collision_pairs,
+        mass_kg=tree.mass_kg,
+        urdf=urdf,
+        srdf=srdf,
+        notes=entry.notes,
+    )
+
+
+class _Semantics:
+    """What the SRDF says about a tree."""
+
+    def __init__(self, root: Any, tree: Tree) -> None:
+        self._root, self._tree = root, tree
+        self._found: list[str] = []
+        self.chains: dict[str, Chain] = {}
+        self.groups: dict[str, tuple[str, ...]] = {}
+        self.sensors = Sensors((), {})
+        inertial: tuple[str, ...] = ()
+        force_torque: dict[str, str] = {}
+        for group in root.findall("group"):
+            name = str(group.get("name"))
+            if name == INERTIAL_GROUP:
+                inertial = tuple(self._link(each.get("name"), name) for each in group.findall("link"))
+            elif name == FORCE_TORQUE_GROUP:
+                force_torque = {joint: self._below(joint, name) for joint in _names(group, "joint")}
+            else:
+                self._read_group(name, group)
+        self.sensors = Sensors(inertial, force_torque)
+        self.end_effectors = {
+            str(each.get("name")): self._link(each.get("parent_link"), str(each.get("name")))
+            for each in root.findall("end_effector")
+        }
+
+    def faults(self) -> Iterator[str]:
+        """Yield what contradicts the tree, and which required parts are missing."""
+        yield from self._found
+        if not self.chains:
+            yield "the SRDF names no chain; a humanoid needs its arms, legs and torso as <chain>"
+        if not self._root.findall("group_state"):
+            yield "the SRDF has no <group_state>; a humanoid needs a pose to start from"
+
+    def poses(self, joints: tuple[Joint, ...]) -> dict[str, dict[str, float]]:
+        """Return each pose; joints that it leaves out are at 0 or the nearest limit. Raises `UsageError`."""
+        found: dict[str, dict[str, float]] = {}
+        faults: list[str] = []
+        by_name = {joint.name: joint for joint in joints}
+        for state in self._root.findall("group_state"):
+            pose = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in joints}
+            where = f'the pose "{state.get("name")}"'
+            for each in state.findall("joint"):
+                name, value = str(each.get("name")), number(each, "value")
+                joint = by_name.get(name)
+                if joint is None:
+                    faults.append(f'{where} names the joint "{name}", which does not move or exist')
+                elif value is None or not joint.lower - 1e-9 <= value <= joint.upper + 1e-9:
+                    limits = f"{joint.lower:g} to {joint.upper:g}"
+                    faults.append(f"{where} has {each.get('value')} for {name}; its limits are {limits}")
+                else:
+                    pose[name] = value
+            found[str(state.get("name"))] = pose
+        if faults:
+            raise UsageError("\n".join(faults))
+        return found
+
+    @property
+    def collision_pairs(self) -> frozenset[LinkPair]:
+        """Return all pairs of links with a shape that the SRDF does not disable."""
+        disabled = {
+            frozenset((str(each.get("link1")), str(each.get("link2"))))
+            for each in self._root.findall("disable_collisions")
+        }
+        shaped = self._tree.links_with_shape
+        every = {frozenset((a, b)) for i, a in enumerate(shaped) for b in shaped[i + 1 :]}
+        return frozenset(every - disabled)
+
+    def _read_group(self, name: str, group: Any) -> None:
+        members: list[str] = []
+        for chain in group.findall("chain"):
+            base, tip = str(chain.get("base_link")), str(chain.get("tip_link"))
+            path = self._tree.path(base, tip)
+            if path is None:
+                self._found.append(f'the chain "{name}" goes from "{base}" to "{tip}", which is not below it')
+                continue
+            self.chains[name] = Chain(name, base, tip, path)
+            members += path
+        for joint in _names(group, "joint"):
+            self._below(joint, name)
+            members.append(joint)
+        for other in _names(group, "group"):
+            known = self.chains[other].joints if other in self.chains else self.groups.get(other)
+            if known is None:
+                self._found.append(f'the group "{name}" names the group "{other}", which is not above it')
+            members += known or ()
+        if members:
+            self.groups[name] = tuple(dict.fromkeys(members))
+
+    def _link(self, link: str | None, where: str) -> str:
+        if link not in self._tree.links:
+            self._found.append(f'"{where}" of the SRDF names the link "{link}", which the URDF does not have')
+        return str(link)
+
+    def _below(self, joint: str, where: str) -> str:
+        child = self._tree.child(joint)
+        if child is None:
+            self._found.append(
+                f'"{where}" of the SRDF names the joint "{joint}", which the URDF does not have'
+            )
+        return str(child)
+
+
+def _names(group: Any, tag: str) -> list[str]:
+    return [str(each.get("name")) for each in group.findall(tag)]
+
+
+def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Iterator[str]:
+    if DEFAULT_GAINS not in entry.gains:
+        yield f'{FILE} has no gains "{DEFAULT_GAINS}"; every joint needs a stiffness and a damping'
+    known = {
+        DEFAULT_GAINS,
+        *semantics.chains,
+        *semantics.groups,
+        *(joint.get("name") for joint in tree.moving),
+    }
+    for name in sorted(entry.gains.keys() - known):
+        yield f'{FILE} has gains for "{name}", which is no chain, group or joint'
+    for name, contact in entry.contacts.items():
+        if contact.link not in tree.links:
+            yield f'the contact "{name}" is on the link "{contact.link}", which the URDF does not have'
+    if not entry.contacts:
+        yield f"{FILE} names no contact; a humanoid needs the soles that it stands on"
+
+
+def _joint(element: Any, entry: _RobotFile, semantics: _Semantics) -> Joint:
+    name = str(element.get("name"))
+    limit = element.find("limit")
+    gains = entry.gains[DEFAULT_GAINS]
+    # The most specific entry holds: a joint's own, then its chain's or group's in the order of the file.
+    of_joint: Mapping[str, tuple[str, ...]] = {**semantics.groups, name: (name,)}
+    for key, each in entry.gains.items():
+        if name in of_joint.get(key, ()):
+            gains = each
+    gains = entry.gains.get(name, gains)
+    return Joint(
+        name=name,
+        kind=str(element.get("type")),
+        lower=float(limit.get("lower")),
+        upper=float(limit.get("upper")),
+        max_velocity=float(limit.get("velocity")),
+        max_effort=float(limit.get("effort")),
+        gains=Gains(gains.stiffness, gains.damping),
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise UsageError(
+                f"{path} is larger than {MAX_FILE_BYTES / 1e6:.0f} MB, which no robot model needs"
+            )
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path} cannot be read: {error}") from None

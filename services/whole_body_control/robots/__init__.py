@@ -1,0 +1,26 @@
+"""Humanoids by name: one folder each, ours and those of other packages.
+
+A package registers the path of a folder with `robot.yaml`, a URDF and an SRDF:
+
+    [project.entry-points."handover.humanoids"]
+    my-humanoid = "my_humanoid:FOLDER"
+"""
+
+from pathlib import Path
+from typing import Final
+
+from handover.extensions import ExtensionPoint
+from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.reading import read_folder
+
+HERE = Path(__file__).parent
+
+HUMANOIDS: Final = ExtensionPoint(
+    "humanoid", "handover.humanoids", {"coman": "services.whole_body_control.robots:COMAN"}
+)
+COMAN: Final = HERE / "coman"
+
+
+def humanoid(name: str) -> Humanoid:
+    """Return the humanoid of this name. Raises `UsageError` for one that is unknown or faulty."""
+    return read_folder(Path(HUMANOIDS.load(name)))

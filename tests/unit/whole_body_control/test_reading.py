@@ -1,0 +1,121 @@
+"""The semantic model of a humanoid, and what its reading answers to a stranger's files."""
+
+from collections.abc import Callable
+from pathlib import Path
+from shutil import copytree
+
+import pytest
+
+from handover.errors import UsageError
+from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.reading import read_folder
+from services.whole_body_control.robots import COMAN, HUMANOIDS, humanoid
+
+Change = Callable[[str, str, str], None]
+
+
+@pytest.fixture(scope="module")
+def coman() -> Humanoid:
+    return humanoid("coman")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return Path(copytree(COMAN, tmp_path / "coman"))
+
+
+@pytest.fixture
+def change(folder: Path) -> Change:
+    """Replaces a text of a file in the folder, which must be there."""
+
+    def replace(file: str, old: str, new: str) -> None:
+        text = (folder / file).read_text()
+        assert old in text
+        (folder / file).write_text(text.replace(old, new, 1))
+
+    return replace
+
+
+def test_chains_groups_and_limits_have_names(coman: Humanoid) -> None:
+    assert len(coman.joints) == 29
+    assert coman.chains["right_arm"].joints == (
+        "RShSag",
+        "RShLat",
+        "RShYaw",
+        "RElbj",
+        "RForearmPlate",
+        "RWrj1",
+        "RWrj2",
+    )
+    assert set(coman.members("chains")) == set(coman.joint_names)
+    assert coman.joints[coman.index("LKneeSag")].lower == pytest.approx(-0.1745)
+    assert coman.sensors.force_torque["l_leg_ft_joint"] == "l_leg_ft"
+    assert coman.sensors.inertial == ("imu_link",)
+    assert coman.end_effectors["left_foot"] == coman.contacts["left_sole"].link
+    assert coman.mass_kg == pytest.approx(32.06, abs=0.01)
+    assert any("placeholders" in note for note in coman.notes)
+
+
+def test_arms_are_more_compliant_than_legs(coman: Humanoid) -> None:
+    stiffness = {joint.name: joint.gains.stiffness for joint in coman.joints}
+    assert stiffness["LElbj"] < stiffness["LKneeSag"]
+
+
+def test_every_shipped_humanoid_is_read() -> None:
+    for name in HUMANOIDS.names():
+        model = humanoid(name)
+        for pose in model.poses:
+            assert len(model.pose(pose)) == len(model.joints)
+
+
+def test_unknown_names_are_answered_with_those_that_exist(coman: Humanoid) -> None:
+    with pytest.raises(UsageError, match="right_arm"):
+        coman.indices("third_arm")
+    with pytest.raises(UsageError, match="stand"):
+        coman.pose("handstand")
+    with pytest.raises(UsageError, match="LKneeSag"):
+        coman.index("LKnee")
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("coman.urdf", 'lower="-0.1745" upper="1.9199"', 'lower="1.9" upper="-0.2"', "reversed"),
+        ("coman.urdf", 'velocity="4"', 'velocity="0"', "no velocity limit"),
+        ("coman.urdf", 'effort="50"', 'effort="nan"', "no effort limit"),
+        ("coman.urdf", '<mass value="1.800869', '<mass value="-1.800869', "not above 0"),
+        ("coman.urdf", 'ixx="0.0051033"', 'ixx="0.5"', "triangle inequality"),
+        ("coman.urdf", '<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "no vector of length 1"),
+        ("coman.urdf", '<child link="DWS"/>', '<child link="Waist"/>', "in a loop of joints"),
+        ("coman.urdf", '<child link="DWS"/>', '<child link="DWT"/>', '"DWT" of the joint "WaistSag"'),
+        ("coman.urdf", 'name="WaistLat" type="revolute"', 'name="WaistLat" type="planar"', "is planar"),
+        ("coman.urdf", 'name="WaistSag"', 'name="WaistLat"', "more than one joint"),
+        ("coman.urdf", "</robot>", "", "not XML"),
+        ("coman.srdf", 'tip_link="l_wrist"', 'tip_link="r_sole"', "not below"),
+        ("coman.srdf", '<link name="imu_link"/>', '<link name="imu"/>', '"imu"'),
+        ("coman.srdf", 'name="LKneeSag" value="0.8"', 'name="LKneeSag" value="2.8"', "its limits are"),
+        ("coman.srdf", 'name="LKneeSag" value="0.8"', 'name="LKnee" value="0.8"', '"LKnee"'),
+        ("robot.yaml", "link: l_sole", "link: l_foot", '"l_foot"'),
+        ("robot.yaml", "default:", "usual:", '"default"'),
+        ("robot.yaml", "left_arm:", "arm:", '"arm"'),
+        ("robot.yaml", "stiffness: 300", "stiffness: -1", "stiffness"),
+        ("robot.yaml", "coman.urdf", "talos.urdf", "cannot be read"),
+    ],
+)
+def test_faulty_files_are_explained(
+    folder: Path, change: Change, file: str, old: str, *, new: str, message: str
+) -> None:
+    change(file, old, new)
+    with pytest.raises(UsageError, match=message):
+        read_folder(folder)
+
+
+def test_external_entities_are_not_read(folder: Path, change: Change) -> None:
+    (folder / "secret").write_text("secret")
+    change(
+        "coman.srdf",
+        "<robot",
+        f'<!DOCTYPE robot [<!ENTITY e SYSTEM "file://{folder}/secret">]><robot title="&e;"',
+    )
+    with pytest.raises(UsageError):
+        read_folder(folder)
