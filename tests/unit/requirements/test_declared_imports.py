@@ -17,11 +17,13 @@ PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "
 EXTRAS = {
     "services/alert_router": ("messengers",),
     "ros_fiware_bridge": ("ros", "ros-rclpy"),
+    "services/human_state": ("human-state",),
     "services/study": ("research",),
     "services/trajectory_tool/onboarding": ("motion",),
     "services/trajectory_tool/perception": ("physics",),
     "services/trajectory_tool/physics": ("motion", "physics"),
     "services/trajectory_tool/planning": ("motion",),
+    "services/whole_body_control": ("motion", "physics", "whole-body"),
 }
 """Which folders may import what an extra installs."""
 
@@ -53,7 +55,7 @@ def test_every_import_is_declared() -> None:
     assert undeclared == []
 
 
-@pytest.mark.parametrize("extra", ["motion", "physics", "research", "ros", "ros-rclpy"])
+@pytest.mark.parametrize("extra", ["human-state", "motion", "physics", "research", "ros", "ros-rclpy", "whole-body"])
 def test_an_extra_repeats_no_dependency(extra: str) -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert set(map(_name, project["optional-dependencies"][extra])).isdisjoint(
