@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-load bench-sign-in bench-screen pictures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-load bench-sign-in bench-screen pictures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -192,6 +192,9 @@ bench-motion: setup  ## motion planning, and bin picking in simulated physics (A
 
 bench-devices: setup  ## the device gateway: 1,000 devices at 1 Hz, values stored a second (ARGS=--postgres)
 	@$(BIN)/python -m benchmarks.devices $(ARGS)
+
+bench-control: setup  ## people who move robots by hand: input to motion command, 50 users on 50 robots (ARGS="--users 10")
+	@$(BIN)/python -m benchmarks.control $(ARGS)
 
 bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas behind HAProxy, sign-ins, latency (ARGS="--replicas 1")
 	@$(BIN)/python -m benchmarks.load $(ARGS)

@@ -23,14 +23,23 @@ class Frame:
     position: Vector
 
     def __matmul__(self, other: "Frame") -> "Frame":
-        turned = turn(self.rotation, other.position)
-        moved = (
-            self.position[0] + turned[0],
-            self.position[1] + turned[1],
-            self.position[2] + turned[2],
+        # Written out: a control cycle multiplies some 30 of them.
+        (a, b, c), (d, e, f), (g, h, i) = self.rotation
+        (j, k, u), (m, n, o), (p, q, r) = other.rotation
+        x, y, z = other.position
+        at_x, at_y, at_z = self.position
+        return Frame(
+            (
+                (a * j + b * m + c * p, a * k + b * n + c * q, a * u + b * o + c * r),
+                (d * j + e * m + f * p, d * k + e * n + f * q, d * u + e * o + f * r),
+                (g * j + h * m + i * p, g * k + h * n + i * q, g * u + h * o + i * r),
+            ),
+            (
+                at_x + (a * x + b * y + c * z),
+                at_y + (d * x + e * y + f * z),
+                at_z + (g * x + h * y + i * z),
+            ),
         )
-        columns = [turn(self.rotation, axis) for axis in transposed(other.rotation)]
-        return Frame(transposed((columns[0], columns[1], columns[2])), moved)
 
     def inverse(self) -> "Frame":
         """Return the inverse frame."""

@@ -167,20 +167,22 @@ class RobotModel:
 
         They are for a velocity of 1 rad/s, for prismatic joints 1 m/s.
         """
-        tip = (self.flange(joints) @ self._tool).position
         reached = IDENTITY
-        columns: dict[int, tuple[Vector, Vector]] = {}
+        axes: list[tuple[int, str, Vector, Vector]] = []
         for segment in self._to_flange:
-            before = reached @ segment.origin
-            reached = reached @ segment.frame(joints)
             if segment.number is None:
+                reached = reached @ segment.origin
                 continue
-            axis = turn(before.rotation, segment.axis)
-            if segment.kind == "prismatic":
-                columns[segment.number] = axis, (0.0, 0.0, 0.0)
+            before = reached @ segment.origin
+            axes.append((segment.number, segment.kind, turn(before.rotation, segment.axis), before.position))
+            reached = before @ _motion(segment.kind, segment.axis, joints[segment.number])
+        x, y, z = (reached @ self._tool).position
+        columns: dict[int, tuple[Vector, Vector]] = {}
+        for number, kind, axis, (x0, y0, z0) in axes:
+            if kind == "prismatic":
+                columns[number] = axis, (0.0, 0.0, 0.0)
             else:
-                (x, y, z), (x0, y0, z0) = tip, before.position
-                columns[segment.number] = cross(axis, (x - x0, y - y0, z - z0)), axis
+                columns[number] = cross(axis, (x - x0, y - y0, z - z0)), axis
         return [columns[number] for number in range(len(self.joints))]
 
     def tool_pose(self, joints: Joints) -> Pose:
