@@ -19,6 +19,7 @@ TEXTS = {FeatureName.ACTIVITY, FeatureName.POSTURE, FeatureName.SLEEP_POSITION, 
 
 times = st.integers(1_000_000_000_000, 2_000_000_000_000).map(lambda millis: millis / 1000)
 words = st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=8)
+methods = st.text(st.characters(categories=["L", "N", "P", "S"]), max_size=8)
 names = st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=1, max_size=8)
 
 
@@ -74,7 +75,7 @@ def features(draw: st.DrawFn, only: st.SearchStrategy[FeatureName] | None = None
         draw(times),
         draw(st.floats(0, 1)),
         draw(st.sampled_from(Status)),
-        draw(words),
+        draw(methods),
         draw(st.sampled_from([0.0, 30.0])),
         draw(st.sampled_from([0.5, 1.0])),
         draw(st.booleans()),

@@ -1,0 +1,115 @@
+"""Recordings in MCAP (mcap.dev), with JSON Schemas: readable by Foxglove and by the driver of recordings."""
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self
+
+from services.human_state.exchange.errors import ExchangeError
+from services.human_state.exchange.extra import required
+from services.human_state.exchange.json_messages import (
+    SCHEMAS,
+    Recorded,
+    from_json,
+    schema_name,
+    time_of,
+    to_json,
+    topic_of,
+)
+
+LIBRARY: Final = "handover"
+METADATA: Final = "handover.session"
+MAX_CHANNELS: Final = 1024
+MAX_MESSAGE_BYTES: Final = 16 * 2**20
+
+
+class McapWriter:
+    """Writes one recording to a binary stream; the stream stays open after `close`.
+
+    Not thread-safe. A file without `close` has no index, but can be read up to its last chunk.
+    """
+
+    def __init__(
+        self, stream: IO[bytes], subject: str = "", metadata: Mapping[str, str] | None = None
+    ) -> None:
+        writer: Any = required("mcap.writer")
+        self._writer = writer.Writer(stream)
+        self._writer.start(profile="", library=LIBRARY)
+        self._writer.add_metadata(METADATA, {"subject": subject, **(metadata or {})})
+        self._subject = subject
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequences: dict[str, int] = {}
+
+    def write(self, item: Recorded) -> None:
+        """Write samples, a feature, a report or a marker. Raises `ExchangeError` beyond `MAX_CHANNELS`."""
+        topic = topic_of(item)
+        if topic not in self._channels:
+            self._add_channel(topic, schema_name(item))
+        at_ns = max(round(time_of(item) * 1e9), 0)
+        sequence = self._sequences[topic] = self._sequences.get(topic, -1) + 1
+        self._writer.add_message(
+            self._channels[topic],
+            log_time=at_ns,
+            data=json.dumps(to_json(item, self._subject), allow_nan=False).encode(),
+            publish_time=at_ns,
+            sequence=sequence,
+        )
+
+    def close(self) -> None:
+        """Write the index and the footer."""
+        self._writer.finish()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _add_channel(self, topic: str, schema: str) -> None:
+        if len(self._channels) >= MAX_CHANNELS:
+            raise ExchangeError(
+                f"{topic} is one topic beyond the {MAX_CHANNELS} of a recording; record fewer sensors"
+            )
+        if schema not in self._schemas:
+            text = json.dumps(SCHEMAS[schema]).encode()
+            self._schemas[schema] = self._writer.register_schema(schema, "jsonschema", text)
+        self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[schema])
+
+
+def read(path: Path) -> Iterator[Recorded]:
+    """Yield everything that a `McapWriter` wrote to `path`, by time. Topics of others are left out.
+
+    Raises `ExchangeError` for a damaged file and for a faulty message.
+    """
+    reader: Any = required("mcap.reader")
+    exceptions: Any = required("mcap.exceptions")
+    try:
+        with path.open("rb") as file:
+            for schema, channel, message in reader.make_reader(file, validate_crcs=True).iter_messages():
+                if schema is None or schema.name not in SCHEMAS or channel.message_encoding != "json":
+                    continue
+                if len(message.data) > MAX_MESSAGE_BYTES:
+                    raise ExchangeError(
+                        f"{path.name}: a message has {len(message.data)} bytes; it is no packet"
+                    )
+                yield from_json(schema.name, json.loads(message.data))
+    except (exceptions.McapError, OSError, json.JSONDecodeError, EOFError) as error:
+        raise ExchangeError(f"{path.name} cannot be read: {error}; is the file complete?") from None
+
+
+def metadata_of(path: Path) -> dict[str, str]:
+    """Return subject and metadata of a recording; empty if it has none. Raises `ExchangeError`."""
+    reader: Any = required("mcap.reader")
+    exceptions: Any = required("mcap.exceptions")
+    try:
+        with path.open("rb") as file:
+            for record in reader.make_reader(file).iter_metadata():
+                if record.name == METADATA:
+                    return dict(record.metadata)
+    except (exceptions.McapError, OSError, EOFError) as error:
+        raise ExchangeError(f"{path.name} cannot be read: {error}; is the file complete?") from None
+    return {}
