@@ -188,6 +188,13 @@ class BrokerClient:
         """Delete an entity; raise `NotFound` if there is none."""
         await self._call("DELETE", f"/entities/{_in_path(entity_id)}")
 
+    async def delete_evolution(self, entity_id: str) -> None:
+        """Delete the temporal evolution of an entity; raise `NotFound` if there is none.
+
+        Raises `BrokerError` if the broker has no temporal API.
+        """
+        await self._call("DELETE", f"/temporal/entities/{_in_path(entity_id)}")
+
     async def delete_batch(self, entity_ids: Sequence[str]) -> None:
         """Delete entities in one request; missing ones are ignored."""
         with suppress(NotFound):  # some brokers answer so when none exists

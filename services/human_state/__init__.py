@@ -4,7 +4,8 @@
 
 The parts are layers, lowest first: `model` (values), `processing` (signal to feature), `drivers` (devices,
 recordings, simulators), `fusion` (features of several sensors to the state of a person), `limits` (state to
-limit), `exchange` (NGSI-LD, FHIR, LSL, MCAP), `recording`, `cases`, and `app.py`, which wires them.
+limit), `people` (consent and what belongs to a person), `exchange` (NGSI-LD, FHIR, LSL, MCAP), `recording`,
+`monitoring` (runs what consent allows), `cases`, `routes`, and `app.py`, which wires them.
 
 Nothing here is a medical device or a safety-rated function.
 """

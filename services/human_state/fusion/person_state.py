@@ -8,6 +8,7 @@ higher one holds, since it restricts more.
 A fault, a lost contact or a lost link of a sensor ends the series of all its values.
 """
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
@@ -74,7 +75,7 @@ class PersonState:
         kept.series, given = kept.series.take(feature)
         if given is None:
             return None
-        kept.shown = given
+        kept.shown = _shown(given, kept.shown)
         kept.is_faulty = given.status is not Status.VALID
         if given.status is Status.VALID:
             kept.counted = given
@@ -175,6 +176,13 @@ def _of(
         is_calibrated=all(each.is_calibrated for each in used),
         period_s=min(each.period_s for each in used),
     )
+
+
+def _shown(given: Feature, before: Feature | None) -> Feature | None:
+    """Return what is shown: a value that is no number keeps the one before, which is implausible now."""
+    if isinstance(given.value, str) or math.isfinite(given.value):
+        return given
+    return None if before is None else replace(before, status=given.status, quality=0.0)
 
 
 def _is_stale(feature: Feature, now_s: float) -> bool:

@@ -142,14 +142,15 @@ class BodyLimit:
         )
 
     def reason(self, now_s: float) -> str:
-        """Return why the limit is what it is, for people and for the report to robots."""
+        """Return why the limit is what it is, without a figure of the body: robots and the broker get it."""
         newest = self.newest
         if newest is None:
             return "stopped; no heart rate was received" if self.is_stopped else "no heart rate yet"
         age_s = now_s - newest.at_s
-        seen = (
-            f"heart rate {newest.bpm:.0f} bpm"
-            if age_s <= newest.stale_s
-            else f"no valid heart rate for {age_s:.0f} s"
-        )
+        if age_s > newest.stale_s:
+            seen = f"no valid heart rate for {age_s:.0f} s"
+        elif self.curve.fraction(newest.bpm) < 1.0:
+            seen = "the heart rate is high"
+        else:
+            seen = "the heart rate is normal"
         return f"stopped; a person must reset it ({seen})" if self.is_stopped else seen

@@ -1,0 +1,83 @@
+"""Human state: sensors of persons who consent, their state, and speed limits for robots.
+
+Nothing here is a medical device or a safety-rated function.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from handover.background_tasks import BackgroundTasks
+from handover.broker import BrokerClient
+from handover.database import connect
+from handover.latest_value_writer import LatestValueWriter
+from handover.security.audit_trail import AuditTrail
+from handover.security.guard import Guard
+from handover.service import create_app
+from handover.storage import storage_check
+from services.human_state.metrics import REJECTED
+from services.human_state.monitoring.breaks import BreakProposals
+from services.human_state.monitoring.entities import HumanStates
+from services.human_state.monitoring.history import HistoryWriter
+from services.human_state.monitoring.monitoring import Monitoring
+from services.human_state.monitoring.person_monitor import PersonMonitor
+from services.human_state.monitoring.processors import pipeline_of
+from services.human_state.monitoring.removal import Removal
+from services.human_state.people.people import People
+from services.human_state.routes.people_routes import Parts, add_people_routes
+from services.human_state.routes.streams import add_streams
+from services.human_state.settings import HumanStateSettings
+from services.human_state.storage import tables
+from services.human_state.storage.store import Store
+
+
+def make_app(settings: HumanStateSettings) -> FastAPI:
+    """Return the application; raise `UsageError` if it cannot work with these settings."""
+    engine = connect(settings.database("human-state"))
+    guard = Guard(settings, "human-state")
+    broker = BrokerClient(settings, credentials=guard.access)
+    store = Store(engine)
+    people = People(store)
+    tasks = BackgroundTasks("human state")
+    writer = LatestValueWriter(on_rejected=lambda _: REJECTED.inc())
+    monitoring = Monitoring(settings, people, guard.access, tasks, pipeline_of)
+    entities = HumanStates(settings, monitoring, broker, writer)
+    history = HistoryWriter(store, monitoring, settings.health_history_days)
+    breaks = BreakProposals(settings, guard.access)
+    removal = Removal(people, store, history, entities)
+
+    def strained(monitor: PersonMonitor) -> None:
+        tasks.start(breaks.propose, monitor)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        await asyncio.to_thread(tables.prepare, engine)
+        await people.load()
+        async with broker, writer, tasks:
+            people.on_changed = monitoring.apply
+            monitoring.on_stopped = entities.ended
+            monitoring.on_strain = strained
+            for person in people.all():
+                monitoring.apply(person.name)
+            tasks.start_restarting(monitoring.run)
+            tasks.start_restarting(history.run)
+            tasks.start_restarting(entities.run)
+            writer.put("orphans", lambda: entities.delete_orphans(people))
+            yield
+            people.on_changed = lambda _: None
+        breaks.close()
+        engine.dispose()
+
+    app = create_app(
+        "Human state",
+        description=__doc__ or "",
+        lifespan=lifespan,
+        checks={"broker": broker.probe, "storage": storage_check(settings.data_dir)},
+        guard=guard,
+        audit=AuditTrail(settings, "human-state", engine),
+    )
+    add_people_routes(app, Parts(people, monitoring, store, removal))
+    add_streams(app, monitoring)
+    return app

@@ -1,0 +1,1 @@
+"""Runs what consent allows: sensors, processing, fusion, limits, and what shows and stores them."""

@@ -1,0 +1,237 @@
+"""Keeps running what the persons allow, and nothing else.
+
+`apply` compares a person with what runs: without a valid consent nothing runs and nothing is known. The
+limits of all persons are computed `TICK_S` apart; the end of a consent is looked for every second.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import orjson
+
+from datamodels.streams import SpeedLimitReport
+from handover.background_tasks import BackgroundTasks
+from handover.errors import HandoverError
+from handover.security.service_access import ServiceAccess
+from handover.telemetry import get_logger
+from services.human_state.drivers.base import SENSOR_DRIVERS, SensorDriver
+from services.human_state.drivers.runner import SensorRunner
+from services.human_state.limits.robot_stream import RobotStream
+from services.human_state.metrics import SENSORS
+from services.human_state.model.signals import LinkState
+from services.human_state.monitoring.person_monitor import PersonMonitor, PipelineOf, SensorView
+from services.human_state.people.consent import Purpose
+from services.human_state.people.people import People, Person
+from services.human_state.settings import HumanStateSettings
+from services.human_state.storage.store import SensorRow
+
+log = get_logger(__name__)
+
+TICK_S: Final = 0.05
+REPORT_EVERY_S: Final = 0.25
+"""An unchanged limit is sent this often; a changed one at once."""
+MIN_CHANGE: Final = 0.002
+CHECK_EVERY_S: Final = 1.0
+
+
+@dataclass(slots=True)
+class _Running:
+    row: SensorRow
+    task: asyncio.Task[None] | None
+
+
+@dataclass(slots=True)
+class RobotLink:
+    """The stream of the limit of a person to a robot."""
+
+    stream: RobotStream
+    task: asyncio.Task[None]
+    fraction: float = -1.0
+    sent_s: float = 0.0
+
+
+class Monitoring:
+    """The monitors of all persons who consent, their sensors, and the streams to robots."""
+
+    def __init__(
+        self,
+        settings: HumanStateSettings,
+        people: People,
+        access: ServiceAccess,
+        tasks: BackgroundTasks,
+        pipeline_of: PipelineOf,
+    ) -> None:
+        self.monitors: dict[str, PersonMonitor] = {}
+        self.links: dict[tuple[str, str], RobotLink] = {}
+        """By robot and person."""
+        self.sequence = 0
+        self.on_stopped: Callable[[PersonMonitor], None] = lambda _: None
+        """Called after a person's monitoring has ended."""
+        self.on_strain: Callable[[PersonMonitor], None] = lambda _: None
+        self._settings = settings
+        self._people = people
+        self._access = access
+        self._tasks = tasks
+        self._pipeline_of = pipeline_of
+        self._running: dict[str, _Running] = {}
+        self._ticked = asyncio.Event()
+        self._message = b"{}"
+
+    def apply(self, name: str) -> None:
+        """Start and stop what the person called `name` needs now."""
+        person = self._people.find(name)
+        purposes = frozenset() if person is None else person.purposes()
+        if person is None or Purpose.LIVE not in purposes:
+            self._stop(name)
+            return
+        monitor = self.monitors.get(name)
+        if monitor is None:
+            monitor = self.monitors[name] = PersonMonitor(person, self._pipeline_of)
+        for gone in monitor.person.sensors.keys() - person.sensors.keys():
+            self._stop_sensor(gone, name)
+        monitor.change(person)
+        for row in person.sensors.values():
+            running = self._running.get(row.name)
+            if running is None or running.row != row:
+                self._stop_sensor(row.name, None)
+                monitor.forget(row.name)
+                self._running[row.name] = _Running(row, self._start_sensor(row, monitor))
+        wanted = person.robots if Purpose.SPEED_LIMITS in purposes else frozenset()
+        for robot, of in list(self.links):
+            if of == name and robot not in wanted:
+                self.links.pop((robot, of)).task.cancel()
+        for robot in wanted:
+            if (robot, name) not in self.links:
+                self._link(robot, name)
+        SENSORS.set(sum(one.task is not None for one in self._running.values()))
+
+    def _stop(self, name: str) -> None:
+        for sensor, running in list(self._running.items()):
+            if running.row.person == name:
+                self._stop_sensor(sensor, name)
+        for key in [key for key in self.links if key[1] == name]:
+            self.links.pop(key).task.cancel()
+        monitor = self.monitors.pop(name, None)
+        if monitor is not None:
+            self.on_stopped(monitor)
+        SENSORS.set(sum(one.task is not None for one in self._running.values()))
+
+    def _stop_sensor(self, sensor: str, person: str | None) -> None:
+        running = self._running.get(sensor)
+        if running is None or person not in (None, running.row.person):
+            return
+        del self._running[sensor]
+        if running.task is not None:
+            running.task.cancel()
+
+    def _start_sensor(self, row: SensorRow, monitor: PersonMonitor) -> asyncio.Task[None] | None:
+        try:
+            kind: type[SensorDriver] = SENSOR_DRIVERS.load(row.driver)
+            driver = kind(row.name, kind.settings_model.model_validate(row.settings))
+            runner = SensorRunner(driver, monitor.take)
+        except (HandoverError, ValueError) as error:
+            log.warning("sensor cannot start", sensor=row.name, driver=row.driver, error=str(error))
+            monitor.sensors[row.name] = SensorView(LinkState.FAULT, text=str(error)[:300])
+            return None
+        kinds = frozenset(info.kind for info in driver.signals)
+        monitor.sensors[row.name] = SensorView(kinds=kinds)
+        return self._tasks.start(runner.run)
+
+    def _link(self, robot: str, person: str) -> None:
+        url = f"{self._settings.trajectory_tool.replace('http', 'ws', 1)}/robots/{robot}/speed_limits"
+        stream = RobotStream(url, self._access.headers, self._settings.ca_files)
+        self.links[robot, person] = RobotLink(stream, self._tasks.start_restarting(stream.run))
+
+    async def run(self) -> None:
+        """Compute and send limits until cancelled."""
+        clock = asyncio.get_running_loop().time
+        due_s = checked_s = clock()
+        while True:
+            if clock() - checked_s >= CHECK_EVERY_S:
+                checked_s = clock()
+                await self._check()
+            self._tick()
+            due_s = max(due_s + TICK_S, clock())
+            await asyncio.sleep(due_s - clock())
+
+    async def _check(self) -> None:
+        """End what a consent no longer allows; store stops; notice lasting strain."""
+        for person in self._people.all():
+            purposes = person.purposes()
+            is_running = person.name in self.monitors
+            has_links = any(of == person.name for _, of in self.links)
+            if (Purpose.LIVE in purposes) != is_running or (
+                has_links and Purpose.SPEED_LIMITS not in purposes
+            ):
+                self.apply(person.name)
+        for name, monitor in list(self.monitors.items()):
+            monitor.advance(time.time())
+            was_lasting, monitor.was_lasting = monitor.was_lasting, monitor.strain.is_lasting
+            if monitor.was_lasting and not was_lasting:
+                self.on_strain(monitor)
+            if Purpose.SPEED_LIMITS in monitor.person.purposes() and monitor.person.robots:
+                await self._people.keep_stop(name, is_stopped=monitor.limit.is_stopped)
+
+    def _tick(self) -> None:
+        now_s, wall_s = time.monotonic(), time.time()
+        self.sequence += 1
+        limits = []
+        for name, monitor in self.monitors.items():
+            monitor.step(now_s)
+            if Purpose.SPEED_LIMITS not in monitor.person.purposes():
+                continue
+            limits.append(_limit_view(monitor, now_s, wall_s))
+            for robot in monitor.person.robots:
+                link = self.links.get((robot, name))
+                if link is not None:
+                    self._send(link, monitor, now_s, wall_s)
+        self._message = orjson.dumps({"sequence": self.sequence, "stamp": wall_s, "limits": limits})
+        self._ticked.set()
+        self._ticked = asyncio.Event()
+
+    def _send(self, link: RobotLink, monitor: PersonMonitor, now_s: float, wall_s: float) -> None:
+        fraction = monitor.limit.fraction
+        is_other_stop = (fraction == 0.0) != (link.fraction == 0.0)
+        is_changed = is_other_stop or abs(fraction - link.fraction) >= MIN_CHANGE
+        if not is_changed and now_s - link.sent_s < REPORT_EVERY_S:
+            return
+        link.fraction, link.sent_s = fraction, now_s
+        person = monitor.person
+        is_public = Purpose.BROKER in person.purposes()
+        link.stream.put(
+            SpeedLimitReport(
+                source=source_of(person),
+                stamp=wall_s,
+                fraction=fraction,
+                reason=monitor.limit.reason(now_s),
+                person=self._settings.entity_id("Person", person.name) if is_public else None,
+                period=REPORT_EVERY_S,
+            )
+        )
+
+    async def next_message(self) -> bytes:
+        """Wait for the next limits of all persons: JSON with sequence, stamp, and limits."""
+        await self._ticked.wait()
+        return self._message
+
+
+def source_of(person: Person) -> str:
+    """Return the name of the source of speed limits at a robot."""
+    return f"body-{person.pseudonym}"
+
+
+def _limit_view(monitor: PersonMonitor, now_s: float, wall_s: float) -> dict[str, Any]:
+    limit = monitor.limit
+    newest = limit.newest
+    return {
+        "source": source_of(monitor.person),
+        "robots": sorted(monitor.person.robots),
+        "fraction": round(limit.fraction, 4),
+        "isStopped": limit.is_stopped,
+        "reason": limit.reason(now_s),
+        "ageS": None if newest is None else round(now_s - newest.at_s, 3),
+        "validUntil": wall_s + 1.0,
+    }

@@ -1,0 +1,211 @@
+"""What is known of one person while the consent lasts: state, limit, and signals for the page.
+
+Features have times in s since 1970; here they are on the monotonic clock: `monotonic - age`, with the age
+never below 0. So a step of the wall clock makes no old value fresh.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+from services.human_state.fusion.person_state import FusedValue, PersonState
+from services.human_state.limits.body_limit import RADAR_TIMEOUT_S, TIMEOUT_S, BodyLimit, HeartRate
+from services.human_state.limits.curve import LimitCurve
+from services.human_state.limits.strain import Strain
+from services.human_state.metrics import DELAY, FEATURES, LIMIT_STOPS
+from services.human_state.model.features import Feature, FeatureName, Status
+from services.human_state.model.signals import (
+    LinkState,
+    Samples,
+    SensorFault,
+    SensorReport,
+    SignalInfo,
+    SignalKind,
+)
+from services.human_state.people.consent import Purpose
+from services.human_state.people.people import Person
+from services.human_state.processing.pipeline import SignalPipeline
+
+MAX_WAITING: Final = 256
+"""Packets that wait for a page that does not read; the oldest are dropped."""
+BASELINE_S: Final = 600.0
+RADAR: Final = "radar"
+
+PipelineOf = Callable[[SignalInfo, Collection[SignalKind]], SignalPipeline]
+
+
+@dataclass(slots=True)
+class SensorView:
+    """What is known of a sensor."""
+
+    link: LinkState | None = None
+    battery: float | None = None
+    has_contact: bool | None = None
+    fault: SensorFault | None = None
+    fault_at_s: float = 0.0
+    text: str = ""
+    kinds: frozenset[SignalKind] = frozenset()
+    """The signals that its driver sends."""
+    signals: dict[str, SignalInfo] = field(default_factory=dict)
+    """Those that were received."""
+
+
+class PersonMonitor:
+    """The state and the limit of one person. Everything happens on the event loop."""
+
+    def __init__(self, person: Person, pipeline_of: PipelineOf) -> None:
+        now_s = time.monotonic()
+        self.person = person
+        self.state = PersonState()
+        self.strain = Strain()
+        self.sensors: dict[str, SensorView] = {}
+        self.limit = BodyLimit(_curve(person), now_s, now_s)
+        if person.limit.is_stopped:
+            self.limit = replace(self.limit, fraction=0.0, is_stopped=True)
+        self.listeners: set[deque[Samples]] = set()
+        self.recent: deque[Feature] = deque(maxlen=2048)
+        """Heart rates of the last minutes, for measured baselines."""
+        self.on_samples: Callable[[Samples], None] = lambda _: None
+        self.was_lasting = False
+        """Whether the strain was lasting when it was last looked at."""
+        self._pipeline_of = pipeline_of
+        self._pipelines: dict[tuple[str, SignalInfo], SignalPipeline | None] = {}
+
+    def change(self, person: Person) -> None:
+        """Take changes of the person; sensors that were taken away are forgotten."""
+        if person.limit != self.person.limit:
+            curve = _curve(person)
+            self.limit = replace(self.limit, curve=curve)
+        for gone in self.person.sensors.keys() - person.sensors.keys():
+            self.forget(gone)
+        self.person = person
+
+    def forget(self, sensor: str) -> None:
+        """Delete what is known of a sensor."""
+        self.state.forget(sensor)
+        self.sensors.pop(sensor, None)
+        self._pipelines = {key: value for key, value in self._pipelines.items() if key[0] != sensor}
+
+    def take(self, item: Samples | SensorReport) -> None:
+        """Take what a driver sends. Nothing is taken without consent."""
+        if Purpose.LIVE not in self.person.purposes() or item.source not in self.person.sensors:
+            return
+        sensor = self.sensors.setdefault(item.source, SensorView())
+        if isinstance(item, SensorReport):
+            self._take_report(item, sensor)
+            return
+        sensor.signals[item.info.kind] = item.info
+        for waiting in self.listeners:
+            waiting.append(item)
+        self.on_samples(item)
+        pipeline = self._pipeline(item, sensor)
+        if pipeline is not None:
+            self._take_features(pipeline.feed(item))
+            self._take_faults(pipeline, sensor)
+
+    def _pipeline(self, item: Samples, sensor: SensorView) -> SignalPipeline | None:
+        """Return the pipeline of a signal; None for one that cannot be analysed."""
+        key = item.source, item.info
+        if key not in self._pipelines:
+            try:
+                self._pipelines[key] = self._pipeline_of(item.info, sensor.kinds)
+            except ValueError as error:
+                self._pipelines[key] = None
+                sensor.text = str(error)[:300]
+        return self._pipelines[key]
+
+    def _take_faults(self, pipeline: SignalPipeline, sensor: SensorView) -> None:
+        """Show what a pipeline has found; the values that end by it come as features."""
+        for report in pipeline.take_reports():
+            sensor.text = report.text[:300]
+            if report.fault is not None:
+                sensor.fault, sensor.fault_at_s = report.fault, report.at_s
+
+    def advance(self, wall_s: float) -> None:
+        """Look for signals that are silent; `wall_s` is in s since 1970."""
+        for (source, _), pipeline in self._pipelines.items():
+            if pipeline is not None:
+                self._take_features(pipeline.advance(wall_s))
+                self._take_faults(pipeline, self.sensors[source])
+
+    def _take_report(self, report: SensorReport, sensor: SensorView) -> None:
+        sensor.link = report.link or sensor.link
+        sensor.battery = sensor.battery if report.battery is None else report.battery
+        sensor.has_contact = sensor.has_contact if report.has_contact is None else report.has_contact
+        if report.fault is not None:
+            sensor.fault, sensor.fault_at_s = report.fault, report.at_s
+        if report.text or report.link is not None:
+            sensor.text = report.text
+        self.state.report(report)
+        for (source, _), pipeline in self._pipelines.items():
+            if source == report.source and pipeline is not None:
+                self._take_features(pipeline.report(report))
+
+    def _take_features(self, features: Sequence[Feature]) -> None:
+        wall_s, now_s = time.time(), time.monotonic()
+        for feature in features:
+            age_s = max(wall_s - feature.at_s, 0.0)
+            given = self.state.take(replace(feature, at_s=now_s - age_s), now_s)
+            if given is None:
+                continue
+            FEATURES.labels(feature.name, given.status).inc()
+            if given.name is FeatureName.HEART_RATE and given.status is Status.VALID:
+                self.recent.append(given)
+                DELAY.observe(age_s)
+                self.step(now_s)
+
+    def step(self, now_s: float) -> None:
+        """Compute the limit at `now_s` (monotonic)."""
+        value = self.heart_rate(now_s)
+        has_fault = self.state.has_fault(FeatureName.HEART_RATE, now_s)
+        before = self.limit.is_stopped
+        self.limit = self.limit.step(value, now_s, has_fault=has_fault)
+        if self.limit.is_stopped and not before:
+            LIMIT_STOPS.inc()
+        if value is not None:
+            self.strain = self.strain.take(self.person.baseline.exertion(value.bpm), value.at_s)
+
+    def heart_rate(self, now_s: float) -> HeartRate | None:
+        """Return the heart rate that may feed the limit."""
+        value = self.state.for_limits(FeatureName.HEART_RATE, now_s)
+        if value is None:
+            return None
+        is_radar = all(RADAR in each.method for each in value.sensors)
+        timeout_s = RADAR_TIMEOUT_S if is_radar else TIMEOUT_S
+        return HeartRate(float(value.value), value.at_s, value.period_s, timeout_s)
+
+    def values(self, now_s: float) -> list[FusedValue]:
+        """Return all features of the person now; the exertion follows from heart rate and baseline."""
+        found = self.state.values(now_s)
+        rate = self.state.for_limits(FeatureName.HEART_RATE, now_s)
+        if rate is not None and all(each.name is not FeatureName.EXERTION_LEVEL for each in found):
+            exertion = self.person.baseline.exertion(float(rate.value))
+            found.append(
+                replace(
+                    rate,
+                    name=FeatureName.EXERTION_LEVEL,
+                    value=exertion,
+                    method="heart rate reserve",
+                    sensors=(),
+                )
+            )
+        return found
+
+    def reset(self) -> None:
+        """End a stop, by a person. Raises `RefusedReset`."""
+        now_s = time.monotonic()
+        self.step(now_s)
+        self.limit = self.limit.reset(now_s)
+
+    def listen(self) -> deque[Samples]:
+        """Return a queue of samples from now on; end it with `listeners.discard`."""
+        waiting: deque[Any] = deque(maxlen=MAX_WAITING)
+        self.listeners.add(waiting)
+        return waiting
+
+
+def _curve(person: Person) -> LimitCurve:
+    limit = person.limit
+    return LimitCurve(limit.free_bpm, limit.strained_bpm, limit.least)

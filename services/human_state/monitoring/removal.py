@@ -1,0 +1,29 @@
+"""Deletes what is known of a person: in the database, in what waits to be written, and in the broker."""
+
+import asyncio
+
+from services.human_state.monitoring.entities import HumanStates
+from services.human_state.monitoring.history import HistoryWriter
+from services.human_state.people.people import People, Person
+from services.human_state.storage.store import Store
+
+
+class Removal:
+    """Deletes data of persons everywhere. While the broker is away, its part waits."""
+
+    def __init__(self, people: People, store: Store, history: HistoryWriter, entities: HumanStates) -> None:
+        self._people = people
+        self._store = store
+        self._history = history
+        self._entities = entities
+
+    async def person(self, name: str) -> None:
+        """Delete a person with everything."""
+        person = await self._people.delete(name)
+        await self.data(person)
+
+    async def data(self, person: Person) -> None:
+        """Delete the history of a person, here and in the broker."""
+        await self._history.forget(person.pseudonym)
+        await asyncio.to_thread(self._store.delete_history, person.pseudonym)
+        self._entities.delete(person.pseudonym)

@@ -1,0 +1,1 @@
+"""Persons: pseudonyms, consents, sensors and robots of each."""

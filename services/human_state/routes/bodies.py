@@ -1,0 +1,183 @@
+"""The bodies of requests."""
+
+from datetime import datetime
+from typing import Annotated, Any
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic.alias_generators import to_camel
+
+from services.human_state.people.consent import Purpose
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+Bpm = Annotated[FiniteFloat, Field(ge=30, le=220)]
+
+
+class Body(BaseModel):
+    """A JSON object in camelCase without unknown members."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
+
+
+class PersonChange(Body):
+    """The baseline of a person: `age` in years, or both heart rates; and the curve of the speed limit.
+
+    Without a curve it spans 30 % to 60 % of the heart rate reserve of the baseline.
+    """
+
+    age: Annotated[FiniteFloat, Field(ge=14, le=100)] | None = None
+    rest_bpm: Bpm | None = None
+    maximum_bpm: Bpm | None = None
+    free_bpm: Bpm | None = None
+    strained_bpm: Bpm | None = None
+    least_fraction: Annotated[FiniteFloat, Field(ge=0, lt=1)] = 0.2
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> "PersonChange":
+        if (self.rest_bpm is None) != (self.maximum_bpm is None):
+            raise ValueError("give both restBpm and maximumBpm, or the age")
+        if (self.free_bpm is None) != (self.strained_bpm is None):
+            raise ValueError("give both freeBpm and strainedBpm, or neither")
+        return self
+
+
+class ConsentGiven(Body):
+    """What the person allows until `ends`, and who was there; `person` if it was the person alone."""
+
+    purposes: Annotated[frozenset[Purpose], Field(min_length=1)]
+    ends: AwareDatetime
+    given_by: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class SensorChange(Body):
+    """A sensor of a person: its driver by name, and the settings of that driver."""
+
+    person: Name
+    driver: Annotated[str, Field(min_length=1, max_length=64)]
+    settings: dict[str, Any] = Field(default_factory=dict)
+
+
+class Reset(Body):
+    """Who has looked and ends the stop."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class ConsentView(Body):
+    """A consent as it is now; `purposes` is empty when it has ended."""
+
+    purposes: list[Purpose]
+    given: datetime
+    ends: datetime
+    given_by: str
+    withdrawn: datetime | None
+
+
+class SensorStateView(Body):
+    """A sensor: what it is and how it does. `problem` says what a person should know."""
+
+    name: str
+    driver: str
+    settings: dict[str, Any]
+    link: str | None
+    battery: float | None
+    has_contact: bool | None
+    fault: str | None
+    problem: str
+    signals: list[str]
+
+
+class RobotLinkView(Body):
+    """A robot that is limited by the person; `problem` is empty while it gets limits."""
+
+    robot: str
+    problem: str
+
+
+class LimitView(Body):
+    """The speed limit: fraction of the speed, and the curve that it follows."""
+
+    fraction: float
+    is_stopped: bool
+    reason: str
+    free_bpm: float
+    strained_bpm: float
+    least_fraction: float
+    robots: list[RobotLinkView]
+
+
+class PersonView(Body):
+    """A person without values."""
+
+    person: str
+    pseudonym: str
+    rest_bpm: float
+    maximum_bpm: float
+    baseline_method: str
+    consent: ConsentView | None
+    purposes: list[Purpose]
+    is_monitored: bool
+    sensors: list[SensorStateView]
+    limit: LimitView | None
+
+
+class SensorValueView(Body):
+    """The value of one sensor."""
+
+    sensor: str
+    value: float | str
+    quality: float
+    status: str
+    age_s: float
+    method: str
+
+
+class ValueView(Body):
+    """A feature: the fused value, its age in s and those of the sensors."""
+
+    name: str
+    value: float | str
+    unit: str | None
+    quality: float
+    status: str
+    age_s: float
+    method: str
+    is_calibrated: bool
+    disagree: bool
+    sensors: list[SensorValueView]
+
+
+class StateView(Body):
+    """The state of a person now."""
+
+    person: str
+    pseudonym: str
+    values: list[ValueView]
+    exertion: float | None
+    strain: float
+    is_strained: bool
+    limit: LimitView | None
+
+
+class HistoryValue(Body):
+    """One value of the history."""
+
+    at: datetime
+    value: float | str | None
+    quality: float
+    status: str
+
+
+class DriverView(Body):
+    """A driver of sensors, and the JSON Schema of its settings."""
+
+    name: str
+    description: str
+    settings: dict[str, Any]
+
+
+class FoundView(Body):
+    """A device that was found."""
+
+    address: str
+    name: str
+    rssi_dbm: int | None

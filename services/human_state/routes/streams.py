@@ -1,0 +1,104 @@
+"""WebSockets: the limits of all persons for controllers, and the live signals of one person for a page."""
+
+import asyncio
+import time
+from collections import deque
+from typing import Any, Final
+
+import orjson
+from fastapi import FastAPI
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from handover.security.guard import require
+from handover.security.permissions import Permission
+from services.human_state.model.signals import Samples
+from services.human_state.monitoring.monitoring import Monitoring
+from services.human_state.routes.access import of_person
+from services.human_state.routes.views import state_view
+
+LIVE_EVERY_S: Final = 0.05
+STATE_EVERY_S: Final = 0.5
+MAX_VALUES: Final = 20_000
+"""Samples in one message; a packet with more is thinned out evenly."""
+
+
+def add_streams(app: FastAPI, monitoring: Monitoring) -> None:
+    """Add the WebSockets."""
+
+    @app.websocket("/limits", dependencies=[require(Permission.READ_HEALTH_DATA)])
+    async def limits(socket: WebSocket) -> None:
+        """Send the limits 20 times a second; a reader that is slow misses some, see `sequence`."""
+        await socket.accept()
+        await _until_left(socket, _send_limits(socket, monitoring))
+
+    @app.websocket("/people/{person}/live", dependencies=[require(Permission.READ_HEALTH_DATA, of_person)])
+    async def live(socket: WebSocket, person: str) -> None:
+        """Send the state twice a second, and waveforms as they come."""
+        await socket.accept()
+        await _until_left(socket, _send_live(socket, monitoring, person))
+
+
+async def _until_left(socket: WebSocket, sending: Any) -> None:
+    """Send until the reader leaves. What it sends is ignored."""
+    task = asyncio.ensure_future(sending)
+    reading = asyncio.ensure_future(_read(socket))
+    try:
+        await asyncio.wait({task, reading}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for one in (task, reading):
+            one.cancel()
+        await asyncio.gather(task, reading, return_exceptions=True)
+
+
+async def _read(socket: WebSocket) -> None:
+    try:
+        while True:
+            await socket.receive_text()
+    except (WebSocketDisconnect, RuntimeError, KeyError):
+        return
+
+
+async def _send_limits(socket: WebSocket, monitoring: Monitoring) -> None:
+    while True:
+        await socket.send_text((await monitoring.next_message()).decode())
+
+
+async def _send_live(socket: WebSocket, monitoring: Monitoring, person: str) -> None:
+    waiting: deque[Samples] | None = None
+    listened: Any = None
+    state_s = 0.0
+    try:
+        while True:
+            monitor = monitoring.monitors.get(person)
+            if monitor is not listened:
+                if listened is not None and waiting is not None:
+                    listened.listeners.discard(waiting)
+                listened, waiting = monitor, None if monitor is None else monitor.listen()
+            if waiting:
+                signals = [_signal(waiting.popleft()) for _ in range(len(waiting))]
+                await socket.send_text(orjson.dumps({"signals": signals}).decode())
+            if time.monotonic() - state_s >= STATE_EVERY_S:
+                state_s = time.monotonic()
+                state = None if monitor is None else state_view(monitor, monitoring)
+                document = None if state is None else state.model_dump(mode="json", by_alias=True)
+                await socket.send_text(orjson.dumps({"state": document}).decode())
+            await asyncio.sleep(LIVE_EVERY_S)
+    finally:
+        if listened is not None and waiting is not None:
+            listened.listeners.discard(waiting)
+
+
+def _signal(samples: Samples) -> dict[str, Any]:
+    """Return a packet: values by channel, NaN as null; `startS` in s since 1970."""
+    step = -(-len(samples.values) * len(samples.info.channels) // MAX_VALUES) or 1
+    rate_hz = samples.info.rate_hz
+    return {
+        "sensor": samples.source,
+        "kind": samples.info.kind,
+        "unit": samples.info.unit,
+        "rateHz": None if rate_hz is None else rate_hz / step,
+        "startS": samples.start_s,
+        "endS": samples.end_s,
+        "channels": samples.info.channels,
+        "values": [column.tolist() for column in samples.values[::step].T],
+    }

@@ -1,0 +1,46 @@
+"""The settings of human state, in addition to the common ones."""
+
+from pydantic import Field
+
+from handover.settings import Settings
+
+
+class HumanStateSettings(Settings):
+    """Addresses, rates and retention of human state."""
+
+    human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
+    human_state_url: str | None = Field(
+        None, description="where others reach human state; http://host:port of it if absent"
+    )
+    trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
+    trajectory_url: str | None = Field(
+        None, description="where speed limits reach the trajectory tool; http://host:port of it if absent"
+    )
+    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
+    orchestrator_url: str | None = Field(
+        None, description="where the broker reaches the orchestrator; host and port if absent"
+    )
+    health_history_days: float = Field(
+        30.0, gt=0, description="the history of the state of persons is deleted after so many days"
+    )
+    health_break_message: str = Field(
+        "breakProposed",
+        max_length=64,
+        description="the BPMN message sent to the orchestrator when the strain of a person lasts; its key is "
+        "the pseudonym; empty: none",
+    )
+
+    @property
+    def service_url(self) -> str:
+        """The URL of human state."""
+        return self.url_of(self.human_state_port, self.human_state_url)
+
+    @property
+    def trajectory_tool(self) -> str:
+        """The URL of the trajectory tool."""
+        return self.url_of(self.trajectory_port, self.trajectory_url)
+
+    @property
+    def orchestrator(self) -> str:
+        """The URL of the orchestrator."""
+        return self.url_of(self.orchestrator_port, self.orchestrator_url)
