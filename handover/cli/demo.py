@@ -23,6 +23,8 @@ from handover.tls_trust import client_context
 
 DEFINITION = "bin-picking"
 GLOVE = "glove-1"
+ROBOT = "ur10-1"
+"""The robot of the process, where its start names no other."""
 QUERY_EVERY_S = 0.15
 FINISHED = {"completed", "failed"}
 
@@ -40,7 +42,7 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
         say(f"Look at it on {service_named('webui').url()}")
         try:
             async with asyncio.timeout(timeout_s):
-                await run_process(settings, say)
+                parameters = await run_process(settings, say)
         except TimeoutError:
             raise UsageError(
                 f"the process did not complete within {timeout_s:.0f} s; "
@@ -49,12 +51,16 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
         if not once:
             say("")
             say("Everything keeps running; Ctrl-C stops it. To run the process again, in another terminal:")
-            say(f"  {_program()} process start {DEFINITION}")
+            given = "".join(f" --set {name}={value}" for name, value in parameters.items())
+            say(f"  {_program()} process start {DEFINITION}{given}")
             await asyncio.Event().wait()
 
 
-async def run_process(settings: Settings, say: Say) -> None:
-    """Start the bin-picking process and print its progress; raise `UsageError` if it fails."""
+async def run_process(settings: Settings, say: Say) -> dict[str, str]:
+    """Start the bin-picking process with the first robot of the cell, and print its progress.
+
+    Returns the process parameters. Raises `UsageError` if the process fails.
+    """
     orchestrator = service_named("task-orchestrator").url()
     began = datetime.now(UTC)
     async with (
@@ -67,7 +73,8 @@ async def run_process(settings: Settings, say: Say) -> None:
         ) as http,
         BrokerClient(settings, credentials=access) as broker,
     ):
-        answer = await http.post("/processes", json={"definition": DEFINITION})
+        parameters = await _parameters(http)
+        answer = await http.post("/processes", json={"definition": DEFINITION, "parameters": parameters})
         if not answer.is_success:
             raise UsageError(f"the process could not be started: {answer.text}")
         process_id = str(answer.json()["id"])
@@ -76,7 +83,7 @@ async def run_process(settings: Settings, say: Say) -> None:
         progress = ProgressPrinter(began, say)
         tasks = f"^{settings.entity_id('Task', instance)}-.*"
         while True:
-            process = await _look(http, process_id)
+            process = await _look(http, f"/processes/{process_id}")
             progress.update(await _tasks(broker, tasks))
             if process.get("status") in FINISHED:
                 break
@@ -88,16 +95,23 @@ async def run_process(settings: Settings, say: Say) -> None:
         )
     say(f"{seconds:6.1f} s  process   completed")
     say(progress.summary())
+    return parameters
 
 
-async def _look(http: httpx.AsyncClient, process_id: str) -> dict[str, Any]:
-    """Return the process as the orchestrator has it; empty while the orchestrator restarts."""
+async def _parameters(http: httpx.AsyncClient) -> dict[str, str]:
+    """Return the process parameters that differ from those of the definition."""
+    robots = await _look(http, f"{service_named('trajectory-tool').url()}/robots") or []
+    names = [robot["id"] for robot in robots]
+    return {"robot": f"Device:{names[0]}"} if names and ROBOT not in names else {}
+
+
+async def _look(http: httpx.AsyncClient, url: str) -> Any:
+    """Return what a service has; empty while it restarts."""
     try:
-        answer = await http.get(f"/processes/{process_id}")
+        answer = await http.get(url)
     except httpx.TransportError:
         return {}
-    seen: dict[str, Any] = answer.json() if answer.is_success else {}
-    return seen
+    return answer.json() if answer.is_success else {}
 
 
 async def _tasks(broker: BrokerClient, id_pattern: str) -> list[Task]:

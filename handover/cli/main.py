@@ -63,7 +63,7 @@ def demo(
     data_dir: DataDir = None,
 ) -> None:
     """Run a complete simulated cell with the bin-picking process."""
-    say("A person and a robot empty a bin together: simulated operator with glove-1, simulated UR10.")
+    say("A person and a robot empty a bin together: simulated operator with glove-1, simulated robot.")
     _until_stopped(run_demo(_settings(data_dir), once=once, timeout_s=timeout_s, say=say))
 
 
