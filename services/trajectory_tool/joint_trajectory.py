@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ from services.trajectory_tool.robot import Joints
 from services.trajectory_tool.trajectory import Limits, Setpoint
 
 Array = NDArray[np.float64]
+
+U = TypeVar("U", float, Array)
 
 _TOLERANCE = 1e-9
 
@@ -56,24 +59,20 @@ class JointTrajectory:
         """Return the last joint positions."""
         return tuple(self.points[-1].tolist())
 
+    @cached_property
+    def _per_second(self) -> Array:
+        """Return what turns derivatives by the intervals into those by the time, one row an order."""
+        return np.array([[self.spacing_s**-order] for order in range(3)])
+
     def at(self, time_s: float) -> Setpoint:
         """Return the setpoint at a time since the start; at rest before and after."""
         h = self.spacing_s
         time_s = min(max(time_s, 0.0), self.duration_s)
         first = min(int(time_s / h), len(self.points) - 4)
-        u = time_s / h - first
-        v = 1 - u
-        weights = (
-            (v**3 / 6, (3 * u**3 - 6 * u**2 + 4) / 6, (3 * v**3 - 6 * v**2 + 4) / 6, u**3 / 6),
-            (
-                -(v**2) / (2 * h),
-                (v**2 - 1 - 2 * u * v) / (2 * h),
-                (1 + 2 * u * v - u**2) / (2 * h),
-                u**2 / (2 * h),
-            ),
-            (v / h**2, (u - 2 * v) / h**2, (v - 2 * u) / h**2, u / h**2),
-        )
-        position, velocity, acceleration = (np.array(weights) @ self.points[first : first + 4]).tolist()
+        weights = np.array(spline_weights(time_s / h - first))
+        position, velocity, acceleration = (
+            weights @ self.points[first : first + 4] * self._per_second
+        ).tolist()
         return Setpoint(tuple(position), tuple(velocity), tuple(acceleration))
 
     def positions(self, step_s: float) -> Array:
@@ -135,3 +134,16 @@ class JointTrajectory:
         velocity, acceleration, jerk = (float(ratio.max(initial=0.0)) for ratio in self.ratios(limits))
         factor = max(velocity, acceleration ** (1 / 2), jerk ** (1 / 3))
         return self if factor <= 1 else JointTrajectory(self.points, self.spacing_s * factor * (1 + 1e-12))
+
+
+def spline_weights(u: U) -> tuple[tuple[U, U, U, U], ...]:
+    """Return the weights of the four control points at the fraction `u` of an interval, and two derivatives.
+
+    They are those for intervals of length 1; a derivative of order k is divided by the length to the k.
+    """
+    v = 1 - u
+    return (
+        (v**3 / 6, (3 * u**3 - 6 * u**2 + 4) / 6, (3 * v**3 - 6 * v**2 + 4) / 6, u**3 / 6),
+        (-(v**2) / 2, (v**2 - 1 - 2 * u * v) / 2, (1 + 2 * u * v - u**2) / 2, u**2 / 2),
+        (v, u - 2 * v, v - 2 * u, u),
+    )

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import LinAlgError, solveh_banded
 
-from services.trajectory_tool.joint_trajectory import Array, JointTrajectory
+from services.trajectory_tool.joint_trajectory import Array, JointTrajectory, spline_weights
 from services.trajectory_tool.planning import timing
 from services.trajectory_tool.trajectory import Limits
 
@@ -215,14 +215,8 @@ class _Rates:
 
 def _splines(at: Array) -> tuple[Array, Array, Array]:
     """Return the four cubic B-splines of an interval of length 1 at places, and their two derivatives."""
-    u, v = at, 1 - at
-    orders = (
-        (v**3 / 6, (3 * u**3 - 6 * u**2 + 4) / 6, (3 * v**3 - 6 * v**2 + 4) / 6, u**3 / 6),
-        (-(v**2) / 2, (v**2 - 1 - 2 * u * v) / 2, (1 + 2 * u * v - u**2) / 2, u**2 / 2),
-        (v, u - 2 * v, v - 2 * u, u),
-    )
-    found = [np.stack(one, axis=1) for one in orders]
-    return found[0], found[1], found[2]
+    value, slope, bend = (np.stack(weights, axis=1) for weights in spline_weights(at))
+    return value, slope, bend
 
 
 def _windows(coefficients: Array) -> Array:

