@@ -19,8 +19,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from services.human_state.exchange.errors import ExchangeError
-from services.human_state.exchange.extra import required
+from services.human_state.formats.errors import ExchangeError
+from services.human_state.formats.extra import required
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 

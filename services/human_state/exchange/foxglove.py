@@ -9,9 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from services.human_state.exchange.errors import ExchangeError
-from services.human_state.exchange.extra import required
-from services.human_state.exchange.json_messages import (
+from services.human_state.formats.errors import ExchangeError
+from services.human_state.formats.extra import required
+from services.human_state.formats.json_messages import (
     SCHEMAS,
     Recorded,
     schema_name,
@@ -165,7 +165,7 @@ def layout(
 
 
 def shipped_layout() -> str:
-    """Return the text of the file `LAYOUT`: a strap, a radar, a mat and an IMU with the names of the manual."""
+    """Return the text of the file `LAYOUT`: a strap, a radar, a mat and an IMU, named as in the manual."""
     waves = [("polar-h10-1", SignalKind.ECG), ("radar-1", SignalKind.RESPIRATION)]
     names = ("heartRate", "hrvRmssd", "exertionLevel")
     rates = [

@@ -1,72 +1,23 @@
 """Signals and features as streams of the Lab Streaming Layer, and streams as samples.
 
 The description of a stream has the channels with unit and type, the pseudonym of the person, and the method.
-Time stamps on the wire are those of the local clock of LSL; `ClockMap` maps them to s since 1970.
+Time stamps on the wire are those of the local clock of LSL.
 """
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from services.human_state.exchange.errors import ExchangeError
-from services.human_state.exchange.extra import required
+from services.human_state.formats.errors import ExchangeError
+from services.human_state.formats.extra import required
+from services.human_state.formats.lsl import CONTENT_TYPES, ClockMap, signal_info
 from services.human_state.model.features import UNITS, Feature
-from services.human_state.model.signals import ClockKind, Samples, SignalInfo, SignalKind
+from services.human_state.model.signals import ClockKind, Samples
 
 MAX_OUTLETS: Final = 256
 MAX_BUFFERED_S: Final = 60
 MAX_CHUNK_SAMPLES: Final = 4096
-
-_TYPES: Final = {
-    SignalKind.ECG: "ECG",
-    SignalKind.PPG: "PPG",
-    SignalKind.EDA: "GSR",
-    SignalKind.EMG: "EMG",
-    SignalKind.EEG: "EEG",
-    SignalKind.EOG: "EOG",
-    SignalKind.RESPIRATION: "Respiration",
-    SignalKind.ACCELERATION: "Accelerometer",
-    SignalKind.ANGULAR_VELOCITY: "Gyroscope",
-    SignalKind.MAGNETIC_FIELD: "Magnetometer",
-}
-"""Content types that LSL recommends; others have the name of the kind."""
-_KIND_OF: Final = {name.lower(): kind for kind, name in _TYPES.items()} | {
-    kind.value.lower(): kind for kind in SignalKind
-}
-_UNITS: Final = {
-    "microvolts": "D82",
-    "uv": "D82",
-    "microsiemens": "D80",
-    "us": "D80",
-    "bpm": "BPM",
-    "celsius": "CEL",
-    "percent": "P1",
-    "%": "P1",
-    "ms": "C26",
-    "s": "SEC",
-    "g": "K40",
-    "m/s^2": "MSK",
-}
-"""Codes of UN/CEFACT of the units that streams of others use; a code itself is taken as it is."""
-
-
-class ClockMap:
-    """The offset between the clock of LSL and s since 1970, measured once: both run alike on one machine."""
-
-    def __init__(self) -> None:
-        local: Callable[[], float] = required("pylsl").local_clock
-        before_s = time.time()
-        self.offset_s = (before_s + time.time()) / 2 - local()
-
-    def to_lsl(self, at_s: float) -> float:
-        """Return a time since 1970 as a time stamp of LSL."""
-        return at_s - self.offset_s
-
-    def from_lsl(self, stamp: float) -> float:
-        """Return a time stamp of LSL as s since 1970."""
-        return stamp + self.offset_s
 
 
 class LslOutlets:
@@ -105,7 +56,7 @@ class LslOutlets:
         info = item.info
         outlet = self._outlet(
             f"{item.source} {info.kind.value}",
-            _TYPES.get(info.kind, info.kind.value),
+            CONTENT_TYPES.get(info.kind, info.kind.value),
             [(label or info.kind.value, info.unit) for label in info.channels],
             rate_hz=info.rate_hz or 0.0,
             method=info.method,
@@ -157,37 +108,6 @@ class LslOutlets:
             channel.append_child_value("type", kind)
         outlet = self._outlets[name] = lsl.StreamOutlet(info, max_buffered=MAX_BUFFERED_S)
         return outlet
-
-
-def signal_info(info: Any) -> tuple[SignalInfo, str]:
-    """Return signal and subject of the full description (`StreamInfo`) of a numeric stream, ours or not.
-
-    Raises `ExchangeError` for a type that is not known and for texts.
-    """
-    kind = _KIND_OF.get(info.type().lower())
-    if kind is None:
-        known = ", ".join(sorted({*_TYPES.values(), *(one.value for one in SignalKind)}))
-        raise ExchangeError(f'the stream "{info.name()}" has the type {info.type()}; known are {known}')
-    if info.channel_format() == required("pylsl").cf_string:
-        raise ExchangeError(f'the stream "{info.name()}" has texts; it is no signal')
-    labels: list[str] = []
-    units: list[str] = []
-    channel = info.desc().child("channels").child("channel")
-    while not channel.empty() and len(labels) < info.channel_count():
-        labels.append(channel.child_value("label"))
-        units.append(channel.child_value("unit"))
-        channel = channel.next_sibling("channel")
-    if len(labels) < info.channel_count():
-        labels = [str(number) for number in range(info.channel_count())]
-    unit = units[0] if units else ""
-    signal = SignalInfo(
-        kind,
-        _UNITS.get(unit.lower(), unit),
-        info.nominal_srate() or None,
-        ("",) if labels == [kind.value] else tuple(labels),
-        method=info.desc().child("acquisition").child_value("method"),
-    )
-    return signal, info.desc().child("subject").child_value("id")
 
 
 class LslInlet:

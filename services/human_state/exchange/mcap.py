@@ -6,9 +6,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
-from services.human_state.exchange.errors import ExchangeError
-from services.human_state.exchange.extra import required
-from services.human_state.exchange.json_messages import (
+from services.human_state.formats.errors import ExchangeError
+from services.human_state.formats.extra import required
+from services.human_state.formats.json_messages import (
     SCHEMAS,
     Recorded,
     from_json,

@@ -16,7 +16,7 @@ from pydantic.alias_generators import to_snake
 
 from datamodels import DataModelError, HumanState, Measurement, PhysiologicalSession, PressureMat
 from datamodels.times import iso
-from services.human_state.exchange.errors import ExchangeError
+from services.human_state.formats.errors import ExchangeError
 from services.human_state.fusion.person_state import FusedValue
 from services.human_state.model.features import UNITS, Feature, FeatureName, Status
 

@@ -14,8 +14,8 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from services.human_state.exchange.errors import ExchangeError
-from services.human_state.exchange.json_messages import Marker, Recorded
+from services.human_state.formats.errors import ExchangeError
+from services.human_state.formats.json_messages import Marker, Recorded
 from services.human_state.model.features import UNITS, Feature
 from services.human_state.model.signals import Samples, SensorReport
 

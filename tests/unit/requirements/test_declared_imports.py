@@ -55,7 +55,9 @@ def test_every_import_is_declared() -> None:
     assert undeclared == []
 
 
-@pytest.mark.parametrize("extra", ["human-state", "motion", "physics", "research", "ros", "ros-rclpy", "whole-body"])
+@pytest.mark.parametrize(
+    "extra", ["human-state", "motion", "physics", "research", "ros", "ros-rclpy", "whole-body"]
+)
 def test_an_extra_repeats_no_dependency(extra: str) -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert set(map(_name, project["optional-dependencies"][extra])).isdisjoint(

@@ -11,7 +11,7 @@ pytest.importorskip("cyclonedds")
 
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
 from ros_fiware_bridge.types.type_store import TypeStore
-from services.human_state.exchange import ros
+from services.human_state.formats import ros
 from services.human_state.model.features import Feature, FeatureName
 from services.human_state.model.signals import ClockKind, Samples, SignalInfo, SignalKind
 from tests.integration.ros_fiware_bridge.graph.conftest import running_script

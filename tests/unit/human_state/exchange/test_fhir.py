@@ -14,7 +14,7 @@ from fhir.resources.bundle import Bundle
 from fhir.resources.observation import Observation
 
 from services.human_state.exchange import fhir
-from services.human_state.exchange.errors import ExchangeError
+from services.human_state.formats.errors import ExchangeError
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 from tests.unit.human_state.exchange.random_signals import features, same_values

@@ -11,8 +11,8 @@ from websockets.asyncio.client import connect
 
 pytest.importorskip("foxglove", reason="the extra [human-state] is not installed")
 
-from services.human_state.exchange.errors import ExchangeError
 from services.human_state.exchange.foxglove import LAYOUT, FoxgloveServer, layout, shipped_layout
+from services.human_state.formats.errors import ExchangeError
 from services.human_state.model.features import Feature, FeatureName
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 from tests.kit.waiting import scaled

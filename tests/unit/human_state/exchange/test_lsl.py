@@ -12,8 +12,9 @@ pytest.importorskip("pylsl", reason="the extra [human-state] is not installed")
 
 import pylsl
 
-from services.human_state.exchange.errors import ExchangeError
-from services.human_state.exchange.lsl import LslInlet, LslOutlets, signal_info
+from services.human_state.exchange.lsl import LslInlet, LslOutlets
+from services.human_state.formats.errors import ExchangeError
+from services.human_state.formats.lsl import signal_info
 from services.human_state.model.features import Feature, FeatureName
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 from tests.kit.waiting import scaled

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodels import HumanState
-from services.human_state.exchange.errors import ExchangeError
 from services.human_state.exchange.ngsi_ld import (
     FUSED,
     OF_PERSON,
@@ -19,6 +18,7 @@ from services.human_state.exchange.ngsi_ld import (
     read_human_state,
     session,
 )
+from services.human_state.formats.errors import ExchangeError
 from services.human_state.fusion.person_state import FusedValue, fused
 from services.human_state.model.features import Feature, FeatureName, Status
 

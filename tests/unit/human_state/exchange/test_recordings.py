@@ -17,8 +17,8 @@ import pyxdf
 
 from services.human_state.drivers.recording import tracks
 from services.human_state.exchange import mcap, xdf
-from services.human_state.exchange.errors import ExchangeError
-from services.human_state.exchange.json_messages import (
+from services.human_state.formats.errors import ExchangeError
+from services.human_state.formats.json_messages import (
     SCHEMAS,
     Marker,
     Recorded,

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
 
 from ros_fiware_bridge.types.type_store import TypeStore
-from services.human_state.exchange import ros
-from services.human_state.exchange.errors import ExchangeError
+from services.human_state.formats import ros
+from services.human_state.formats.errors import ExchangeError
 from services.human_state.model.features import Feature, FeatureName
 from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
 from tests.unit.human_state.exchange.random_signals import features, same_values, samples

@@ -3,7 +3,7 @@
 import importlib
 from types import ModuleType
 
-from services.human_state.exchange.errors import ExchangeError
+from services.human_state.formats.errors import ExchangeError
 
 
 def required(module: str) -> ModuleType:

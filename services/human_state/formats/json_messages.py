@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from services.human_state.exchange.errors import ExchangeError
+from services.human_state.formats.errors import ExchangeError
 from services.human_state.model.features import UNITS, Feature, FeatureName, Status
 from services.human_state.model.signals import (
     ClockKind,
