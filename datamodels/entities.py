@@ -221,7 +221,7 @@ class TaskDefinition(Entity):
     """A kind of Task: its description, command and required skills.
 
     With `handles_outcomes`, a Task with another outcome than `ok` is completed, since its process handles the
-    outcome; without it, such a Task fails.
+    outcome; without it, such a Task fails. With `require_pin`, the person who answers gives the own PIN.
     """
 
     name: Property[str]
@@ -229,6 +229,7 @@ class TaskDefinition(Entity):
     gesture: Property[str] | None = None
     command_id: Property[Whole] | None = None
     handles_outcomes: Property[StrictBool] | None = None
+    require_pin: Property[StrictBool] | None = None
     required_skills: Property[Words] | None = None
     work_parameters_schema: Property[dict[str, Any]] | None = None
     output_parameters_schema: Property[dict[str, Any]] | None = None

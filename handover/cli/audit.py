@@ -1,6 +1,7 @@
 """`handover audit`: verify and export the audit logs of all services of a data directory."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -48,7 +49,8 @@ def export(
     from handover.security.audit_chains import records_of  # noqa: PLC0415 - the database is slow to import
     from handover.security.audit_routes import csv_of  # noqa: PLC0415 - as above
 
-    views = records_of(_chains(data_dir))
+    chains = _chains(data_dir)
+    views = records_of(chains, _names(chains))
     content = csv_of(views) if file_format == "csv" else orjson.dumps(views, option=orjson.OPT_INDENT_2)
     if output is None:
         print(content.decode("utf-8-sig"))
@@ -58,6 +60,17 @@ def export(
     except OSError as error:
         raise UsageError(f"the records cannot be written to {output}: {error.strerror}") from None
     print(f"{len(views)} records are in {output}")
+
+
+def _names(chains: "list[AuditChain]") -> Mapping[str, str]:
+    """Return the names of users and tokens, which accounts knows."""
+    from services.accounts.names import subject_names  # noqa: PLC0415 - the database is slow to import
+
+    for chain in chains:
+        if chain.service == "accounts":
+            with chain.engine.connect() as connection:
+                return subject_names(connection)
+    return {}
 
 
 def _chains(data_dir: Path | None) -> "list[AuditChain]":

@@ -1,7 +1,9 @@
 """The audit logs of all services of a data directory, or of the database that they share."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 from sqlalchemy import Engine, MetaData, create_engine, inspect
@@ -33,14 +35,14 @@ def chains_of(settings: Settings) -> list[AuditChain]:
     return sorted(found, key=lambda chain: chain.service)
 
 
-def records_of(chains: list[AuditChain]) -> list[AuditView]:
-    """Return all records by time; names of subjects are not resolved."""
+def records_of(chains: list[AuditChain], names: Mapping[str, str] = MappingProxyType({})) -> list[AuditView]:
+    """Return all records by time, with the `names` of subjects."""
     views: list[AuditView] = []
     for chain in chains:
         with chain.engine.connect() as connection:
             after = 0
             while page := chain.log.read(connection, after=after, limit=_PAGE):
-                views += [view_of(chain.service, one, {}) for one in page]
+                views += [view_of(chain.service, one, names) for one in page]
                 after = page[-1].seq
     return sorted(views, key=lambda view: (view["at"], view["service"], view["seq"]))
 

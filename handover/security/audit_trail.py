@@ -64,6 +64,8 @@ class AuditEntry:
     outcome: str
     text: str
     is_personal: bool = False
+    method: str | None = None
+    """How the caller was identified; None for the kind of the caller."""
 
     def append(self, log: AuditLog, connection: Connection) -> None:
         """Append it to `log` in the transaction of `connection`."""
@@ -73,7 +75,7 @@ class AuditEntry:
             self.action,
             resource=self.resource,
             outcome=self.outcome,
-            method=self.caller.kind,
+            method=self.method or self.caller.kind,
             text=self.text,
             is_personal=self.is_personal,
         )
@@ -89,6 +91,7 @@ class AuditedRequest:
     caller: Caller | None = None
     permission: Permission | None = None
     resource: str = ANY_RESOURCE
+    method: str | None = None
     is_recorded: bool = field(default=False, init=False)
     is_finished: bool = field(default=False, init=False)
     _transaction: object = field(default=None, init=False)
@@ -120,7 +123,7 @@ class AuditedRequest:
     def entry(self, outcome: str) -> AuditEntry:
         """Return the record with an outcome."""
         assert self.caller is not None  # noqa: S101 - `is_relevant`
-        return AuditEntry(self.caller, self.action, self.resource, outcome, self.path)
+        return AuditEntry(self.caller, self.action, self.resource, outcome, self.path, method=self.method)
 
 
 def is_recorded(caller: Caller) -> bool:

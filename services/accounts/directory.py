@@ -311,7 +311,7 @@ class Directory:
         """Return the access token of a session, its user and its CSRF token. Raises `Problem` 401."""
         self.require_accounts()
 
-        def found(connection: Connection) -> tuple[Caller, dict[str, Any]]:
+        def found(connection: Connection) -> tuple[Caller, dict[str, Any], bool]:
             revision = revision_of(connection)
             session = sessions.find_session(connection, session_token, self.session_limits)
             if session is None:
@@ -328,14 +328,15 @@ class Directory:
                 session=session["id"],
                 revision=revision,
             )
-            return caller, session
+            return caller, session, is_station
 
-        caller, session = await self.read(found)
+        caller, session, is_station = await self.read(found)
         self._uses.setdefault(tables.sessions.c.seen_s, {})[session["id"]] = time.time()
         return {
             "token": self.keys.signing_key().issue(caller, valid_s=USER_TOKEN_S),
             "expiresInS": USER_TOKEN_S,
             "csrf": sessions.csrf_token(session_token),
+            "isStation": is_station,
             "endsInS": max(self.session_limits.ends_s(session) - time.time(), 0.0),
         }
 

@@ -19,6 +19,7 @@ from handover.security.audit_trail import AuditTrail
 from handover.security.caller import Caller
 from handover.security.guard import Guard, ResourceOf, guard_of, require, require_somewhere
 from handover.security.permissions import Permission
+from handover.security.pin_check import MAX_PIN_CHARACTERS, require_pin
 from handover.security.protection import require_protection
 from handover.service import create_app
 from handover.storage import storage_check
@@ -89,6 +90,13 @@ class Completion(_Body):
     note: Annotated[str, Field(max_length=MAX_NOTE, pattern=NO_CONTROL_CHARACTERS)] | None = None
 
 
+class GivenPin(_Body):
+    """The PIN of the person who answers a Task; `task` is the Task that the person saw."""
+
+    pin: Annotated[str, Field(min_length=1, max_length=MAX_PIN_CHARACTERS)]
+    task: Annotated[str, Field(max_length=500)] | None = None
+
+
 def make_app(settings: ControllerSettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
     require_protection(settings, settings.glove_host, "HANDOVER_GLOVE_HOST")
@@ -134,7 +142,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     add_people(app, registry.wearers, registry.known, registry.records)
     add_calibration(app, calibrations, registry.known)
     _add_fits(app, registry)
-    _add_actions(app, registry.known)
+    _add_actions(app, registry.known, guard)
     _add_streams(app, registry.known)
     add_accuracy_tests(app, accuracy_tests, registry.known)
     add_study_conditions(app, registry.wearers)
@@ -239,7 +247,7 @@ def _add_fits(app: FastAPI, registry: GloveRegistry) -> None:
         return {"thresholds": calibration.thresholds.as_dict(), "levels": calibration.as_dict()}
 
 
-def _add_actions(app: FastAPI, known: KnownGloves) -> None:
+def _add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
     of_wearer = _of_glove_or_wearer(known)
 
     @app.put(
@@ -288,6 +296,19 @@ def _add_actions(app: FastAPI, known: KnownGloves) -> None:
                 note,
                 performed_by=caller.person,
             )
+        except CannotComplete as error:
+            raise Problem(409, "Cannot complete", str(error)) from None
+        return _view(known.named(glove))
+
+    @app.post("/gloves/{glove}/pin", tags=["actions"])
+    async def give_pin(
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_wearer)], glove: str, given: GivenPin
+    ) -> GloveView:
+        """Give the own PIN for a Task that demands it; then a gesture or the screen answers the Task."""
+        responder = known.named(glove).responder
+        person = await require_pin(guard, caller, given.pin)
+        try:
+            responder.give_pin(person, given.task)
         except CannotComplete as error:
             raise Problem(409, "Cannot complete", str(error)) from None
         return _view(known.named(glove))

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Mapping
 from contextlib import AsyncExitStack
+from dataclasses import replace
 from functools import partial
 from typing import Any, Self
 
@@ -30,6 +31,7 @@ from services.gesture_controller.prompting.prompt import GesturePrompt, PromptAn
 from services.gesture_controller.prompting.prompt_resolver import (
     find_definition,
     handles_outcomes,
+    requires_pin,
     resolve_prompt,
 )
 from services.gesture_controller.recognition.frames import is_glove_name
@@ -205,7 +207,7 @@ class GestureController(Performer):
         state = self.specifications.state
         has_condition = self.registry.wearers.condition_of(glove) is not None
         try:
-            return resolve_prompt(
+            spec = resolve_prompt(
                 job.task,
                 job.parameters,
                 definition,
@@ -215,6 +217,7 @@ class GestureController(Performer):
                 compared=self.configuration.commands if has_condition else None,
                 unavailable=state.detail if state.name == "away" else "",
             )
+            return replace(spec, requires_pin=await requires_pin(job.task, job.parameters, self.broker))
         except TaskFailed as failure:
             self._reports.cannot_be_shown(job.task.id, failure.reason)
             raise

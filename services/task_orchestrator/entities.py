@@ -50,6 +50,8 @@ def definition_entities(settings: Settings, definition: Definition, version: int
             not activity.handles_outcomes
         ):  # one activity that does not handle outcomes decides for the whole TaskDefinition
             known.pop("handlesOutcomes", None)
+        if activity.require_pin:  # one that demands it decides as well
+            known["requirePin"] = _property(True)
     ours = tasks.values() if definition.source is not None else (process, *tasks.values())
     return [with_digest(entity) for entity in ours]
 
@@ -208,6 +210,8 @@ def _work_parameters(activity: Activity, variables: Mapping[str, Any]) -> dict[s
     parameters = {name: given.value(variables) for name, given in activity.parameters.items()}
     if activity.handles_outcomes:
         parameters["handlesOutcomes"] = True
+    if activity.require_pin:
+        parameters["requirePin"] = True
     return parameters
 
 

@@ -294,6 +294,8 @@ class Activity:
     """The variable for all outputParameters when no outputs are named."""
     handles_outcomes: bool = False
     """Whether the model handles other outcomes than `ok`; otherwise the Task fails."""
+    require_pin: bool = False
+    """Whether the person who answers its Task gives the own PIN."""
     hints: Mapping[str, str] = field(default_factory=dict)
     """What the dialect says of the performer: assignee, candidateGroups, candidateUsers, topic, jobType, …"""
     role: str | None = None

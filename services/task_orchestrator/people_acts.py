@@ -68,6 +68,11 @@ def is_claimable(task: TaskRecord) -> bool:
     return task.status is TaskStatus.PENDING or task.claims > 0
 
 
+def requires_pin(task: TaskRecord) -> bool:
+    """Return whether the person who completes a Task gives the own PIN."""
+    return task.entity["workParameters"]["value"].get("requirePin") is True
+
+
 def form_of(task: TaskRecord, forms: FormRegistry) -> tuple[str | None, int | None, form.Schema | None]:
     """Return id, version and JSON of the form of a Task; a form written in the BPMN file has no id."""
     given = task.entity["workParameters"]["value"].get("form")

@@ -7,6 +7,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from datamodels.entities import TaskStatus
 from datamodels.states import Outcome
+from handover.security.pin_check import MAX_PIN_CHARACTERS
 from services.task_orchestrator.storage.process_filter import ProcessFilter, read_condition
 
 MAX_PARAMETERS_BYTES = 1024 * 1024
@@ -269,6 +270,9 @@ class CompleteRequest(BaseModel):
     outcome: Outcome = Outcome.OK
     note: str = Field("", max_length=1000)
     outputs: dict[str, Any] = Field(default_factory=dict, description="the result, as the form asks")
+    pin: str | None = Field(
+        None, max_length=MAX_PIN_CHARACTERS, description="the PIN, if the Task demands it"
+    )
 
 
 class CommentRequest(BaseModel):

@@ -124,6 +124,7 @@ class TaskDetails(TasklistEntry):
     version: int
     description: str | None
     deadline: str
+    requirePin: bool
     endedAt: str | None
     inputs: dict[str, Any]
     inputsSchema: dict[str, Any] | None

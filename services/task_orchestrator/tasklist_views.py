@@ -11,7 +11,13 @@ from services.task_orchestrator.forms.fields import Field
 from services.task_orchestrator.forms.form_js import Resolved
 from services.task_orchestrator.forms.registry import FormRecord, FormRegistry
 from services.task_orchestrator.model import Activity
-from services.task_orchestrator.people_acts import form_of, is_claimable, offer_of, performer_of
+from services.task_orchestrator.people_acts import (
+    form_of,
+    is_claimable,
+    offer_of,
+    performer_of,
+    requires_pin,
+)
 from services.task_orchestrator.records import Move, ProcessRecord, TaskAct, TaskActKind, TaskRecord
 from services.task_orchestrator.tasklist_responses import (
     FormField,
@@ -23,7 +29,9 @@ from services.task_orchestrator.tasklist_responses import (
     TasklistEntry,
 )
 
-_NO_INPUTS = frozenset({"description", "form", "candidates", "handlesOutcomes", "specification"})
+_NO_INPUTS = frozenset(
+    {"description", "form", "candidates", "handlesOutcomes", "requirePin", "specification"}
+)
 MAX_HISTORY = 1000
 
 
@@ -73,6 +81,7 @@ def task_details(
         "version": process.version,
         "description": described if isinstance(described, str) else drawn,
         "deadline": iso(task.deadline),
+        "requirePin": requires_pin(task),
         "endedAt": None if task.ended_at is None else iso(task.ended_at),
         "inputs": {
             **_used(task),

@@ -48,6 +48,7 @@ class PageAccess:
     token: str
     csrf: str
     renew_s: float
+    is_station: bool = False
 
 
 class PageGuard(Guard):
@@ -104,7 +105,11 @@ class PageGuard(Guard):
                 503, "Accounts unavailable", f"the answer of accounts is invalid: {error}"
             ) from None
         access = PageAccess(
-            caller, token, str(document["csrf"]), asked_s + float(document["expiresInS"]) - RENEW_BEFORE_S
+            caller,
+            token,
+            str(document["csrf"]),
+            asked_s + float(document["expiresInS"]) - RENEW_BEFORE_S,
+            document.get("isStation") is True,
         )
         while len(self._accesses) >= MAX_REMEMBERED:
             self._accesses.popitem(last=False)

@@ -56,13 +56,17 @@ class StationRequest(_Body):
 
 
 class SignedInUser(TypedDict):
-    """The user of a session; `permissions` are those of at least one grant."""
+    """The user of a session; `permissions` are those of at least one grant.
+
+    `isStation`: the screen is signed in as a station, whose user is the person who has joined it.
+    """
 
     subject: str
     name: str
     person: str | None
     permissions: list[str]
     isLocal: bool
+    isStation: bool
 
 
 class SessionView(TypedDict):
@@ -146,7 +150,12 @@ async def _begin(
     """Set the cookie of a session that was opened."""
     set_session(guard, request, response, opened)
     access = await guard.access_of(str(opened["session"]))
-    return {"hasAccounts": True, "user": _user(access.caller), "csrf": access.csrf, "provider": None}
+    return {
+        "hasAccounts": True,
+        "user": _user(access.caller, is_station=access.is_station),
+        "csrf": access.csrf,
+        "provider": None,
+    }
 
 
 def set_session(guard: PageGuard, request: Request, response: Response, opened: dict[str, Any]) -> None:
@@ -175,7 +184,12 @@ async def _view(guard: PageGuard, headers: dict[bytes, bytes], request: Request)
         if problem.status != 401:
             raise
         return await _signed_out(guard)
-    return {"hasAccounts": True, "user": _user(access.caller), "csrf": access.csrf, "provider": None}
+    return {
+        "hasAccounts": True,
+        "user": _user(access.caller, is_station=access.is_station),
+        "csrf": access.csrf,
+        "provider": None,
+    }
 
 
 async def _signed_out(guard: PageGuard) -> SessionView:
@@ -186,13 +200,14 @@ async def _signed_out(guard: PageGuard) -> SessionView:
     return {"hasAccounts": True, "user": None, "csrf": None, "provider": provider}
 
 
-def _user(caller: Any) -> SignedInUser:
+def _user(caller: Any, *, is_station: bool = False) -> SignedInUser:
     return {
         "subject": caller.subject,
         "name": caller.name,
         "person": caller.person,
         "permissions": [one for one in Permission if caller.may_somewhere(one)],
         "isLocal": caller.kind is CallerKind.LOCAL,
+        "isStation": is_station,
     }
 
 

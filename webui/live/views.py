@@ -77,6 +77,7 @@ class GloveTask(TypedDict):
     commandId: int | None
     parts: NotRequired[list[GesturePart]]
     answers: NotRequired[list[AnswerOption]]
+    needsPin: NotRequired[bool]
     status: Status
 
 

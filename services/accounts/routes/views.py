@@ -213,6 +213,7 @@ class UserToken(TypedDict):
     token: str
     expiresInS: float
     csrf: str
+    isStation: bool
     endsInS: float
 
 

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from datamodels.states import Outcome
 from handover.job import RequestedAction
+from handover.messages import message
 from services.gesture_controller import metrics
 from services.gesture_controller.gloves.connection_state import ConnectionState
 from services.gesture_controller.prompting import composite
@@ -150,6 +151,10 @@ class GestureResponder:
         somebody else or the hand was faster, the press must not answer it.
         """
         prompt = require_completable(self.prompt, self.name, task, testing=self.modes.testing)
+        if prompt.spec.requires_pin and (performed_by is None or performed_by != prompt.pin_person):
+            raise CannotComplete(
+                message("task.needs_pin", "the Task of {glove} needs a PIN; enter it first", glove=self.name)
+            )
         for hand in self._hands():
             prompt.job.resume(hand._silence_reason)
         if prompt.job.requested_action is not RequestedAction.RUN:
@@ -159,6 +164,19 @@ class GestureResponder:
             raise CannotComplete(f"the Task of {self.name} is paused; resume it, then complete it")
         answer = PromptAnswer(prompt.spec, 0, "screen", operator, outcome, note, performed_by)
         self._answer(prompt, answer, now_s)
+
+    def give_pin(self, person: str, task: str | None = None) -> None:
+        """Note that `person` has given the own PIN for the prompt; raises `CannotComplete`."""
+        prompt = require_completable(self.prompt, self.name, task, testing=self.modes.testing)
+        prompt.pin_person = person
+        for hand in self._hands():
+            hand.restart()
+            hand._on_change()
+
+    @property
+    def needs_pin(self) -> bool:
+        """Whether a PIN is missing, so that no gesture counts."""
+        return self.prompt is not None and self.prompt.needs_pin(self.station.person())
 
     def pause(self) -> None:
         """Pause the Task for the wearer."""
@@ -262,7 +280,7 @@ class GestureResponder:
 
     def _answer(self, prompt: GesturePrompt, answer: PromptAnswer, now_s: float) -> None:
         if answer.performed_by is None:
-            answer = replace(answer, performed_by=self.station.person())
+            answer = replace(answer, performed_by=self.station.person() or prompt.pin_person)
         prompt.answer.set_result(answer)
         metrics.TASKS_ANSWERED.labels(answer.by, answer.outcome.value).inc()
         for hand in self._hands():
@@ -289,7 +307,7 @@ class GestureResponder:
     def _is_open(self) -> bool:
         """Return True if anything that this hand shows counts now."""
         is_counting = not any(hand.modes.testing or hand.modes.paused for hand in self._hands())
-        return is_counting and (self.prompt is None or self.prompt.is_open)
+        return is_counting and not self.needs_pin and (self.prompt is None or self.prompt.is_open)
 
     def _hands(self) -> "tuple[GestureResponder, ...]":
         """Return this hand, and the other one while both answer the same prompt."""

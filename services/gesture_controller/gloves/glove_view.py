@@ -70,6 +70,7 @@ def _task(glove: Glove) -> dict[str, Any] | None:
         "parts": _parts(glove, prompt),
         "status": str(prompt.job.task.status.value),
         "answers": _answers(prompt),
+        "needsPin": glove.responder.needs_pin,
     }
 
 

@@ -187,6 +187,11 @@ def paused_by_process() -> OperatorMessage:
     return OperatorMessage("pausedByProcess", text)
 
 
+def needs_pin() -> OperatorMessage:
+    """Return the message while a Task waits for the PIN of the person."""
+    return OperatorMessage("needsPin", "This task needs your PIN. Enter it on the screen.")
+
+
 def put_on(glove: str) -> OperatorMessage:
     """Return the message if a Task waits for a glove that is not connected."""
     text = f"Put on {glove} and switch it on, or complete the task on the screen."

@@ -36,6 +36,8 @@ def message_for(glove: Glove, now_s: float) -> OperatorMessage:
         return messages.silent(glove.name)
     if glove.device_state == "paused":
         return messages.paused_on_screen() if glove.modes.paused else messages.paused_by_process()
+    if glove.responder.needs_pin:
+        return messages.needs_pin()
     return _for_prompt(glove, prompt)
 
 

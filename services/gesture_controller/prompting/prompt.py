@@ -29,6 +29,8 @@ class PromptSpec:
     command_id: int | None
     parts: tuple[Part, ...] = ()
     answers: Mapping[Outcome, Part] = field(default_factory=dict)
+    requires_pin: bool = False
+    """Whether the person gives the own PIN on the screen before any answer."""
 
     @property
     def all_parts(self) -> tuple[Part, ...]:
@@ -118,6 +120,14 @@ class GesturePrompt:
     """True while a gesture may answer; the controller sets it."""
     progress: SequenceProgress | TwoHandProgress = field(default_factory=TwoHandProgress)
     """The progress with a composite gesture."""
+    pin_person: str | None = None
+    """The Person who has given the own PIN for this Task."""
+
+    def needs_pin(self, person: str | None) -> bool:
+        """Return whether a PIN is missing while `person` has joined the station (None: nobody is known)."""
+        if not self.spec.requires_pin:
+            return False
+        return self.pin_person is None or person not in {None, self.pin_person}
 
     @property
     def is_open(self) -> bool:

@@ -66,6 +66,14 @@ async def handles_outcomes(task: Task, parameters: Mapping[str, Any], broker: Br
     return handled is True
 
 
+async def requires_pin(task: Task, parameters: Mapping[str, Any], broker: BrokerClient) -> bool:
+    """Return True if the person who answers `task` gives the own PIN; see `handles_outcomes`."""
+    required = parameters.get("requirePin")
+    if required is None:
+        required = (await _definition_in_broker(task, broker)).require_pin
+    return required is True
+
+
 async def _definition_in_broker(task: Task, broker: BrokerClient) -> Definition:
     try:
         entity = await retry(lambda: broker.retrieve(task.is_defined_by.object), on=BrokerUnavailable)
@@ -81,6 +89,7 @@ async def _definition_in_broker(task: Task, broker: BrokerClient) -> Definition:
         _value(entity, "gesture"),
         _value(entity, "commandId"),
         _value(entity, "handlesOutcomes"),
+        _value(entity, "requirePin"),
     )
 
 

@@ -13,6 +13,8 @@ class Definition(Specification):
 
     handles_outcomes: Any = None
     """Only the TaskDefinition in the broker has it."""
+    require_pin: Any = None
+    """As above."""
 
     @property
     def has_prompt(self) -> bool:
@@ -33,6 +35,7 @@ class Definition(Specification):
             gesture,
             other.command_id if self.command_id is None else self.command_id,
             self.handles_outcomes,
+            self.require_pin,
         )
 
 

@@ -17,7 +17,9 @@ from handover.messages import message
 from services.task_orchestrator.forms.json_schema import violations
 from services.task_orchestrator.model import Activity, Value
 
-OF_THE_PERSON = frozenset({"description", "gesture", "commandId", "handlesOutcomes", "candidates", "form"})
+OF_THE_PERSON = frozenset(
+    {"description", "gesture", "commandId", "handlesOutcomes", "requirePin", "candidates", "form"}
+)
 """Work parameters that describe the work to a person; a schema that does not name them allows them."""
 
 
@@ -30,6 +32,7 @@ class TaskKind:
     description: str | None = None
     gesture: str | None = None
     command_id: int | None = None
+    require_pin: bool = False
     schema: Mapping[str, Any] | None = field(default=None, hash=False)
     specification: Mapping[str, Any] | None = field(default=None, hash=False)
 
@@ -42,6 +45,7 @@ class TaskKind:
             description=definition.description.value if definition.description else None,
             gesture=definition.gesture.value if definition.gesture else None,
             command_id=definition.command_id.value if definition.command_id else None,
+            require_pin=definition.require_pin is not None and definition.require_pin.value,
             schema=definition.work_parameters_schema.value if definition.work_parameters_schema else None,
             specification=definition.specification.value if definition.specification else None,
         )
@@ -59,6 +63,8 @@ class TaskKind:
         if self.specification is not None and activity.specification is None:
             written = {field: Value(value) for field, value in self.specification.items()}
             activity = replace(activity, specification=written)
+        if self.require_pin and not activity.require_pin:
+            activity = replace(activity, require_pin=True)
         return replace(activity, parameters={**added, **activity.parameters}) if added else activity
 
     def check(self, parameters: Mapping[str, Any]) -> None:

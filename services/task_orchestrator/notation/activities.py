@@ -79,6 +79,7 @@ def read_activity(element: etree._Element, context: Context, *, script: Script |
         outputs=outputs,
         variable=variable,
         handles_outcomes=work.handles_outcomes,
+        require_pin=work.require_pin,
         hints=hints,
         role=work.role,
         skills=work.skills,

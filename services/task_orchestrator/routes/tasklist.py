@@ -12,8 +12,10 @@ from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover.security.pin_check import require_pin
 from handover.task_life import is_for_people
 from services.task_orchestrator.components import Components
+from services.task_orchestrator.people_acts import requires_pin
 from services.task_orchestrator.records import TaskRecord
 from services.task_orchestrator.requests import (
     MAX_PARAMETERS_BYTES,
@@ -167,7 +169,12 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
         body: CompleteRequest,
         caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_task(at))],
     ) -> Response:
-        """End a claimed Task: 422 with `faults` by field if its form refuses the result."""
+        """End a claimed Task: 422 with `faults` by field if its form refuses the result.
+
+        A Task with `requirePin` needs the `pin` of the person who is signed in or has joined the station.
+        """
+        if requires_pin(await tasklist.task(_urn(at, task_id))):
+            await require_pin(at.guard, caller, body.pin)
         await tasklist.complete(
             _urn(at, task_id),
             caller.acting_name(body.by),

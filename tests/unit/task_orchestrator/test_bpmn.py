@@ -274,6 +274,21 @@ def test_handles_outcomes_is_true_or_false_and_goes_into_the_task_definition() -
     assert faults(body) == ['line 1, "work": handlesOutcomes="yes" is neither true nor false']
 
 
+def test_a_task_that_requires_a_pin_says_so_in_its_definition() -> None:
+    def definition(*attributes: str) -> dict[str, Any]:
+        works = [activity(f"w{number}", attributes=one) for number, one in enumerate(attributes)]
+        same = "".join(works).replace('definition="w1"', 'definition="w0"')
+        body = start() + same + end() + path("start", *(f"w{n}" for n in range(len(works))), "end")
+        read = only_process(drawing(body))
+        return definition_entities(OrchestratorSettings(_env_file=None), read, 1, "http://here/bpmn")[1]
+
+    assert definition('requirePin="true"')["requirePin"] == {"type": "Property", "value": True}
+    assert definition("", 'requirePin="true"')["requirePin"]["value"], "one activity that demands it decides"
+    assert "requirePin" not in definition('requirePin="false"')
+    body = start() + activity("work", attributes='requirePin="1"') + end() + path("start", "work", "end")
+    assert faults(body) == ['line 1, "work": requirePin="1" is neither true nor false']
+
+
 def test_bin_picking_has_a_way_for_every_answer_to_what_allows_the_robot_to_move() -> None:
     read = bin_picking()
     allow = ["confirm_clear", "check_view", "confirm_pick", "confirm_grip", "confirm_placed"]

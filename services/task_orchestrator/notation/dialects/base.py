@@ -43,6 +43,7 @@ class Work:
     variable: str | None = None
     """The variable for all results; if None, a dialect that spreads them does so."""
     handles_outcomes: bool = False
+    require_pin: bool = False
     hints: Mapping[str, str] = field(default_factory=dict)
     has_implementation: bool = False
     """Whether somebody has to do it: a send task or message event is then a Task, not a message."""

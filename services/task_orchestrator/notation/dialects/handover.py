@@ -6,7 +6,8 @@
 </handover:task>
 
 With handlesOutcomes="true" a Task with another outcome than `ok` is completed, and the process continues with
-the variable `outcome`; otherwise such a Task fails.
+the variable `outcome`; otherwise such a Task fails. With requirePin="true" the person who answers the Task
+gives the own PIN.
 
 <handover:material entity="Material:pallet-3"/> and <handover:asset expression="carrier"/> name what the Task
 uses. They are involved after the performer, and an expression may be a list of them.
@@ -97,7 +98,7 @@ _PARTS = frozenset(
     {"involves", "material", "asset", "happensAt", "parameter", "output", "form", "inputSchema"}
 )
 _ATTRIBUTES: Mapping[str, frozenset[str]] = {
-    "task": frozenset({"definition", "deadline", "handlesOutcomes", "role", "skills", *_HINTS}),
+    "task": frozenset({"definition", "deadline", "handlesOutcomes", "requirePin", "role", "skills", *_HINTS}),
     "form": frozenset({"ref", "version"}),
     "inputSchema": frozenset(),
     "involves": frozenset({"resource", "expression"}),
@@ -225,7 +226,8 @@ class Handover:
             inputs_schema=next((_schema(part, found) for part in parts["inputSchema"]), None),
             hints={name: text for name in _HINTS if (text := (extension.get(name) or "").strip())},
             outputs=_outputs(parts["output"], found),
-            handles_outcomes=_handles_outcomes(extension, found),
+            handles_outcomes=_flag(extension, "handlesOutcomes", found),
+            require_pin=_flag(extension, "requirePin", found),
             has_implementation=True,
             role=role,
             skills=skills,
@@ -445,10 +447,10 @@ def _schema(part: etree._Element, found: Findings) -> Json:
     return schema
 
 
-def _handles_outcomes(extension: etree._Element, found: Findings) -> bool:
-    text = extension.get("handlesOutcomes", "false")
+def _flag(extension: etree._Element, name: str, found: Findings) -> bool:
+    text = extension.get(name, "false")
     if text not in {"true", "false"}:
-        found.fault(extension, f'handlesOutcomes="{text}" is neither true nor false')
+        found.fault(extension, f'{name}="{text}" is neither true nor false')
     return bool(text == "true")
 
 

@@ -435,3 +435,30 @@ async def test_an_outcome_on_the_screen_is_kept_with_its_note(glove: Glove, hand
     assert answer.failure().reason == 'answered "problem": oil on the belt'
     assert answer.failure().outputs == {**outputs, "errorCode": "problem"}
     assert glove.responder.command is None
+
+
+async def test_a_task_that_demands_a_pin_is_answered_by_nothing_before_it_was_given(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    anna, ben = "urn:ngsi-ld:Person:demo:anna", "urn:ngsi-ld:Person:demo:ben"
+    present: list[str | None] = [anna]
+    glove.responder.station = Station(lambda: present[0])
+    prompt = ask("Thumbs up")
+    prompt.spec = replace(prompt.spec, requires_pin=True)
+    hand.show("Thumbs up", 3)
+    assert not prompt.answer.done()
+    view = view_of(glove, hand.now_s)
+    assert (view["message"]["key"], view["task"]["needsPin"]) == ("needsPin", True)
+    with pytest.raises(CannotComplete, match="needs a PIN"):
+        glove.responder.complete_on_screen("Anna", hand.now_s, performed_by=anna)
+    glove.responder.give_pin(anna)
+    present[0] = ben
+    hand.show("Thumbs up", 3)
+    assert not prompt.answer.done(), "another person has joined"
+    with pytest.raises(CannotComplete, match="needs a PIN"):
+        glove.responder.complete_on_screen("Ben", hand.now_s, performed_by=ben)
+    present[0] = anna
+    assert view_of(glove, hand.now_s)["task"]["needsPin"] is False
+    hand.show(None, 0.5)
+    hand.show("Thumbs up", 1.6)
+    assert prompt.answer.result().outputs()["performedBy"] == anna

@@ -19,7 +19,7 @@ import { useSorting } from "~/design/table/useSorting";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
 import { resourceName, SERVICE, useUsers, type TokenView } from "./accounts";
-import { AUDITED, exported, OUTCOMES, useAudit, verified, type AuditFilter, type AuditView as Entry, type Verified } from "./audit";
+import { actionText, AUDITED, exported, OUTCOMES, useAudit, verified, type AuditFilter, type AuditView as Entry, type Verified } from "./audit";
 
 const TONES: Record<string, Tone> = { done: "ok", refused: "attention", failed: "stop" };
 const FORMATS = ["csv", "json"] as const;
@@ -56,7 +56,7 @@ export function AuditLogView() {
             key={format}
             icon={<Download aria-hidden size={18} />}
             isDisabled={busy}
-            onPress={() => void perform(async () => download(`audit.${format}`, format === "csv" ? "text/csv" : "application/json", await exported(filter, format)))}
+            onPress={() => void perform(async () => download(`audit.${format}`, format === "csv" ? "text/csv" : "application/json", await exported(filter, format, names)))}
           >
             {t("audit.export", { format: format.toUpperCase() })}
           </Button>
@@ -75,7 +75,7 @@ export function AuditLogView() {
         rows={records ?? []}
         columns={columns}
         keyOf={({ service, seq }) => `${service} ${seq}`}
-        nameOf={({ action, subject, subjectName }) => `${t(`audit.actions.${action}`, { defaultValue: action })}, ${subjectName ?? names.get(subject) ?? subject}`}
+        nameOf={({ action, subject, subjectName }) => `${actionText(t, action)}, ${subjectName ?? names.get(subject) ?? subject}`}
         rowHeight={52}
         isLabelled
         sorting={sorting}
@@ -197,7 +197,7 @@ function useColumns(names: ReadonlyMap<string, string>): readonly Column<Entry>[
         id: "what", name: t("audit.what"), width: "minmax(180px, 2fr)", sortBy: ({ action }) => action,
         cell: ({ action, service }) => (
           <>
-            <span className="accounts__action">{t(`audit.actions.${action}`, { defaultValue: action })}</span>
+            <span className="accounts__action" title={action}>{actionText(t, action)}</span>
             <p className="cell__detail">{t(`common:services.${service}`, { defaultValue: service })}</p>
           </>
         ),

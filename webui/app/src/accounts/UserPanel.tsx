@@ -14,6 +14,7 @@ import { addGrants, deleteUser, makePasswordLink, removeGrant, setPerson, type U
 import { GrantForm } from "./GrantForm";
 import { GrantList } from "./GrantList";
 import { grantsOf, NEW_DRAFT, useResources } from "./grants";
+import { Identifiers } from "./Identifiers";
 import { useLinkSecret } from "./Invite";
 import type { Secret } from "./SecretDialog";
 import { Sessions } from "./Sessions";
@@ -67,6 +68,7 @@ export function UserPanel({ user, onChange, onSecret, onDeleted }: UserPanelProp
         <GrantList grants={user.grants} onRemove={(grant) => void act(removeGrant(grant.id))} />
       </Card>
       <Sessions path={`users/${encodeURIComponent(user.subject)}/sessions`} endAll={t("sessions.endAll")} onEnded={onChange} />
+      <Identifiers user={user} onSecret={onSecret} />
       <Card title={t("users.person")}>
         <p className="quiet">{t("users.personMeans")}</p>
         <PersonSelect user={user} onChange={(person) => void act(setPerson(user.subject, person))} />

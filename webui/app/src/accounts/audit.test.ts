@@ -1,6 +1,6 @@
 /** The audit logs of several services as one list, and the query of its filters. */
 import { expect, it } from "vitest";
-import { merged, queryOf, servicesOf, type AuditFilter, type AuditView, type Loaded } from "./audit";
+import { csvOf, merged, queryOf, routeOf, servicesOf, type AuditFilter, type AuditView, type Loaded } from "./audit";
 
 const NO_FILTER: AuditFilter = { service: "", subject: "", action: "", resource: "", outcome: "", from: "", to: "" };
 
@@ -26,4 +26,16 @@ it("asks the chosen service for whole days of the reader", () => {
   expect([query.get("resource"), query.get("outcome")]).toEqual(["ur10-1", "refused"]);
   expect(Number(query.get("until")) - Number(query.get("since"))).toBe(86_400_000);
   expect(servicesOf({ ...NO_FILTER, service: "study" })).toEqual(["study"]);
+});
+
+it("reads method and words of a route, and leaves other actions as they are", () => {
+  expect(routeOf("POST /tasks/{task_id}/complete")).toEqual({ method: "POST", words: ["tasks", "complete"] });
+  expect(routeOf("PATCH entities/{id}/attrs")).toEqual({ method: "PATCH", words: ["entities", "attrs"] });
+  expect(routeOf("grant.added")).toBeNull();
+});
+
+it("writes a table that a spreadsheet reads and does not run", () => {
+  const [head, line] = csvOf([{ ...record("study", 1, 1), text: '=1+1, "x"', subjectName: "Anna" }]).split("\r\n");
+  expect(head?.startsWith("\uFEFFservice,seq,at,subject")).toBe(true);
+  expect(line).toBe('study,1,2026-05-04T08:01:00.000Z,user-1,x,*,done,user,"\'=1+1, ""x""",,Anna,');
 });

@@ -1,5 +1,6 @@
 /** The audit logs of all services as one list: each service has its own chain and numbers. */
 import { useInfiniteQuery } from "@tanstack/react-query";
+import type { TFunction } from "i18next";
 import type { AuditVerification, AuditView } from "~/api/generated/accounts";
 import { errorText, requestService, type Service } from "~/api/http";
 import { queryClient } from "~/api/useServiceQuery";
@@ -34,6 +35,24 @@ type Cursor = Partial<Record<Audited, number>>;
 
 export function servicesOf({ service }: AuditFilter): readonly Audited[] {
   return AUDITED.filter((one) => service === "" || service === one);
+}
+
+const ROUTE = /^(GET|HEAD|POST|PUT|PATCH|DELETE|WebSocket) \/?(.*)$/;
+
+/** The method and the fixed words of a route, "POST /tasks/{task_id}/claim": ["POST", "tasks claim"]; null for other actions. */
+export function routeOf(action: string): { method: string; words: string[] } | null {
+  const [, method, path] = ROUTE.exec(action) ?? [];
+  if (method === undefined || path === undefined) return null;
+  return { method, words: path.split("/").filter((part) => part !== "" && !part.startsWith("{")) };
+}
+
+/** The words for an action, which is one of accounts or a route of a service. */
+export function actionText(t: TFunction<["accounts", "common"]>, action: string): string {
+  const route = routeOf(action);
+  if (route === null) return t(`audit.actions.${action}`, { defaultValue: action });
+  const { method, words } = route;
+  const what = words.join(" › ");
+  return t(`audit.routes.known.${[method, ...words].join("_")}`, { defaultValue: t(`audit.routes.method.${method}`, { what, defaultValue: action }) });
 }
 
 /** The query of a filter, for records and exports; days are those of the reader. */
@@ -101,15 +120,29 @@ export function useAudit(filter: AuditFilter) {
   };
 }
 
-/** The records of all chosen services in one file; services that cannot be read are named in an error. */
-export async function exported(filter: AuditFilter, format: "csv" | "json"): Promise<string> {
+/** The records of all chosen services in one file, by time, with the `names` of subjects that only accounts knows. */
+export async function exported(filter: AuditFilter, format: "csv" | "json", names: ReadonlyMap<string, string>): Promise<string> {
   const query = queryOf(filter);
-  const texts = await Promise.all(
-    servicesOf(filter).map((service) => requestService<unknown>(service, `audit/export?format=${format}${query === "" ? "" : `&${query}`}`)),
+  const lists = await Promise.all(
+    servicesOf(filter).map((service) => requestService<AuditView[]>(service, `audit/export?format=json${query === "" ? "" : `&${query}`}`)),
   );
-  if (format === "json") return JSON.stringify(texts.flat(), null, 1);
-  const [first, ...others] = texts.map((text) => String(text).replace(/^\uFEFF/, ""));
-  return `\uFEFF${[first ?? "", ...others.map((text) => text.slice(text.indexOf("\n") + 1))].join("")}`;
+  const records = lists
+    .flat()
+    .map((record) => ({ ...record, subjectName: record.subjectName ?? names.get(record.subject) ?? null, resourceName: record.resourceName ?? names.get(record.resource) ?? null }))
+    .sort((a, b) => (a.at === b.at ? a.seq - b.seq : a.at < b.at ? -1 : 1));
+  return format === "json" ? JSON.stringify(records, null, 1) : csvOf(records);
+}
+
+const COLUMNS = ["service", "seq", "at", "subject", "action", "resource", "outcome", "method", "text", "hash", "subjectName", "resourceName"] as const satisfies readonly (keyof AuditView)[];
+
+/** A table as the services write it: with a mark for spreadsheets, and no cell that one would run as a formula. */
+export function csvOf(records: readonly AuditView[]): string {
+  const cell = (value: string | number | null) => {
+    const text = typeof value === "string" && /^[=+\-@\t\r]/.test(value) ? `'${value}` : String(value ?? "");
+    return /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+  };
+  const lines = [COLUMNS.join(","), ...records.map((record) => COLUMNS.map((column) => cell(record[column])).join(","))];
+  return `\uFEFF${lines.map((line) => `${line}\r\n`).join("")}`;
 }
 
 export interface Verified {

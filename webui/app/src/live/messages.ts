@@ -90,6 +90,7 @@ export interface GloveTask {
   commandId: number | null;
   parts?: GesturePart[];
   answers?: AnswerOption[];
+  needsPin?: boolean;
   status: Status;
 }
 

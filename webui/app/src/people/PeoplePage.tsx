@@ -1,9 +1,10 @@
-/** People: gestures of the people at gloves, users and their rights, invitations, tokens, sessions, the audit. */
+/** People: gestures of the people at gloves, users and their rights, invitations, tokens, stations, sessions, the audit. */
 import { useTranslation } from "react-i18next";
 import { AccountsFrame } from "~/accounts/AccountsFrame";
 import { AuditLogView } from "~/accounts/AuditView";
 import { InvitationsView } from "~/accounts/InvitationsView";
 import { OwnSessionsView } from "~/accounts/Sessions";
+import { StationsView } from "~/accounts/StationsView";
 import { TokensView } from "~/accounts/TokensView";
 import { UsersView } from "~/accounts/UsersView";
 import "~/accounts/accounts.css";
@@ -18,6 +19,7 @@ const VIEWS = [
   { name: "users", permission: "managePeople" },
   { name: "invitations", permission: "managePeople" },
   { name: "tokens", permission: "managePeople" },
+  { name: "stations", permission: "configure" },
   { name: "audit", permission: "readAudit" },
   { name: "sessions", permission: null },
 ] as const;
@@ -28,6 +30,7 @@ const contents: Record<View, () => React.JSX.Element> = {
   users: UsersView,
   invitations: InvitationsView,
   tokens: TokensView,
+  stations: StationsView,
   audit: AuditLogView,
   sessions: OwnSessionsView,
 };

@@ -8,6 +8,7 @@ import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
 import { useSession } from "./session";
+import { StationMenu } from "./StationMenu";
 import "~/design/ConfirmDialog.css";
 
 export function AccountMenu() {
@@ -15,6 +16,7 @@ export function AccountMenu() {
   const { hasAccounts, user } = useSession();
   const [isOpen, setOpen] = useState(false);
   if (!hasAccounts || user === null) return null;
+  if (user.isStation) return <StationMenu onSignOut={() => void signOut()} />;
   return (
     <>
       <Button kind="quiet" label={t("session.account", { name: user.name })} icon={<UserRound aria-hidden size={20} />} onPress={() => setOpen(true)} />

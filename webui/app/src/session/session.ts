@@ -8,6 +8,8 @@ export interface SignedInUser {
   /** The permissions of at least one grant. */
   permissions: readonly string[];
   isLocal: boolean;
+  /** Whether this screen is signed in as a station that people join. */
+  isStation: boolean;
 }
 
 export interface Session {
@@ -26,11 +28,14 @@ export function currentSession(): Session {
   return session;
 }
 
+/** Call `listener` when somebody else acts at this screen. */
+export function onSession(listener: () => void): () => void {
+  listeners.add(listener);
+  return () => listeners.delete(listener);
+}
+
 export function useSession(): Session {
-  return useSyncExternalStore((listener) => {
-    listeners.add(listener);
-    return () => listeners.delete(listener);
-  }, currentSession);
+  return useSyncExternalStore(onSession, currentSession);
 }
 
 /** Load who is signed in; a server that does not answer changes nothing. */

@@ -3,7 +3,7 @@ import { useState, useSyncExternalStore } from "react";
 import { useTranslation } from "react-i18next";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
-import { currentSession } from "~/session/session";
+import { currentSession, onSession } from "~/session/session";
 
 const STORAGE_KEY = "handover.who";
 const listeners = new Set<() => void>();
@@ -21,7 +21,11 @@ export function setUserName(name: string): void {
 export function useUserName(): string {
   return useSyncExternalStore((listener) => {
     listeners.add(listener);
-    return () => listeners.delete(listener);
+    const forget = onSession(listener); // at a station another person may have joined
+    return () => {
+      listeners.delete(listener);
+      forget();
+    };
   }, userName);
 }
 

@@ -6,6 +6,7 @@ import type { TaskDetails } from "~/api/generated/task-orchestrator";
 import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { PinDialog } from "~/design/PinDialog";
 import { Select } from "~/design/Select";
 import { TextBox } from "~/design/TextBox";
 import type { Outcome } from "~/live/messages";
@@ -32,6 +33,7 @@ export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
   const [faults, setFaults] = useState<Record<string, string>>({});
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
+  const [asksPin, setAsksPin] = useState(false);
   const form = useRef<HTMLFormElement>(null);
   const evaluate = useCallback((values: Record<string, unknown>) => formOf(task.id, { values }), [task.id]);
   const fields = useEvaluatedFields(task.form, draft.entries, evaluate);
@@ -50,21 +52,28 @@ export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
       focusFirstFault(form.current);
       return;
     }
+    if (task.requirePin) {
+      setAsksPin(true);
+      return;
+    }
     setBusy(true);
-    completeTask(task.id, { by, outcome: draft.outcome, note: draft.note, outputs: isOk ? result.values : {} })
-      .then(
-        () => {
-          keepDraft(task.id, by, null);
-          onEnd();
-        },
-        (error: unknown) => {
-          const refused = faultsOf(error);
-          setFaults(refused);
-          setFailure(t("notSent", { why: errorText(error) }));
-          if (Object.keys(refused).length > 0) focusFirstFault(form.current);
-        },
-      )
+    send()
+      .catch((error: unknown) => {
+        setFailure(t("notSent", { why: errorText(error) }));
+        if (Object.keys(faultsOf(error)).length > 0) focusFirstFault(form.current);
+      })
       .finally(() => setBusy(false));
+  };
+  const send = async (pin?: string) => {
+    const outputs = draft.outcome === "ok" ? entered(fields, draft.entries).values : {};
+    try {
+      await completeTask(task.id, { by, outcome: draft.outcome, note: draft.note, outputs, ...(pin === undefined ? {} : { pin }) });
+    } catch (error) {
+      setFaults(faultsOf(error));
+      throw error;
+    }
+    keepDraft(task.id, by, null);
+    onEnd();
   };
   const onKeyDown = (event: KeyboardEvent) => {
     if (event.key !== "Enter" || !(event.ctrlKey || event.metaKey) || busy) return;
@@ -74,32 +83,40 @@ export function ResultForm({ task, by, children, onEnd }: ResultFormProps) {
   const known = new Set(inputs(fields).map((field) => field.path));
   const others = Object.entries(faults).filter(([path]) => !known.has(path.split(/\.\d+(\.|$)/)[0] ?? path));
   return (
-    <form
-      ref={form}
-      className="tasklist__form"
-      aria-label={t("result")}
-      noValidate
-      onKeyDown={onKeyDown}
-      onSubmit={(event) => {
-        event.preventDefault();
-        if (!busy) complete();
-      }}
-    >
-      {task.form !== null && task.form.id !== null && task.form.version === null && <p className="quiet">{t("formMissing", { form: task.form.id })}</p>}
-      <FormFields fields={fields} draft={draft.entries} faults={faults} onChange={(path: string, entry: Entry) => change({ entries: { ...draft.entries, [path]: entry } })} />
-      <Select label={t("outcome.label")} value={draft.outcome} options={OUTCOMES.map((value) => ({ value, name: t(`outcome.${value}`) }))} onChange={(value) => change({ outcome: OUTCOMES.find((one) => one === value) ?? "ok" })} />
-      <TextBox label={t("note")} value={draft.note} onChange={(note) => change({ note })} maxLength={1000} />
-      {others.map(([path, text]) => (
-        <ErrorMessage key={path}>{`${path}: ${text}`}</ErrorMessage>
-      ))}
-      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-      <div className="tasklist__acts">
-        <Button type="submit" kind={draft.outcome === "ok" ? "main" : "stop"} icon={<CircleCheck aria-hidden size={18} />} isDisabled={busy}>
-          {t(`complete.${draft.outcome}`)}
-        </Button>
-        {children}
-      </div>
-    </form>
+    <>
+      <form
+        ref={form}
+        className="tasklist__form"
+        aria-label={t("result")}
+        noValidate
+        onKeyDown={onKeyDown}
+        onSubmit={(event) => {
+          event.preventDefault();
+          if (!busy) complete();
+        }}
+      >
+        {task.form !== null && task.form.id !== null && task.form.version === null && <p className="quiet">{t("formMissing", { form: task.form.id })}</p>}
+        <FormFields fields={fields} draft={draft.entries} faults={faults} onChange={(path: string, entry: Entry) => change({ entries: { ...draft.entries, [path]: entry } })} />
+        <Select label={t("outcome.label")} value={draft.outcome} options={OUTCOMES.map((value) => ({ value, name: t(`outcome.${value}`) }))} onChange={(value) => change({ outcome: OUTCOMES.find((one) => one === value) ?? "ok" })} />
+        <TextBox label={t("note")} value={draft.note} onChange={(note) => change({ note })} maxLength={1000} />
+        {others.map(([path, text]) => (
+          <ErrorMessage key={path}>{`${path}: ${text}`}</ErrorMessage>
+        ))}
+        {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+        <div className="tasklist__acts">
+          <Button type="submit" kind={draft.outcome === "ok" ? "main" : "stop"} icon={<CircleCheck aria-hidden size={18} />} isDisabled={busy}>
+            {t(`complete.${draft.outcome}`)}
+          </Button>
+          {children}
+        </div>
+      </form>
+      {/* Not in the form: its events would also reach the form. */}
+      {asksPin && (
+        <PinDialog onClose={() => setAsksPin(false)} onPin={send}>
+          <p>{task.name}</p>
+        </PinDialog>
+      )}
+    </>
   );
 }
 

@@ -4,6 +4,7 @@ import { useEffect, useLayoutEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
+import { PinDialog } from "~/design/PinDialog";
 import { useTopic } from "~/live/hooks";
 import type { NextActivity, ProcessView } from "~/api/generated/task-orchestrator";
 import type { RobotView } from "~/live/messages";
@@ -11,6 +12,7 @@ import { isSame } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
 import { useWithName } from "~/shell/userName";
 import { useParticipantMode } from "~/study/participantMode";
+import { givePin } from "./actions";
 import { PromptStage, DoneStage } from "./PromptStage";
 import { ActionBar } from "./ActionBar";
 import { StartStage } from "./StartStage";
@@ -41,7 +43,8 @@ export default function WorkPage() {
   const isParticipant = useParticipantMode() !== null;
   const acting = useAction();
   const { withName, question } = useWithName("large");
-  const acts = useOperatorActions(scene, situation, acting, withName);
+  const [asksPin, setAsksPin] = useState(false);
+  const acts = useOperatorActions(scene, situation, acting, withName, () => setAsksPin(true));
   const step = answered === null ? stepOf(situation) : `done ${answered.task.id}`;
   const [reporting, report] = useState<ReportedOutcome | null>(null);
   const [showsStation, setShowsStation] = useState(false);
@@ -85,6 +88,11 @@ export default function WorkPage() {
       </div>
       {acts.report !== null && reporting !== null && "task" in situation && (
         <ReportPanel outcome={reporting} task={situation.task?.description ?? ""} onReport={acts.report} onClose={() => report(null)} />
+      )}
+      {asksPin && "glove" in situation && situation.glove.task?.needsPin === true && (
+        <PinDialog onClose={() => setAsksPin(false)} onPin={(pin) => givePin(situation.glove.glove, situation.glove.task?.id, pin)}>
+          <p>{situation.glove.task.description}</p>
+        </PinDialog>
       )}
       {showsStation && <StationPanel onClose={() => setShowsStation(false)} />}
       {question}

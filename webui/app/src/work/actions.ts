@@ -19,6 +19,11 @@ export function answerByHand(glove: string, task: string | undefined, by: string
   return requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/complete`, { method: "POST", json: { by, task, ...outcomeFields } });
 }
 
+/** Give the PIN that `task` demands; then a gesture or the screen answers it. */
+export function givePin(glove: string, task: string | undefined, pin: string): Promise<unknown> {
+  return requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/pin`, { method: "POST", json: { pin, ...(task === undefined ? {} : { task }) } });
+}
+
 /** Leave testing mode: gestures count again. */
 export function endTesting(glove: string): Promise<unknown> {
   return requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/modes`, { method: "PUT", json: { testing: false } });

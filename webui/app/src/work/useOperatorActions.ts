@@ -24,13 +24,13 @@ export interface OperatorActions {
 
 type WithName = (act: (name: string) => Promise<unknown>) => Promise<void>;
 
-export function useOperatorActions(scene: Scene, situation: Situation, acting: ActionState, withName: WithName): OperatorActions {
+export function useOperatorActions(scene: Scene, situation: Situation, acting: ActionState, withName: WithName, askPin: () => void): OperatorActions {
   const { t } = useTranslation("work");
   const { perform } = acting;
   const complete = completeAct();
   const pause = pauseAct();
   const start = "startable" in situation ? startWith(situation.glove.glove) : null;
-  const report = complete === null ? null : reportWith();
+  const report = complete === null || needsPin() ? null : reportWith();
   return { main: mainAct(), complete, report, pause, start };
 
   function startWith(glove: string) {
@@ -40,9 +40,14 @@ export function useOperatorActions(scene: Scene, situation: Situation, acting: A
     };
   }
 
+  function needsPin(): boolean {
+    return "glove" in situation && situation.glove.task?.needsPin === true;
+  }
+
   function completeAct(): Act | null {
     if (situation.kind !== "prompt" && situation.kind !== "gloveLost") return null;
     if (situation.glove.testing) return null;
+    if (needsPin()) return { name: t("by.pin"), do: askPin };
     const { glove, task } = situation.glove;
     return { name: t("by.hand"), do: () => perform(() => withName((name) => answerByHand(glove, task?.id, name))) };
   }

@@ -367,6 +367,7 @@ export interface UserToken {
   token: string;
   expiresInS: number;
   csrf: string;
+  isStation: boolean;
   endsInS: number;
 }
 

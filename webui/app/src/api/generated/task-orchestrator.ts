@@ -133,6 +133,7 @@ export interface CompleteRequest {
   outcome?: Outcome;
   note?: string;
   outputs?: Record<string, unknown>;
+  pin?: string | null;
 }
 
 /** The person who declines a Task, and why. */
@@ -762,6 +763,7 @@ export interface TaskDetails {
   version: number;
   description: string | null;
   deadline: string;
+  requirePin: boolean;
   endedAt: string | null;
   inputs: Record<string, unknown>;
   inputsSchema: Record<string, unknown> | null;
