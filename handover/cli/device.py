@@ -9,6 +9,7 @@ import typer
 import yaml
 
 from handover.cli.access import ask_service
+from handover.durable_files import replace_durably
 from handover.errors import UsageError
 from handover.tls_trust import client_context
 from services.device_gateway.settings import GatewaySettings
@@ -61,6 +62,34 @@ def token(
         print(f"{name} has no token any more")
         return
     _show_token(_ask("POST", f"/devices/{name}/token").json())
+
+
+@app.command()
+def certificate(
+    name: Name,
+    folder: Annotated[Path, typer.Option("--folder", help="Where the three files are written.")] = Path(),
+    remove: Annotated[bool, typer.Option("--remove", help="Revoke the certificate instead.")] = False,
+) -> None:
+    """Make a client certificate for a device, an alternative to its token; the old one ends at once."""
+    if remove:
+        _ask("DELETE", f"/devices/{name}/certificate")
+        print(f"{name} has no certificate any more")
+        return
+    made = _ask("POST", f"/devices/{name}/certificate").json()
+    for file, part, mode in (
+        (folder / f"{name}.key.pem", "key", 0o600),
+        (folder / f"{name}.pem", "certificate", 0o644),
+        (folder / "authority.pem", "authority", 0o644),
+    ):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            replace_durably(file, made[part].encode(), mode=mode)
+        except OSError as error:
+            raise UsageError(
+                f"{file} cannot be written: {error.strerror}; make the folder writable and run the command "
+                "again, which makes another certificate"
+            ) from None
+        print(file)
 
 
 @app.command()

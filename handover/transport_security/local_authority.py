@@ -117,6 +117,14 @@ class LocalAuthority:
             ) from None
         return ServerFiles(folder, wanted, certificate.not_valid_after_utc, is_new)
 
+    def issue_client(self, name: str) -> tuple[x509.Certificate, bytes]:
+        """Return a new certificate for a client with this name, and its private key as PEM.
+
+        The authority keeps neither: a server recognizes a client by the fingerprint of its certificate.
+        """
+        key = ec.generate_private_key(ec.SECP256R1())
+        return self._sign(key, name, ExtendedKeyUsageOID.CLIENT_AUTH), _pem(key)
+
     def trust(self, folder: Path) -> None:
         """Write the certificate of the authority into a folder of clients, unless it is there."""
         file = folder / AUTHORITY
@@ -172,22 +180,8 @@ class LocalAuthority:
 
     def _issue(self, folder: Path, names: tuple[str, ...]) -> x509.Certificate:
         key = ec.generate_private_key(ec.SECP256R1())
-        authority_key_id = x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key())
-        builder = (
-            _builder(
-                _name(names[0][:64]),
-                self.certificate.subject,
-                key.public_key(),
-                min(SERVER_LIFETIME, self.certificate.not_valid_after_utc - datetime.now(UTC)),
-            )
-            .add_extension(x509.SubjectAlternativeName(_alternative_names(names)), critical=False)
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(_key_usage(digital_signature=True), critical=True)
-            .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
-            .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-            .add_extension(authority_key_id, critical=False)
-        )
-        certificate = builder.sign(self._key, hashes.SHA256())
+        alternative = x509.SubjectAlternativeName(_alternative_names(names))
+        certificate = self._sign(key, names[0], ExtendedKeyUsageOID.SERVER_AUTH, alternative)
         if not folder.exists():
             folder.mkdir(parents=True, mode=0o700)
         replace_durably(folder / AUTHORITY, self.path.read_bytes(), mode=PUBLIC_MODE)
@@ -195,6 +189,31 @@ class LocalAuthority:
         pem = certificate.public_bytes(serialization.Encoding.PEM)
         replace_durably(folder / CERTIFICATE, pem, mode=PUBLIC_MODE)
         return certificate
+
+    def _sign(
+        self,
+        key: ec.EllipticCurvePrivateKey,
+        name: str,
+        usage: x509.ObjectIdentifier,
+        alternative: x509.SubjectAlternativeName | None = None,
+    ) -> x509.Certificate:
+        authority_key_id = x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key())
+        builder = _builder(
+            _name(name[:64]),
+            self.certificate.subject,
+            key.public_key(),
+            min(SERVER_LIFETIME, self.certificate.not_valid_after_utc - datetime.now(UTC)),
+        )
+        if alternative is not None:
+            builder = builder.add_extension(alternative, critical=False)
+        builder = (
+            builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(_key_usage(digital_signature=True), critical=True)
+            .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+            .add_extension(authority_key_id, critical=False)
+        )
+        return builder.sign(self._key, hashes.SHA256())
 
     def _servers(self) -> dict[str, list[str]]:
         try:

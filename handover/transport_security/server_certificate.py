@@ -36,11 +36,18 @@ class _Loaded:
 
 
 class ServerCertificate:
-    """The certificate in `certificate` (PEM, with its chain) and its key; raises `CertificateInvalid`."""
+    """The certificate in `certificate` (PEM, with its chain) and its key; raises `CertificateInvalid`.
 
-    def __init__(self, certificate: Path, key: Path | None = None) -> None:
+    With `client_authority` (PEM) clients may show a certificate of these authorities; another one ends the
+    handshake.
+    """
+
+    def __init__(
+        self, certificate: Path, key: Path | None = None, client_authority: Path | None = None
+    ) -> None:
         self.path = certificate
         self._key = key or certificate
+        self._client_authority = client_authority
         self._loaded = self._load()
         if self.expires <= datetime.now(UTC):
             raise CertificateInvalid(
@@ -103,9 +110,22 @@ class ServerCertificate:
             ) from None
         except OSError as error:
             raise self._unreadable(self.path, error) from None
+        self._ask_clients(context)
         if signature != self._signature():
             raise CertificateInvalid(f"the certificate {self.path} changed while it was read; try again")
         return _Loaded(context, _expiry(pem), signature)
+
+    def _ask_clients(self, context: ssl.SSLContext) -> None:
+        if self._client_authority is None:
+            return
+        try:
+            context.load_verify_locations(self._client_authority)
+        except OSError as error:  # an ssl.SSLError is one
+            raise CertificateInvalid(
+                f"the authority of client certificates {self._client_authority} cannot be used: "
+                f"{error.strerror or error}; it must be a PEM file of certificates"
+            ) from None
+        context.verify_mode = ssl.CERT_OPTIONAL
 
     def _refuse_encrypted_key(self) -> str:
         raise CertificateInvalid(

@@ -24,6 +24,7 @@ again gets its last answer and is not executed again.
 from __future__ import annotations  # robots run old versions of Python
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -83,7 +84,7 @@ class DeviceClient:
         host: str,
         port: int,
         device: str,
-        token: str,
+        token: str = "",
         *,
         tls: ssl.SSLContext | None = None,
         on_state: Callable[[bool], object] | None = None,
@@ -124,8 +125,7 @@ class DeviceClient:
         """Disconnect; what was not acknowledged is lost."""
         self._stopped.set()
         with self._lock:
-            if self._socket is not None:
-                self._socket.close()
+            self._break_off()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(5)
 
@@ -178,6 +178,7 @@ class DeviceClient:
 
     def _stay_connected(self) -> None:
         connection = socket.create_connection(self.address, timeout=10)
+        was_connected = False
         try:
             if self._tls is not None:
                 connection = self._tls.wrap_socket(connection, server_hostname=self.address[0])
@@ -192,7 +193,7 @@ class DeviceClient:
             connection.sendall(_line(hello))
             self._check(lines.next(10.0))
             with self._lock:
-                self._socket = connection
+                self._socket, was_connected = connection, True
                 for message in list(self._waiting.values()):
                     self._write(message)
                 for answer in list(self._answers.values()):
@@ -202,7 +203,7 @@ class DeviceClient:
             self._read(lines)
         finally:
             with self._lock:
-                was_connected, self._socket = self._socket is not None, None
+                self._socket = None
             connection.close()
             if was_connected:
                 self._on_state(False)
@@ -281,9 +282,19 @@ class DeviceClient:
         if self._socket is not None:
             try:
                 self._socket.sendall(data)
-            except OSError:  # the reading thread finds out, and connects again
-                self._socket.close()
-                self._socket = None
+            except OSError:  # the reading thread connects again
+                self._break_off()
+
+    def _break_off(self) -> None:
+        """End the connection; the reading thread alone closes it.
+
+        A socket that is closed while a thread reads frees its number, and that thread would read from
+        whatever is opened next.
+        """
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)
+            self._socket = None
 
     @staticmethod
     def _check(message: Message | None) -> None:
@@ -320,9 +331,17 @@ def _line(message: Message) -> bytes:
     return json.dumps(message, allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
 
-def tls_context(ca: str | None = None) -> ssl.SSLContext:
-    """Return a TLS context that verifies the gateway by `ca`, else by the authorities of the system."""
-    return ssl.create_default_context(cafile=ca)
+def tls_context(
+    ca: str | None = None, certificate: str | None = None, key: str | None = None
+) -> ssl.SSLContext:
+    """Return a TLS context that verifies the gateway by `ca`, else by the authorities of the system.
+
+    `certificate` and `key` are the files of the device's certificate, which replaces its token.
+    """
+    context = ssl.create_default_context(cafile=ca)
+    if certificate is not None:
+        context.load_cert_chain(certificate, key)
+    return context
 
 
 def main() -> None:
@@ -333,12 +352,17 @@ def main() -> None:
     parser.add_argument("--device", required=True)
     parser.add_argument("--tls", action="store_true", help="connect with TLS")
     parser.add_argument("--ca", help="PEM file of the authority that signed the gateway's certificate")
+    parser.add_argument("--certificate", help="PEM file of the device's certificate, instead of a token")
+    parser.add_argument("--key", help="PEM file of its private key")
     parser.add_argument("--takes", action="append", default=[], help="a command to print and confirm")
     options = parser.parse_args()
-    token = os.environ.get("HANDOVER_DEVICE_TOKEN")
-    if not token:
-        parser.error("set HANDOVER_DEVICE_TOKEN to the token of the device")
-    tls = tls_context(options.ca) if options.tls or options.ca else None
+    token = os.environ.get("HANDOVER_DEVICE_TOKEN", "")
+    if not token and not options.certificate:
+        parser.error(
+            "set HANDOVER_DEVICE_TOKEN to the token of the device, or name its --certificate and --key"
+        )
+    has_tls = options.tls or options.ca or options.certificate
+    tls = tls_context(options.ca, options.certificate, options.key) if has_tls else None
     client = DeviceClient(options.host, options.port, options.device, token, tls=tls)
     for name in options.takes:
 

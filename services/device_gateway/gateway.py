@@ -12,6 +12,7 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from hmac import compare_digest
 from secrets import token_hex
 from typing import Any, Final
 
@@ -65,6 +66,18 @@ class WrongToken(HandoverError):
         super().__init__(
             "there is no such device, or the token is not its token; add the device with `handover device "
             "add`, or make a new token with `handover device token`"
+        )
+
+
+class WrongCertificate(HandoverError):
+    """The certificate belongs to no device of this name."""
+
+    code = "wrongCertificate"
+
+    def __init__(self) -> None:
+        super().__init__(
+            "there is no such device, or the certificate is not its certificate; make one with `handover "
+            "device certificate`, or send the token of the device"
         )
 
 
@@ -198,6 +211,17 @@ class DeviceGateway:
         await self._replace(device, replace(device.stored, token_sha256=None))
         self._end_link(device, "tokenRevoked", "the token of this device was revoked; ask for a new one")
 
+    async def set_certificate(self, name: str, sha256: str | None, end_us: int | None) -> None:
+        """Give a device a certificate, by its fingerprint; None revokes it. The connection ends at once."""
+        device = self.device(name)
+        stored = replace(device.stored, certificate_sha256=sha256, certificate_end_us=end_us)
+        await self._replace(device, stored)
+        self._end_link(
+            device,
+            "certificateChanged",
+            "the certificate of this device was replaced or revoked; use the new one",
+        )
+
     async def remove(self, name: str) -> None:
         """Delete a device with its history, and end its connection."""
         device = self.device(name)
@@ -217,11 +241,18 @@ class DeviceGateway:
 
     # Connections
 
-    def connect(self, hello: Hello, link: Link) -> Session:
-        """Accept a connection; raise `Refused`. An earlier connection of the device is replaced."""
+    def connect(self, hello: Hello, link: Link, certificate_sha256: str = "") -> Session:
+        """Accept a connection; raise `Refused`. An earlier connection of the device is replaced.
+
+        `certificate_sha256` is the fingerprint of the client certificate, empty without one. It counts only
+        if the hello has no token.
+        """
         try:
-            device = self.with_token(hello.device, hello.token)
-        except WrongToken as wrong:
+            if hello.token or not certificate_sha256:
+                device = self.with_token(hello.device, hello.token)
+            else:
+                device = self.with_certificate(hello.device, certificate_sha256)
+        except (WrongToken, WrongCertificate) as wrong:
             raise Refused(wrong.code, str(wrong)) from None
         return self._begin(device, hello.boot, link)
 
@@ -283,6 +314,14 @@ class DeviceGateway:
         stored = device.stored.token_sha256 if device is not None else None
         if not is_token(token, stored or _NO_HASH) or stored is None or device is None:
             raise WrongToken
+        return device
+
+    def with_certificate(self, name: str, sha256: str) -> Device:
+        """Return the device whose certificate has this fingerprint; raise `WrongCertificate`."""
+        device = self.devices.get(name)
+        stored = device.stored.certificate_sha256 if device is not None else None
+        if not compare_digest(sha256, stored or _NO_HASH) or stored is None or device is None:
+            raise WrongCertificate
         return device
 
     # Messages

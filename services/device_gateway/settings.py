@@ -1,8 +1,11 @@
 """The settings of the device gateway, in addition to the common ones."""
 
+from pathlib import Path
+
 from pydantic import Field, SecretStr
 
 from handover.settings import MaybePath, Settings
+from handover.transport_security.local_authority import AUTHORITY
 
 
 class GatewaySettings(Settings):
@@ -23,6 +26,11 @@ class GatewaySettings(Settings):
         description="PEM file of the certificate chain for devices; that of the service if absent",
     )
     device_tls_key: MaybePath = Field(None, description="PEM file of the private key of that certificate")
+    device_client_authority: MaybePath = Field(
+        None,
+        description="PEM file of the authorities whose certificates devices may show instead of a token; "
+        "that of `handover secure` if absent",
+    )
     device_plain: bool = Field(
         False,
         description="allow devices beyond this machine without TLS: behind a proxy that ends TLS, or in a "
@@ -96,6 +104,19 @@ class GatewaySettings(Settings):
     def has_device_tls(self) -> bool:
         """Whether devices connect by TLS."""
         return bool(self.device_tls_certificate or (self.tls_certificate and not self.device_plain))
+
+    @property
+    def own_authority(self) -> Path:
+        """The folder of the authority that makes certificates of devices, which may not exist."""
+        return self.authority_dir or self.data_dir / "tls"
+
+    @property
+    def client_authority(self) -> Path | None:
+        """The file of authorities of device certificates; None if there is none."""
+        if self.device_client_authority is not None:
+            return self.device_client_authority
+        own = self.own_authority / AUTHORITY
+        return own if own.is_file() else None
 
     @property
     def service_url(self) -> str:

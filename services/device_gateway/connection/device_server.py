@@ -11,6 +11,7 @@ Bounds, for one connection and for all:
 """
 
 import asyncio
+import hashlib
 import socket
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, Self, cast
@@ -243,8 +244,9 @@ class DeviceConnection(asyncio.Protocol):
     def _process_hello(self, line: bytes) -> None:
         gateway = self._server.gateway
         try:
-            hello = parse_hello(line)
-            self._session = gateway.connect(hello, self)
+            certificate = self._certificate_sha256()
+            hello = parse_hello(line, needs_token=not certificate)
+            self._session = gateway.connect(hello, self, certificate)
         except BadMessage as bad:
             self.refuse(bad.code, str(bad), retry=False)
             return
@@ -266,6 +268,12 @@ class DeviceConnection(asyncio.Protocol):
                 retry=True,
             )
 
+    def _certificate_sha256(self) -> str:
+        """Return the fingerprint of the certificate of the device, which TLS has verified; "" without one."""
+        tls = self._transport.get_extra_info("ssl_object") if self._transport else None
+        certificate = tls.getpeercert(binary_form=True) if tls is not None else None
+        return hashlib.sha256(certificate).hexdigest() if certificate else ""
+
     def _peer(self) -> str:
         peer = self._transport.get_extra_info("peername") if self._transport else None
         return f"{peer[0]}:{peer[1]}" if isinstance(peer, tuple) else str(peer)
@@ -274,11 +282,12 @@ class DeviceConnection(asyncio.Protocol):
 def _certificate_of(settings: GatewaySettings) -> ServerCertificate | None:
     """Return the certificate of the port: its own, else that of the service; raise `UsageError`."""
     if settings.device_tls_certificate is not None:
-        return ServerCertificate(settings.device_tls_certificate, settings.device_tls_key)
-    certificate = None if settings.device_plain else ServerCertificate.of(settings)
-    if certificate is None:
-        _require_plain_allowed(settings)
-    return certificate
+        certificate, key = settings.device_tls_certificate, settings.device_tls_key
+        return ServerCertificate(certificate, key, settings.client_authority)
+    if settings.tls_certificate is not None and not settings.device_plain:
+        return ServerCertificate(settings.tls_certificate, settings.tls_key, settings.client_authority)
+    _require_plain_allowed(settings)
+    return None
 
 
 def _require_plain_allowed(settings: GatewaySettings) -> None:

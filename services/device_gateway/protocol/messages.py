@@ -132,20 +132,22 @@ def encode(message: Mapping[str, Any]) -> bytes:
     return orjson.dumps(message) + b"\n"
 
 
-def parse_hello(line: bytes) -> Hello:
-    """Return the hello of a connection."""
+def parse_hello(line: bytes, *, needs_token: bool = True) -> Hello:
+    """Return the hello of a connection; without `needs_token` the token may be missing, and is empty then."""
     given = _object(line)
     if given.get("type") != "hello":
         raise BadMessage("noHello", 'the first message must have the type "hello"')
     version = given.get("version")
     if version != VERSION or isinstance(version, bool):
         raise BadMessage("version", f"version must be {VERSION}, the version of the protocol")
-    device, token, boot = given.get("device"), given.get("token"), given.get("boot", "")
+    device, token, boot = given.get("device"), given.get("token", ""), given.get("boot", "")
     if not isinstance(device, str) or not is_device_name(device):
         raise BadMessage("badHello", "device must be 1 to 64 letters, digits, '_', '.' or '-'")
-    if not isinstance(token, str) or not token or len(token) > 256:
+    if not isinstance(token, str) or (needs_token and not token) or len(token) > 256:
         raise BadMessage(
-            "badHello", "token must be the token of the device, which was shown when it was added"
+            "badHello",
+            "token must be the token of the device, which was shown when it was added, or the device "
+            "must show its certificate",
         )
     if not isinstance(boot, str) or not _BOOT.fullmatch(boot):
         raise BadMessage("badHello", "boot must be up to 64 letters, digits, '_', '.' or '-'")

@@ -17,12 +17,14 @@ from handover.service import XML_TYPES, accepts
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.model.units import SYMBOLS
+from services.device_gateway.registry.certificates import new_certificate
 from services.device_gateway.registry.device import Device
 from services.device_gateway.registry.entities import SOURCE, device_id
 from services.device_gateway.registry.pictures import MAX_PICTURE_BYTES, PICTURE_TYPES, media_type_of
 from services.device_gateway.registry.templates import template, templates
 from services.device_gateway.registry.urdf import MAX_URDF_BYTES, joints_in
 from services.device_gateway.routes.views import (
+    CertificateView,
     DeviceDetails,
     DeviceView,
     TokenView,
@@ -65,6 +67,7 @@ def add_device_routes(
 ) -> None:
     """Add the routes of the registry."""
     _add_catalogues(app)
+    _add_credentials(app, settings, gateway)
 
     def entity_of(name: str) -> str:
         return device_id(settings, name)
@@ -106,17 +109,6 @@ def add_device_routes(
     async def remove(device: str) -> None:
         """Delete a device with its history, its token and its entities."""
         await gateway.remove(device)
-
-    @app.post("/devices/{device}/token", tags=["devices"], dependencies=[CAN_CONFIGURE])
-    async def change_token(device: str) -> TokenView:
-        """Make a new token, shown only once; the old one and its connection end."""
-        made = await gateway.change_token(device)
-        return token_view(device, made.token, settings)
-
-    @app.delete("/devices/{device}/token", status_code=204, tags=["devices"], dependencies=[CAN_CONFIGURE])
-    async def revoke_token(device: str) -> None:
-        """Revoke the token: the device is disconnected and cannot connect until it gets a new one."""
-        await gateway.revoke_token(device)
 
     @app.put("/devices/{device}/urdf", tags=["devices"], dependencies=[CAN_CONFIGURE])
     @max_body(MAX_URDF_BYTES)
@@ -162,6 +154,43 @@ def add_device_routes(
         return Response(
             found.content, media_type=found.media_type, headers={"X-Content-Type-Options": "nosniff"}
         )
+
+
+def _add_credentials(app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway) -> None:
+    @app.post("/devices/{device}/token", tags=["devices"], dependencies=[CAN_CONFIGURE])
+    async def change_token(device: str) -> TokenView:
+        """Make a new token, shown only once; the old one and its connection end."""
+        made = await gateway.change_token(device)
+        return token_view(device, made.token, settings)
+
+    @app.delete("/devices/{device}/token", status_code=204, tags=["devices"], dependencies=[CAN_CONFIGURE])
+    async def revoke_token(device: str) -> None:
+        """Revoke the token: the device is disconnected and cannot connect until it gets a new one."""
+        await gateway.revoke_token(device)
+
+    @app.post("/devices/{device}/certificate", tags=["devices"], dependencies=[CAN_CONFIGURE])
+    async def make_certificate(device: str) -> CertificateView:
+        """Make a client certificate, an alternative to the token; its key is shown only once.
+
+        The one before ends at once, with its connection. The token stays: revoke it if it is not needed.
+        """
+        gateway.device(device)
+        made = await asyncio.to_thread(new_certificate, settings, device)
+        await gateway.set_certificate(device, made.sha256, made.end_us)
+        return {
+            "name": device,
+            "certificate": made.certificate,
+            "key": made.key,
+            "authority": made.authority,
+            "endsAt": made.end_us / 1e6,
+        }
+
+    @app.delete(
+        "/devices/{device}/certificate", status_code=204, tags=["devices"], dependencies=[CAN_CONFIGURE]
+    )
+    async def revoke_certificate(device: str) -> None:
+        """Revoke the certificate: the device is disconnected and cannot connect with it any more."""
+        await gateway.set_certificate(device, None, None)
 
 
 def _add_catalogues(app: FastAPI) -> None:

@@ -44,6 +44,7 @@ class DeviceView(TypedDict):
     title: str
     connected: bool
     hasToken: bool
+    certificateEndsAt: float | None
     state: str | None
     batteryLevel: float | None
     seenAt: float | None
@@ -51,6 +52,19 @@ class DeviceView(TypedDict):
     location: str | None
     sensors: list[SensorView]
     values: dict[str, ValueView]
+
+
+class CertificateView(TypedDict):
+    """The certificate of a device and its private key, which is shown only once, in PEM.
+
+    `authority` is the certificate by which the device verifies the gateway.
+    """
+
+    name: str
+    certificate: str
+    key: str
+    authority: str
+    endsAt: float
 
 
 class DeviceDetails(DeviceView):
@@ -130,6 +144,9 @@ def device_view(device: Device, entity: str, now_s: float) -> DeviceView:
         "title": description.title,
         "connected": device.link is not None,
         "hasToken": device.stored.token_sha256 is not None,
+        "certificateEndsAt": None
+        if device.stored.certificate_end_us is None
+        else device.stored.certificate_end_us / 1e6,
         "state": None if device.state is None else device.state.value,
         "batteryLevel": device.battery_level,
         "seenAt": device.seen_at,

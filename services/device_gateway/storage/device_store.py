@@ -19,6 +19,9 @@ class StoredDevice:
     token_sha256: str | None
     created_us: int
     updated_us: int
+    certificate_sha256: str | None = None
+    """The fingerprint of the certificate that the device may show instead of its token."""
+    certificate_end_us: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,8 @@ def load(engine: Engine) -> list[StoredDevice]:
                 row.token_sha256,
                 row.created_us,
                 row.updated_us,
+                row.certificate_sha256,
+                row.certificate_end_us,
             )
             for row in connection.execute(select(tables.devices).order_by(tables.devices.c.name))
         ]
@@ -58,13 +63,15 @@ def add(connection: Connection, device: StoredDevice) -> None:
 
 
 def replace(connection: Connection, device: StoredDevice) -> None:
-    """Write the description and the hash of the token of a device."""
+    """Write the description of a device, the hash of its token and the fingerprint of its certificate."""
     connection.execute(
         update(tables.devices)
         .where(tables.devices.c.name == device.name)
         .values(
             description=device.description.model_dump_json(by_alias=True, exclude_defaults=True),
             token_sha256=device.token_sha256,
+            certificate_sha256=device.certificate_sha256,
+            certificate_end_us=device.certificate_end_us,
             updated_us=device.updated_us,
         )
     )

@@ -5,6 +5,7 @@ from typing import Final
 from sqlalchemy import (
     BigInteger,
     Column,
+    Connection,
     Engine,
     Float,
     Index,
@@ -19,7 +20,7 @@ from sqlalchemy import (
 
 from handover.migrations import migrate
 
-VERSION: Final = 2
+VERSION: Final = 3
 COMPONENT: Final = "device_gateway"
 
 meta = MetaData()
@@ -30,6 +31,8 @@ devices = Table(
     Column("name", String(64), primary_key=True),
     Column("description", Text, nullable=False),
     Column("token_sha256", String(64)),
+    Column("certificate_sha256", String(64)),
+    Column("certificate_end_us", BigInteger),
     Column("created_us", BigInteger, nullable=False),
     Column("updated_us", BigInteger, nullable=False),
 )
@@ -133,4 +136,11 @@ watches = Table(
 
 def prepare(engine: Engine) -> None:
     """Create the tables, or bring them to this version."""
-    migrate(engine, meta, component=COMPONENT, version=VERSION, steps={1: meta.create_all})
+    migrate(
+        engine, meta, component=COMPONENT, version=VERSION, steps={1: meta.create_all, 2: _add_certificates}
+    )
+
+
+def _add_certificates(connection: Connection) -> None:
+    connection.exec_driver_sql("ALTER TABLE device ADD COLUMN certificate_sha256 VARCHAR(64)")
+    connection.exec_driver_sql("ALTER TABLE device ADD COLUMN certificate_end_us BIGINT")

@@ -1,5 +1,5 @@
 /** The types and requests of the device gateway. */
-import type { CommandView, DeviceDescription, DeviceDetails, NewCommand, NewDevice, TokenView } from "~/api/generated/device-gateway";
+import type { CertificateView, CommandView, DeviceDescription, DeviceDetails, NewCommand, NewDevice, TokenView } from "~/api/generated/device-gateway";
 import { requestService } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
 
@@ -36,6 +36,14 @@ export function newToken(device: string): Promise<TokenView> {
 
 export function revokeToken(device: string): Promise<unknown> {
   return requestService(SERVICE, `${pathOf(device)}/token`, { method: "DELETE" });
+}
+
+export function newCertificate(device: string): Promise<CertificateView> {
+  return requestService(SERVICE, `${pathOf(device)}/certificate`, { method: "POST" });
+}
+
+export function revokeCertificate(device: string): Promise<unknown> {
+  return requestService(SERVICE, `${pathOf(device)}/certificate`, { method: "DELETE" });
 }
 
 export function savePicture(device: string, file: File): Promise<unknown> {

@@ -56,6 +56,19 @@ export interface AxisMapping {
 }
 
 /**
+ * The certificate of a device and its private key, which is shown only once, in PEM.
+ *
+ * `authority` is the certificate by which the device verifies the gateway.
+ */
+export interface CertificateView {
+  name: string;
+  certificate: string;
+  key: string;
+  authority: string;
+  endsAt: number;
+}
+
+/**
  * How often a command may reach the device.
  *
  * A `motion` is sent at most once and only while the device is connected. An `action` waits for the device
@@ -121,6 +134,7 @@ export interface DeviceDetails {
   title: string;
   connected: boolean;
   hasToken: boolean;
+  certificateEndsAt: number | null;
   state: string | null;
   batteryLevel: number | null;
   seenAt: number | null;
@@ -148,6 +162,7 @@ export interface DeviceView {
   title: string;
   connected: boolean;
   hasToken: boolean;
+  certificateEndsAt: number | null;
   state: string | null;
   batteryLevel: number | null;
   seenAt: number | null;

@@ -1,8 +1,8 @@
 /** The forms that add a device and change one, with its token and its deletion. */
-import { KeyRound, ShieldOff, Trash2 } from "lucide-react";
+import { FileKey, KeyRound, ShieldOff, Trash2 } from "lucide-react";
 import { useMemo, useState, type SyntheticEvent } from "react";
 import { useTranslation } from "react-i18next";
-import type { DeviceDescription, DeviceDetails, TokenView } from "~/api/generated/device-gateway";
+import type { CertificateView, DeviceDescription, DeviceDetails, TokenView } from "~/api/generated/device-gateway";
 import { errorText } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
@@ -11,12 +11,14 @@ import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
 import { Select } from "~/design/Select";
+import { exactTime } from "~/design/times";
 import type { RegisteredDeviceView } from "~/live/messages";
 import { faultText } from "~/tasks/faults";
 import type { Draft } from "~/tasks/form";
 import { FormFields } from "~/tasks/FormFields";
-import { addDevice, deleteDevice, describeDevice, newToken, revokeToken, SERVICE } from "../gateway";
-import { titleOf } from "../values";
+import { addDevice, deleteDevice, describeDevice, newCertificate, newToken, revokeCertificate, revokeToken, SERVICE } from "../gateway";
+import { CertificateDialog } from "../CertificateDialog";
+import { isoOf, titleOf } from "../values";
 import { draftOfDescription, enteredDescription, fieldsOf, KINDS } from "./description";
 
 type Units = Readonly<Record<string, string>>;
@@ -121,21 +123,29 @@ interface EditDeviceProps {
   onDeleted: () => void;
 }
 
-type Asked = "token" | "revoke" | "delete";
+type Asked = "token" | "revoke" | "certificate" | "revokeCertificate" | "delete";
 
 export function EditDevice({ device, details, units, onChanged, onToken, onDeleted }: EditDeviceProps) {
-  const { t } = useTranslation("devices");
+  const { t, i18n } = useTranslation("devices");
   const [asked, ask] = useState<Asked | null>(null);
+  const [files, setFiles] = useState<CertificateView | null>(null);
   const { name } = device;
+  const ends = details.certificateEndsAt;
   const acts: Record<Asked, () => Promise<unknown>> = {
     token: () => newToken(name).then(onToken),
     revoke: () => revokeToken(name).then(onChanged),
+    certificate: () => newCertificate(name).then((made) => {
+      setFiles(made);
+      onChanged();
+    }),
+    revokeCertificate: () => revokeCertificate(name).then(onChanged),
     delete: () => deleteDevice(name).then(onDeleted),
   };
   return (
     <>
       <Card title={t("access.title")}>
         <p>{device.hasToken ? t("access.hasToken") : t("access.noToken")}</p>
+        {ends !== null && <p>{t("access.hasCertificate", { end: exactTime(isoOf(ends), i18n.language) })}</p>}
         <div className="device-form__acts">
           <Button icon={<KeyRound aria-hidden size={18} />} onPress={() => ask("token")}>
             {t("access.token")}
@@ -143,6 +153,14 @@ export function EditDevice({ device, details, units, onChanged, onToken, onDelet
           {device.hasToken && (
             <Button icon={<ShieldOff aria-hidden size={18} />} onPress={() => ask("revoke")}>
               {t("access.revoke")}
+            </Button>
+          )}
+          <Button icon={<FileKey aria-hidden size={18} />} onPress={() => ask("certificate")}>
+            {t("access.certificate")}
+          </Button>
+          {ends !== null && (
+            <Button icon={<ShieldOff aria-hidden size={18} />} onPress={() => ask("revokeCertificate")}>
+              {t("access.revokeCertificate")}
             </Button>
           )}
           <Button icon={<Trash2 aria-hidden size={18} />} onPress={() => ask("delete")}>
@@ -153,6 +171,7 @@ export function EditDevice({ device, details, units, onChanged, onToken, onDelet
       <Card title={t("form.heading")}>
         <DescriptionForm initial={details.description} units={units} act={t("form.save")} onSave={(description) => describeDevice(name, description).then(onChanged)} />
       </Card>
+      <CertificateDialog made={files} onClose={() => setFiles(null)} />
       {asked !== null && (
         <ConfirmDialog isOpen onClose={() => ask(null)} title={t(`ask.${asked}.title`, { name: titleOf(device) })} act={t(`ask.${asked}.act`)} kind="stop" onAct={acts[asked]}>
           <p>{t(`ask.${asked}.means`)}</p>
