@@ -237,13 +237,13 @@ class SignalGuard:
             return SensorFault.NO_CONTACT, "the sensor does not touch the body", {}
         if samples.info.unit != info.unit:
             return SensorFault.UNIT, f"its unit changed from {info.unit} to {samples.info.unit}", {}
-        if not np.isfinite(values).all():
+        if not np.isfinite(values).all() or samples.quality <= 0:
             return SensorFault.ARTEFACT, "the device could not measure some samples", {}
         saturated = (values <= info.min_value) | (values >= info.max_value)
         if info.kind in WAVEFORMS and saturated.any():
             return SensorFault.SATURATED, f"samples at {info.min_value:g} or {info.max_value:g}", {}
-        if info.kind is SignalKind.PRESSURE_MAP and saturated.mean() > 0.5:
-            return SensorFault.SATURATED, "more than half of the cells are at their bound", {}
+        if info.kind is SignalKind.PRESSURE_MAP and (values >= info.max_value).mean() > 0.5:
+            return SensorFault.SATURATED, "more than half of the cells are at their maximum", {}
         lower, upper = PLAUSIBLE.get((info.kind, info.unit), (-np.inf, np.inf))
         if (values < lower).any() or (values > upper).any():
             return SensorFault.UNIT, f"a value outside {lower:g} to {upper:g} {info.unit}", {}

@@ -1,6 +1,7 @@
 """All analysis of one signal of one sensor: its guard, its processors, and what a fault does to their values.
 
-    pipeline = pipeline_for(info)
+    processors = processors_for(info)       # none, or one pipeline: a `Processor`
+    pipeline = pipeline_for(info)           # the same, also for a signal that nobody analyses
     features = pipeline.feed(samples)       # each packet
     features = pipeline.advance(now_s)      # once a second or so: finds sensors that are silent
     reports = pipeline.take_reports()       # the faults that were found
@@ -31,15 +32,34 @@ SIGNAL_PROCESSORS: Final = ExtensionPoint("signal processor", "handover.signal_p
 _HERE: Final = "services.human_state.processing"
 OWN: Final[dict[SignalKind, tuple[str, ...]]] = {
     SignalKind.ECG: ("ecg:EcgProcessor",),
+    SignalKind.PPG: ("pulse:PpgProcessor",),
     SignalKind.RESPIRATION: ("breathing:WaveBreathing",),
+    SignalKind.EDA: ("skin_and_muscle:EdaProcessor",),
+    SignalKind.EMG: ("skin_and_muscle:EmgProcessor",),
+    SignalKind.INTER_BEAT_INTERVAL: ("intervals:IntervalProcessor",),
+    SignalKind.ACCELERATION: ("motion:AccelerationProcessor",),
+    SignalKind.PRESSURE_MAP: ("pressure:PressureProcessor",),
 }
 """Our processors by kind, imported when the first signal of the kind comes. Each takes the `SignalInfo`."""
 
 
 def processors_for(info: SignalInfo) -> tuple[Processor, ...]:
-    """Return new processors of a signal, ours first; none for a kind that nobody analyses.
+    """Return what analyses a signal: one pipeline, or nothing for a kind that nobody analyses.
 
-    Raises `ValueError` if the signal cannot be analysed, an ECG of 10 Hz for instance; the text says why.
+    A signal that cannot be analysed, an ECG of 10 Hz for instance, has no processor either; `pipeline_for`
+    raises the reason.
+    """
+    try:
+        pipeline = pipeline_for(info)
+    except ValueError:
+        return ()
+    return (pipeline,) if pipeline.has_processors else ()
+
+
+def pipeline_for(info: SignalInfo) -> "SignalPipeline":
+    """Return the guard and the processors of one signal of one sensor, ours first.
+
+    Raises `ValueError` if the signal cannot be analysed; the text says why.
     """
     found: list[Processor] = []
     for place in OWN.get(info.kind, ()):
@@ -50,12 +70,7 @@ def processors_for(info: SignalInfo) -> tuple[Processor, ...]:
         processor = make(info)
         if processor is not None:
             found.append(processor)
-    return tuple(found)
-
-
-def pipeline_for(info: SignalInfo) -> "SignalPipeline":
-    """Return the guard and the processors of one signal of one sensor."""
-    return SignalPipeline(info, processors_for(info))
+    return SignalPipeline(info, found)
 
 
 class SignalPipeline:
@@ -67,6 +82,11 @@ class SignalPipeline:
         self._processors = list(processors)
         self._valid: dict[FeatureName, Feature] = {}
         self._reports: list[SensorReport] = []
+
+    @property
+    def has_processors(self) -> bool:
+        """Return whether anything analyses this signal."""
+        return bool(self._processors)
 
     @property
     def is_faulty(self) -> bool:
