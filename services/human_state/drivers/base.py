@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Final
 from pydantic import BaseModel, ConfigDict
 
 from handover.extensions import ExtensionPoint
-from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
+from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
 
 Sink = Callable[[Samples | SensorReport], None]
 """Receives what a driver produces. It never blocks."""
@@ -34,6 +34,10 @@ Sink = Callable[[Samples | SensorReport], None]
 
 class LinkLost(Exception):
     """The connection to the device ended; the text says why. The driver is run again after a pause."""
+
+
+class PacketError(Exception):
+    """The bytes of a device are not what its protocol says; the only error that a parser raises."""
 
 
 class DriverSettings(BaseModel):
@@ -65,6 +69,7 @@ class SensorDriver(ABC):
     def __init__(self, source: str, settings: Any) -> None:
         self.source: Final = source
         self.settings = settings
+        self._rejected_s = 0.0
 
     @property
     @abstractmethod
@@ -74,6 +79,14 @@ class SensorDriver(ABC):
     @abstractmethod
     async def run(self, sink: Sink) -> None:
         """Serve one connection until it is cancelled. Raise `LinkLost` when the device is gone."""
+
+    def reject(self, sink: Sink, error: PacketError) -> None:
+        """Report a packet that was dropped, at most once a second: a hostile device must not flood."""
+        at_s = now_s()
+        if abs(at_s - self._rejected_s) >= 1.0:
+            self._rejected_s = at_s
+            text = f"a packet was dropped: {error}"
+            sink(SensorReport(self.source, at_s, fault=SensorFault.ARTEFACT, text=text))
 
     @classmethod
     async def discover(cls, timeout_s: float) -> list[FoundDevice]:
@@ -93,5 +106,14 @@ SENSOR_DRIVERS: Final = ExtensionPoint(
     {
         "simulated": f"{_DRIVERS}.simulated.driver:SimulatedDriver",
         "recording": f"{_DRIVERS}.recording.driver:RecordingDriver",
+        "heart-rate-strap": f"{_DRIVERS}.heart_rate_strap.driver:HeartRateStrapDriver",
+        "polar-h10": f"{_DRIVERS}.polar_h10.driver:PolarH10Driver",
+        "sensomative": f"{_DRIVERS}.sensomative.driver:SensomativeDriver",
+        "corsano": f"{_DRIVERS}.corsano.driver:CorsanoDriver",
+        "metamotion": f"{_DRIVERS}.metamotion.driver:MetaMotionDriver",
+        "seeed-radar": f"{_DRIVERS}.seeed_radar.driver:RadarDriver",
+        "max30100": f"{_DRIVERS}.max30100.driver:Max30100Driver",
+        "lsl": f"{_DRIVERS}.lsl.driver:LslDriver",
+        "brainflow": f"{_DRIVERS}.brainflow.driver:BrainFlowDriver",
     },
 )

@@ -1,0 +1,1 @@
+"""Devices behind an interface of their vendor, polled with OAuth 2."""

@@ -1,0 +1,1 @@
+"""Corsano bracelet over Bluetooth LE: its activity records."""

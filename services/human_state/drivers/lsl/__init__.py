@@ -1,0 +1,1 @@
+"""Any stream of the Lab Streaming Layer."""

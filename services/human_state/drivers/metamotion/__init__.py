@@ -1,0 +1,1 @@
+"""Mbientlab MetaMotionS over Bluetooth LE: acceleration."""

@@ -1,0 +1,1 @@
+"""Sensomative pressure mat over Bluetooth LE."""
