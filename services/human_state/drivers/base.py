@@ -115,5 +115,6 @@ SENSOR_DRIVERS: Final = ExtensionPoint(
         "max30100": f"{_DRIVERS}.max30100.driver:Max30100Driver",
         "lsl": f"{_DRIVERS}.lsl.driver:LslDriver",
         "brainflow": f"{_DRIVERS}.brainflow.driver:BrainFlowDriver",
+        "vivalink": f"{_DRIVERS}.cloud.vivalink:VivalinkDriver",
     },
 )
