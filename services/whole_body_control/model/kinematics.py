@@ -46,6 +46,7 @@ class Kinematics:
             if frame.type == pin.FrameType.BODY and frame.name in humanoid.links
         }
         self._q, self._v = pin.neutral(free), np.zeros(free.nv)
+        self.q = self.neutral(np.zeros(self.n_joints))
 
     def neutral(self, joints: Sequence[float] | Array) -> Array:
         """Return the configuration with the base at the origin, upright, and these joints."""
@@ -66,6 +67,7 @@ class Kinematics:
 
     def update(self, q: Array, v: Array | None = None) -> None:
         """Compute positions, Jacobians, and the centre of mass of a state."""
+        self.q = q
         self._q[:BASE_POSITIONS] = q[:BASE_POSITIONS]
         self._q[self._q_of] = q[BASE_POSITIONS:]
         self._v[:] = 0.0

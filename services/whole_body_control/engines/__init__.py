@@ -1,0 +1,1 @@
+"""Motion engines: what to do, as tasks, becomes joint motion."""

@@ -1,0 +1,1 @@
+"""Solvers of a hierarchy of least squares under bounds, behind one interface."""

@@ -1,0 +1,80 @@
+"""The problem that all solvers share: levels of least squares, each in what those above leave free.
+
+For level i, with v restricted to solutions of the levels above (CoSiMA, equation 2):
+
+    minimise  |J_i v - b_i|^2 + epsilon |v|^2   subject to  lower <= A v <= upper
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from services.whole_body_control.model.kinematics import Array
+
+EPSILON = 1e-6
+"""Regularisation: what a singular direction costs against the errors of a level."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """`levels` has (J, b) of each level with weights applied; A is (m, n)."""
+
+    levels: Sequence[tuple[Array, Array]]
+    matrix: Array
+    lower: Array
+    upper: Array
+    epsilon: float = EPSILON
+
+    @property
+    def n(self) -> int:
+        """Return the number of velocities."""
+        return int(self.matrix.shape[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """`velocity` (n,), the norm of the residual of each level, and by how much bounds were relaxed (m,)."""
+
+    velocity: Array
+    residuals: tuple[float, ...]
+    slack: Array
+
+    @property
+    def is_relaxed(self) -> bool:
+        """Return whether the bounds had no solution and were relaxed by the least squares of violations."""
+        return bool((self.slack > SLACK_TOLERANCE).any())
+
+
+SLACK_TOLERANCE = 1e-7
+
+
+class Solver(Protocol):
+    """Solves a problem; the same answer for the same problem, whichever solver it is."""
+
+    @property
+    def name(self) -> str:
+        """The name for figures and pages."""
+        ...
+
+    def solve(self, problem: Problem) -> Solution:
+        """Return the velocities. Raises `Unsolvable` for values that are not finite."""
+        ...
+
+
+class Unsolvable(ValueError):
+    """The problem has no meaning: values that are not finite, or shapes that do not fit."""
+
+
+def require_finite(problem: Problem) -> None:
+    """Raise `Unsolvable` for NaN or infinity in a task or a constraint, and name the level."""
+    for index, (jacobian, target) in enumerate(problem.levels):
+        if jacobian.shape != (len(target), problem.n):
+            raise Unsolvable(f"level {index} has a Jacobian of {jacobian.shape} for {len(target)} targets")
+        if not (np.isfinite(jacobian).all() and np.isfinite(target).all()):
+            raise Unsolvable(f"level {index} has values that are not finite")
+    if not (np.isfinite(problem.matrix).all() and np.isfinite(problem.lower).all()):
+        raise Unsolvable("a constraint has values that are not finite")
+    if not np.isfinite(problem.upper).all() or (problem.lower > problem.upper).any():
+        raise Unsolvable("a constraint has an upper bound below its lower one, or one that is not finite")
