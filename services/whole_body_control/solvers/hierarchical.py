@@ -1,6 +1,6 @@
 """The hierarchy as one call of daqp: its breakpoints separate the levels, and bounds are the first level.
 
-daqp scales every row to length 1, so a level that cannot be reached would be solved in another metric. Its rows
+daqp scales every row to length 1, so a level that cannot be reached is solved in another metric. Its rows
 are turned before, by rotations that keep the least squares, until they have the same length.
 """
 
