@@ -43,8 +43,25 @@ _SCALARS: Final[Mapping[SignalKind, tuple[str, str, str]]] = {
     SignalKind.STROKE_VOLUME: ("StrokeVolume", "millilitres", "MLT"),
     SignalKind.CARDIAC_OUTPUT: ("CardiacOutput", "litres_per_min", "L2"),
     SignalKind.DISTANCE: ("Distance", "metres", "MTR"),
+    SignalKind.MOVEMENT: ("Movement", "movement", ""),
 }
 """Type, field and unit."""
+_BY_CHANNEL: Final[Mapping[SignalKind, tuple[str, tuple[str, ...]]]] = {
+    SignalKind.GAIT: (
+        "Gait",
+        (
+            "speed_mps",
+            "cadence_per_min",
+            "step_length_m",
+            "stride_time_s",
+            "stance_fraction",
+            "double_support_fraction",
+            "asymmetry",
+        ),
+    ),
+    SignalKind.MOOD: ("Mood", ("valence", "arousal")),
+}
+"""Type, and the fields that have the names of channels; NaN is a field that is not measured."""
 _KIND_OF: Final = {name: kind for kind, name in _SERIES.items()} | {
     name: kind for kind, (name, _, _) in _SCALARS.items()
 }
@@ -91,6 +108,20 @@ def messages_of(samples: Samples, subject: str = "") -> list[tuple[str, Message]
             (PACKAGE + name, {**_head(samples, subject, at_s), field: float(value)})
             for at_s, value in zip(samples.sample_times_s(), samples.values[:, 0], strict=True)
         ]
+    if kind in _BY_CHANNEL and set(info.channels) <= set(_BY_CHANNEL[kind][1]):
+        name, fields = _BY_CHANNEL[kind]
+        unknown = dict.fromkeys(fields, math.nan)
+        return [
+            (
+                PACKAGE + name,
+                {
+                    **_head(samples, subject, at_s),
+                    **unknown,
+                    **dict(zip(info.channels, row.tolist(), strict=True)),
+                },
+            )
+            for at_s, row in zip(samples.sample_times_s(), samples.values, strict=True)
+        ]
     if kind is SignalKind.INTER_BEAT_INTERVAL and len(info.channels) == 1 and info.unit in _INTERVALS:
         message = _head(samples, subject, samples.end_s)
         message["intervals_s"] = samples.values[:, 0] * _INTERVALS[info.unit]
@@ -118,6 +149,10 @@ def samples_of(type_name: str, message: Mapping[str, Any]) -> Samples:
             return _single(kind, message, [message[field]], ("",))
         if name == "InterBeatIntervals":
             return _intervals(message)
+        for of_kind, (of_name, fields) in _BY_CHANNEL.items():
+            if name == of_name:
+                channels = tuple(field for field in fields if not math.isnan(message[field])) or fields[:1]
+                return _single(of_kind, message, [message[field] for field in channels], channels)
         if name == "PressureMap":
             cells = tuple(message["cells"])
             return _single(SignalKind.PRESSURE_MAP, message, message["pressures"], cells)

@@ -139,3 +139,24 @@ def test_faults_and_markers_are_messages(fault: SensorFault) -> None:
     assert (
         over_the_wire(*ros.marker_message("task", "start", 1.5))["header"]["stamp"]["nanosec"] == 500_000_000
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "channels", "expected"),
+    [
+        (SignalKind.GAIT, ("cadence_per_min", "asymmetry"), "Gait"),
+        (SignalKind.MOOD, ("valence", "arousal"), "Mood"),
+        (SignalKind.MOVEMENT, ("",), "Movement"),
+        (SignalKind.GAIT, ("hips",), "OtherSignal"),
+    ],
+)
+def test_gait_mood_and_movement_have_fields(
+    kind: SignalKind, channels: tuple[str, ...], expected: str
+) -> None:
+    values = np.linspace(0.25, 0.75, 2 * len(channels)).reshape(2, -1)
+    one = Samples("s", SignalInfo(kind, "", None, channels), 1.0, values, np.array([1.0, 2.0]))
+    made = [(name, over_the_wire(name, message)) for name, message in ros.messages_of(one, "p-1")]
+    assert {name for name, _ in made} == {ros.PACKAGE + expected}
+    back = [ros.samples_of(name, message) for name, message in made]
+    assert np.concatenate([each.values for each in back]).tolist() == values.tolist()
+    assert {each.info for each in back} == {one.info}
