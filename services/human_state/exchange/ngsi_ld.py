@@ -255,11 +255,9 @@ class EntityThrottle:
 
     def due(self, now_s: float) -> HumanState | PressureMat | None:
         """Return the newest entity if it is to be written now; None otherwise."""
-        if self._latest is None:
+        if self._latest is None or not self.is_open(now_s):
             return None
-        since_s = math.inf if self._written_at_s is None else now_s - self._written_at_s
-        if 0 <= since_s < self._interval_s:
-            return None
+        since_s = self._since_s(now_s)
         snapshot = _snapshot(features_of(self._latest))
         # a clock that was set back must not silence the entity
         is_old = since_s < 0 or since_s >= self._at_least_every_s
@@ -267,6 +265,13 @@ class EntityThrottle:
             return None
         self._written, self._written_at_s, self._must_write = snapshot, now_s, False
         return self._latest
+
+    def is_open(self, now_s: float) -> bool:
+        """Return whether the interval has passed, so that an entity may be written."""
+        return not 0 <= self._since_s(now_s) < self._interval_s
+
+    def _since_s(self, now_s: float) -> float:
+        return math.inf if self._written_at_s is None else now_s - self._written_at_s
 
     def failed(self) -> None:
         """Write the newest entity again after the interval, since the last write did not succeed."""
