@@ -8,6 +8,7 @@ from fastapi import FastAPI
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.leadership import Leadership, OnlyLeading
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.service import create_app
@@ -28,7 +29,8 @@ def make_app(settings: RouterSettings) -> FastAPI:
     engine = connect(settings.database("alerts"))
     guard = Guard(settings, "alert-router")
     broker = BrokerClient(settings, credentials=guard.access)
-    store = Store(engine)
+    leadership = Leadership(engine, "alert-router")
+    store = Store(engine, leadership.transaction)
     file = settings.alert_routes
     directory = Directory(store, Configuration() if file is None else read_configuration(file))
     senders = Senders(settings)
@@ -36,14 +38,19 @@ def make_app(settings: RouterSettings) -> FastAPI:
     follower = Follower(settings, broker, store, lambda: directory.routes, sending.wake)
 
     @asynccontextmanager
+    async def leading() -> AsyncIterator[None]:
+        await directory.load()
+        await follower.load()
+        async with BackgroundTasks("alert router") as tasks:
+            for work in (sending.run, follower.run, follower.take_steps, follower.keep_retention):
+                tasks.start_restarting(work)
+            yield
+
+    @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         tables.prepare(engine)
         follower.receiver.require_key()
-        await directory.load()
-        await follower.load()
-        async with broker, BackgroundTasks("alert router") as tasks:
-            for work in (sending.run, follower.run, follower.take_steps, follower.keep_retention):
-                tasks.start_restarting(work)
+        async with broker, leadership.led(leading):
             yield
         senders.close()
         engine.dispose()
@@ -52,9 +59,14 @@ def make_app(settings: RouterSettings) -> FastAPI:
         "Alert router",
         description=__doc__ or "",
         lifespan=lifespan,
-        checks={"broker": broker.probe, "storage": storage_check(settings.data_dir)},
+        checks={
+            "leadership": leadership.check,
+            "broker": broker.probe,
+            "storage": storage_check(settings.data_dir),
+        },
         guard=guard,
         audit=AuditTrail(settings, "alert-router", engine),
     )
+    app.add_middleware(OnlyLeading, leadership=leadership)
     add_routes(app, store, directory, senders, follower)
     return app

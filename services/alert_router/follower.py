@@ -61,7 +61,9 @@ class Follower:
         self._taking = asyncio.Lock()
 
     async def load(self) -> None:
-        """Read which steps were taken by an earlier run."""
+        """Read which steps were taken by an earlier run, or by another replica."""
+        self._occurrences.clear()
+        self._is_subscribed = False
         self._taken = await asyncio.to_thread(self._store.steps)
 
     async def run(self) -> None:

@@ -1,6 +1,7 @@
 """The store: channels, routes, the steps that were taken, and the messages. Every function blocks."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -32,11 +33,15 @@ class Message:
     error: str | None = None
 
 
-class Store:
-    """Reads and writes the database."""
+Transaction = Callable[[], AbstractContextManager[Connection]]
 
-    def __init__(self, engine: Engine) -> None:
+
+class Store:
+    """Reads and writes the database. Steps and messages are written in transactions of the leader."""
+
+    def __init__(self, engine: Engine, transaction: Transaction | None = None) -> None:
         self._engine = engine
+        self._transaction = transaction or engine.begin
 
     def configuration(self) -> tuple[dict[str, str], dict[str, str]]:
         """Return channels and routes as JSON, by name."""
@@ -72,7 +77,7 @@ class Store:
     def take(self, alert: str, issued_us: int, step: str, taken_us: int, messages: Iterable[Message]) -> None:
         """Store that a step was taken, with its messages, in one transaction."""
         rows = [_values(one) for one in messages]
-        with self._engine.begin() as connection:
+        with self._transaction() as connection:
             connection.execute(
                 insert(tables.steps).values(alert=alert, issued_us=issued_us, step=step, taken_us=taken_us)
             )
@@ -110,7 +115,7 @@ class Store:
         """Store what became of an attempt to send messages."""
         table = tables.messages
         ended = None if state == WAITING else now_us
-        with self._engine.begin() as connection:
+        with self._transaction() as connection:
             connection.execute(
                 update(table)
                 .where(table.c.id.in_(numbers))
