@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handover.errors import UsageError
-from services.human_state.model.signals import SignalInfo, SignalKind
+from services.human_state.formats.json_messages import from_json
+from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 
+SAMPLES_SCHEMA: Final = "handover.Samples"
 MAX_BYTES: Final = 512 * 1024 * 1024
 MAX_TRACKS: Final = 128
 MAX_CSV_ROWS: Final = 20_000_000
@@ -271,47 +273,31 @@ def _xdf_track(stream: dict[str, Any], origin_s: float, meanings: dict[str, Mean
 
 
 def _mcap(path: Path, meanings: dict[str, Meaning]) -> Recording:
-    """Read JSON messages with the fields of `Samples`; other encodings are left out."""
+    """Read the samples of a recording of ours; features, reports and other messages are left out."""
     from mcap.reader import make_reader  # noqa: PLC0415 - of the extra
 
-    chunks: dict[str, list[dict[str, Any]]] = {}
+    chunks: dict[str, list[Samples]] = {}
     with path.open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages():
-            if channel.message_encoding != "json":
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            if channel.message_encoding != "json" or schema is None or schema.name != SAMPLES_SCHEMA:
                 continue
-            content = json.loads(message.data)
-            if isinstance(content, dict) and "kind" in content and "values" in content:
-                chunks.setdefault(channel.topic, []).append(content)
-    origin_s = min((float(parts[0]["start_s"]) for parts in chunks.values()), default=0.0)
+            samples = from_json(schema.name, json.loads(message.data))
+            if isinstance(samples, Samples) and len(samples.values):
+                chunks.setdefault(channel.topic, []).append(samples)
+    origin_s = min((parts[0].start_s for parts in chunks.values()), default=0.0)
     tracks = [_mcap_track(topic, parts, origin_s, meanings) for topic, parts in chunks.items()]
     return Recording(_present(tracks), origin_s or None)
 
 
 def _mcap_track(
-    topic: str, parts: Sequence[dict[str, Any]], origin_s: float, meanings: dict[str, Meaning]
+    topic: str, parts: Sequence[Samples], origin_s: float, meanings: dict[str, Meaning]
 ) -> Track | None:
-    first = parts[0]
-    info = SignalInfo(
-        SignalKind(first["kind"]),
-        str(first["unit"]),
-        first.get("rate_hz"),
-        tuple(map(str, first.get("channels") or ("",))),
-        method=str(first.get("method", "")),
-    )
+    info = parts[0].info
     if meanings and topic not in meanings:
         return None
-    blocks, times = [], []
-    for part in parts:
-        values = np.array(part["values"], dtype=np.float64).reshape(-1, len(info.channels))
-        start_s = float(part["start_s"]) - origin_s
-        given = part.get("times_s")
-        blocks.append(values)
-        times.append(
-            np.asarray(given, dtype=np.float64) - origin_s
-            if given is not None
-            else start_s + np.arange(len(values)) / (info.rate_hz or 1.0)
-        )
-    values, times_s = np.concatenate(blocks), np.concatenate(times)
+    alike = [part for part in parts if len(part.info.channels) == len(info.channels)]
+    values = np.concatenate([part.values for part in alike])
+    times_s = np.concatenate([part.sample_times_s() for part in alike]) - origin_s
     if info.rate_hz and np.all(np.abs(np.diff(times_s) * info.rate_hz - 1) < 0.5):
         return Track(topic, info, values, start_s=float(times_s[0]))
     return Track(topic, replace(info, rate_hz=None), values, times_s=times_s)

@@ -1,7 +1,6 @@
 """Recordings of five formats are replayed with their times and units; damaged files are refused by name."""
 
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,8 @@ from hypothesis import strategies as st
 from services.human_state.drivers.recording.driver import RecordingDriver, RecordingSettings
 from services.human_state.drivers.recording.tracks import RecordingError, kind_of, read
 from services.human_state.drivers.runner import SensorRunner
-from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalKind
+from services.human_state.exchange.mcap import McapWriter
+from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
 from tests.kit.paths import REPOSITORY
 
 PHYSIOLOGY = REPOSITORY.parent / "shared" / "data" / "physiology"
@@ -58,22 +58,13 @@ def in_csv(folder: Path) -> Path:
 
 
 def in_mcap(folder: Path) -> Path:
-    from mcap.writer import Writer
-
+    """Write a recording as the service does."""
     path = folder / "made.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("Samples", "jsonschema", b"{}")
-        channel = writer.register_channel("/ecg", "json", schema)
+    info = SignalInfo(SignalKind.ECG, "D82", 250.0, ("I",))
+    with path.open("wb") as file, McapWriter(file) as writer:
         for first in range(0, 500, 50):
-            start_s = 1_700_000_000 + first / 250
-            body = {
-                "kind": "ecg", "unit": "D82", "rate_hz": 250.0, "channels": ["I"], "start_s": start_s,
-                "values": [[1000 * value] for value in ECG_MV[first : first + 50]],
-            }  # fmt: skip
-            writer.add_message(channel, round(start_s * 1e9), json.dumps(body).encode(), round(start_s * 1e9))
-        writer.finish()
+            values = 1000 * ECG_MV[first : first + 50, None]
+            writer.write(Samples("belt", info, 1_700_000_000 + first / 250, values))
     return path
 
 
