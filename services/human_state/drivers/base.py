@@ -116,5 +116,6 @@ SENSOR_DRIVERS: Final = ExtensionPoint(
         "lsl": f"{_DRIVERS}.lsl.driver:LslDriver",
         "brainflow": f"{_DRIVERS}.brainflow.driver:BrainFlowDriver",
         "vivalink": f"{_DRIVERS}.cloud.vivalink:VivalinkDriver",
+        "ros-topic": f"{_DRIVERS}.ros_topic.driver:RosTopicDriver",
     },
 )

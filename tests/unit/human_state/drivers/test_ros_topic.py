@@ -1,0 +1,122 @@
+"""A topic of `handover_human_msgs` is read from DDS, and its types are those of the message files."""
+
+import asyncio
+import time
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from services.human_state.drivers.base import PacketError
+from services.human_state.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
+from services.human_state.drivers.ros_topic.messages import INFO, SAMPLES, SCALARS, SERIES, type_of
+from services.human_state.drivers.runner import RunnerTiming, SensorRunner
+from services.human_state.formats.ros import messages_of
+from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
+from tests.kit.paths import REPOSITORY
+from tests.kit.ros_domains import ros_domain
+from tests.kit.waiting import until
+
+MESSAGES = REPOSITORY / "ros_fiware_bridge" / "messages" / "handover_human_msgs" / "msg"
+ECG = SignalInfo(SignalKind.ECG, "D82", 130.0, ("I",))
+
+
+def fields_of(name: str) -> list[tuple[str, str]]:
+    lines = (line.partition("#")[0].split() for line in (MESSAGES / f"{name}.msg").read_text().splitlines())
+    words = {"string": "str"}
+    return [
+        (field, words.get(kind.removesuffix("[]"), kind.removesuffix("[]")) + ("[]" if "[]" in kind else ""))
+        for kind, field in (line for line in lines if len(line) == 2 and "=" not in line[1])
+    ]
+
+
+def test_the_types_are_those_of_the_message_files() -> None:
+    assert fields_of("SignalInfo") == list(INFO)
+    assert fields_of("Samples") == list(SAMPLES)
+    for name in SERIES.values():
+        assert [field for field, _ in fields_of(name)] == ["header", "info", "samples"], name
+    for name, field in SCALARS.values():
+        assert [one for one, _ in fields_of(name)] == ["header", "info", field], name
+
+
+def as_dds(made: Any, message: dict[str, Any]) -> Any:
+    """Return a message as an instance of a DDS type."""
+    kinds = made.__annotations__
+    return made(
+        **{
+            name: as_dds(kinds[name], value)
+            if isinstance(value, dict)
+            else (value.tolist() if isinstance(value, np.ndarray) else value)
+            for name, value in message.items()
+        }
+    )
+
+
+async def test_a_topic_is_read_over_dds() -> None:
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.qos import Policy, Qos
+    from cyclonedds.topic import Topic
+
+    domain = ros_domain()
+    settings = RosTopicSettings(
+        topic="/ecg", kind=SignalKind.ECG, unit="D82", rate_hz=130.0, channels=("I",), domain=domain
+    )
+    items: list[Samples | SensorReport] = []
+    runner = SensorRunner(
+        RosTopicDriver("strap", settings), items.append, timing=RunnerTiming(0.01, 0.02, 0.01)
+    )
+    task = asyncio.create_task(runner.run())
+    try:
+        qos = Qos(Policy.DataRepresentation(use_cdrv0_representation=True))
+        participant = DomainParticipant(domain)
+        made = type_of(SignalKind.ECG)
+        writer = DataWriter(participant, Topic(participant, "rt/ecg", made), qos=qos)
+
+        def publish() -> int:
+            values = np.array([[100.0], [250.0]])
+            ((_, message),) = messages_of(Samples("h10", ECG, time.time(), values), "p-1")
+            writer.write(as_dds(made, message))
+            return sum(isinstance(one, Samples) for one in items)
+
+        await until(publish)
+        first = next(one for one in items if isinstance(one, Samples))
+        assert first.source == "strap"
+        assert set(first.values.ravel()) <= {100.0, 250.0}
+        assert first.uncertainty_s > 0
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+
+
+def test_a_message_in_another_unit_is_refused_and_other_sensors_are_ignored() -> None:
+    ((name, message),) = messages_of(Samples("h10", ECG, 1.0, np.zeros((2, 1))))
+    given: dict[str, Any] = {"topic": "/ecg", "kind": "ecg", "rate_hz": 130, "channels": ["I"]}
+    volts = RosTopicDriver("strap", RosTopicSettings.model_validate({**given, "unit": "VLT"}))
+    with pytest.raises(PacketError, match="the settings say 1 in VLT"):
+        volts.read(name, message)
+    other = RosTopicDriver("s", RosTopicSettings.model_validate({**given, "unit": "D82", "source": "x"}))
+    assert other.read(name, message) is None
+
+
+@given(values=st.lists(st.floats(), max_size=9), channels=st.lists(st.text(max_size=3), max_size=3))
+def test_any_message_is_read_or_refused(values: list[float], channels: list[str]) -> None:
+    ((name, message),) = messages_of(Samples("h10", ECG, 1.0, np.zeros((2, 1))))
+    message["samples"].update(values=values, channels=channels)
+    driver = RosTopicDriver(
+        "s", RosTopicSettings(topic="/ecg", kind=SignalKind.ECG, unit="D82", rate_hz=130.0, channels=("I",))
+    )
+    with suppress(PacketError):
+        samples = driver.read(name, message)
+        assert samples is not None
+        assert len(samples.values) == len(values)
+
+
+def test_topics_of_other_signals_are_refused() -> None:
+    with pytest.raises(ValidationError, match="choose from ecg"):
+        RosTopicSettings(topic="/mood", kind=SignalKind.MOOD, unit="C62")
