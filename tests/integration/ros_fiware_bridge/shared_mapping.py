@@ -2,6 +2,21 @@
 
 BOTH_WAYS = """
 ros_to_ngsild:
+  body:
+    topic: /human/{person}/heart_rate
+    type: handover_human_msgs/msg/HeartRate
+    entity: HumanState:{info.subject}
+    on_change: true
+    attributes:
+      refPerson: {object: "Person:{info.subject}"}
+      heartRate:
+        field: rate_bpm
+        unit_code: BPM
+        dead_band: 1
+        sub_attributes:
+          status: {field: info.validity, values: {1: valid, 2: stale}, otherwise: implausible}
+          quality: {field: info.quality, dead_band: 0.2}
+          observedBy: {object: "Device:{info.source}"}
   joints:
     topic: /joint_states
     type: sensor_msgs/JointState

@@ -54,6 +54,28 @@ async def test_changes_within_the_dead_band_are_not_written(shop: Any) -> None:
     assert shop.rule("level")["dropped"] == 0
 
 
+async def test_a_status_is_written_with_its_value_and_a_change_of_it_counts(shop: Any) -> None:
+    publisher = await shop.publisher("/human/p_1/heart_rate", "handover_human_msgs/msg/HeartRate")
+    person = "urn:ngsi-ld:HumanState:demo:p-1"
+
+    async def becomes(status: str) -> Any:
+        async def is_there() -> Any:
+            found = [one for one in await shop.broker.query(type="HumanState") if one["id"] == person]
+            return found and found[0]["heartRate"]["status"]["value"] == status and found[0]["heartRate"]
+
+        return await shop.until(is_there, why=f"the status never became {status}")
+
+    info = {"subject": "p-1", "source": "strap", "quality": 0.9, "validity": 1}
+    publisher.publish({"rate_bpm": 92.0, "info": info})
+    rate = await becomes("valid")
+    assert (rate["value"], rate["quality"]["value"], rate["unitCode"]) == (92, 0.9, "BPM")
+    assert rate["observedBy"]["object"] == "urn:ngsi-ld:Device:demo:strap"
+    publisher.publish({"rate_bpm": 92.5, "info": {**info, "quality": 0.8}})  # within both dead bands
+    publisher.publish({"rate_bpm": 92.5, "info": {**info, "validity": 2}})
+    assert (await becomes("stale"))["value"] == 92.5
+    await shop.until(lambda: (rule := shop.rule("body"))["received"] == 3 and rule["forwarded"] == 2)
+
+
 async def test_the_rate_is_limited_and_the_last_value_is_written(shop: Any) -> None:
     publisher = await shop.publisher("/paced", "std_msgs/msg/Int32")
     for number in range(20):

@@ -154,6 +154,7 @@ def test_a_task_becomes_a_moveit_goal() -> None:
 def test_values_of_the_body_are_written_with_quality_status_and_sensor() -> None:
     info = {
         **TYPES.default("handover_human_msgs/msg/SignalInfo"),
+        "subject": "p-1",
         "source": "strap",
         "method": "ecg",
         "quality": 0.9,
@@ -162,7 +163,7 @@ def test_values_of_the_body_are_written_with_quality_status_and_sensor() -> None
     }
     made = planned("human-state")
     (rule,) = (one for one in made.ros_to_ngsild if one.name == "heart-rate")
-    extractor = rule.for_topic(made, "/human/p-1/heart_rate", {"person": "p-1"}).extractor
+    extractor = rule.for_topic(made, "/human/p_1/heart_rate", {"person": "p_1"}).extractor
     assert extractor is not None
     message = {**TYPES.default(extractor.type_name), "info": info, "rate_bpm": 92.46}
     state = extractor.extract(message, 1_770_000_000.0)
