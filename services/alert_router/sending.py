@@ -4,7 +4,8 @@ So a mail server that hangs delays nothing but its own channel, and no message i
 that was sent just before the end of the process may be sent again, with the same id. Failed attempts are
 repeated with backoff for `MAX_AGE_S`.
 
-Throttling: while more messages wait than the channel may send now, they are sent together in one.
+Throttling: while more messages wait than the channel may send now, they are sent together in one. What counts
+is in the log, so that a restart does not begin with a full allowance.
 """
 
 import asyncio
@@ -72,6 +73,7 @@ class Sending:
     async def _drain(self, name: str) -> None:
         backoff = Backoff(MIN_RETRY_S, MAX_RETRY_S)
         try:
+            await self._load_sent(name)
             while waiting := await asyncio.to_thread(self._store.waiting, name, MAX_TOGETHER):
                 channel = self._channel_of(name)
                 if channel is None:
@@ -89,6 +91,15 @@ class Sending:
                 self._sent_s[name].append(self._clock())
         finally:
             self._busy.discard(name)
+
+    async def _load_sent(self, name: str) -> None:
+        """Count what an earlier run has sent."""
+        channel = self._channel_of(name)
+        if name in self._sent_s or channel is None:
+            return
+        since_us = int((self._clock() - channel.throttle.per_s) * 1e6)
+        found = await asyncio.to_thread(self._store.sent_since, name, since_us, channel.throttle.maximum)
+        self._sent_s[name].extend(found)
 
     async def _send(self, channel: Channel, together: Sequence[Message]) -> bool:
         """Send messages in one; return whether the channel works."""

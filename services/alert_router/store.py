@@ -111,6 +111,22 @@ class Store:
         with self._engine.connect() as connection:
             return {row[0]: int(row[1]) for row in connection.execute(query)}
 
+    def sent_since(self, channel: str, since_us: int, limit: int) -> list[float]:
+        """Return when the newest messages were sent to a channel, in seconds, oldest first.
+
+        Messages that were sent together have the same time, and count once.
+        """
+        table = tables.messages
+        query = (
+            select(table.c.ended_us)
+            .where((table.c.channel == channel) & (table.c.state == SENT) & (table.c.ended_us > since_us))
+            .distinct()
+            .order_by(table.c.ended_us.desc())
+            .limit(limit)
+        )
+        with self._engine.connect() as connection:
+            return [ended_us / 1e6 for ended_us in reversed(connection.execute(query).scalars().all())]
+
     def mark(self, numbers: Sequence[int], state: str, now_us: int, error: str | None = None) -> None:
         """Store what became of an attempt to send messages."""
         table = tables.messages

@@ -22,6 +22,7 @@ from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.protocol.messages import MAX_LINE_BYTES
 from services.device_gateway.routes.views import MessageView, SeriesView
 from services.device_gateway.storage import history
+from services.device_gateway.storage.parquet import read_and_delete, write_parquet
 
 OF_DEVICE = in_path("Device", "device")
 INGEST: Final = "/ingest/{device}"
@@ -99,6 +100,23 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         headers = {"Content-Disposition": f'attachment; filename="{device}.csv"'}
         # Starlette iterates over it in a thread.
         return StreamingResponse(rows, media_type="text/csv; charset=utf-8", headers=headers)
+
+    @app.get(
+        "/devices/{device}/values.parquet", tags=["history"], response_class=Response, dependencies=[may_read]
+    )
+    async def values_parquet(
+        device: str,
+        name: Annotated[list[str] | None, Query()] = None,
+        begin: Time = None,
+        end: Time = None,
+    ) -> Response:
+        """Return every stored value as Parquet, with the columns of the CSV. Needs the extra `parquet`."""
+        series, interval = await _series(device, name), _interval(begin, end)
+        path = await asyncio.to_thread(write_parquet, engine, series, *interval)
+        headers = {"Content-Disposition": f'attachment; filename="{device}.parquet"'}
+        return StreamingResponse(
+            read_and_delete(path), media_type="application/vnd.apache.parquet", headers=headers
+        )
 
     @app.post(INGEST, tags=["devices"], dependencies=[Depends(OtherCredential("the token of the device"))])
     @max_body(MAX_LINE_BYTES)

@@ -1,6 +1,7 @@
 """The history: values and messages are durable, stored once, and summarized without loss."""
 
 import asyncio
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 from sqlalchemy import Engine, func, select
 
 from handover.database import connect
-from services.device_gateway.storage import history, tables
+from handover.errors import Problem
+from services.device_gateway.storage import history, parquet, tables
 from services.device_gateway.storage.history_writer import CommandRow, HistoryWriter, MessageRow
 from services.device_gateway.storage.retention import HOUR_US, MINUTE_US, RetentionRule, summarize
 from services.device_gateway.upkeep import apply_retention
@@ -120,3 +122,31 @@ async def test_old_values_become_minutes_then_hours_and_old_messages_go(engine: 
         ("a", 3600, 7199.0),
     ]
     writing.cancel()
+
+
+async def test_the_history_is_exported_as_parquet_in_several_groups(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pq = pytest.importorskip("pyarrow.parquet", reason="handover[parquet] is not installed")
+    writer = HistoryWriter(engine)
+    writer.add(values=[("d", name, T0_US + n, n + 0.5) for name in ("a", "b") for n in range(70)])
+    await writer.close()
+    monkeypatch.setattr(parquet, "GROUP_ROWS", 50)
+    path = parquet.write_parquet(engine, history.series_of(engine, "d"), T0_US + 10, T0_US + 1000)
+    copy = path.with_suffix(".copy")
+    copy.write_bytes(b"".join(parquet.read_and_delete(path)))
+    table = pq.read_table(copy)
+    copy.unlink()
+    assert not path.exists()
+    assert table.column("name").to_pylist() == ["a"] * 60 + ["b"] * 60
+    assert table.column("value").to_pylist() == [n + 0.5 for n in range(10, 70)] * 2
+    assert table.column("time").cast("int64").to_pylist()[0] == T0_US + 10
+    assert str(table.schema.field("time").type) == "timestamp[us, tz=UTC]"
+
+
+async def test_parquet_without_pyarrow_names_the_extra(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(Problem, match=r"handover\[parquet\]"):
+        parquet.write_parquet(engine, {}, 0, 1)

@@ -64,6 +64,10 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
           <Download aria-hidden size={18} />
           {t("history.csv")}
         </a>
+        <a className="button button--plain button--normal" href={`/api/${SERVICE}/${pathOf(device.name)}/values.parquet?${query}`} download={`${device.name}.parquet`}>
+          <Download aria-hidden size={18} />
+          {t("history.parquet")}
+        </a>
       </div>
       <ToggleButtonGroup className="device-history__values" aria-label={t("history.values")} selectionMode="multiple" selectedKeys={chosen} onSelectionChange={(keys) => setWanted(names.filter((name) => keys.has(name)).join(",") || (names[0] ?? ""))}>
         {names.map((name) => (
