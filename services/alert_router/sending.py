@@ -56,6 +56,7 @@ class Sending:
 
     async def run(self) -> None:
         """Send until cancelled."""
+        self._sent_s.clear()  # another replica may have sent meanwhile
         async with BackgroundTasks("alert router") as tasks:
             while True:
                 self._wake.clear()
