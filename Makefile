@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-load bench-sign-in bench-screen pictures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-load bench-sign-in bench-screen pictures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -164,7 +164,7 @@ lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with has
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
 
-bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices  ## measure everything
+bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-human-state  ## measure everything
 
 bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
 	@$(BIN)/python -m benchmarks.broker
@@ -195,6 +195,9 @@ bench-devices: setup  ## the device gateway: 1,000 devices at 1 Hz, values store
 
 bench-control: setup  ## people who move robots by hand: input to motion command, 50 users on 50 robots (ARGS="--users 10")
 	@$(BIN)/python -m benchmarks.control $(ARGS)
+
+bench-human-state: setup  ## body signals: beats, rates, faults, cost, beside neurokit2, xqrs and heartpy (ARGS=--quick)
+	@$(BIN)/python -m benchmarks.human_state $(ARGS)
 
 bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas behind HAProxy, sign-ins, latency (ARGS="--replicas 1")
 	@$(BIN)/python -m benchmarks.load $(ARGS)

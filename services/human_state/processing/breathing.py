@@ -12,6 +12,7 @@ Breathing from an ECG or a PPG alone is off by several breaths a minute on real 
 
 from collections import deque
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -29,6 +30,11 @@ GRID_HZ: Final = 8.0
 BAND_HZ: Final = (0.08, 0.75)
 EACH_S: Final = 1.0
 MAX_QUALITY_OF_BEATS: Final = 0.4
+
+
+@lru_cache(maxsize=32)
+def _breathing_filter(rate_hz: float) -> Floats:
+    return np.asarray(dsp.butter(2, [0.05, min(1.0, 0.45 * rate_hz)], "band", fs=rate_hz, output="sos"))
 
 
 def breathing_of(wave: Floats, rate_hz: float) -> tuple[float, float]:
@@ -57,9 +63,7 @@ def breathing_of(wave: Floats, rate_hz: float) -> tuple[float, float]:
     near = (np.abs(frequencies - found_hz) < width_hz) | (np.abs(frequencies - 2 * found_hz) < width_hz)
     all_power = float(power[(frequencies >= 0.05) & (frequencies <= 2.0)].sum())
     share = float(power[near].sum()) / max(all_power, 1e-30)
-    smooth = dsp.sosfiltfilt(
-        dsp.butter(2, [0.05, min(1.0, 0.45 * rate_hz)], "band", fs=rate_hz, output="sos"), wave
-    )
+    smooth = dsp.sosfiltfilt(_breathing_filter(rate_hz), wave)
     rises = np.flatnonzero((smooth[:-1] < 0) & (smooth[1:] >= 0))
     counted_hz = (len(rises) - 1) * rate_hz / (rises[-1] - rises[0]) if len(rises) >= 2 else 0.0
     agreement = float(np.clip(1.5 - abs(counted_hz - found_hz) * 60 / 4, 0.2, 1.0))

@@ -59,7 +59,7 @@ FLAT_AFTER_S: Final[dict[SignalKind, float]] = {
     SignalKind.PPG: 0.6,
     SignalKind.EMG: 0.5,
     SignalKind.EEG: 0.5,
-    SignalKind.ACCELERATION: 0.8,
+    SignalKind.ACCELERATION: 0.65,
     SignalKind.RESPIRATION: 3.0,
 }
 

@@ -11,6 +11,7 @@ uncalibrated and never feeds a limit.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -33,10 +34,15 @@ RED_NAMES: Final = frozenset({"red", "r", "660"})
 INFRARED_NAMES: Final = frozenset({"ir", "infrared", "940", "880"})
 
 
+@lru_cache(maxsize=32)
+def _band(lower_hz: float, upper_hz: float, rate_hz: float) -> Floats:
+    return np.asarray(dsp.butter(2, [lower_hz, upper_hz], "band", fs=rate_hz, output="sos"), np.float64)
+
+
 def pulse_of(ppg: Floats, rate_hz: float) -> tuple[float, float]:
     """Return the pulse rate in bpm of a window and its quality; (0, 0) where there is none."""
     upper_hz = min(PULSE_BAND_HZ[1], 0.45 * rate_hz)
-    band = dsp.butter(2, [PULSE_BAND_HZ[0], upper_hz], "band", fs=rate_hz, output="sos")
+    band = _band(PULSE_BAND_HZ[0], upper_hz, rate_hz)
     wave = np.asarray(dsp.sosfiltfilt(band, dsp.detrend(ppg)), np.float64)
     spread = float(wave.std())
     if spread <= 1e-12 * (1 + float(np.abs(ppg).max())):
@@ -94,7 +100,7 @@ def _likeness(wave: Floats, rises: NDArray[np.int_], period_s: float, rate_hz: f
 
 def saturation_of(red: Floats, infrared: Floats, rate_hz: float) -> float | None:
     """Return the uncalibrated SpO2 in percent, or None where there is no pulse or no steady light."""
-    band = dsp.butter(2, [0.6, min(4.0, 0.45 * rate_hz)], "band", fs=rate_hz, output="sos")
+    band = _band(0.6, min(4.0, 0.45 * rate_hz), rate_hz)
     means = float(red.mean()), float(infrared.mean())
     if min(means) <= 0:
         return None

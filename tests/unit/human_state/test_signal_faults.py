@@ -3,6 +3,7 @@
 import copy
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from services.human_state.model.signals import (
     SignalKind,
 )
 from services.human_state.processing.guard import SignalGuard
-from services.human_state.processing.pipeline import SignalPipeline, pipeline_for
+from services.human_state.processing.pipeline import SignalPipeline, pipeline_for, processors_for
 from services.human_state.processing.synthesis import (
     FAULTS,
     FaultName,
@@ -170,3 +171,37 @@ def test_a_processor_that_fails_is_dropped_by_name() -> None:
     assert "BrokenProcessor of ecg failed" in pipeline.take_reports()[0].text
     pipeline.feed(packets[1])
     assert pipeline.take_reports() == []
+
+
+PACKAGE = """
+from services.human_state.model.features import Feature, FeatureName
+from services.human_state.model.signals import SignalKind
+
+
+class Blinks:
+    def feed(self, samples):
+        return [Feature(FeatureName.MOVEMENT, samples.source, 0.5, samples.end_s, 1.0, method="blinks")]
+
+    def report(self, report):
+        return []
+
+
+def processor_for(info):
+    return Blinks() if info.kind is SignalKind.EOG else None
+"""
+
+
+def test_a_package_adds_a_processor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "blink_package.py").write_text(PACKAGE)
+    metadata = tmp_path / "blink_package-1.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: blink-package\nVersion: 1\n")
+    (metadata / "entry_points.txt").write_text(
+        "[handover.signal_processors]\nblinks = blink_package:processor_for\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    eog = SignalInfo(SignalKind.EOG, "D82", 100.0)
+    (processor,) = processors_for(eog)
+    (packet,) = packets_of(eog, np.random.default_rng(1).normal(size=(20, 1)), "eog", BEGIN_S, 20)
+    assert [feature.method for feature in processor.feed(packet)] == ["blinks"]
+    assert len(processors_for(ECG)) == 1
