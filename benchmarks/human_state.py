@@ -296,7 +296,9 @@ def measure_faults(count: int) -> None:
             delays.setdefault(name, []).append(delay_s)
     late = sum(delay > 1.0 for each in delays.values() for delay in each)
     print(f"  not found {missed}, found later than 1 s {late}, false plausible values {wrong}")
-    print("  a wrong rate, and a strap off that the sensor does not report (quiet), show in the second packet")
+    print(
+        "  a wrong rate, and a strap off that the sensor does not report (quiet), show in the second packet"
+    )
     for name, each in delays.items():
         print(f"  {name:10} {len(each):4} found, median {np.median(each):.2f} s, longest {max(each):.2f} s")
 
