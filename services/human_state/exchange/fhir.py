@@ -21,6 +21,7 @@ import numpy as np
 
 from services.human_state.formats.errors import ExchangeError
 from services.human_state.formats.extra import required
+from services.human_state.formats.json_messages import Recorded
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 
@@ -272,6 +273,31 @@ def bundle_of(observations: Iterable[Mapping[str, Any]], session: str, at_s: flo
         "entry": list(entries.values()),
     }
     return _checked(bundle)
+
+
+def session_bundle(
+    items: Iterable[Recorded], subject: str, session: str, at_s: float
+) -> tuple[dict[str, Any], int]:
+    """Return the Bundle of a recording, and how many of its signals and features FHIR cannot hold.
+
+    These are features that are not finite, and signals without a rate or with a unit without a UCUM code.
+    Reports of sensors and markers are no observations of the person and are not counted.
+    """
+    observations: list[dict[str, Any]] = []
+    left_out = 0
+    for item in items:
+        if isinstance(item, Feature):
+            is_written = isinstance(item.value, str) or math.isfinite(item.value)
+            if is_written:
+                observations.append(observation_of(item, subject))
+        elif isinstance(item, Samples):
+            is_written = item.info.rate_hz is not None and item.info.unit in _UCUM_OF_SIGNAL
+            if is_written:
+                observations.append(waveform_of(item, subject))
+        else:
+            continue
+        left_out += not is_written
+    return bundle_of(observations, session, at_s), left_out
 
 
 def read_bundle(bundle: Mapping[str, Any]) -> tuple[list[Feature], list[Samples]]:

@@ -27,7 +27,7 @@ MAX_MESSAGE_BYTES: Final = 16 * 2**20
 class McapWriter:
     """Writes one recording to a binary stream; the stream stays open after `close`.
 
-    Not thread-safe. A file without `close` has no index, but can be read up to its last chunk.
+    Not thread-safe. A file without `close` has no index: `mcap recover` makes it readable.
     """
 
     def __init__(

@@ -15,8 +15,9 @@ from fhir.resources.observation import Observation
 
 from services.human_state.exchange import fhir
 from services.human_state.formats.errors import ExchangeError
+from services.human_state.formats.json_messages import Marker
 from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
+from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
 from tests.unit.human_state.exchange.random_signals import features, same_values
 
 RATE = Feature(FeatureName.HEART_RATE, "h10", 92.5, 1_770_000_000.25, 0.9, method="ecg 1.0")
@@ -156,3 +157,18 @@ def test_a_session_is_a_bundle_and_comes_back(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(fhir, "MAX_ENTRIES", 1)
     with pytest.raises(ExchangeError, match="at most 1 "):
         fhir.bundle_of(items, "urn:x:y", 0.0)
+
+
+def test_a_recording_becomes_a_bundle_and_says_what_is_left_out() -> None:
+    irregular = replace(ECG, info=replace(ECG.info, rate_hz=None), times_s=np.array([1.0, 2.0, 3.0]))
+    items = [
+        RATE,
+        ECG,
+        Marker(1.0, "task"),
+        SensorReport("h10", 1.0),
+        replace(RATE, value=float("inf")),
+        irregular,
+    ]
+    bundle, left_out = fhir.session_bundle(items, "p-1", "urn:ngsi-ld:PhysiologicalSession:demo:s", 0.0)
+    assert (len(bundle["entry"]), left_out) == (2, 2)
+    assert bundle["identifier"]["value"] == "urn:ngsi-ld:PhysiologicalSession:demo:s"
