@@ -18,9 +18,11 @@ from glove_sdk_bridge.frames import Hello
 from handover import health
 from handover.alert_catalogue import CERTIFICATE_EXPIRES
 from handover.broker import BrokerClient
+from handover.certificate_watch import CertificateWatch
 from handover.settings import Settings
 from handover.tls_trust import client_context
 from handover.transport_security.local_authority import ServerFiles
+from handover.transport_security.server_certificate import ServerCertificate
 from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import Certificates, wait_ready_over_tls
 from tests.kit.waiting import until, wait_for
@@ -141,6 +143,33 @@ async def test_a_certificate_that_expires_soon_raises_an_alert_until_it_is_renew
             return await active() == set()
 
         await until(all_cleared, 60)
+
+
+@pytest.mark.parametrize(
+    ("expires_in", "is_raised"),
+    [(timedelta(hours=6), True), (timedelta(days=6, hours=23), True), (timedelta(days=7, hours=1), False)],
+    ids=["tonight", "in a week", "later"],
+)
+async def test_an_alert_is_raised_a_week_before_a_certificate_expires(
+    shared_cell: Cell, certificates: Certificates, expires_in: timedelta, is_raised: bool
+) -> None:
+    shared_cell.run("context_broker")
+    service = f"lamp-{expires_in.total_seconds():.0f}"
+    files = certificates.make(server=service, expires_in=expires_in)
+    settings = Settings.load(
+        tls_certificate=files.certificate,
+        tls_key=files.key,
+        broker_url=shared_cell.url("context_broker"),
+    )
+    certificate = ServerCertificate.of(settings)
+    assert certificate is not None
+    async with BrokerClient(settings) as broker:
+        await CertificateWatch(certificate, settings, service, broker).look()
+        found = await broker.query(type="Alert")
+        mine = [one for one in found if one["alertSource"]["object"].endswith(f":{service}")]
+        assert [one["subCategory"]["value"] for one in mine] == (
+            [CERTIFICATE_EXPIRES.sub_category] if is_raised else []
+        )
 
 
 def test_a_server_with_an_expired_certificate_does_not_start(

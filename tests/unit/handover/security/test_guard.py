@@ -147,6 +147,23 @@ async def test_a_revocation_ends_the_tokens_issued_before_it(
     assert (await http.get("/state", headers=other)).status_code == (401 if name == "session-1" else 200)
 
 
+async def test_a_captured_token_is_of_no_use_in_another_cell_or_with_other_content(
+    http: httpx.AsyncClient, tmp_path: Path, revocations: FollowedRevocations
+) -> None:
+    set_up_accounts(tmp_path)
+    revocations.apply({"position": 0, "revoked": []})
+    owner = Caller(CallerKind.USER, "subject-1", "Anna", (Grant(Role.ENGINEER),))
+    of_another_cell = SigningKey.generate().issue(owner, valid_s=60)
+    head, body, signature = KEY.issue(owner, valid_s=60).split(".")
+    viewer = KEY.issue(Caller(CallerKind.USER, "subject-2", "Vera", (Grant(Role.VIEWER),)), valid_s=60)
+    mixed = ".".join((head, body, viewer.rpartition(".")[2]))
+    for replayed in (of_another_cell, mixed, f"{head}.{body}."):
+        answer = await http.post("/robots/ur10-1/jog", headers={"Authorization": f"Bearer {replayed}"})
+        assert answer.status_code == 401, replayed
+    whole = {"Authorization": f"Bearer {head}.{body}.{signature}"}
+    assert (await http.post("/robots/ur10-1/jog", headers=whole)).status_code == 200
+
+
 async def test_an_expired_token_is_refused_though_it_was_accepted_before(
     http: httpx.AsyncClient, tmp_path: Path
 ) -> None:
