@@ -1,6 +1,7 @@
 """The services of a cell: name, module and port."""
 
 import importlib
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from handover.errors import UsageError
@@ -12,6 +13,7 @@ from services.alert_router.settings import RouterSettings
 from services.context_broker.settings import BrokerSettings
 from services.device_gateway.settings import GatewaySettings
 from services.gesture_controller.settings import ControllerSettings
+from services.human_state.settings import HumanStateSettings
 from services.study.settings import StudySettings
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.trajectory_tool.settings import TrajectorySettings
@@ -43,15 +45,19 @@ SERVICES = (
     Service("study", "services.study", StudySettings, "study_port"),
     Service("webui", "webui", WebuiSettings, "webui_port"),
 )
+HUMAN_STATE = Service("human-state", "services.human_state", HumanStateSettings, "human_state_port")
+HUMAN_STATE_NEEDS = ("numpy", "scipy", "neurokit2")
+"""Packages of the extra `human-state`, without which the service cannot start."""
 ROS_BRIDGE = Service("ros-bridge", "ros_fiware_bridge", BridgeSettings, "bridge_port")
-OPTIONAL_SERVICES = (ROS_BRIDGE,)
-"""Services that start only with a setting."""
+OPTIONAL_SERVICES = (HUMAN_STATE, ROS_BRIDGE)
+"""Services that start only with an extra or a setting."""
 
 
 def wanted() -> tuple[Service, ...]:
-    """Return the services of the cell: with the ROS bridge if it has a mapping, and with extra ones."""
-    bridge = OPTIONAL_SERVICES if BridgeSettings.load().ros_mapping is not None else ()
-    return (*SERVICES, *bridge, *map(_extra, Settings.load().extra_services))
+    """Return the services of the cell: human state with its extra, the bridge with a mapping, and others."""
+    body = (HUMAN_STATE,) if all(map(find_spec, HUMAN_STATE_NEEDS)) else ()
+    bridge = (ROS_BRIDGE,) if BridgeSettings.load().ros_mapping is not None else ()
+    return (*SERVICES, *body, *bridge, *map(_extra, Settings.load().extra_services))
 
 
 def all_services() -> tuple[Service, ...]:

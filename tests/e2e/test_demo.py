@@ -24,6 +24,7 @@ SERVICES = {
     "device_gateway",
     "alert_router",
     "study",
+    "human_state",
     "accounts",
     "webui",
 }

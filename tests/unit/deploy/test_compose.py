@@ -25,7 +25,7 @@ SERVICES = (*USUAL, *OPTIONAL_SERVICES)
 OURS = {
     name: each
     for name, each in CONTAINERS.items()
-    if each["image"].startswith(("handover:", "handover-motion:", "handover-ros:"))
+    if each["image"].startswith(("handover:", "handover-motion:", "handover-human-state:", "handover-ros:"))
 }
 INIT = "init"
 """Ends once certificates, tokens, secrets and accounts are made."""

@@ -11,8 +11,7 @@ import pytest
 import yaml
 from prometheus_client import REGISTRY
 
-from handover.cli.services import SERVICES
-from ros_fiware_bridge.settings import BridgeSettings
+from handover.cli.services import OPTIONAL_SERVICES, SERVICES
 
 HERE = Path(__file__).parents[3] / "deploy" / "observability"
 DASHBOARD: dict[str, Any] = json.loads((HERE / "dashboards" / "handover.json").read_text())
@@ -78,14 +77,15 @@ def test_prometheus_asks_every_service_where_it_listens() -> None:
     }
 
 
-def test_prometheus_asks_a_service_of_a_profile_where_there_is_one() -> None:
-    name, profile = "ros-bridge", "ros"
+@pytest.mark.parametrize(("name", "profile"), [("ros-bridge", "ros"), ("human-state", "human-state")])
+def test_prometheus_asks_a_service_of_a_profile_where_there_is_one(name: str, profile: str) -> None:
     jobs = yaml.safe_load((HERE / "prometheus.yml").read_text())["scrape_configs"]
     (job,) = [job for job in jobs if job["job_name"] == name]
     (found,) = job["dns_sd_configs"]
     compose = yaml.safe_load((HERE.parents[1] / "docker-compose.yml").read_text())
     assert compose["services"][found["names"][0]]["profiles"] == [profile]
-    assert found["port"] == BridgeSettings.model_fields["bridge_port"].default
+    (service,) = (one for one in OPTIONAL_SERVICES if one.name == name)
+    assert found["port"] == service.settings.model_fields[service.port_field].default
 
 
 def test_the_dashboard_asks_the_source_that_is_provisioned() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from handover import ports
+from handover.cli import services
 from handover.cli.doctor import examine
 from handover.settings import Settings
 
@@ -19,6 +20,7 @@ def test_ports_that_are_not_reserved_are_named_with_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ports, "_SYSCTL", tmp_path)
+    monkeypatch.setattr(services, "HUMAN_STATE_NEEDS", ("a_package_that_is_not_there",))
     (tmp_path / "ip_local_port_range").write_text("32768\t60999\n")
     (tmp_path / "ip_local_reserved_ports").write_text("40000-40001\n")
     ok, words = finding(tmp_path)
