@@ -43,7 +43,7 @@ from webui.live.live_state import LiveState, Reader
 from webui.live.viewers import Viewers
 from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, OperatorView
 from webui.service_credentials import ServiceCredentials
-from webui.settings import TRAJECTORY, WebuiSettings
+from webui.settings import GATEWAY, TRAJECTORY, WebuiSettings
 from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
 from webui.sources.broker_entities import BrokerEntities
@@ -203,6 +203,13 @@ def _add_api(app: FastAPI, components: Components) -> None:
     )
     async def control(socket: WebSocket, robot: str) -> None:
         await components.control.serve(socket, TRAJECTORY, robot)
+
+    @app.websocket(
+        "/api/device-gateway/robots/{robot}/control",
+        dependencies=[require(Permission.MOVE_ROBOTS, in_path("Device", "robot"))],
+    )
+    async def drive(socket: WebSocket, robot: str) -> None:
+        await components.control.serve(socket, GATEWAY, robot)
 
     @app.get("/api/events", tags=["events"])
     async def events(

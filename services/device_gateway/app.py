@@ -28,6 +28,7 @@ from services.device_gateway.routes.anomaly_routes import add_anomaly_routes
 from services.device_gateway.routes.command_routes import add_command_routes
 from services.device_gateway.routes.control_routes import add_control_routes
 from services.device_gateway.routes.device_routes import add_device_routes
+from services.device_gateway.routes.drive_routes import add_drive_routes
 from services.device_gateway.routes.history_routes import add_history_routes
 from services.device_gateway.settings import GatewaySettings
 from services.device_gateway.storage import tables
@@ -106,10 +107,15 @@ def make_app(settings: GatewaySettings) -> FastAPI:
     add_device_routes(app, settings, gateway, engine, broker)
     add_adapter_routes(app, adapters)
     add_command_routes(app, gateway, engine)
-    add_control_routes(app, gateway, inputs)
+    _add_routes_of_control(app, gateway, inputs)
     add_history_routes(app, gateway, engine)
     add_anomaly_routes(app, settings, gateway, engine, anomalies)
     return app
+
+
+def _add_routes_of_control(app: FastAPI, gateway: DeviceGateway, inputs: DeviceInputs) -> None:
+    add_control_routes(app, gateway, inputs)
+    add_drive_routes(app, gateway)
 
 
 def _rule_of(settings: GatewaySettings) -> RetentionRule:

@@ -98,6 +98,9 @@ class DeviceClient:
         self._tls = tls
         self._on_state = on_state or (lambda _: None)
         self._commands: dict[str, Command] = {}
+        self._drive: Callable[[Message | None], object] | None = None
+        self._motion: tuple[Message, float] | None = None
+        self._has_motion = threading.Event()
         self._runs: dict[str, Run] = {}
         self._answers: OrderedDict[str, Message] = OrderedDict()
         self._waiting: OrderedDict[int, Message] = OrderedDict()
@@ -116,8 +119,27 @@ class DeviceClient:
 
         return registered
 
+    def drive(self, function: Callable[[Message | None], object]) -> Callable[[Message | None], object]:
+        """Register a function that moves the robot while a person drives it. A decorator.
+
+        It gets each message with velocities, `base` (x, y in m/s, rz in rad/s) or `joints` (rad/s by name),
+        and None when the robot must stop: the person has released the control, or no message has arrived in
+        time. It is called by a thread of its own and must not block. A robot that walks goes to its stand.
+        """
+        self._drive = function
+        return function
+
+    def rests(self, data: Mapping[str, Any] | None = None) -> None:
+        """Say that the robot has come to rest after it was driven."""
+        with self._lock:
+            seq = self._motion[0].get("seq") if self._motion is not None else None
+        self.event("rest", dict(data or {}, seq=seq))
+
     def start(self) -> None:
         """Connect in the background."""
+        if self._drive is not None:
+            watch, drive = self._watch_motion, self._drive
+            threading.Thread(target=watch, args=(drive,), name=f"drive {self.device}", daemon=True).start()
         self._thread = threading.Thread(target=self.run, name=f"device {self.device}", daemon=True)
         self._thread.start()
 
@@ -190,6 +212,8 @@ class DeviceClient:
                 "token": self._token,
             }
             hello.update(boot=self.boot, takes=sorted(self._commands))
+            if self._drive is not None:
+                hello["drives"] = True
             connection.sendall(_line(hello))
             self._check(lines.next(10.0))
             with self._lock:
@@ -231,6 +255,29 @@ class DeviceClient:
             self._check(message if "retry" in message else None)
         if kind == "command":
             self._process_command(message)
+        if kind == "drive":
+            with self._lock:
+                self._motion = message, time.monotonic()
+            self._has_motion.set()
+
+    def _watch_motion(self, drive: Callable[[Message | None], object]) -> None:
+        """Pass on the newest velocities, and None once when they are no longer valid."""
+        moves, done = False, -1.0
+        while not self._stopped.is_set():
+            with self._lock:
+                message, at_s = self._motion or ({"held": False}, 0.0)
+            left_s = at_s + float(message.get("validS", 0.0)) - time.monotonic()
+            if message["held"] and left_s > 0:
+                if at_s != done:
+                    moves, done = True, at_s
+                    drive(message)
+            elif moves:
+                moves = False
+                drive(None)
+            self._has_motion.wait(left_s if moves and left_s > 0 else 1.0)
+            self._has_motion.clear()
+        if moves:
+            drive(None)
 
     def _process_command(self, message: Message) -> None:
         identifier, parameters = message["id"], message.get("parameters") or {}

@@ -80,6 +80,8 @@ class DeviceInputs:
 
     def __init__(self, settings: GatewaySettings, gateway: DeviceGateway) -> None:
         self._url = settings.url_of(settings.trajectory_port, settings.trajectory_url)
+        self._own_url = settings.url_of(settings.gateway_port, settings.gateway_url)
+        self._gateway = gateway
         self._ca_files = settings.ca_files
         gateway.on_input = self.receive
         gateway.on_disconnected = partial(self.end, reason="the device has disconnected")
@@ -116,7 +118,8 @@ class DeviceInputs:
                 f"{device} drives {before.robot} already; end that control first",
             )
         path = f"/robots/{quote(robot, safe='')}/control?{urlencode(query)}"
-        url = f"ws{self._url.removeprefix('http')}{path}"
+        service = self._own_url if robot in self._gateway.devices and robot != device else self._url
+        url = f"ws{service.removeprefix('http')}{path}"
 
         def link_of(on_message: Any) -> ControlLink:
             return ControlLink(url, credentials, on_message, self._ca_files)

@@ -254,7 +254,9 @@ class DeviceGateway:
                 device = self.with_certificate(hello.device, certificate_sha256)
         except (WrongToken, WrongCertificate) as wrong:
             raise Refused(wrong.code, str(wrong)) from None
-        return self._begin(device, hello.boot, link)
+        session = self._begin(device, hello.boot, link)
+        device.drives = hello.drives
+        return session
 
     def attach(self, name: str, link: Link, boot: str = "") -> Session:
         """Begin the session of a device that an adapter has identified by other means than a token.
@@ -294,7 +296,7 @@ class DeviceGateway:
         """Note that a connection has ended, unless it was replaced before."""
         self.dispatcher.disconnect(device.name, link)
         if device.link is link:
-            device.link = None
+            device.link, device.drives = None, False
             device.has_news = True
             metrics.CONNECTED.dec()
             self._reports.put(device)

@@ -25,3 +25,8 @@ ADAPTER_CONNECTED = Gauge(
 ANOMALIES = Counter("handover_device_anomalies_total", "Alarms of rules that went on or off", ["change"])
 WATCHES = Gauge("handover_device_watches", "Values of devices that rules watch")
 PROCESSES = Counter("handover_device_processes_total", "Processes that alarms were to start", ["outcome"])
+DRIVE_STOP_BEGIN = Histogram(
+    "handover_device_drive_stop_begin_seconds",
+    "From a release of the dead-man control, or the loss of its messages, to the stop message to the robot",
+    buckets=(0.001, 0.002, 0.004, 0.008, 0.015, 0.04, 0.1, 0.3),
+)

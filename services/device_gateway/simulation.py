@@ -12,12 +12,16 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from services.device_gateway.device_client import DeviceClient, Run
-from services.device_gateway.model.description import CommandKind, DeviceDescription, DeviceKind
+from services.device_gateway.model.description import ROBOTS, CommandKind, DeviceDescription, DeviceKind
 from services.device_gateway.registry.templates import templates
 
 STEP_S: Final = 0.1
 COMMAND_S: Final = 2.0
 """How long a command takes."""
+STAND_S: Final = 0.3
+"""How long a walking robot takes to its stand."""
+DRIVEN_PERIOD_S: Final = 0.1
+"""Between values while a person drives the device."""
 DEFAULT_RANGE: Final = (0.0, 100.0)
 
 
@@ -33,6 +37,16 @@ class SimulatedDevice:
         self._phase = random.uniform(0, 2 * math.pi)  # noqa: S311 - not used for security
         self._moving = threading.Lock()
         self._stopped = threading.Event()
+        self._driven = threading.Event()
+        self._stand_up: threading.Timer | None = None
+        self._driven_s = 0.0
+        self._velocities: dict[str, float] = {}
+        self._base = (0.0, 0.0, 0.0)
+        self._walks = description.kind is DeviceKind.HUMANOID
+        self.place = [0.0, 0.0, 0.0]
+        """Of the base: x and y in m, and its direction in rad."""
+        if self._joints or description.kind in ROBOTS:
+            client.drive(self._drive)
         for command in description.commands:
             is_motion = command.kind is CommandKind.MOTION
             client.command(command.name)(self._move if is_motion else self._act)
@@ -58,9 +72,63 @@ class SimulatedDevice:
                 found[name] = round(low + (high - low) * (0.5 + 0.3 * wave), 4)
         return found
 
+    def _drive(self, motion: Mapping[str, Any] | None) -> None:
+        """Follow velocities until the next ones; come to rest without: a walking robot goes to its stand."""
+        if not self._moving.acquire(blocking=False):
+            return  # a command moves it
+        try:
+            self._advance(time.monotonic())
+            if motion is None:
+                self._velocities = {}
+                self._base = (0.0, 0.0, 0.0)
+            else:
+                self._velocities = {
+                    name: float(speed)
+                    for name, speed in motion.get("joints", {}).items()
+                    if name in self._positions
+                }
+                x, y, turn = motion.get("base", (0.0, 0.0, 0.0))
+                self._base = (float(x), float(y), float(turn))
+        finally:
+            self._moving.release()
+        if motion is not None:
+            if self._stand_up is not None:
+                self._stand_up.cancel()
+                self._stand_up = None
+            if not self._driven.is_set():
+                self._driven.set()
+                self.client.state("busy")
+            return
+        self._driven.clear()
+        self._stand_up = threading.Timer(STAND_S if self._walks else 0.0, self._rest)
+        self._stand_up.daemon = True
+        self._stand_up.start()
+
+    def _rest(self) -> None:
+        self.client.state("idle")
+        self.client.rests({"posture": "Stand"} if self._walks else {})
+
+    def _advance(self, now_s: float) -> None:
+        """Move on to a time with the velocities since the last one."""
+        passed_s, self._driven_s = min(now_s - self._driven_s, 2 * DRIVEN_PERIOD_S), now_s
+        for name, speed in self._velocities.items():
+            limits = self._values[name]
+            position = self._positions[name] + speed * passed_s
+            low = -math.inf if limits.minimum is None else limits.minimum
+            high = math.inf if limits.maximum is None else limits.maximum
+            self._positions[name] = min(max(position, low), high)
+        x, y, turn = self._base
+        c, s = math.cos(self.place[2]), math.sin(self.place[2])
+        self.place[0] += (c * x - s * y) * passed_s
+        self.place[1] += (s * x + c * y) * passed_s
+        self.place[2] += turn * passed_s
+
     def _send_values(self) -> None:
         self.client.state("idle", 0.9)
-        while not self._stopped.wait(self._period_s):
+        while not self._stopped.is_set():
+            self._driven.wait(self._period_s)
+            if self._stopped.wait(DRIVEN_PERIOD_S if self._driven.is_set() else 0.0):
+                return
             now_s = time.time()
             values = self.values_at(now_s)
             if values:

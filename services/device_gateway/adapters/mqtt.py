@@ -121,6 +121,10 @@ class MqttLink:
         """Publish a message; a command expires with its deadline."""
         self._adapter.put(self._name, message, expires_s=message.get("remaining"))
 
+    def send_latest(self, message: Mapping[str, Any]) -> bool:  # noqa: ARG002
+        """Return False: what is published may wait in the server."""
+        return False
+
     def end(self, code: str, reason: str, *, retry: bool) -> None:
         """Publish why the session has ended."""
         self._adapter.forget(self._name, self)

@@ -187,6 +187,14 @@ class DeviceConnection(asyncio.Protocol):
         if self._transport is not None and not self._transport.is_closing():
             self._transport.write(encode(message))
 
+    def send_latest(self, message: Mapping[str, Any]) -> bool:
+        """Send a message unless earlier ones still wait for the device to read them."""
+        transport = self._transport
+        if transport is None or transport.is_closing() or transport.get_write_buffer_size() > 0:
+            return False
+        self.send(message)
+        return True
+
     def end(self, code: str, reason: str, *, retry: bool) -> None:
         """Send the reason, and whether to connect again, and close."""
         self.refuse(code, reason, retry=retry)

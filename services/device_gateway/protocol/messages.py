@@ -72,6 +72,8 @@ class Hello:
     boot: str = ""
     measures: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
+    drives: bool = False
+    """Whether the program follows the velocities of `drive` messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +153,10 @@ def parse_hello(line: bytes, *, needs_token: bool = True) -> Hello:
         )
     if not isinstance(boot, str) or not _BOOT.fullmatch(boot):
         raise BadMessage("badHello", "boot must be up to 64 letters, digits, '_', '.' or '-'")
-    return Hello(device, token, boot, _names(given, "measures"), _names(given, "takes"))
+    drives = given.get("drives", False)
+    if not isinstance(drives, bool):
+        raise BadMessage("badHello", "drives must be true or false")
+    return Hello(device, token, boot, _names(given, "measures"), _names(given, "takes"), drives)
 
 
 def parse_message(line: bytes) -> Message:

@@ -27,6 +27,9 @@ class Link(Protocol):
     def send(self, message: Mapping[str, Any]) -> None:
         """Send a message to the device."""
 
+    def send_latest(self, message: Mapping[str, Any]) -> bool:
+        """Send a message that must not wait; return False, without sending it, if it would."""
+
     def end(self, code: str, reason: str, *, retry: bool) -> None:
         """Send the reason and close the connection; `retry` says whether the device should connect again."""
 
@@ -75,6 +78,8 @@ class Device:
     battery_level: float | None = None
     event: tuple[str, Any, float] | None = None
     link: Link | None = None
+    drives: bool = False
+    """Whether the connected program follows velocities."""
     seen_at: float | None = None
     has_news: bool = False
     """Whether something differs from what the broker has, beyond the dead bands."""

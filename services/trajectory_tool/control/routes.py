@@ -9,29 +9,21 @@ from uuid import uuid4
 
 import orjson
 from fastapi import FastAPI, WebSocket
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from datamodels.entities import DeviceState
 from datamodels.streams import HumanInput
 from handover.background_tasks import BackgroundTasks
 from handover.control.lease import Leases
+from handover.control_leasing import OF_ROBOT, REVOKED_CODE, OpenSessions, Person, acquire, add_lease_routes
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
-from handover.security.guard import guard_of, in_path, require
+from handover.security.guard import guard_of, require
 from handover.security.permissions import Permission
 from handover.telemetry import get_logger
 from services.trajectory_tool.cell import Cell
-from services.trajectory_tool.control.leasing import (
-    HANDED_OVER_CODE,
-    REVOKED_CODE,
-    LeaseView,
-    OpenSessions,
-    Person,
-    acquire,
-    view_of,
-)
 from services.trajectory_tool.control.recording import Recording
 from services.trajectory_tool.control.recording_routes import add_recording_routes
 from services.trajectory_tool.control.session import ControlSession, RobotBusy
@@ -51,85 +43,26 @@ IDLE_CODE: Final = 4408
 MAX_MESSAGE_BYTES: Final = 4096
 MAX_GAMMA: Final = 2.0
 
-_OF_ROBOT = in_path("Device", "robot")
-
 Find = Callable[[str], tuple[Cell, tuple[Cell, ...], Callable[[DeviceState], None]]]
 """Returns the cell of a robot, those of the others, and how its Device's state is written. Raises `Problem`.
 """
 
 
-class HandOver(BaseModel):
-    """The session that gets the control: the id of one that waits."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    to: Annotated[str, Field(min_length=1, max_length=64)]
-
-
 def add_routes(app: FastAPI, find: Find, leases: Leases, data_dir: Path) -> None:
     """Add the routes of control."""
     sessions = OpenSessions()
-    _add_rest(app, find, leases, sessions)
+    add_lease_routes(app, find, leases, sessions)
     _add_socket(app, find, leases, sessions, data_dir)
     add_recording_routes(app, data_dir)
-
-
-def _add_rest(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions) -> None:
-
-    @app.get("/robots/{robot}/control", tags=["control"], dependencies=[require(Permission.READ, _OF_ROBOT)])
-    async def control_of(robot: str) -> LeaseView:
-        """Return who controls a robot, and who waits for the control."""
-        cell, _, _ = find(robot)
-        return view_of(cell.name, leases)
-
-    @app.delete(
-        "/robots/{robot}/control",
-        tags=["control"],
-        dependencies=[require(Permission.MANAGE_SETTINGS, _OF_ROBOT)],
-    )
-    async def revoke(robot: str) -> LeaseView:
-        """Take the control of a robot away from the person who has it; the robot stops."""
-        cell, _, _ = find(robot)
-        ended = leases.revoke(cell.name)
-        sessions.end(ended, REVOKED_CODE, "an admin took the control away")
-        if ended is not None:
-            log.info("control taken away", robot=cell.name, holder=ended.name)
-        return view_of(cell.name, leases)
-
-    @app.post("/robots/{robot}/control/hand-over", tags=["control"])
-    async def hand_over(
-        robot: str, body: HandOver, caller: Annotated[Caller, require(Permission.MOVE_ROBOTS, _OF_ROBOT)]
-    ) -> LeaseView:
-        """Hand the control over to a person who waits for it; 409 unless the caller has it."""
-        cell, _, _ = find(robot)
-        lease = leases.of(cell.name)
-        if lease is None or lease.subject != caller.subject:
-            raise _problem_without_control(cell.name)
-        ended = leases.hand_over(cell.name, body.to)
-        if ended is None:
-            raise Problem(
-                404,
-                "Nobody waits",
-                message(
-                    "robot.control_not_waiting",
-                    "this person waits for the control of {robot} no longer",
-                    robot=cell.name,
-                ),
-            )
-        receiver = leases.of(cell.name)
-        sessions.end(
-            ended, HANDED_OVER_CODE, f"handed over to {receiver.name if receiver else 'nobody'}"[:120]
-        )
-        return view_of(cell.name, leases)
 
 
 def _add_socket(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions, data_dir: Path) -> None:
     @app.websocket("/robots/{robot}/control")
     async def control(
-        socket: WebSocket, robot: str, caller: Annotated[Caller, require(Permission.MOVE_ROBOTS, _OF_ROBOT)]
+        socket: WebSocket, robot: str, caller: Annotated[Caller, require(Permission.MOVE_ROBOTS, OF_ROBOT)]
     ) -> None:
         await socket.accept()
-        session_id, person = uuid4().hex, Person(caller, guard_of(socket), _OF_ROBOT(socket))
+        session_id, person = uuid4().hex, Person(caller, guard_of(socket), OF_ROBOT(socket))
         try:
             cell, others, set_state = find(robot)
             gamma = _gamma(socket.query_params.get("gamma"))
@@ -290,15 +223,3 @@ def _recording_of(socket: WebSocket, data_dir: Path, cell: Cell, caller: Caller)
 async def _close(socket: WebSocket, code: int, reason: str) -> None:
     with suppress(RuntimeError, WebSocketDisconnect):
         await socket.close(code, reason[:120])
-
-
-def _problem_without_control(robot: str) -> Problem:
-    return Problem(
-        409,
-        "Not in control",
-        message(
-            "robot.control_not_yours",
-            "you do not control {robot}, so you cannot hand it over; take the control first",
-            robot=robot,
-        ),
-    )

@@ -6,8 +6,7 @@ import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
 import { Select } from "~/design/Select";
 import { useTopic, useTopicSelector } from "~/live/hooks";
-import { useRobotNames } from "~/live/names";
-import { useRobotDescription } from "~/robot/description";
+import { useRobotDescription, type JointDescription } from "~/robot/description";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo } from "~/session/session";
 import { ArrangeMenu, PanelActions } from "./Arrange";
@@ -19,17 +18,19 @@ import { LatencyPanel } from "./LatencyPanel";
 import { LeaseCard } from "./LeaseCard";
 import { isArrangement, ordered, STANDARD, type PanelId } from "./panels";
 import { PresetsPanel } from "./PresetsPanel";
+import { useGatewayLease, useRegistered, useRobots, useToolLease, type ControlledRobot, type Lease } from "./robots";
 import { SharedPanel } from "./SharedPanel";
-import { useControl } from "./useControl";
+import type { Driver } from "./driver";
+import { useControl, type Control } from "./useControl";
 import { useUserSetting } from "./useUserSetting";
 import { ViewPanel } from "./ViewPanel";
 import "./ControlPage.css";
 
 export default function ControlPage() {
   const { t } = useTranslation("control");
-  const robots = useRobotNames();
+  const robots = useRobots();
   const [wanted, setWanted] = useQueryParameter("robot");
-  const robot = robots.includes(wanted) ? wanted : robots[0];
+  const robot = robots.find((one) => one.name === wanted) ?? robots[0];
   if (!mayDo("moveRobots")) return <EmptyState title={t("notAllowed.title")}>{t("notAllowed.means")}</EmptyState>;
   if (robot === undefined) {
     return (
@@ -42,10 +43,10 @@ export default function ControlPage() {
     <div className="control">
       <header className="control__head">
         <h1 className="visually-hidden">{t("title")}</h1>
-        <Select label={t("robot")} value={robot} options={robots.map((name) => ({ value: name, name }))} onChange={setWanted} />
+        <Select label={t("robot")} value={robot.name} options={robots.map(({ name }) => ({ value: name, name }))} onChange={setWanted} />
         <Notice />
       </header>
-      <ControlOf key={robot} robot={robot} />
+      {robot.service === "trajectory-tool" ? <ControlOf key={robot.name} robot={robot.name} /> : <ControlRegistered key={robot.name} robot={robot.name} />}
     </div>
   );
 }
@@ -64,38 +65,85 @@ function Notice() {
 }
 
 function ControlOf({ robot }: { robot: string }) {
-  const { t } = useTranslation("control");
   const control = useControl(robot);
   const revision = useTopicSelector(`robot/${robot}`, (view) => view?.revision) ?? "";
   const query = useRobotDescription(robot, revision);
   const live = useTopic(`robot/${robot}`);
-  const [arrangement, arrange] = useUserSetting("control.panels", STANDARD, isArrangement);
+  const lease = useToolLease(robot);
   const joints = query.description?.joints;
   const { driver, now } = control;
   const position = now.state?.joints.position ?? live?.joints.position;
+  useJoints(driver, joints, position);
+  const isOn = now.phase === "on";
+  return (
+    <Panels
+      robot={{ service: "trajectory-tool", name: robot }}
+      lease={lease}
+      control={control}
+      panels={{
+        view: <ViewPanel robot={robot} query={query} />,
+        jog: <JogPanel driver={driver} isOn={isOn} />,
+        joints: <JointsPanel driver={driver} isOn={isOn} joints={joints ?? []} position={position ?? []} />,
+        shared: <SharedPanel driver={driver} state={now.state} />,
+        presets: <PresetsPanel robot={robot} driver={driver} isOn={isOn} home={query.description?.home ?? null} position={position ?? []} />,
+        devices: <DevicesPanel driver={driver} />,
+        latency: <LatencyPanel now={now} />,
+      }}
+    />
+  );
+}
+
+/** A robot that is registered at the device gateway: by velocities of its joints, and of its base if it walks or rolls. */
+function ControlRegistered({ robot }: { robot: string }) {
+  const { t } = useTranslation("control");
+  const control = useControl(robot);
+  const lease = useGatewayLease(robot);
+  const { joints, walks } = useRegistered(robot);
+  const { driver, now } = control;
+  const position = now.state?.joints.position;
+  useJoints(driver, joints, position);
+  const isOn = now.phase === "on";
+  return (
+    <Panels
+      robot={{ service: "device-gateway", name: robot }}
+      lease={lease}
+      control={control}
+      panels={{
+        ...(walks ? { jog: <JogPanel driver={driver} isOn={isOn} isBase /> } : {}),
+        joints: joints.length === 0 ? <p className="quiet">{t("joints.none")}</p> : <JointsPanel driver={driver} isOn={isOn} joints={joints} position={position ?? []} />,
+        devices: <DevicesPanel driver={driver} />,
+        latency: <LatencyPanel now={now} />,
+      }}
+    />
+  );
+}
+
+function useJoints(driver: Driver, joints: readonly JointDescription[] | undefined, position: readonly number[] | undefined): void {
   useEffect(() => {
     driver.set({ joints: joints ?? [], position: position ?? [] });
   }, [driver, joints, position]);
-  const isOn = now.phase === "on";
-  const panels: Record<PanelId, ReactNode> = {
-    view: <ViewPanel robot={robot} query={query} />,
-    jog: <JogPanel driver={driver} isOn={isOn} />,
-    joints: <JointsPanel driver={driver} isOn={isOn} joints={joints ?? []} position={position ?? []} />,
-    shared: <SharedPanel driver={driver} state={now.state} />,
-    presets: <PresetsPanel robot={robot} driver={driver} isOn={isOn} home={query.description?.home ?? null} position={position ?? []} />,
-    devices: <DevicesPanel driver={driver} />,
-    latency: <LatencyPanel now={now} />,
-  };
-  const shown = ordered(arrangement).filter((panel) => !arrangement.hidden.includes(panel));
+}
+
+interface PanelsProps {
+  robot: ControlledRobot;
+  lease: Lease;
+  control: Control;
+  panels: Partial<Record<PanelId, ReactNode>>;
+}
+
+function Panels({ robot, lease, control, panels }: PanelsProps) {
+  const { t } = useTranslation("control");
+  const [arrangement, arrange] = useUserSetting("control.panels", STANDARD, isArrangement);
+  const shown = ordered(arrangement).filter((panel) => panels[panel] !== undefined && !arrangement.hidden.includes(panel));
   return (
     <>
-      <LeaseCard robot={robot} control={control} />
+      <LeaseCard robot={robot} lease={lease} control={control} />
       <div className="control__panels">
         {shown.map((panel) => (
           <Card
             key={panel}
             className={`control__panel control__panel--${panel}`}
-            title={t(`panel.${panel}`)}
+            title={t(panel === "jog" && robot.service === "device-gateway" ? "panel.base" : `panel.${panel}`)}
             aside={<PanelActions panel={panel} arrangement={arrangement} onArrange={arrange} />}
           >
             {panels[panel]}

@@ -14,7 +14,8 @@ const USES = {
   turn: { plane: ["ry", "rx"], lift: "rz" },
 } as const;
 
-export function JogPanel({ driver, isOn }: { driver: Driver; isOn: boolean }) {
+/** With `isBase` for a robot that walks or rolls: forwards, sideways, and turning. */
+export function JogPanel({ driver, isOn, isBase = false }: { driver: Driver; isOn: boolean; isBase?: boolean }) {
   const { t, i18n } = useTranslation("control");
   const [speed, setSpeed] = useState(driver.speed);
   const [frame, setFrame] = useState(driver.frame);
@@ -22,6 +23,8 @@ export function JogPanel({ driver, isOn }: { driver: Driver; isOn: boolean }) {
   const { plane, lift } = USES[turns];
   return (
     <div className="jog">
+      {!isBase && (
+        <>
       <SegmentedControl
         label={t("jog.kind")}
         value={turns}
@@ -43,6 +46,8 @@ export function JogPanel({ driver, isOn }: { driver: Driver; isOn: boolean }) {
           setFrame(value);
         }}
       />
+        </>
+      )}
       <div className="jog__sticks">
         <Joystick
           key={turns}
@@ -52,7 +57,11 @@ export function JogPanel({ driver, isOn }: { driver: Driver; isOn: boolean }) {
             driver.push(plane[1], turns === "move" ? -x : x);
           }}
         />
-        <Joystick key={`${turns}-z`} vertical label={t(turns === "move" ? "jog.height" : "jog.round")} onMove={(_, y) => driver.push(lift, y)} />
+        {isBase ? (
+          <Joystick key="round" vertical label={t("jog.round")} onMove={(_, y) => driver.push("rz", y)} />
+        ) : (
+          <Joystick key={`${turns}-z`} vertical label={t(turns === "move" ? "jog.height" : "jog.round")} onMove={(_, y) => driver.push(lift, y)} />
+        )}
       </div>
       <Slider
         label={t("jog.speed")}
@@ -66,6 +75,7 @@ export function JogPanel({ driver, isOn }: { driver: Driver; isOn: boolean }) {
           setSpeed(value);
         }}
       />
+      {!isBase && (
       <div className="jog__gripper">
         <Button isDisabled={!isOn} onPress={() => driver.grip("open")}>
           {t("gripper.open")}
@@ -74,6 +84,7 @@ export function JogPanel({ driver, isOn }: { driver: Driver; isOn: boolean }) {
           {t("gripper.close")}
         </Button>
       </div>
+      )}
     </div>
   );
 }

@@ -7,21 +7,20 @@ import { Card } from "~/design/Card";
 import { Checkbox } from "~/design/Checkbox";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
-import { useTopic } from "~/live/hooks";
 import { mayDo } from "~/session/session";
+import type { ControlledRobot, Lease } from "./robots";
 import type { Control } from "./useControl";
 
-export function LeaseCard({ robot, control: { connection, now } }: { robot: string; control: Control }) {
+export function LeaseCard({ robot, lease, control: { connection, now } }: { robot: ControlledRobot; lease: Lease; control: Control }) {
   const { t } = useTranslation("control");
-  const view = useTopic(`robot/${robot}`);
   const [isRecorded, setRecorded] = useState(false);
-  const holder = view?.controlledBy ?? null;
+  const { holder } = lease;
   const isMine = now.phase === "on";
-  const open = (mode: "refuse" | "wait" | "takeOver") => connection.open(robot, mode, isRecorded);
+  const open = (mode: "refuse" | "wait" | "takeOver") => connection.open(robot.service, robot.name, mode, isRecorded);
   return (
     <Card
       className="lease"
-      title={isMine ? t("lease.mine", { robot }) : now.phase === "waiting" ? t("lease.waiting", { name: now.holder ?? "" }) : holder === null ? t("lease.free", { robot }) : t("lease.taken", { name: holder, robot })}
+      title={isMine ? t("lease.mine", { robot: robot.name }) : now.phase === "waiting" ? t("lease.waiting", { name: now.holder ?? "" }) : holder === null ? t("lease.free", { robot: robot.name }) : t("lease.taken", { name: holder, robot: robot.name })}
       aside={isMine ? <StatusBadge tone={now.state?.moves === true ? "attention" : "ok"}>{t(now.state?.moves === true ? "state.moves" : "state.rests")}</StatusBadge> : undefined}
     >
       <div className="lease__acts">
@@ -45,14 +44,14 @@ export function LeaseCard({ robot, control: { connection, now } }: { robot: stri
         {now.phase === "connecting" && <p className="quiet">{t("lease.connecting")}</p>}
         {now.phase === "waiting" && <Button onPress={() => connection.close()}>{t("lease.stopWaiting")}</Button>}
         {isMine && <Button onPress={() => connection.close()}>{t("lease.end")}</Button>}
-        {now.phase === "off" ? (
+        {now.phase === "off" && robot.service === "trajectory-tool" ? (
           <Checkbox isSelected={isRecorded} onChange={setRecorded}>
             {t("lease.record")}
           </Checkbox>
         ) : (
           now.state?.isRecorded === true && <p className="quiet">{t("lease.recorded")}</p>
         )}
-        {isMine && <HandOver robot={robot} waiting={view?.waitingForControl ?? []} />}
+        {isMine && <HandOver robot={robot} waiting={lease.waiting} />}
       </div>
       <Ended ended={now.ended} />
       {now.error !== null && <ErrorMessage>{now.error}</ErrorMessage>}
@@ -70,12 +69,12 @@ function Ended({ ended }: { ended: { code: number; reason: string } | null }) {
   return <ErrorMessage>{t(`ended.${code}`, { reason: ended.reason })}</ErrorMessage>;
 }
 
-function HandOver({ robot, waiting }: { robot: string; waiting: readonly { id: string; name: string }[] }) {
+function HandOver({ robot, waiting }: { robot: ControlledRobot; waiting: readonly { id: string; name: string }[] }) {
   const { t } = useTranslation("control");
   const [failure, setFailure] = useState<string | null>(null);
   const handOver = (to: string) => {
     setFailure(null);
-    requestService("trajectory-tool", `robots/${encodeURIComponent(robot)}/control/hand-over`, { method: "POST", json: { to } }).catch(
+    requestService(robot.service, `robots/${encodeURIComponent(robot.name)}/control/hand-over`, { method: "POST", json: { to } }).catch(
       (error: unknown) => setFailure(errorText(error)),
     );
   };

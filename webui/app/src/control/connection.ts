@@ -53,6 +53,9 @@ export interface ControlSnapshot {
   ended: { code: number; reason: string } | null;
 }
 
+/** The service that moves the robot: the trajectory tool, or the device gateway for one that is registered there. */
+export type RobotService = "trajectory-tool" | "device-gateway";
+
 export type Mode = "refuse" | "wait" | "takeOver";
 
 const OFF: ControlSnapshot = {
@@ -80,10 +83,10 @@ export class ControlConnection {
 
   readonly snapshot = (): ControlSnapshot => this.#snapshot;
 
-  open(robot: string, mode: Mode, record: boolean): void {
+  open(service: RobotService, robot: string, mode: Mode, record: boolean): void {
     this.close();
     const query = new URLSearchParams({ mode, record: String(record) });
-    const url = `${location.origin.replace("http", "ws")}/api/trajectory-tool/robots/${encodeURIComponent(robot)}/control?${query.toString()}`;
+    const url = `${location.origin.replace("http", "ws")}/api/${service}/robots/${encodeURIComponent(robot)}/control?${query.toString()}`;
     const socket = new WebSocket(url);
     this.#socket = socket;
     this.#seq = 0;

@@ -187,6 +187,11 @@ export interface Gripper {
   maxForce?: number | null;
 }
 
+/** The session that gets the control: the id of one that waits. */
+export interface HandOver {
+  to: string;
+}
+
 /** The axes of a device by the component of the velocity that they move. */
 export interface InputMapping {
   x?: AxisMapping | null;
@@ -206,6 +211,15 @@ export interface Joint {
   maxVelocity?: number | null;
   maxAcceleration?: number | null;
   maxEffort?: number | null;
+}
+
+/** Who controls a robot, null for nobody, and who waits for the control. */
+export interface LeaseView {
+  robot: string;
+  holder: string | null;
+  since: number | null;
+  waiting?: WaitingView[];
+  notice?: string;
 }
 
 /** A value below `minimum` or above `maximum` is abnormal; normal is what is inside by `hysteresis`. */
@@ -386,6 +400,12 @@ export interface ValueView {
   t: number;
   unit: string | null;
   stale: boolean;
+}
+
+/** A session of a person who waits for the control of a robot. */
+export interface WaitingView {
+  id: string;
+  name: string;
 }
 
 /**

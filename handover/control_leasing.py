@@ -1,13 +1,14 @@
 """Who gets the control: leases as people ask for them over the WebSocket, and sessions that end for it."""
 
 import asyncio
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final, Protocol
 
 import orjson
-from fastapi import WebSocket
-from pydantic import BaseModel, ConfigDict
+from fastapi import FastAPI, WebSocket
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
 from starlette.websockets import WebSocketDisconnect
 
@@ -15,10 +16,13 @@ from handover.control.lease import Lease, Leases
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
-from handover.security.guard import Guard
+from handover.security.guard import Guard, in_path, require
 from handover.security.permissions import Permission
-from services.trajectory_tool.control.session import ControlSession
+from handover.telemetry import get_logger
 
+log = get_logger(__name__)
+
+OF_ROBOT = in_path("Device", "robot")
 WAITING_EVERY_S: Final = 1.0
 REVOKED_CODE, HANDED_OVER_CODE = 4403, 4410
 NOTICE: Final = "The dead-man control is software on a network, not a safety-rated enabling device."
@@ -45,14 +49,21 @@ class LeaseView(_View):
     notice: str = NOTICE
 
 
+class Endable(Protocol):
+    """A control session."""
+
+    def end(self) -> None:
+        """Bring the robot to rest and end."""
+
+
 class OpenSessions:
     """The sessions of all robots by id, and why they end."""
 
     def __init__(self) -> None:
-        self._sessions: dict[str, ControlSession] = {}
+        self._sessions: dict[str, Endable] = {}
         self._endings: dict[str, tuple[int, str]] = {}
 
-    def add(self, session_id: str, session: ControlSession) -> None:
+    def add(self, session_id: str, session: Endable) -> None:
         """Add a session that begins."""
         self._sessions[session_id] = session
 
@@ -156,6 +167,78 @@ def _taken(robot: str, lease: Lease | None) -> Problem:
             "robot.control_taken",
             "{name} controls {robot}; wait for the end, or ask an admin to take the control away",
             name=lease.name if lease is not None else "somebody",
+            robot=robot,
+        ),
+    )
+
+
+class HandOver(BaseModel):
+    """The session that gets the control: the id of one that waits."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    to: Annotated[str, Field(min_length=1, max_length=64)]
+
+
+def add_lease_routes(
+    app: FastAPI, require_robot: Callable[[str], object], leases: Leases, sessions: OpenSessions
+) -> None:
+    """Add the routes of leases; `require_robot` raises `Problem` for a robot that is unknown."""
+
+    @app.get("/robots/{robot}/control", tags=["control"], dependencies=[require(Permission.READ, OF_ROBOT)])
+    async def control_of(robot: str) -> LeaseView:
+        """Return who controls a robot, and who waits for the control."""
+        require_robot(robot)
+        return view_of(robot, leases)
+
+    @app.delete(
+        "/robots/{robot}/control",
+        tags=["control"],
+        dependencies=[require(Permission.MANAGE_SETTINGS, OF_ROBOT)],
+    )
+    async def revoke(robot: str) -> LeaseView:
+        """Take the control of a robot away from the person who has it; the robot stops."""
+        require_robot(robot)
+        ended = leases.revoke(robot)
+        sessions.end(ended, REVOKED_CODE, "an admin took the control away")
+        if ended is not None:
+            log.info("control taken away", robot=robot, holder=ended.name)
+        return view_of(robot, leases)
+
+    @app.post("/robots/{robot}/control/hand-over", tags=["control"])
+    async def hand_over(
+        robot: str, body: HandOver, caller: Annotated[Caller, require(Permission.MOVE_ROBOTS, OF_ROBOT)]
+    ) -> LeaseView:
+        """Hand the control over to a person who waits for it; 409 unless the caller has it."""
+        require_robot(robot)
+        lease = leases.of(robot)
+        if lease is None or lease.subject != caller.subject:
+            raise _problem_without_control(robot)
+        ended = leases.hand_over(robot, body.to)
+        if ended is None:
+            raise Problem(
+                404,
+                "Nobody waits",
+                message(
+                    "robot.control_not_waiting",
+                    "this person waits for the control of {robot} no longer",
+                    robot=robot,
+                ),
+            )
+        receiver = leases.of(robot)
+        sessions.end(
+            ended, HANDED_OVER_CODE, f"handed over to {receiver.name if receiver else 'nobody'}"[:120]
+        )
+        return view_of(robot, leases)
+
+
+def _problem_without_control(robot: str) -> Problem:
+    return Problem(
+        409,
+        "Not in control",
+        message(
+            "robot.control_not_yours",
+            "you do not control {robot}, so you cannot hand it over; take the control first",
             robot=robot,
         ),
     )
