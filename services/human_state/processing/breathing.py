@@ -29,12 +29,16 @@ SHORTEST_S: Final = 20.0
 GRID_HZ: Final = 8.0
 BAND_HZ: Final = (0.08, 0.75)
 EACH_S: Final = 1.0
+IRREGULAR_HZ: Final = 5.0
+"""The working rate of waves at irregular times: a radar sends five points a second."""
+MAX_STEP_S: Final = 2.0
 MAX_QUALITY_OF_BEATS: Final = 0.4
 
 
 @lru_cache(maxsize=32)
 def _breathing_filter(rate_hz: float) -> Floats:
-    return np.asarray(dsp.butter(2, [0.05, min(1.0, 0.45 * rate_hz)], "band", fs=rate_hz, output="sos"))
+    upper_hz = min(1.0, 0.45 * rate_hz)
+    return np.asarray(dsp.butter(2, [0.05, upper_hz], "band", fs=rate_hz, output="sos"), np.float64)
 
 
 def breathing_of(wave: Floats, rate_hz: float) -> tuple[float, float]:
@@ -71,22 +75,25 @@ def breathing_of(wave: Floats, rate_hz: float) -> tuple[float, float]:
 
 
 class WaveBreathing:
-    """The breathing rate of a wave: a belt, a radar, or the baseline of a PPG."""
+    """The breathing rate of a wave: a belt, the baseline of a PPG, a radar that sends at irregular times."""
 
     def __init__(self, info: SignalInfo, method: str = "wave-1", max_quality: float = 1.0) -> None:
-        if info.rate_hz is None or info.rate_hz < 2:
-            raise ValueError(f"a breathing wave needs 2 Hz at least; {info.kind} has {info.rate_hz}")
+        if info.rate_hz is not None and info.rate_hz < 2:
+            raise ValueError(f"a breathing wave needs 2 Hz at least; {info.kind} has {info.rate_hz:g} Hz")
         self._method: Final = method
         self._max_quality: Final = max_quality
-        self._step: Final = max(1, int(info.rate_hz // GRID_HZ))
-        self._rate_hz: Final = info.rate_hz / self._step
+        self._is_irregular: Final = info.rate_hz is None
+        rate_hz = info.rate_hz or IRREGULAR_HZ
+        self._step: Final = max(1, int(rate_hz // GRID_HZ))
+        self._rate_hz: Final = rate_hz / self._step
         self._wave: deque[float] = deque(maxlen=int(WINDOW_S * self._rate_hz))
         self._rest = np.empty(0)
+        self._last: tuple[float, float] | None = None
         self._due_s = -np.inf
 
     def feed(self, samples: Samples) -> Sequence[Feature]:
         """Take samples; return the rate once a second, after 20 s."""
-        x = np.concatenate((self._rest, samples.values[:, 0]))
+        x = np.concatenate((self._rest, self._regular(samples)))
         whole = len(x) // self._step * self._step
         self._wave.extend(x[:whole].reshape(-1, self._step).mean(axis=1).tolist())
         self._rest = x[whole:]
@@ -95,15 +102,30 @@ class WaveBreathing:
             return []
         self._due_s = at_s + EACH_S - 0.5 / self._rate_hz
         rate, quality = breathing_of(np.array(self._wave), self._rate_hz)
-        return _feature(
-            samples.source, rate, quality * samples.quality, at_s, self._method, max_quality=self._max_quality
-        )
+        quality *= samples.quality
+        return _feature(samples.source, rate, quality, at_s, self._method, max_quality=self._max_quality)
+
+    def _regular(self, samples: Samples) -> Floats:
+        """Return the samples at the working rate; those at irregular times are interpolated."""
+        values = samples.values[:, 0]
+        if not self._is_irregular:
+            return values
+        times_s = samples.sample_times_s()
+        if self._last is not None and times_s[0] - self._last[0] > MAX_STEP_S:
+            self._wave.clear()
+            self._last = None
+        if self._last is not None:
+            times_s, values = np.append(self._last[0], times_s), np.append(self._last[1], values)
+        ticks = np.arange(np.floor(times_s[0] * IRREGULAR_HZ) + 1, np.floor(times_s[-1] * IRREGULAR_HZ) + 1)
+        self._last = float(times_s[-1]), float(values[-1])
+        return np.interp(ticks / IRREGULAR_HZ, times_s, values)
 
     def report(self, report: SensorReport) -> Sequence[Feature]:
         """Forget the wave before a fault."""
         if report.fault is not None or report.has_contact is False:
             self._wave.clear()
             self._rest = np.empty(0)
+            self._last = None
             self._due_s = -np.inf
         return []
 

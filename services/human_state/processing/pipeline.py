@@ -17,6 +17,7 @@ is called once per signal, after ours; a processor that raises is dropped with a
 """
 
 import importlib
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
@@ -29,6 +30,8 @@ from services.human_state.processing.guard import SignalGuard
 
 SIGNAL_PROCESSORS: Final = ExtensionPoint("signal processor", "handover.signal_processors", {})
 
+MAX_REPORTS: Final = 64
+"""Faults that nobody takes; the oldest are dropped."""
 _HERE: Final = "services.human_state.processing"
 OWN: Final[dict[SignalKind, tuple[str, ...]]] = {
     SignalKind.ECG: ("ecg:EcgProcessor",),
@@ -79,9 +82,17 @@ class SignalPipeline:
     def __init__(self, info: SignalInfo, processors: Sequence[Processor]) -> None:
         self.info: Final = info
         self._guard: Final = SignalGuard(info)
-        self._processors = list(processors)
+        # A pipeline among them gives its processors: one guard is enough.
+        self._processors: list[Processor] = []
+        for each in processors:
+            self._processors += each.processors if isinstance(each, SignalPipeline) else [each]
         self._valid: dict[FeatureName, Feature] = {}
-        self._reports: list[SensorReport] = []
+        self._reports: deque[SensorReport] = deque(maxlen=MAX_REPORTS)
+
+    @property
+    def processors(self) -> list[Processor]:
+        """Return what analyses this signal."""
+        return list(self._processors)
 
     @property
     def has_processors(self) -> bool:
@@ -114,7 +125,8 @@ class SignalPipeline:
 
     def take_reports(self) -> list[SensorReport]:
         """Return the faults found since the last call."""
-        taken, self._reports = self._reports, []
+        taken = list(self._reports)
+        self._reports.clear()
         return taken
 
     def _end(self, report: SensorReport, *, is_new: bool = True) -> list[Feature]:

@@ -75,6 +75,24 @@ def test_breathing_of_a_belt_is_within_one_a_minute(per_minute: float) -> None:
     assert np.mean([f.quality for f in rates]) > 0.7
 
 
+def test_breathing_of_a_radar_that_sends_at_irregular_times_is_within_one_a_minute() -> None:
+    info = SignalInfo(SignalKind.RESPIRATION, "C62", None, method="radar 60 GHz")
+    pipeline = pipeline_for(info)
+    wave = breathing_wave(90, 50.0, 15, seed=5)
+    random, found = np.random.default_rng(1), []
+    for second in range(90):
+        at_s = np.sort(second + np.arange(5) / 5 + random.uniform(0, 0.1, 5))
+        values = np.round(60 * np.interp(at_s, np.arange(len(wave)) / 50, wave))
+        found += pipeline.feed(Samples("radar", info, BEGIN_S + at_s[0], values[:, None], BEGIN_S + at_s))
+    assert pipeline.take_reports() == []
+    assert values_of_breathing(found) == pytest.approx([15] * len(values_of_breathing(found)), abs=1.5)
+    assert len(values_of_breathing(found)) > 50
+
+
+def values_of_breathing(found: list[Feature]) -> list[float]:
+    return [float(f.value) for f in found if f.name is FeatureName.BREATHING_RATE]
+
+
 def test_skin_conductance_has_a_slow_and_a_fast_part() -> None:
     t = np.arange(0, 60, 0.1)
     response = 0.8 * np.exp(-np.maximum(t - 40, 0) / 4) * (t > 40)

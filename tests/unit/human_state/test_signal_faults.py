@@ -156,6 +156,16 @@ def test_values_return_after_a_fault() -> None:
     assert later[-1].value == pytest.approx(TRUE_BPM, abs=4)
 
 
+def test_a_pipeline_in_a_pipeline_has_one_guard_and_memory_for_few_reports() -> None:
+    _, packets = warm_ecg()
+    outer = SignalPipeline(ECG, processors_for(ECG))
+    assert [type(each).__name__ for each in outer.processors] == ["EcgProcessor"]
+    for number in range(300):
+        late = packets[number % 2]
+        outer.feed(replace(late, start_s=BEGIN_S + 10 * number, has_contact=bool(number % 2)))
+    assert 0 < len(outer.take_reports()) <= 64
+
+
 class BrokenProcessor:
     def feed(self, samples: Samples) -> list:
         raise ZeroDivisionError("division by zero")
