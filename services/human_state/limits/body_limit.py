@@ -5,8 +5,9 @@
   more has exceeded the present one for 10 s without a break; then by 5 % a second, up to the limit at 5 bpm
   more.
 - A stale heart rate lets the limit fall to 25 %, and it is 0 at the timeout (10 s, radar 20 s).
-- A limit of 0 is a stop. It is latched: a person aboard or in charge resets it, and only while the heart
-  rate is fresh and allows more than 0.
+- Before the first heart rate the limit is 25 %, and 0 from 10 s on; it then rises as for a calm body.
+- Afterwards a limit of 0 is a stop. It is latched: a person aboard or in charge resets it, and only while the
+  heart rate is fresh and allows more than 0.
 
 Invariants, for any order of heart rates, faults and pauses: 0 <= fraction <= 1; a stop ends only by a reset;
 between two steps the fraction rises by at most 5 % a second, and never while a fault lasts or a value is
@@ -83,6 +84,8 @@ class BodyLimit:
         age_s = now_s - (self.since_s if newest is None else newest.at_s)
         timeout_s = TIMEOUT_S if newest is None else newest.timeout_s
         stale_s = 0.0 if newest is None else newest.stale_s
+        if newest is None and age_s >= timeout_s and not self.is_stopped:
+            return replace(made, fraction=0.0, exceeds_since_s=None, ramp_from=None)
         if self.is_stopped or age_s >= timeout_s:
             return replace(made, fraction=0.0, is_stopped=True, exceeds_since_s=None, ramp_from=None)
         if newest is None or age_s > stale_s:
@@ -145,7 +148,11 @@ class BodyLimit:
         """Return why the limit is what it is, without a figure of the body: robots and the broker get it."""
         newest = self.newest
         if newest is None:
-            return "stopped; no heart rate was received" if self.is_stopped else "no heart rate yet"
+            return (
+                "stopped; a person must reset it (no heart rate yet)"
+                if self.is_stopped
+                else "no heart rate yet"
+            )
         age_s = now_s - newest.at_s
         if age_s > newest.stale_s:
             seen = f"no valid heart rate for {age_s:.0f} s"

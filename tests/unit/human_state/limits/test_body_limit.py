@@ -101,10 +101,12 @@ def test_a_sensor_that_says_a_long_period_stops_at_ten_seconds_all_the_same() ->
     assert silent(limit, 10.1).is_stopped
 
 
-def test_a_person_whose_sensor_never_sends_is_stopped() -> None:
+def test_without_a_first_heart_rate_nothing_moves_and_no_reset_is_needed_for_it() -> None:
     limit = silent(BodyLimit(CURVE, 0.0, 0.0), 10.1)
-    assert limit.is_stopped
-    assert limit.reason(10.1) == "stopped; no heart rate was received"
+    assert (limit.fraction, limit.is_stopped) == (0.0, False)
+    assert limit.reason(10.1) == "no heart rate yet"
+    assert steady(limit, 70, 9.9).fraction == 0.0
+    assert steady(limit, 70, 12).fraction == pytest.approx(0.1, abs=0.011)
 
 
 def test_a_stop_needs_a_reset_while_the_heart_rate_is_fresh() -> None:
@@ -191,7 +193,8 @@ def test_any_sequence_keeps_the_invariants(
             assert 0.0 <= limit.fraction <= 1.0
             assert limit.fraction <= before.fraction + 0.05 * min(pause_s, 1.0) + 1e-9
             assert not before.is_stopped or limit.is_stopped, "only a person ends a stop"
-            assert limit.is_stopped == (limit.fraction == 0.0)
+            assert limit.fraction == 0.0 or not limit.is_stopped
+            assert limit.fraction > 0.0 or limit.is_stopped or before.newest is None or before.fraction == 0.0
             if kind != "beat":
                 assert limit.fraction <= before.fraction, "it never rises on a fault or in a pause"
             elif limit.fraction > before.fraction:
