@@ -7,6 +7,7 @@ the wrist.
 
 from collections.abc import Callable
 
+from handover.messages import message
 from services.trajectory_tool.limits.speed_limits import Allowed
 
 RULE = "contactForce"
@@ -44,10 +45,15 @@ class ContactForce:
             return ()
         force_n = self.force_n()
         if force_n is None:
-            return (Allowed(RULE, 0.0, reason="the force at the wrist is not measured"),)
+            unknown = message("limit.no_force", "the force at the wrist is not measured")
+            return (Allowed(RULE, 0.0, reason=unknown),)
         if self._at_start_n is not None and abs(force_n - self._at_start_n) > self.max_n:
             self._contact_n = max(abs(force_n - self._at_start_n), self._contact_n or 0.0)
         if self._contact_n is None:
             return (Allowed(RULE),)
-        reason = f"contact with {self._contact_n:.0f} N; a person must reset it"
+        reason = message(
+            "limit.contact",
+            "contact with {force_n} N; a person must reset it",
+            force_n=f"{self._contact_n:.0f}",
+        )
         return (Allowed(RULE, 0.0, reason=reason, needs_reset=True),)

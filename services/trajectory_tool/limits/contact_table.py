@@ -25,6 +25,7 @@ from pydantic import (
 )
 
 from handover.errors import UsageError
+from handover.messages import message
 
 MAX_FILE_BYTES = 256 * 1024
 
@@ -86,7 +87,12 @@ class ContactSpeed(_Written):
     @property
     def reason(self) -> str:
         """Return why the speed is limited."""
-        return f"{self.region}, confirmed on {self.table.confirmed_at:%Y-%m-%d}"
+        return message(
+            "limit.contact_table",
+            "{region}, confirmed on {date}",
+            region=self.region,
+            date=f"{self.table.confirmed_at:%Y-%m-%d}",
+        )
 
     @classmethod
     def of(cls, entry: ContactEntry, table: ContactTable) -> Self:

@@ -111,13 +111,11 @@ class RobotLimits:
         found = [*self.body.allowed(now_s)]
         if self.separation.sources or self._zones:
             is_overdue = now_s - self._evaluated_s > OVERDUE_S
-            found += (
-                [Allowed(RULE, 0.0, reason="the distance was not evaluated in time")]
-                if is_overdue
-                else [self.state.allowed, self._zone]
-            )
+            overdue = message("limit.distance_overdue", "the distance was not evaluated in time")
+            found += [Allowed(RULE, 0.0, reason=overdue)] if is_overdue else [self.state.allowed, self._zone]
         if record.mode == "reduced":
-            found.append(Allowed("mode", max_speed_mps=REDUCED_MPS, reason="reduced mode"))
+            reduced = message("limit.reduced_mode", "reduced mode")
+            found.append(Allowed("mode", max_speed_mps=REDUCED_MPS, reason=reduced))
         found += self._of_end_effector(record)
         found += self.contact.allowed()
         if self.contact_speed is not None:
@@ -131,7 +129,9 @@ class RobotLimits:
         """Yield the validated speed: of the mounted end effector, or the lowest of all."""
         known, mounted = record.safe_speeds, self.end_effector
         if mounted is not None and mounted not in known:
-            reason = f"{mounted} has no validated speed"
+            reason = message(
+                "limit.no_validated_speed", "{effector} has no validated speed", effector=mounted
+            )
             yield Allowed("endEffector", max_speed_mps=REDUCED_MPS, reason=reason)
             return
         speeds = known.values() if mounted is None else [known[mounted]]
@@ -139,7 +139,12 @@ class RobotLimits:
             yield Allowed(
                 "endEffector",
                 max_speed_mps=speed.speed_mps,
-                reason=f"{speed.end_effector}, validated on {speed.validated_at:%Y-%m-%d}",
+                reason=message(
+                    "limit.validated_speed",
+                    "{effector}, validated on {date}",
+                    effector=speed.end_effector,
+                    date=f"{speed.validated_at:%Y-%m-%d}",
+                ),
             )
 
     def lowest(self) -> Allowed | None:

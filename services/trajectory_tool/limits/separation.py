@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from datamodels.streams import PeopleReport
+from handover.messages import message
 from services.trajectory_tool.limits.speed_limits import (
     MAX_SOURCES,
     Allowed,
@@ -181,7 +182,7 @@ class Separation:
         pace = min(speed_mps / peak_mps, 1.0) if peak_mps > 0 else float(speed_mps > 0)
         reports = [sensor.report for sensor in self._sensors.values() if sensor.report is not None]
         if any(report.protective_field for report in reports):
-            pace, reason = 0.0, "the protective field is infringed"
+            pace, reason = 0.0, message("limit.protective_field", "the protective field is infringed")
         is_warned = any(report.warning_field for report in reports)
         holds_warning = is_warned and speed_mps > WARNING_MPS
         if pace < MIN_PACE:
@@ -189,12 +190,18 @@ class Separation:
         elif self._is_stopped:
             self._clear_since_s = now_s if self._clear_since_s is None else self._clear_since_s
             self._is_stopped = now_s - self._clear_since_s < self.rule.hold_s
-            reason = f"the distance is kept for {self.rule.hold_s:g} s before the robot continues"
+            reason = message(
+                "limit.distance_held",
+                "the distance is kept for {hold_s} s before the robot continues",
+                hold_s=f"{self.rule.hold_s:g}",
+            )
+        if holds_warning and not self._is_stopped:
+            reason = message("limit.warning_field", "the warning field is infringed")
         allowed = Allowed(
             RULE,
             0.0 if self._is_stopped else pace,
             WARNING_MPS if is_warned else math.inf,
-            "the warning field is infringed" if holds_warning and not self._is_stopped else reason,
+            reason,
         )
         moving_mps = peak_mps * allowed.pace(peak_mps)
         lost = tuple(name for sensor in self._sensors.values() for name in sensor.lost)
@@ -223,17 +230,26 @@ class Separation:
         for name, sensor in self._sensors.items():
             report = sensor.report
             if report is None:
-                return 0.0, f"{name} is required, and not received yet"
+                return 0.0, message(
+                    "limit.sensor_not_received", "{sensor} is required, and not received yet", sensor=name
+                )
             if now_s - sensor.since_s > report.stale_s:
-                return 0.0, f"{name} has been silent for {now_s - sensor.since_s:.1f} s"
+                return 0.0, message(
+                    "limit.sensor_silent",
+                    "{sensor} has been silent for {silent_s} s",
+                    sensor=name,
+                    silent_s=f"{now_s - sensor.since_s:.1f}",
+                )
             aged_s = max(now_s - sensor.since_s - self.rule.reaction_s, 0.0)
             found = []
             for person in report.people:
                 moved_m = person.radius + self.rule.person_mps * (person.age + aged_s)
-                found.append((max(distance(person.point) - moved_m, 0.0), f"{person.id} is near"))
+                near = message("limit.person_near", "{person} is near", person=person.id)
+                found.append((max(distance(person.point) - moved_m, 0.0), near))
             for lost, (point, since_s) in sensor.lost.items():
                 moved_m = self.rule.person_mps * (now_s - since_s)
-                found.append((max(distance(point) - moved_m, 0.0), f"{lost} vanished near the robot"))
+                gone = message("limit.person_vanished", "{person} vanished near the robot", person=lost)
+                found.append((max(distance(point) - moved_m, 0.0), gone))
             nearest_m, reason = min([(nearest_m, reason), *found])
         return nearest_m, reason
 

@@ -17,6 +17,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from datamodels.streams import DEFAULT_TIMEOUT_S, SpeedLimitReport
+from handover.messages import message
 
 STALE_FRACTION = 0.25
 RAISE_PER_S = 0.05
@@ -99,11 +100,16 @@ class _Source:
     def allowed(self, name: str, now_s: float) -> Allowed:
         fraction, report = self.fraction(now_s), self.report
         if report is None:
-            return Allowed(name, fraction, reason="required, and not received yet")
-        reason = f"silent for {now_s - self.since_s:.0f} s" if self.is_stale(now_s) else report.reason
+            return Allowed(
+                name, fraction, reason=message("limit.source_not_received", "required, and not received yet")
+            )
+        reason = report.reason
+        if self.is_stale(now_s):
+            silent_s = f"{now_s - self.since_s:.0f}"
+            reason = message("limit.source_silent", "silent for {silent_s} s", silent_s=silent_s)
         needs_reset = self.is_stopped(now_s)
         if needs_reset:
-            reason = f"stopped; a person must reset it ({reason})"
+            reason = message("limit.stopped", "stopped; a person must reset it ({reason})", reason=reason)
         return Allowed(name, fraction, report.max_speed or math.inf, reason, needs_reset)
 
 

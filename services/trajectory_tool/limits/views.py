@@ -2,12 +2,15 @@
 
 import math
 from datetime import datetime
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 from pydantic.alias_generators import to_camel
 
+from handover.messages import with_code
 from services.trajectory_tool.limits.contact_table import ContactSpeed
 from services.trajectory_tool.limits.robot_limits import RobotLimits
+from services.trajectory_tool.limits.speed_limits import Allowed
 from services.trajectory_tool.limits.store import Mode
 from services.trajectory_tool.robot import Robot
 
@@ -102,12 +105,15 @@ class DecisionView(_View):
 
 
 class RobotLimitsView(_View):
-    """What limits the speed of a robot now. `rule` and `reason` are those of the lowest limit."""
+    """What limits the speed of a robot now; `rule`, `reason` and `max_speed` are of the lowest limit."""
 
     notice: str
     pace: float
     rule: str | None
     reason: str | None
+    reason_code: str | None
+    reason_parameters: dict[str, Any] | None
+    max_speed: float | None
     needs_reset: bool
     rules: list[RuleView]
     separation: SeparationView
@@ -127,17 +133,21 @@ def view_of(limits: RobotLimits, driver: Robot) -> RobotLimitsView:
     lowest, record, state = limits.lowest(), limits.record, limits.state
     rule, allowed, status = limits.separation.rule, limits.allowed(), driver.safety_status()
     force_n = driver.wrist_force_n()
+    said = {} if lowest is None else with_code("reason", lowest.reason)
     return RobotLimitsView(
         notice=NOTICE,
         pace=round(limits.pace(), 3),
         rule=None if lowest is None else lowest.rule,
-        reason=None if lowest is None else lowest.reason,
+        reason=said.get("reason"),
+        reason_code=said.get("reasonCode"),
+        reason_parameters=said.get("reasonParameters"),
+        max_speed=_speed(lowest),
         needs_reset=any(each.needs_reset for each in allowed),
         rules=[
             RuleView(
                 rule=each.rule,
                 fraction=round(each.fraction, 3),
-                max_speed=each.max_speed_mps if each.max_speed_mps < math.inf else None,
+                max_speed=_speed(each),
                 reason=each.reason,
                 needs_reset=each.needs_reset,
             )
@@ -168,6 +178,11 @@ def view_of(limits: RobotLimits, driver: Robot) -> RobotLimitsView:
         safety_status=None if status is None else SafetyStatusView.model_validate(status),
         decisions=[DecisionView.model_validate(each) for each in record.decisions[-SHOWN_DECISIONS:]],
     )
+
+
+def _speed(allowed: Allowed | None) -> float | None:
+    """Return the speed of the tool that a rule allows; None for no limit."""
+    return None if allowed is None or allowed.max_speed_mps == math.inf else allowed.max_speed_mps
 
 
 def _permitted(found: ContactSpeed | None) -> ContactSpeedView | None:

@@ -187,5 +187,6 @@ function palette(place: Element): Palette {
     obstacle: colour("obstacle"),
     keepout: colour("keepout"),
     reduced: colour("reduced"),
+    people: colour("people"),
   };
 }

@@ -42,10 +42,11 @@ export interface Palette {
   obstacle: string;
   keepout: string;
   reduced: string;
+  people: string;
 }
 
 /** How clearly a thing is drawn; what surrounds others is transparent. */
-const OPACITY: Partial<Record<PieceKind, number>> = { bin: 0.45, fence: 0.3, keepOut: 0.18, reducedSpeed: 0.14, people: 0.1 };
+const OPACITY: Partial<Record<PieceKind, number>> = { bin: 0.45, fence: 0.3, keepOut: 0.18, reducedSpeed: 0.14, people: 0.18 };
 
 /** Another robot of the cell. */
 interface Neighbour {
@@ -308,10 +309,10 @@ export class Stage {
   }
 
   #colour(kind: PieceKind): ColorRepresentation {
-    const { table, fixture, bin, line, part, truepart, obstacle, keepout, reduced } = this.#palette;
+    const { table, fixture, bin, line, part, truepart, obstacle, keepout, reduced, people } = this.#palette;
     return {
       table, fixture, bin, nest: line, part, truePart: truepart, obstacle, fence: line, camera: obstacle,
-      keepOut: keepout, reducedSpeed: reduced, people: reduced,
+      keepOut: keepout, reducedSpeed: reduced, people,
     }[kind];
   }
 

@@ -52,12 +52,15 @@ export interface Removal {
   reason: string;
 }
 
-/** What limits the speed of a robot now. `rule` and `reason` are those of the lowest limit. */
+/** What limits the speed of a robot now; `rule`, `reason` and `max_speed` are of the lowest limit. */
 export interface RobotLimitsView {
   notice: string;
   pace: number;
   rule: string | null;
   reason: string | null;
+  reasonCode: string | null;
+  reasonParameters: Record<string, unknown> | null;
+  maxSpeed: number | null;
   needsReset: boolean;
   rules: RuleView[];
   separation: SeparationView;

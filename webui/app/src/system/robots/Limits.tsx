@@ -8,6 +8,7 @@ import { Button } from "~/design/Button";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
 import { percent } from "~/design/numbers";
+import { localizedText } from "~/i18n/server";
 import { metres } from "~/robot/units";
 
 const EVERY_MS = 1000;
@@ -18,6 +19,8 @@ export function Limits({ robot }: { robot: string }) {
   const { value: limits, reload } = useServiceQuery<RobotLimitsView>("trajectory-tool", path, { intervalMs: EVERY_MS });
   if (limits === null) return null;
   const { distance, required, lost } = limits.separation;
+  // At rest there is no motion to slow down, yet the tool may not be faster.
+  const isSpeed = limits.maxSpeed !== null && limits.pace > 0;
   const whole = (force: number) => force.toLocaleString(i18n.language, { maximumFractionDigits: 0 });
   return (
     <section className="limits">
@@ -25,10 +28,11 @@ export function Limits({ robot }: { robot: string }) {
       <p data-stopped={limits.pace === 0 || undefined}>
         {limits.rule === null
           ? t("limit.none")
-          : t("limit.holds", {
+          : t(isSpeed ? "limit.holdsSpeed" : "limit.holds", {
               percent: percent(limits.pace, i18n.language),
+              speed: whole((limits.maxSpeed ?? 0) * 1000),
               rule: t(`limit.rule.${limits.rule}`, { defaultValue: limits.rule }),
-              reason: limits.reason ?? "",
+              reason: localizedText(limits, "reason") ?? "",
             })}
       </p>
       {distance !== null && required !== null && (
