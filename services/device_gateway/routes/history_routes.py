@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from itertools import islice
 from typing import Annotated, Any, Final, Literal
 
+import numpy as np
 from fastapi import Depends, FastAPI, Header, Query, Request, Response
 from sqlalchemy import Engine
 from starlette.responses import StreamingResponse
@@ -16,17 +17,21 @@ from starlette.responses import StreamingResponse
 from datamodels.times import iso
 from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.messages import message
 from handover.security.guard import OtherCredential, in_path, require
 from handover.security.permissions import Permission
+from services.device_gateway.forecast import COVERAGE, MAX_ORIGINS, TooShort, forecast, needed_intervals
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.protocol.messages import MAX_LINE_BYTES
-from services.device_gateway.routes.views import MessageView, SeriesView
+from services.device_gateway.routes.views import ForecastView, MessageView, SeriesView
 from services.device_gateway.storage import history
 from services.device_gateway.storage.parquet import read_and_delete, write_parquet
 
 OF_DEVICE = in_path("Device", "device")
 INGEST: Final = "/ingest/{device}"
 DAY_S: Final = 86_400.0
+HOUR_US: Final = 3.6e9
+MIN_SEASON_STEPS: Final = 4
 MAX_TIME_S: Final = 1e11
 ROWS_AT_ONCE: Final = 2_000
 
@@ -118,6 +123,19 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
             read_and_delete(path), media_type="application/vnd.apache.parquet", headers=headers
         )
 
+    @app.get("/devices/{device}/forecast", tags=["history"], dependencies=[may_read])
+    async def forecast_values(
+        device: str,
+        name: Annotated[str, Query(description="the name of a value")],
+        horizon: Annotated[float, Query(ge=60, le=30 * DAY_S, description="seconds ahead")] = DAY_S,
+        steps: Annotated[int, Query(ge=1, le=96, description="intervals of the horizon")] = 48,
+    ) -> ForecastView:
+        """Forecast a value from its history by a simple model, with the error that it had so far."""
+        series = await _series(device, [name])
+        unit = gateway.device(device).values.get(name)
+        found = await asyncio.to_thread(_forecast, engine, series[name], horizon, steps, time.time())
+        return {"name": name, "unit": None if unit is None else unit.unit, **found}  # type: ignore[typeddict-item]
+
     @app.post(INGEST, tags=["devices"], dependencies=[Depends(OtherCredential("the token of the device"))])
     @max_body(MAX_LINE_BYTES)
     async def ingest(
@@ -152,6 +170,43 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
                 404, "No such value", f'{device} has no stored value "{missing[0]}"; it has {known}'
             )
         return {name: found[name] for name in names}
+
+
+def _forecast(engine: Engine, series: int, horizon_s: float, steps: int, now_s: float) -> dict[str, Any]:
+    width_us = int(horizon_s * 1e6 / steps)
+    end_us = int(now_s * 1e6) // width_us * width_us  # the present interval is not complete
+    season = DAY_S * 1e6 / width_us
+    per_day = round(season) if season >= MIN_SEASON_STEPS and abs(season - round(season)) < 1e-6 else None
+    count = max(needed_intervals(steps), (per_day or 0) * 3 + steps) + MAX_ORIGINS
+    begin_us = end_us - count * width_us
+    values = np.full(count, np.nan)
+    for point in history.intervals(engine, series, begin_us, end_us, width_us):
+        values[(point.t_us - begin_us) // width_us] = point.mean
+    try:
+        found = forecast(values, steps, per_day)
+    except TooShort as short:
+        raise Problem(
+            409,
+            "History too short",
+            message(
+                "device.forecast_too_short",
+                "a forecast of {hours} h needs values of the last {needed} h, with few gaps; there are "
+                "values for {present} h. Ask for a shorter time, or later",
+                hours=round(horizon_s / 3600, 1),
+                needed=round(short.needed * width_us / HOUR_US, 1),
+                present=round(short.present * width_us / HOUR_US, 1),
+            ),
+        ) from None
+    times = [(end_us + (step + 0.5) * width_us) / 1e6 for step in range(steps)]
+    band = zip(times, found.mean.tolist(), found.low.tolist(), found.high.tolist(), strict=True)
+    return {
+        "method": found.method,
+        "error": found.error,
+        "naiveError": found.naive_error,
+        "origins": found.origins,
+        "coverage": COVERAGE,
+        "points": [{"t": t, "mean": mean, "low": low, "high": high} for t, mean, low, high in band],
+    }
 
 
 def _interval(begin: float | None, end: float | None) -> tuple[int, int]:

@@ -54,6 +54,31 @@ class DeviceView(TypedDict):
     values: dict[str, ValueView]
 
 
+class ForecastPoint(TypedDict):
+    """A forecast for the middle of an interval; 90 % of earlier forecasts were within such a band."""
+
+    t: float
+    mean: float
+    low: float
+    high: float
+
+
+class ForecastView(TypedDict):
+    """A forecast: `error` is the mean absolute error of the `method` from `origins` earlier times.
+
+    `naiveError` is that of repeating the last value. The method is `seasonalNaive` or `dampedTrend`.
+    """
+
+    name: str
+    unit: str | None
+    method: str
+    error: float
+    naiveError: float
+    origins: int
+    coverage: float
+    points: list[ForecastPoint]
+
+
 class CertificateView(TypedDict):
     """The certificate of a device and its private key, which is shown only once, in PEM.
 

@@ -2,6 +2,7 @@
 
 import json
 import socket
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -397,3 +398,22 @@ def test_simulated_devices_of_every_kind_send_and_move(bench: Bench) -> None:
 
 def _simulated(bench: Bench) -> list[dict[str, Any]]:
     return [one for one in bench.rest.get("/devices").json() if one["name"].startswith("sim-")]
+
+
+def test_a_value_is_forecast_with_its_error_once_the_history_is_long_enough(bench: Bench) -> None:
+    token = bench.add("forecast-1")
+    device = bench.connect("forecast-1", token)
+    asked = {"name": "temperature", "horizon": 600, "steps": 10}
+    now = time.time()
+    for minute in range(60, 0, -1):
+        if minute == 50:
+            short = bench.rest.get("/devices/forecast-1/forecast", params=asked)
+            assert (short.status_code, short.json()["detailCode"]) == (409, "device.forecast_too_short")
+        answer = device.ask(type="telemetry", t=now - 60 * minute, values={"temperature": 20 - minute / 10})
+        assert answer is not None
+        assert answer["type"] == "ack"
+    found = bench.rest.get("/devices/forecast-1/forecast", params=asked).raise_for_status().json()
+    assert (found["method"], found["unit"], len(found["points"])) == ("dampedTrend", "CEL", 10)
+    assert found["error"] < found["naiveError"]
+    assert found["points"][0]["t"] > now - 60
+    assert all(point["low"] <= point["mean"] <= point["high"] for point in found["points"])

@@ -180,6 +180,30 @@ export interface FindingView {
   limit: number;
 }
 
+/** A forecast for the middle of an interval; 90 % of earlier forecasts were within such a band. */
+export interface ForecastPoint {
+  t: number;
+  mean: number;
+  low: number;
+  high: number;
+}
+
+/**
+ * A forecast: `error` is the mean absolute error of the `method` from `origins` earlier times.
+ *
+ * `naiveError` is that of repeating the last value. The method is `seasonalNaive` or `dampedTrend`.
+ */
+export interface ForecastView {
+  name: string;
+  unit: string | null;
+  method: string;
+  error: number;
+  naiveError: number;
+  origins: number;
+  coverage: number;
+  points: ForecastPoint[];
+}
+
 /** The gripper of a robot. */
 export interface Gripper {
   type?: "parallel" | "vacuum" | "magnetic" | "hand" | "other";
