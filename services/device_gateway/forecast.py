@@ -8,7 +8,7 @@ Both are compared by a rolling origin (Tashman, Out-of-sample tests of forecasti
 Journal of Forecasting 16, 2000): from each of up to `MAX_ORIGINS` earlier times the model sees only what was
 before, and forecasts the whole horizon. The model with the lesser mean absolute error is used; `naive_error`
 is that of repeating the last value. The band holds 90 % of the errors of the backtest for each step, and
-never becomes narrower with time. It is empirical: nothing is claimed for what has never happened in the history.
+never becomes narrower with time. It is empirical: nothing is claimed for what has never happened.
 """
 
 import math
