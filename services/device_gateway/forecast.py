@@ -90,12 +90,13 @@ def forecast(values: Values, horizon: int, season: int | None = None) -> Forecas
 
 def seasonal_naive(before: Values, horizon: int, season: int) -> Values:
     """Repeat the last season."""
-    return np.resize(before[-season:], horizon)
+    repeated: Values = np.resize(before[-season:], horizon)
+    return repeated
 
 
 def damped_trend(before: Values, horizon: int) -> Values:
     """Return the forecast of Holt's method with a damped trend."""
-    best, chosen = math.inf, (before[-1], 0.0)
+    best, chosen = math.inf, (float(before[-1]), 0.0)
     for alpha in _ALPHAS:
         for beta in _BETAS:
             squared, level, slope = _smoothed(before, alpha, beta)
@@ -103,7 +104,8 @@ def damped_trend(before: Values, horizon: int) -> Values:
                 best, chosen = squared, (level, slope)
     level, slope = chosen
     damping: Values = np.cumsum(PHI ** np.arange(1, horizon + 1))
-    return level + slope * damping
+    expected: Values = level + slope * damping
+    return expected
 
 
 def _smoothed(values: Values, alpha: float, beta: float) -> tuple[float, float, float]:
@@ -129,4 +131,5 @@ def _rolling_errors(values: Values, horizon: int, origins: int, model: Model) ->
 
 def _interpolated(values: Values) -> Values:
     known = np.flatnonzero(np.isfinite(values))
-    return np.interp(np.arange(values.size), known, values[known])
+    filled: Values = np.interp(np.arange(values.size), known, values[known])
+    return filled
