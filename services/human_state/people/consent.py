@@ -25,7 +25,7 @@ class Purpose(StrEnum):
     BROKER = "broker"
     """HumanState entities are written to the context broker."""
     RECORDING = "recording"
-    """Signals are recorded in sessions that somebody starts and stops."""
+    """Signals may be recorded in sessions that somebody starts and stops; the service makes none yet."""
 
 
 @dataclass(frozen=True, slots=True)
