@@ -44,7 +44,7 @@ MAX_TIME_S: Final = 1e11
 """Clocks of devices count less; a float resolves 15 microseconds there."""
 FAST_SILENCE_S: Final = 0.9
 """Waveforms come in packets; silence of them is found within 1 s."""
-MAX_FLAT_S: Final = 0.8
+MAX_FLAT_S: Final = 0.4
 SATURATED_RUN: Final = 3
 """Samples at a bound in a row; single ones are peaks."""
 MAX_RATE_ERROR: Final = 0.02
