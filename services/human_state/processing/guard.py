@@ -42,6 +42,9 @@ MAX_GAP_S: Final = 60.0
 """A longer step of the clock is a jump: a sensor that was away so long starts over anyway."""
 MAX_ARRIVAL_JITTER_S: Final = 0.25
 SILENCE_S: Final = 0.95
+MIN_LEVEL_S: Final = 2.2
+"""So much signal shows the usual level: one beat at least."""
+MIN_QUIET_S: Final = 1.05
 GRAVITY_MPS2: Final = 9.80665
 
 WAVEFORMS: Final = frozenset(
@@ -98,8 +101,10 @@ class SignalGuard:
         self._offsets: deque[float] = deque(maxlen=3)
         self._constant_s = np.zeros(len(info.channels))
         self._last_row: Floats | None = None
-        self._levels: deque[float] = deque(maxlen=40)
+        self._levels: deque[float] = deque(maxlen=80)
+        self._level_s = 0.0
         self._quiet_s = 0.0
+        self._quiet_runs_s: deque[float] = deque([1.5], maxlen=20)
         self._settle_s = 0.0
         self._fault: SensorFault | None = None
         self._source = ""
@@ -311,7 +316,10 @@ class SignalGuard:
         if kind not in STEADY_LEVEL:
             return None
         level = float(np.std(np.diff(values[:, 0]))) if len(values) > 2 else 0.0
-        usual = float(np.median(self._levels)) if len(self._levels) >= 4 else None
+        # Short packets of an ECG hold a QRS complex or none: the level of those with one is the usual one.
+        self._level_s += len(values) / rate_hz
+        share = 90 if len(values) >= 0.2 * rate_hz else 97
+        usual = float(np.percentile(self._levels, share)) if self._level_s >= MIN_LEVEL_S else None
         duration_s = len(values) / rate_hz
         if usual is None or usual <= 0:
             self._levels.append(level)
@@ -321,9 +329,17 @@ class SignalGuard:
             return SensorFault.UNIT, f"its level rose by {ratio:.0f}", {"ratio": ratio}
         if ratio > 10:
             return SensorFault.ARTEFACT, f"its level rose by {ratio:.0f}", {"ratio": ratio}
-        self._quiet_s = self._quiet_s + duration_s if ratio < 0.12 else 0.0
-        if kind is SignalKind.ECG and (ratio < 1 / 100 or self._quiet_s > 0.85):
-            return SensorFault.NO_CONTACT, f"its level fell to {ratio:.3f} of the usual one", {"ratio": ratio}
-        if ratio >= 0.12:
+        if kind is not SignalKind.ECG:
             self._levels.append(level)
+            return None
+        if ratio >= 0.12:
+            self._quiet_runs_s.append(self._quiet_s)
+            self._quiet_s = 0.0
+        else:
+            self._quiet_s += duration_s
+        # A slow heart is quiet for longer between its beats than a strap that is off may stay unnoticed.
+        allowed_s = max(MIN_QUIET_S, 1.3 * max(self._quiet_runs_s, default=MIN_QUIET_S))
+        if ratio < 1 / 500 or self._quiet_s > allowed_s:
+            return SensorFault.NO_CONTACT, f"its level fell to {ratio:.3f} of the usual one", {"ratio": ratio}
+        self._levels.append(level)
         return None

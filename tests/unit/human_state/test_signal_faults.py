@@ -166,6 +166,16 @@ def test_a_pipeline_in_a_pipeline_has_one_guard_and_memory_for_few_reports() -> 
     assert 0 < len(outer.take_reports()) <= 64
 
 
+@pytest.mark.parametrize("packet", [13, 33, 73])
+@pytest.mark.parametrize("bpm", [38, 65, 150])
+def test_a_clean_ecg_has_no_fault_at_any_rate_and_size_of_packets(bpm: float, packet: int) -> None:
+    ecg = 1000 * ecg_of(synthetic_beats(60, bpm, seed=4), 60, 130.0)
+    ecg = np.round(ecg + np.random.default_rng(1).normal(0, 4, len(ecg)))
+    guard = SignalGuard(ECG)
+    for each in packets_of(ECG, ecg[:, None], "h10", BEGIN_S, packet):
+        assert guard.check(each).faults == ()
+
+
 class BrokenProcessor:
     def feed(self, samples: Samples) -> list:
         raise ZeroDivisionError("division by zero")
