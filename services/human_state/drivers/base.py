@@ -23,7 +23,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SecretStr
 
 from handover.extensions import ExtensionPoint
 from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
@@ -36,6 +36,10 @@ class LinkLost(Exception):
     """The connection to the device ended; the text says why. The driver is run again after a pause."""
 
 
+HIDDEN: Final = "**********"
+"""What people see in place of a secret, as pydantic writes it."""
+
+
 class PacketError(Exception):
     """The bytes of a device are not what its protocol says; the only error that a parser raises."""
 
@@ -44,6 +48,23 @@ class DriverSettings(BaseModel):
     """The settings of every driver; a driver adds its own."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @classmethod
+    def shown(cls, stored: Mapping[str, Any]) -> dict[str, Any]:
+        """Return stored settings for people: secrets (`SecretStr`) are `HIDDEN`."""
+        return {name: HIDDEN if name in cls._secrets() and value else value for name, value in stored.items()}
+
+    @classmethod
+    def completed(cls, given: Mapping[str, Any], stored: Mapping[str, Any]) -> dict[str, Any]:
+        """Return given settings, in which a secret that is `HIDDEN` stays as it is stored."""
+        return {
+            name: stored[name] if value == HIDDEN and name in cls._secrets() and name in stored else value
+            for name, value in given.items()
+        }
+
+    @classmethod
+    def _secrets(cls) -> frozenset[str]:
+        return frozenset(name for name, field in cls.model_fields.items() if field.annotation is SecretStr)
 
 
 @dataclass(frozen=True, slots=True)

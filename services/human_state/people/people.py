@@ -102,6 +102,11 @@ class People:
             )
         return found
 
+    def stored_settings(self, name: str, driver: str) -> Mapping[str, Any]:
+        """Return the settings of a sensor; none if it is not there or has another driver."""
+        rows = (person.sensors[name] for person in self._persons.values() if name in person.sensors)
+        return next((row.settings for row in rows if row.driver == driver), {})
+
     def sensor(self, name: str) -> SensorRow:
         """Return a sensor; raise `Problem` 404."""
         for person in self._persons.values():

@@ -291,14 +291,15 @@ def _add_sensors(app: FastAPI, parts: Parts) -> None:
         guard = guard_of(request)
         guard.require(caller, Permission.CONFIGURE, guard.settings.entity_id("Person", body.person))
         driver = _driver(body.driver)
+        given = driver.settings_model.completed(body.settings, people.stored_settings(sensor, body.driver))
         try:
-            driver.settings_model.model_validate(body.settings)
+            driver.settings_model.model_validate(given)
         except ValidationError as error:
             faults = "; ".join(
                 f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:5]
             )
             raise Problem(422, "Bad settings", f"the settings of {body.driver}: {faults}") from None
-        row = SensorRow(sensor, body.driver, body.settings, body.person)
+        row = SensorRow(sensor, body.driver, given, body.person)
         return person_view(await people.put_sensor(row), monitoring)
 
     @app.delete("/sensors/{sensor}", tags=["sensors"], status_code=204)

@@ -2,7 +2,10 @@
 
 import time
 from datetime import UTC, datetime
+from typing import Any
 
+from handover.errors import UsageError
+from services.human_state.drivers.base import SENSOR_DRIVERS, SensorDriver
 from services.human_state.fusion.person_state import FusedValue
 from services.human_state.model.features import UNITS
 from services.human_state.monitoring.monitoring import Monitoring
@@ -19,6 +22,7 @@ from services.human_state.routes.bodies import (
     StateView,
     ValueView,
 )
+from services.human_state.storage.store import SensorRow
 
 
 def moment(us: int) -> datetime:
@@ -58,7 +62,7 @@ def _sensor_view(person: Person, name: str, monitor: PersonMonitor | None) -> Se
     return SensorStateView(
         name=name,
         driver=row.driver,
-        settings=dict(row.settings),
+        settings=_shown_settings(row),
         link=known.link,
         battery=known.battery,
         has_contact=known.has_contact,
@@ -66,6 +70,14 @@ def _sensor_view(person: Person, name: str, monitor: PersonMonitor | None) -> Se
         problem=known.text,
         signals=sorted(known.signals),
     )
+
+
+def _shown_settings(row: SensorRow) -> dict[str, Any]:
+    try:
+        driver: type[SensorDriver] = SENSOR_DRIVERS.load(row.driver)
+    except UsageError:  # nothing says which of its settings are secrets
+        return {}
+    return driver.settings_model.shown(row.settings)
 
 
 def limit_view(monitor: PersonMonitor, monitoring: Monitoring) -> LimitView | None:

@@ -151,3 +151,25 @@ async def test_a_sensor_of_another_person_moves_with_nothing_of_its_values(runni
         (await rest.put("/sensors/strap-aino", json=moved)).raise_for_status()
         assert (await rest.get("/people/aino")).json()["sensors"] == []
         assert await heart_rate(rest, "aino") is None
+
+
+async def test_the_secrets_of_a_sensor_are_never_shown(running: Running) -> None:
+    settings = {
+        "base_url": "https://vendor.example",
+        "token_url": "https://vendor.example/token",
+        "client_id": "us",
+        "client_secret": "most-secret",
+        "device_id": "patch-1",
+    }
+    sensor = {"person": "aino", "driver": "vivalink", "settings": settings}
+    async with running() as rest:
+        (await rest.put("/people/aino", json={"age": 40})).raise_for_status()
+        made = (await rest.put("/sensors/patch-aino", json=sensor)).raise_for_status()
+        assert "most-secret" not in made.text
+        shown = made.json()["sensors"][0]["settings"]
+        assert shown["client_secret"] == "*" * 10
+        changed = {**sensor, "settings": {**shown, "client_id": "clinic"}}
+        (await rest.put("/sensors/patch-aino", json=changed)).raise_for_status()
+        answer = await rest.get("/people/aino")
+        assert "most-secret" not in answer.text
+        assert answer.json()["sensors"][0]["settings"]["client_id"] == "clinic"
