@@ -18,13 +18,14 @@ export function JointsPanel({ driver, isOn, joints, position }: JointsPanelProps
     <ul className="joint-jog">
       {joints.map((joint, index) => {
         const name = labelOf(joint, i18n.language);
+        const at = position[index];
         return (
           <li key={joint.name}>
             <span>{name}</span>
             <HoldButton isDisabled={!isOn} label={t("joints.less", { name })} onHold={(isHeld) => driver.pushJoint(index, isHeld ? -1 : 0)}>
               <Minus aria-hidden size={18} />
             </HoldButton>
-            <output>{positionText(joint, position[index] ?? NaN, i18n.language)}</output>
+            <output>{at === undefined ? "–" : positionText(joint, at, i18n.language)}</output>
             <HoldButton isDisabled={!isOn} label={t("joints.more", { name })} onHold={(isHeld) => driver.pushJoint(index, isHeld ? 1 : 0)}>
               <Plus aria-hidden size={18} />
             </HoldButton>
