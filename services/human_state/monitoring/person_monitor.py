@@ -26,12 +26,15 @@ from services.human_state.model.signals import (
 )
 from services.human_state.people.consent import Purpose
 from services.human_state.people.people import Person
+from services.human_state.processing.events import PersonAnalysis
 from services.human_state.processing.pipeline import SignalPipeline
 
 MAX_WAITING: Final = 256
 """Packets that wait for a page that does not read; the oldest are dropped."""
 BASELINE_S: Final = 600.0
 RADAR: Final = "radar"
+ANALYSIS: Final = "analysis"
+"""The source of features that follow from those of all sensors."""
 
 PipelineOf = Callable[[SignalInfo, Collection[SignalKind]], SignalPipeline]
 
@@ -72,12 +75,15 @@ class PersonMonitor:
         """Whether the strain was lasting when it was last looked at."""
         self._pipeline_of = pipeline_of
         self._pipelines: dict[tuple[str, SignalInfo], SignalPipeline | None] = {}
+        self._analysis = _analysis(person)
 
     def change(self, person: Person) -> None:
         """Take changes of the person; sensors that were taken away are forgotten."""
         if person.limit != self.person.limit:
             curve = _curve(person)
             self.limit = replace(self.limit, curve=curve)
+        if person.baseline != self.person.baseline:
+            self._analysis = _analysis(person)
         for gone in self.person.sensors.keys() - person.sensors.keys():
             self.forget(gone)
         self.person = person
@@ -145,7 +151,7 @@ class PersonMonitor:
 
     def _take_features(self, features: Sequence[Feature]) -> None:
         wall_s, now_s = time.time(), time.monotonic()
-        for feature in features:
+        for feature in (*features, *self._analysis.take(features)):
             age_s = max(wall_s - feature.at_s, 0.0)
             given = self.state.take(replace(feature, at_s=now_s - age_s), now_s)
             if given is None:
@@ -204,6 +210,10 @@ class PersonMonitor:
         waiting: deque[Any] = deque(maxlen=MAX_WAITING)
         self.listeners.add(waiting)
         return waiting
+
+
+def _analysis(person: Person) -> PersonAnalysis:
+    return PersonAnalysis(ANALYSIS, person.baseline.rest_bpm, person.baseline.maximum_bpm)
 
 
 def _curve(person: Person) -> LimitCurve:

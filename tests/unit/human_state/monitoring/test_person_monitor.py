@@ -1,0 +1,61 @@
+"""The monitor of one person: features of sensors, and those that follow from all of them."""
+
+import time
+
+import numpy as np
+
+from services.human_state.model.features import FeatureName
+from services.human_state.model.signals import Samples, SignalInfo, SignalKind
+from services.human_state.monitoring.person_monitor import PersonMonitor
+from services.human_state.monitoring.processors import pipeline_of
+from services.human_state.people.consent import Consent
+from services.human_state.people.people import Person
+from services.human_state.storage.store import ConsentRow, LimitRow, PersonRow, SensorRow
+
+YEAR_US = int(365 * 86400e6)
+RATE = SignalInfo(SignalKind.HEART_RATE, "BPM", None, method="chest strap")
+
+
+def person(*purposes: str) -> Person:
+    now_us = int(time.time() * 1e6)
+    return Person(
+        PersonRow("aino", "p-1", 60.0, 180.0, "given", now_us),
+        LimitRow("aino", 90.0, 125.0, 0.2, is_stopped=False),
+        Consent(ConsentRow("aino", frozenset(purposes), now_us - 1, now_us + YEAR_US, "aino")),
+        {"strap": SensorRow("strap", "heart-rate-strap", {}, "aino")},
+    )
+
+
+def feed(monitor: PersonMonitor, bpm: float, seconds: int) -> None:
+    now_s = time.time()
+    for second in range(seconds):
+        at_s = now_s - seconds + second + 1
+        monitor.take(Samples("strap", RATE, at_s, np.array([[bpm]]), np.array([at_s])))
+
+
+def test_stress_and_fatigue_follow_from_the_heart_rate_and_feed_no_limit() -> None:
+    monitor = PersonMonitor(person("live"), pipeline_of)
+    feed(monitor, 150.0, 60)
+    values = {value.name: value for value in monitor.values(time.monotonic())}
+    assert values[FeatureName.HEART_RATE].value == 150.0
+    assert values[FeatureName.FATIGUE].value > 0
+    assert values[FeatureName.STRESS].value == 1.0
+    assert not values[FeatureName.STRESS].is_calibrated
+    assert monitor.state.for_limits(FeatureName.STRESS, time.monotonic()) is None
+
+
+def test_a_changed_baseline_changes_what_is_strain() -> None:
+    monitor = PersonMonitor(person("live"), pipeline_of)
+    trained = person("live")
+    row = PersonRow("aino", "p-1", 100.0, 200.0, "given", 0)
+    monitor.change(Person(row, trained.limit, trained.consent, trained.sensors))
+    feed(monitor, 104.0, 60)
+    values = {value.name: value for value in monitor.values(time.monotonic())}
+    assert float(values[FeatureName.STRESS].value) == 0.1
+
+
+def test_without_consent_nothing_is_kept() -> None:
+    monitor = PersonMonitor(person(), pipeline_of)
+    feed(monitor, 150.0, 60)
+    assert monitor.values(time.monotonic()) == []
+    assert not monitor.recent
