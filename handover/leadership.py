@@ -20,18 +20,20 @@ from typing import Final
 
 from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import DBAPIError
+from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from handover.database import LOCK_POLL_S, DatabaseLock, LockLost
 from handover.errors import Problem
 from handover.origin_guard import send_problem
 from handover.retry import Backoff
-from handover.security.guard import PUBLIC_PATHS
+from handover.security.guard import PUBLIC_PATHS, authenticated
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
 
 CHECK_INTERVAL_S: Final = 1.0
+NOTIFICATIONS: Final = "/notifications"
 Work = Callable[[], AbstractAsyncContextManager[None]]
 """What the leader does while its context is open; it is entered again when the replica leads again."""
 
@@ -131,7 +133,7 @@ class Leadership:
 
 
 class OnlyLeading:
-    """ASGI middleware: a replica that waits answers 503, except for its health."""
+    """ASGI middleware: a replica that waits answers 503 to known callers, except for its health."""
 
     def __init__(self, app: ASGIApp, leadership: Leadership) -> None:
         self._app = app
@@ -143,6 +145,19 @@ class OnlyLeading:
             try:
                 await self._leadership.check()
             except ConnectionError as error:
-                await send_problem(send, Problem(503, "Standby", str(error)))
+                await send_problem(send, await _refusal(HTTPConnection(scope), str(error)))
                 return
         await self._app(scope, receive, send)
+
+
+async def _refusal(connection: HTTPConnection, why: str) -> Problem:
+    """Return why a replica that waits does not answer; a stranger learns only to identify.
+
+    A broker that notifies has a key instead of a token; it repeats the notification after 503.
+    """
+    try:
+        if not connection.url.path.startswith(NOTIFICATIONS):
+            await authenticated(connection)
+    except Problem as problem:
+        return problem
+    return Problem(503, "Standby", why)
