@@ -19,7 +19,7 @@ How it works:
 import asyncio
 from abc import ABC, abstractmethod
 from collections import OrderedDict, deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Self
@@ -48,6 +48,8 @@ log = get_logger(__name__)
 
 MAX_SELECTED = 20
 """Resources in a query."""
+MAX_ANNOUNCED = 200
+"""Resources in a request that announces the performer of each."""
 MAX_SELECTION_ATTEMPTS = 5
 MAX_REMEMBERED = 10_000
 """Ended Tasks that are remembered, so that a late notification does not start them again."""
@@ -189,8 +191,7 @@ class Performer(ABC):
         if not self._subscribed:
             await self.broker.ensure_subscription(self._subscription())
             self._subscribed = True
-        for resource in set(self._queues) - self._announced:
-            await self._announce(resource)
+        await self._announce([resource for resource in self._queues if resource not in self._announced])
         known = set(self._jobs)
         unfinished = await self._unfinished()
         for entity in unfinished:
@@ -232,11 +233,14 @@ class Performer(ABC):
         task = _as_task(entity)
         return task is not None and any(link.object in resources for link in task.involves or ())
 
-    async def _announce(self, resource: str) -> None:
-        kind = resource.split(":")[2] if resource.count(":") >= 3 else "Device"
+    async def _announce(self, resources: Sequence[str]) -> None:
         performer = {"type": "Property", "value": self.name}
-        await self.broker.upsert([{"id": resource, "type": kind, "performer": performer}])
-        self._announced.add(resource)
+        for start in range(0, len(resources), MAX_ANNOUNCED):
+            batch = resources[start : start + MAX_ANNOUNCED]
+            await self.broker.upsert(
+                [{"id": one, "type": _type_in(one), "performer": performer} for one in batch]
+            )
+            self._announced.update(one for one in batch if one in self._queues)
 
     async def _update(self, task_id: str) -> None:
         job = self._jobs.get(task_id)
@@ -443,6 +447,10 @@ class Performer(ABC):
                 "endpoint": self._receiver.endpoint(self.notify_url),
             },
         }
+
+
+def _type_in(resource: str) -> str:
+    return resource.split(":")[2] if resource.count(":") >= 3 else "Device"
 
 
 def _as_task(entity: Mapping[str, Any]) -> Task | None:
