@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 from services.human_state.fusion.person_state import FusedValue, PersonState
 from services.human_state.limits.body_limit import RADAR_TIMEOUT_S, TIMEOUT_S, BodyLimit, HeartRate
@@ -67,7 +67,8 @@ class PersonMonitor:
         self.limit = BodyLimit(_curve(person), now_s, now_s)
         if person.limit.is_stopped:
             self.limit = replace(self.limit, fraction=0.0, is_stopped=True)
-        self.listeners: set[deque[Samples]] = set()
+        self._listeners: dict[int, deque[Samples]] = {}
+        """By identity: two queues with the same packets are different ones."""
         self.recent: deque[Feature] = deque(maxlen=2048)
         """Heart rates of the last minutes, for measured baselines."""
         self.on_samples: Callable[[Samples], None] = lambda _: None
@@ -103,7 +104,7 @@ class PersonMonitor:
             self._take_report(item, sensor)
             return
         sensor.signals[item.info.kind] = item.info
-        for waiting in self.listeners:
+        for waiting in self._listeners.values():
             waiting.append(item)
         self.on_samples(item)
         pipeline = self._pipeline(item, sensor)
@@ -206,10 +207,14 @@ class PersonMonitor:
         self.limit = self.limit.reset(now_s)
 
     def listen(self) -> deque[Samples]:
-        """Return a queue of samples from now on; end it with `listeners.discard`."""
-        waiting: deque[Any] = deque(maxlen=MAX_WAITING)
-        self.listeners.add(waiting)
+        """Return a queue of samples from now on; end it with `end_listening`."""
+        waiting: deque[Samples] = deque(maxlen=MAX_WAITING)
+        self._listeners[id(waiting)] = waiting
         return waiting
+
+    def end_listening(self, waiting: deque[Samples]) -> None:
+        """Add nothing more to a queue of `listen`."""
+        self._listeners.pop(id(waiting), None)
 
 
 def _analysis(person: Person) -> PersonAnalysis:

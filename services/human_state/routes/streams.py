@@ -72,7 +72,7 @@ async def _send_live(socket: WebSocket, monitoring: Monitoring, person: str) -> 
             monitor = monitoring.monitors.get(person)
             if monitor is not listened:
                 if listened is not None and waiting is not None:
-                    listened.listeners.discard(waiting)
+                    listened.end_listening(waiting)
                 listened, waiting = monitor, None if monitor is None else monitor.listen()
             if waiting:
                 signals = [_signal(waiting.popleft()) for _ in range(len(waiting))]
@@ -85,7 +85,7 @@ async def _send_live(socket: WebSocket, monitoring: Monitoring, person: str) -> 
             await asyncio.sleep(LIVE_EVERY_S)
     finally:
         if listened is not None and waiting is not None:
-            listened.listeners.discard(waiting)
+            listened.end_listening(waiting)
 
 
 def _signal(samples: Samples) -> dict[str, Any]:
