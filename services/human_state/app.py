@@ -18,6 +18,7 @@ from handover.security.guard import Guard
 from handover.service import create_app
 from handover.storage import storage_check
 from services.human_state.metrics import REJECTED
+from services.human_state.monitoring.activities import ActivityModel
 from services.human_state.monitoring.breaks import BreakProposals
 from services.human_state.monitoring.entities import HumanStates
 from services.human_state.monitoring.history import HistoryWriter
@@ -42,7 +43,10 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     people = People(store)
     tasks = BackgroundTasks("human state")
     writer = LatestValueWriter(on_rejected=lambda _: REJECTED.inc())
-    monitoring = Monitoring(settings, people, guard.access, tasks, pipeline_of)
+    activities = ActivityModel(settings.health_activity_model, tasks)
+    monitoring = Monitoring(
+        settings, people, guard.access, tasks, pipeline_of=pipeline_of, classifier_of=activities.classifier
+    )
     entities = HumanStates(settings, monitoring, broker, writer)
     history = HistoryWriter(store, monitoring, settings.health_history_days)
     breaks = BreakProposals(settings, guard.access)

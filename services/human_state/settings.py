@@ -1,5 +1,7 @@
 """The settings of human state, in addition to the common ones."""
 
+from pathlib import Path
+
 from pydantic import Field
 
 from handover.settings import Settings
@@ -28,6 +30,12 @@ class HumanStateSettings(Settings):
         max_length=64,
         description="the BPMN message sent to the orchestrator when the strain of a person lasts; its key is "
         "the pseudonym; empty: none",
+    )
+
+    health_activity_model: Path | None = Field(
+        None,
+        description="skops file with a model of the activities of daily living; one that was trained on "
+        "simulated people if absent",
     )
 
     @property

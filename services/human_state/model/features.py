@@ -21,6 +21,7 @@ class FeatureName(StrEnum):
     STEPS = "steps"
     CADENCE = "cadence"
     ACTIVITY = "activity"
+    DAILY_ACTIVITY = "dailyActivity"
     POSTURE = "posture"
     SLEEP_POSITION = "sleepPosition"
     APNOEA_EVENT = "apnoeaEvent"

@@ -22,7 +22,7 @@ from services.human_state.drivers.runner import SensorRunner
 from services.human_state.limits.robot_stream import RobotStream
 from services.human_state.metrics import SENSORS
 from services.human_state.model.signals import LinkState
-from services.human_state.monitoring.person_monitor import PersonMonitor, PipelineOf, SensorView
+from services.human_state.monitoring.person_monitor import ClassifierOf, PersonMonitor, PipelineOf, SensorView
 from services.human_state.people.consent import Purpose
 from services.human_state.people.people import People, Person
 from services.human_state.settings import HumanStateSettings
@@ -62,7 +62,9 @@ class Monitoring:
         people: People,
         access: ServiceAccess,
         tasks: BackgroundTasks,
+        *,
         pipeline_of: PipelineOf,
+        classifier_of: ClassifierOf,
     ) -> None:
         self.monitors: dict[str, PersonMonitor] = {}
         self.links: dict[tuple[str, str], RobotLink] = {}
@@ -76,6 +78,7 @@ class Monitoring:
         self._access = access
         self._tasks = tasks
         self._pipeline_of = pipeline_of
+        self._classifier_of = classifier_of
         self._running: dict[str, _Running] = {}
         self._ticked = asyncio.Event()
         self._message = b"{}"
@@ -89,7 +92,7 @@ class Monitoring:
             return
         monitor = self.monitors.get(name)
         if monitor is None:
-            monitor = self.monitors[name] = PersonMonitor(person, self._pipeline_of)
+            monitor = self.monitors[name] = PersonMonitor(person, self._pipeline_of, self._classifier_of)
         for gone in monitor.person.sensors.keys() - person.sensors.keys():
             self._stop_sensor(gone, name)
         monitor.change(person)

@@ -24,8 +24,10 @@ from services.human_state.model.signals import (
     SignalInfo,
     SignalKind,
 )
+from services.human_state.monitoring.activities import ANALYSIS
 from services.human_state.people.consent import Purpose
 from services.human_state.people.people import Person
+from services.human_state.processing.adl.classifier import AdlClassifier
 from services.human_state.processing.events import PersonAnalysis
 from services.human_state.processing.pipeline import SignalPipeline
 
@@ -33,9 +35,8 @@ MAX_WAITING: Final = 256
 """Packets that wait for a page that does not read; the oldest are dropped."""
 BASELINE_S: Final = 600.0
 RADAR: Final = "radar"
-ANALYSIS: Final = "analysis"
-"""The source of features that follow from those of all sensors."""
 
+ClassifierOf = Callable[[], AdlClassifier | None]
 PipelineOf = Callable[[SignalInfo, Collection[SignalKind]], SignalPipeline]
 
 
@@ -58,7 +59,9 @@ class SensorView:
 class PersonMonitor:
     """The state and the limit of one person. Everything happens on the event loop."""
 
-    def __init__(self, person: Person, pipeline_of: PipelineOf) -> None:
+    def __init__(
+        self, person: Person, pipeline_of: PipelineOf, classifier_of: ClassifierOf = lambda: None
+    ) -> None:
         now_s = time.monotonic()
         self.person = person
         self.state = PersonState()
@@ -77,6 +80,9 @@ class PersonMonitor:
         self._pipeline_of = pipeline_of
         self._pipelines: dict[tuple[str, SignalInfo], SignalPipeline | None] = {}
         self._analysis = _analysis(person)
+        self._classifier_of = classifier_of
+        self._classifier: AdlClassifier | None = None
+        self._activity_signals: set[SignalKind] = set()
 
     def change(self, person: Person) -> None:
         """Take changes of the person; sensors that were taken away are forgotten."""
@@ -111,6 +117,17 @@ class PersonMonitor:
         if pipeline is not None:
             self._take_features(pipeline.feed(item))
             self._take_faults(pipeline, sensor)
+        self._take_activity(item)
+
+    def _take_activity(self, item: Samples) -> None:
+        """Classify what the person does, from a wrist and a seat together."""
+        if not AdlClassifier.accepts(item.info):
+            return
+        self._activity_signals.add(item.info.kind)
+        if self._classifier is None and len(self._activity_signals) > 1:
+            self._classifier = self._classifier_of()
+        if self._classifier is not None:
+            self._take_features(self._classifier.feed(item))
 
     def _pipeline(self, item: Samples, sensor: SensorView) -> SignalPipeline | None:
         """Return the pipeline of a signal; None for one that cannot be analysed."""
@@ -149,6 +166,8 @@ class PersonMonitor:
         for (source, _), pipeline in self._pipelines.items():
             if source == report.source and pipeline is not None:
                 self._take_features(pipeline.report(report))
+        if self._classifier is not None:
+            self._take_features(self._classifier.report(report))
 
     def _take_features(self, features: Sequence[Feature]) -> None:
         wall_s, now_s = time.time(), time.monotonic()

@@ -159,7 +159,7 @@ class AdlClassifier:
         sure = quality * float(shares.max()) * count / len(self._votes)
         return [
             Feature(
-                FeatureName.ACTIVITY, self._source, name, at_s, sure, Status.VALID, "adl-1", WINDOW_S + VOTES,
-                STEP_S, is_calibrated=False,
+                FeatureName.DAILY_ACTIVITY, self._source, name, at_s, sure, Status.VALID, "adl-1",
+                WINDOW_S + VOTES, STEP_S, is_calibrated=False,
             )
         ]  # fmt: skip

@@ -38,7 +38,7 @@ async def test_a_client_subscribes_and_receives_values_and_single_samples() -> N
         server.publish(RATE)
         server.publish(ECG)
         async with (
-            asyncio.timeout(scaled(30)),
+            asyncio.timeout(scaled(120)),
             connect(f"ws://127.0.0.1:{server.port}", subprotocols=SUBPROTOCOLS) as client,
         ):
             known = await channels(client, 3)

@@ -10,9 +10,12 @@ from services.human_state.monitoring.person_monitor import PersonMonitor
 from services.human_state.monitoring.processors import pipeline_of
 from services.human_state.people.consent import Consent
 from services.human_state.people.people import Person
+from services.human_state.processing.adl.classifier import AdlClassifier
 from services.human_state.storage.store import ConsentRow, LimitRow, PersonRow, SensorRow
 
 YEAR_US = int(365 * 86400e6)
+WRIST = SignalInfo(SignalKind.ACCELERATION, "MSK", 50.0, ("x", "y", "z"), method="wrist")
+SEAT = SignalInfo(SignalKind.PRESSURE_MAP, "C62", 10.0, tuple(f"r{i // 4}c{i % 4}" for i in range(12)))
 RATE = SignalInfo(SignalKind.HEART_RATE, "BPM", None, method="chest strap")
 
 
@@ -38,7 +41,7 @@ def test_stress_and_fatigue_follow_from_the_heart_rate_and_feed_no_limit() -> No
     feed(monitor, 150.0, 60)
     values = {value.name: value for value in monitor.values(time.monotonic())}
     assert values[FeatureName.HEART_RATE].value == 150.0
-    assert values[FeatureName.FATIGUE].value > 0
+    assert float(values[FeatureName.FATIGUE].value) > 0
     assert values[FeatureName.STRESS].value == 1.0
     assert not values[FeatureName.STRESS].is_calibrated
     assert monitor.state.for_limits(FeatureName.STRESS, time.monotonic()) is None
@@ -52,6 +55,40 @@ def test_a_changed_baseline_changes_what_is_strain() -> None:
     feed(monitor, 104.0, 60)
     values = {value.name: value for value in monitor.values(time.monotonic())}
     assert float(values[FeatureName.STRESS].value) == 0.1
+
+
+class Model:
+    """Predicts rest, whatever it gets."""
+
+    classes_ = ("Rest", "Transfer")
+
+    def predict_proba(self, figures: np.ndarray) -> np.ndarray:
+        return np.array([[0.9, 0.1]])
+
+
+def test_an_activity_needs_wrist_and_seat_together_and_ends_with_a_fault() -> None:
+    made: list[AdlClassifier] = []
+
+    def classifier() -> AdlClassifier:
+        made.append(AdlClassifier(Model(), "analysis"))
+        return made[-1]
+
+    sensors = {name: SensorRow(name, "simulated", {}, "aino") for name in ("wrist", "seat")}
+    aino = person("live")
+    aino = Person(aino.row, aino.limit, aino.consent, sensors)
+    monitor = PersonMonitor(aino, pipeline_of, classifier)
+    now_s = time.time() - 20
+    for half in range(40):
+        at_s = now_s + half / 2
+        monitor.take(Samples("wrist", WRIST, at_s, np.tile([0.0, 0.0, 9.81], (25, 1)) + half % 3))
+        if half == 10:
+            assert not made
+        if half >= 10:
+            monitor.take(Samples("seat", SEAT, at_s, np.full((5, 12), 100.0 + half % 2)))
+    assert len(made) == 1
+    values = {value.name: value for value in monitor.values(time.monotonic())}
+    assert values[FeatureName.DAILY_ACTIVITY].value == "Rest"
+    assert not values[FeatureName.DAILY_ACTIVITY].is_calibrated
 
 
 def test_without_consent_nothing_is_kept() -> None:
