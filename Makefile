@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-load bench-sign-in bench-screen pictures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-sign-in bench-screen pictures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -198,6 +198,9 @@ bench-control: setup  ## people who move robots by hand: input to motion command
 
 bench-human-state: setup  ## body signals: beats, rates, faults, cost, beside neurokit2, xqrs and heartpy (ARGS=--quick)
 	@$(BIN)/python -m benchmarks.human_state $(ARGS)
+
+bench-whole-body: setup  ## the stack of tasks on COMAN: solvers on recorded problems (ARGS="--problems 400")
+	@$(BIN)/python -m benchmarks.whole_body $(ARGS)
 
 bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas behind HAProxy, sign-ins, latency (ARGS="--replicas 1")
 	@$(BIN)/python -m benchmarks.load $(ARGS)

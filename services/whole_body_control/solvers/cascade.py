@@ -23,6 +23,8 @@ RANK_TOLERANCE = 1e-6
 FEASIBLE = 1e-8
 EQUALITY = 1e-12
 PRIMAL_TOLERANCE = 1e-9
+SINGULAR_TOLERANCES = (1e-11, 1e-14)
+"""With the first, its default, daqp may take rows for dependent that are not, and find no solution."""
 SOFT, SOLVED = 8, 1
 """`sense` and exit flag of daqp."""
 
@@ -57,11 +59,12 @@ class Cascade:
     def solve(self, problem: Problem) -> Solution:
         """Return the velocities. Raises `Unsolvable`."""
         require_finite(problem)
-        slack = _needed_slack(problem)
+        slack, allowed = needed_slack(problem)
         lower, upper = problem.lower - slack, problem.upper + slack
         # What is equal (contacts) takes its directions away; it would make every level a quadratic program.
         equal = upper - lower <= EQUALITY
         velocity, basis = _exact(problem.matrix[equal], lower[equal], problem.n)
+        velocity = velocity + basis @ (basis.T @ allowed)
         bounds = _Bounds(problem.matrix[~equal], lower[~equal], upper[~equal])
         residuals: list[float] = []
         for jacobian, target in problem.levels:
@@ -94,14 +97,18 @@ def _level(jacobian: Array, target: Array, free: _Free, bounds: _Bounds, epsilon
     step: Array = np.asarray(np.linalg.solve(hessian, -gradient))
     of_step = bounds.of_step(free)
     if not of_step.holds(step):
-        step, _, flag, _ = daqp.solve(
-            hessian,
-            gradient,
-            np.ascontiguousarray(of_step.matrix),
-            of_step.high,
-            of_step.low,
-            primal_tol=PRIMAL_TOLERANCE,
-        )
+        for singular in SINGULAR_TOLERANCES:
+            step, _, flag, _ = daqp.solve(
+                hessian,
+                gradient,
+                np.ascontiguousarray(of_step.matrix),
+                of_step.high,
+                of_step.low,
+                primal_tol=PRIMAL_TOLERANCE,
+                sing_tol=singular,
+            )
+            if flag == SOLVED:
+                break
         if flag != SOLVED:
             # Nothing but a rounding error is left of the free directions: the levels above have used them up.
             return free.velocity
@@ -123,10 +130,13 @@ def _null_space(matrix: Array) -> Array:
     return np.asarray(right[rank:].T)
 
 
-def _needed_slack(problem: Problem) -> Array:
-    """Return by how much each bound must be relaxed so that all hold: the least squares of violations."""
+def needed_slack(problem: Problem) -> tuple[Array, Array]:
+    """Return by how much each bound must be relaxed so that all hold, and a velocity that obeys them then.
+
+    The relaxation is the least squares of violations. Raises `Unsolvable`.
+    """
     if ((problem.lower <= 0) & (problem.upper >= 0)).all():
-        return np.zeros(len(problem.lower))
+        return np.zeros(len(problem.lower)), np.zeros(problem.n)
     sense = np.full(len(problem.lower), SOFT, dtype=np.int32)
     velocity, _, flag, _ = daqp.solve(
         problem.epsilon * np.eye(problem.n),
@@ -141,4 +151,4 @@ def _needed_slack(problem: Problem) -> Array:
         raise Unsolvable(f"the constraints could not be examined (daqp: {flag})")
     reached = problem.matrix @ velocity
     slack = np.maximum(np.maximum(problem.lower - reached, reached - problem.upper), 0.0)
-    return np.where(slack > SLACK_TOLERANCE, slack, 0.0)
+    return np.where(slack > SLACK_TOLERANCE, slack, 0.0), np.asarray(velocity)

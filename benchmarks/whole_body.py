@@ -1,0 +1,193 @@
+"""The stack of tasks on COMAN: solvers on recorded problems, their time and their agreement.
+
+    python -m benchmarks.whole_body [--problems 1400] [--seed 1] [--rounds 5]
+
+The problems are those of a robot that juggles and of one that walks with its hands held, each recorded by the
+same seeded motion: targets jump, also beyond reach and beyond what the limits allow. Times are CPU times of
+one thread, the least of some rounds for each problem, the solvers in turn. A solver is compared with the
+cascade in NumPy: at each level the residual, where both have kept the bounds.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks.steal_time import report_steal_time
+from services.whole_body_control.engines.stack_engine import StackEngine
+from services.whole_body_control.model.kinematics import Array, Kinematics
+from services.whole_body_control.robots import humanoid
+from services.whole_body_control.solvers.cascade import Cascade
+from services.whole_body_control.solvers.compiled import Compiled
+from services.whole_body_control.solvers.hierarchical import Hierarchical
+from services.whole_body_control.solvers.problem import EPSILON, Problem, Solution, Solver
+from services.whole_body_control.tasks.base import Stack
+from services.whole_body_control.tasks.constraints import Contact, JointLimits
+from services.whole_body_control.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
+
+DT_S = 0.01
+AGREES = 1e-6
+STEP_S, STEP_LENGTH_M, STEP_HEIGHT_M = 0.8, 0.06, 0.03
+PLACES = (True,) * 3 + (False,) * 3
+
+
+class Recorder:
+    """Solves with the reference, and keeps every problem."""
+
+    name = "recorder"
+
+    def __init__(self) -> None:
+        self.problems: list[Problem] = []
+        self._solver = Cascade()
+
+    def solve(self, problem: Problem) -> Solution:
+        """Return the solution of the reference."""
+        self.problems.append(problem)
+        return self._solver.solve(problem)
+
+
+class Robot:
+    """COMAN in its standing pose."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = np.random.default_rng(seed)
+        self.kinematics = Kinematics(humanoid("coman"))
+        self.q = self.kinematics.standing("hands_forward")
+        self.kinematics.update(self.q)
+        self.com = CentreOfMassTask("com", self.kinematics.centre_of_mass())
+        self.hands = [self.keeps(link, PLACES) for link in ("LSoftHand", "RSoftHand")]
+        self.rest = [task.target.translation.copy() for task in self.hands]
+        self.waist = OrientationTask("waist", "Waist")
+        self.posture = posture(self.kinematics, "hands_forward")
+        self.limits = JointLimits(self.kinematics)
+
+    def keeps(self, link: str, axes: tuple[bool, ...] = (True,) * 6) -> PoseTask:
+        """Return the task to keep the pose of a link."""
+        return PoseTask(link, link, self.kinematics.pose(link).copy(), axes=axes)
+
+    def move_hands(self, spread_m: float) -> None:
+        """Give the hands new targets about their rest poses."""
+        for task, rest in zip(self.hands, self.rest, strict=True):
+            target = rest + self.random.normal(scale=spread_m, size=3)
+            task.target = pin.SE3(task.target.rotation, target)
+
+
+def juggling(seed: int, count: int) -> list[Problem]:
+    """Record a robot on both feet whose hands are sent to new places, some beyond reach."""
+    robot, recorder = Robot(seed), Recorder()
+    feet = robot.keeps("l_sole") & robot.keeps("r_sole")
+    hands = robot.hands[0] & robot.hands[1]
+    stack = feet / robot.com / hands / robot.waist / robot.posture << robot.limits
+    engine = StackEngine(robot.kinematics, stack, recorder, EPSILON)
+    for cycle in range(count):
+        if cycle % 25 == 0:
+            robot.move_hands(0.12)
+        robot.q = engine.step(robot.q, DT_S).q
+    return recorder.problems
+
+
+def walking(seed: int, count: int) -> list[Problem]:
+    """Record steps ahead: the foot on the ground is a constraint, hands follow a person."""
+    robot, recorder = Robot(seed), Recorder()
+    start = robot.com.target.copy()
+    support, swing, cycles = "l_sole", "r_sole", round(STEP_S / DT_S)
+    ahead = 0.0
+    for cycle in range(count):
+        if cycle % cycles == 0:
+            support, swing = swing, support
+            robot.kinematics.update(robot.q)
+            foot, held = robot.keeps(swing), Contact(support)
+            lifted = robot.kinematics.pose(swing).copy()
+            stack: Stack = (
+                (robot.com & foot) / (robot.hands[0] & robot.hands[1]) / robot.waist / robot.posture
+            )
+            engine = StackEngine(robot.kinematics, stack << (held, robot.limits), recorder, EPSILON)
+            robot.move_hands(0.05)
+            landing = robot.kinematics.pose(support).translation[0] + STEP_LENGTH_M / 2
+            length = landing - lifted.translation[0]
+        phase = (cycle % cycles) / cycles
+        ahead += STEP_LENGTH_M / 2 / cycles
+        sideways = 0.04 * np.sin(np.pi * phase) * (1 if support == "l_sole" else -1)
+        robot.com.target = start + np.array([ahead, sideways, 0.0])
+        smooth = phase**3 * (10 - 15 * phase + 6 * phase**2)
+        lift = np.array([smooth * length, 0.0, STEP_HEIGHT_M * np.sin(np.pi * phase)])
+        foot.target = pin.SE3(lifted.rotation, lifted.translation + lift)
+        robot.q = engine.step(robot.q, DT_S).q
+    return recorder.problems
+
+
+def timed(solvers: list[Solver], problems: list[Problem], rounds: int) -> Array:
+    """Return the CPU time in s of each solver (rows) for each problem."""
+    least = np.full((len(solvers), len(problems)), np.inf)
+    for number, problem in enumerate(problems):
+        for _ in range(rounds):
+            for row, solver in enumerate(solvers):
+                began = time.thread_time()
+                solver.solve(problem)
+                least[row, number] = min(least[row, number], time.thread_time() - began)
+    return least
+
+
+def disagreements(solver: Solver, problems: list[Problem]) -> Iterator[tuple[int, int, float]]:
+    """Yield the number of a problem, its first level that differs, and ours minus the reference there."""
+    reference = Cascade()
+    for number, problem in enumerate(problems):
+        differences = np.subtract(solver.solve(problem).residuals, reference.solve(problem).residuals)
+        different = np.flatnonzero(np.abs(differences) > AGREES)
+        if len(different):
+            yield number, int(different[0]), float(differences[different[0]])
+
+
+def report(name: str, problems: list[Problem], solvers: list[Solver], rounds: int) -> None:
+    """Print the figures of one application."""
+    rows = [len(target) for _, target in problems[0].levels]
+    bounded = sum(_is_bounded(problem) for problem in problems)
+    print(
+        f"{name}: {len(problems)} problems, {problems[0].n} velocities, levels of {rows} rows, "
+        f"{len(problems[0].lower)} bounds; bounds matter in {bounded}"
+    )
+    times = 1e6 * timed(solvers, problems, rounds)
+    for solver, values in zip(solvers, times, strict=True):
+        p50, p95, most = np.quantile(values, [0.5, 0.95, 1.0])
+        found = list(disagreements(solver, problems))
+        share = 100 * (1 - len(found) / len(problems))
+        print(
+            f"  {solver.name}: p50 {p50:.0f} us, p95 {p95:.0f} us, max {most:.0f} us; "
+            f"residuals as the reference in {share:.2f} %"
+        )
+        for number, level, difference in found[:10]:
+            print(f"    problem {number}: level {level} differs by {difference:.2g}")
+
+
+def _is_bounded(problem: Problem) -> bool:
+    """Return whether the solution without bounds on joints would violate one."""
+    wide = problem.upper - problem.lower > 0
+    slack = np.where(wide, 1e6, 0.0)
+    free = Problem(
+        problem.levels, problem.matrix, problem.lower - slack, problem.upper + slack, problem.epsilon
+    )
+    reached = problem.matrix @ Cascade().solve(free).velocity
+    return bool(((reached < problem.lower - 1e-6) | (reached > problem.upper + 1e-6)).any())
+
+
+def main() -> None:
+    """Record, solve, and print."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--problems", type=int, default=1400, help="of both applications together")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rounds", type=int, default=5, help="of which the least time counts")
+    chosen = parser.parse_args()
+    began = time.process_time()
+    compiled = Compiled()
+    print(f"compiled cascade ready after {time.process_time() - began:.1f} s of CPU time")
+    solvers: list[Solver] = [compiled, Hierarchical(), Cascade()]
+    with report_steal_time():
+        for name, record in (("juggling", juggling), ("walking", walking)):
+            report(name, record(chosen.seed, chosen.problems // 2), solvers, chosen.rounds)
+    print(f"solved by the reference instead of the compiled cascade: {compiled.fallbacks}")
+
+
+if __name__ == "__main__":
+    main()

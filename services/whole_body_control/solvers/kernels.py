@@ -1,0 +1,552 @@
+"""The null-space cascade as machine code. Importing this module needs numba; `compiled` does so when used.
+
+Velocities are turned, v = Q z, by Householder reflections that are collected level by level: the rows of a
+level become a lower triangle in the next free coordinates, and all rows below are turned along. What a level
+fixes are the first coordinates of z, what it leaves free are the others; no basis is ever formed.
+
+Invariants: with `done` fixed coordinates, the reflections 0 … done-1 were applied to all rows of lower
+levels, and 0 … turned-1 to the bounds, whose rows are turned when they are first needed. The last level adds
+no reflections.
+`reflections[c, c:]` is the vector w of the reflection 1 - scales[c] w w'.
+
+A level whose least squares violate a bound is solved by a dual active-set method (Goldfarb and Idnani 1983):
+it starts at the least squares and adds one violated bound after the other. In the turned coordinates the
+Hessian is a small block and a multiple of the identity, so its factor is cheap.
+
+All arrays are made by the caller; nothing is allocated here.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+
+from services.whole_body_control.model.kinematics import Array
+
+RANK_TOLERANCE, FEASIBLE, EQUALITY, PRIMAL_TOLERANCE = 1e-6, 1e-8, 1e-12, 1e-9
+"""As in `cascade`; a test compares them."""
+DEPENDENT = 1e-20
+"""The share of the square of a row outside of the active ones below which it depends on them."""
+RECOMPUTE = 1e-3
+"""A norm that shrank to this share is computed again, since subtraction has cancelled its digits."""
+
+SOLVED, NOT_FINITE, ZERO_IS_OUTSIDE, STUCK = 0, 1, 2, 3
+"""What `solve` returns. `STUCK`: rounding errors led the active-set method in a circle."""
+FEASIBLE_STEP, NO_STEP, CIRCLE = 0, 1, 2
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Indices = Any
+
+
+def machine_code(function: Function) -> Function:
+    """Compile a function when it is first called; the code is kept in a folder that can be written.
+
+    Sums may be computed in any order. Values that are not finite keep their meaning.
+    """
+    flags = {"reassoc", "contract", "arcp", "nsz"}
+    try:
+        compiled = njit(cache=True, fastmath=flags, error_model="numpy")(function)
+    except RuntimeError:  # no folder can be written: it is compiled in every process
+        compiled = njit(fastmath=flags, error_model="numpy")(function)
+    return cast("Function", compiled)
+
+
+@machine_code
+def dot(first: Array, second: Array) -> float:
+    """Return the product of two vectors of the same length."""
+    total = 0.0
+    for index in range(first.shape[0]):
+        total += first[index] * second[index]
+    return total
+
+
+@machine_code
+def add(factor: float, vector: Array, to: Array) -> None:
+    """Add a multiple of a vector to another one."""
+    for index in range(to.shape[0]):
+        to[index] += factor * vector[index]
+
+
+@machine_code
+def reflect(row: Array, reflections: Array, scales: Array, first: int, last: int) -> None:
+    """Apply the reflections `first` … `last` - 1 to a row."""
+    for column in range(first, last):
+        part, vector = row[column:], reflections[column, column:]
+        add(-scales[column] * dot(part, vector), vector, part)
+
+
+@machine_code
+def reflect_rows(rows: Array, reflections: Array, scales: Array, first: int, last: int) -> None:
+    """Apply the reflections `first` … `last` - 1 to rows, four at a time: their sums do not wait."""
+    count = rows.shape[0]
+    whole = count - count % 4
+    for column in range(first, last):
+        vector, scale = reflections[column, column:], -scales[column]
+        for row in range(0, whole, 4):
+            a, b = rows[row, column:], rows[row + 1, column:]
+            c, d = rows[row + 2, column:], rows[row + 3, column:]
+            of_a = of_b = of_c = of_d = 0.0
+            for index in range(vector.shape[0]):
+                value = vector[index]
+                of_a += a[index] * value
+                of_b += b[index] * value
+                of_c += c[index] * value
+                of_d += d[index] * value
+            add(scale * of_a, vector, a)
+            add(scale * of_b, vector, b)
+            add(scale * of_c, vector, c)
+            add(scale * of_d, vector, d)
+        for row in range(whole, count):
+            part = rows[row, column:]
+            add(scale * dot(part, vector), vector, part)
+
+
+@machine_code
+def norm_of_residual(rows: Array, targets: Array, z: Array) -> float:
+    """Return |rows @ z - targets|."""
+    total = 0.0
+    for row in range(rows.shape[0]):
+        rest = dot(rows[row], z) - targets[row]
+        total += rest * rest
+    return float(np.sqrt(total))
+
+
+@machine_code
+def reflect_back(row: Array, reflections: Array, scales: Array, last: int) -> None:
+    """Turn coordinates z into velocities Q z."""
+    for column in range(last - 1, -1, -1):
+        part, vector = row[column:], reflections[column, column:]
+        add(-scales[column] * dot(part, vector), vector, part)
+
+
+@machine_code
+def swap(rows: Array, targets: Array, first: int, second: int) -> None:
+    """Exchange two rows of a level."""
+    if first != second:
+        for column in range(rows.shape[1]):
+            rows[first, column], rows[second, column] = rows[second, column], rows[first, column]
+        targets[first], targets[second] = targets[second], targets[first]
+
+
+@machine_code
+def triangle(rows: Array, targets: Array, done: int, reflections: Array, scales: Array, norms: Array) -> int:
+    """Make a lower triangle of `rows[:, done:]`, the longest rows first, and return its rank."""
+    count, n = rows.shape
+    for index in range(count):
+        norms[0, index] = dot(rows[index, done:], rows[index, done:])
+        norms[1, index] = norms[0, index]
+    rank = 0
+    while rank < count and done + rank < n:
+        column, longest = done + rank, rank
+        for index in range(rank + 1, count):
+            if norms[0, index] > norms[0, longest]:
+                longest = index
+        swap(rows, targets, rank, longest)
+        for which in range(2):
+            norms[which, longest] = norms[which, rank]
+        row = rows[rank, column:]
+        length = np.sqrt(dot(row, row))
+        if length <= RANK_TOLERANCE:
+            break
+        vector = reflections[column, column:]
+        vector[:] = row
+        end = -length if row[0] > 0 else length
+        vector[0] -= end
+        scales[column] = 2.0 / dot(vector, vector)
+        row[:] = 0.0
+        row[0] = end
+        for index in range(rank + 1, count):
+            part = rows[index, column:]
+            add(-scales[column] * dot(part, vector), vector, part)
+            norms[0, index] -= part[0] * part[0]
+            if norms[0, index] <= RECOMPUTE * norms[1, index]:
+                norms[0, index] = dot(part[1:], part[1:])
+                norms[1, index] = norms[0, index]
+        rank += 1
+    return rank
+
+
+@machine_code
+def factor(matrix: Array, size: int) -> bool:
+    """Replace the lower triangle of a matrix by its Cholesky factor; False if it is not positive."""
+    for row in range(size):
+        for column in range(row + 1):
+            rest = matrix[row, column] - dot(matrix[row, :column], matrix[column, :column])
+            if column < row:
+                matrix[row, column] = rest / matrix[column, column]
+            elif rest <= 0.0:
+                return False
+            else:
+                matrix[row, row] = np.sqrt(rest)
+    return True
+
+
+@machine_code
+def substitute(lower: Array, size: int, vector: Array) -> None:
+    """Solve L L' x = vector in place."""
+    for row in range(size):
+        vector[row] = (vector[row] - dot(lower[row, :row], vector[:row])) / lower[row, row]
+    for row in range(size - 1, -1, -1):
+        vector[row] /= lower[row, row]
+        add(-vector[row], lower[row, :row], vector[:row])
+
+
+@machine_code
+def least_squares(
+    rows: Array,
+    targets: Array,
+    z: Array,
+    done: int,
+    rank: int,
+    epsilon: float,
+    hessian: Array,
+    is_triangle: bool,
+) -> bool:
+    """Set z[done : done + rank] to the damped least squares, and leave the factor in `hessian`."""
+    end = done + rank
+    hessian[:rank, :rank] = 0.0
+    z[done:end] = 0.0
+    for index in range(rows.shape[0]):
+        part = rows[index, done:end]
+        add(targets[index] - dot(rows[index, :done], z[:done]), part, z[done:end])
+        for row in range(min(index + 1, rank) if is_triangle else rank):
+            add(part[row], part[: row + 1], hessian[row, : row + 1])
+    for row in range(rank):
+        hessian[row, row] += epsilon
+    if not factor(hessian, rank):
+        return False
+    substitute(hessian, rank, z[done:end])
+    return True
+
+
+@machine_code
+def start_factor(hessian: Array, rank: int, size: int, epsilon: float, inverse: Array) -> None:
+    """Set `inverse` to the inverse of the factor of blockdiag(L L', epsilon 1)."""
+    inverse[:size, :size] = 0.0
+    for row in range(rank):
+        for column in range(row):
+            add(-hessian[row, column], inverse[column, : column + 1], inverse[row, : column + 1])
+        for column in range(row + 1):
+            inverse[row, column] = (inverse[row, column] + (1.0 if column == row else 0.0)) / hessian[
+                row, row
+            ]
+    for row in range(rank, size):
+        inverse[row, row] = 1.0 / np.sqrt(epsilon)
+
+
+@machine_code
+def most_violated(bounds: Array, is_used: Indices, x: Array, low: Array, high: Array, reached: Array) -> int:
+    """Return the row that is violated most, or -1; `reached` becomes bounds @ x."""
+    worst, most = -1, PRIMAL_TOLERANCE
+    for index in range(bounds.shape[0]):
+        if is_used[index] == 0:
+            reached[index] = dot(bounds[index], x)
+            violation = max(low[index] - reached[index], reached[index] - high[index])
+            if violation > most:
+                worst, most = index, violation
+    return worst
+
+
+@machine_code
+def activate(inverse: Array, upper: Array, direction: Array, count: int, size: int, work: Array) -> None:
+    """Add the row whose products with `inverse` are `direction` to the `count` active ones."""
+    part = direction[count:size]
+    length = np.sqrt(dot(part, part))
+    end = -length if part[0] > 0 else length
+    upper[count, :count] = direction[:count]  # transposed: row `count` is the column of R
+    upper[count, count] = end
+    part[0] -= end
+    square = dot(part, part)
+    if square > 0.0:
+        work[:size] = 0.0
+        for row in range(count, size):
+            add(direction[row], inverse[row, :size], work[:size])
+        for row in range(count, size):
+            add(-2.0 * direction[row] / square, work[:size], inverse[row, :size])
+
+
+@machine_code
+def deactivate(inverse: Array, upper: Array, which: int, count: int, size: int) -> None:
+    """Remove an active row: its column leaves R, and rotations make R a triangle again."""
+    for row in range(which, count - 1):
+        upper[row, : row + 2] = upper[row + 1, : row + 2]
+    for row in range(which, count - 1):
+        length = np.hypot(upper[row, row], upper[row, row + 1])
+        if length == 0.0:
+            continue
+        cosine, sine = upper[row, row] / length, upper[row, row + 1] / length
+        for other in range(row, count - 1):
+            first, second = upper[other, row], upper[other, row + 1]
+            upper[other, row] = cosine * first + sine * second
+            upper[other, row + 1] = cosine * second - sine * first
+        for column in range(size):
+            first, second = inverse[row, column], inverse[row + 1, column]
+            inverse[row, column] = cosine * first + sine * second
+            inverse[row + 1, column] = cosine * second - sine * first
+
+
+@machine_code
+def multipliers(upper: Array, direction: Array, count: int, result: Array) -> None:
+    """Solve R result = direction[:count]."""
+    result[:count] = direction[:count]
+    for row in range(count - 1, -1, -1):
+        result[row] /= upper[row, row]
+        add(-result[row], upper[row, :row], result[:row])
+
+
+@machine_code
+def first_to_leave(duals: Array, change: Array, count: int) -> int:
+    """Return the active row whose multiplier is the first to become zero, or -1."""
+    which = -1
+    for row in range(count):
+        if change[row] > 0.0 and (which < 0 or duals[row] * change[which] < duals[which] * change[row]):
+            which = row
+    return which
+
+
+@machine_code
+def satisfy(
+    bounds: Array,
+    low: Array,
+    high: Array,
+    is_used: Indices,
+    x: Array,
+    inverse: Array,
+    upper: Array,
+    active: Indices,
+    vectors: Array,
+) -> int:
+    """Move x from the unbounded minimum to the bounded one (Goldfarb and Idnani 1983)."""
+    size, count = x.shape[0], 0
+    reached, duals, change = vectors[0], vectors[1], vectors[2]
+    direction, step, normal, work = vectors[3], vectors[4], vectors[5], vectors[6]
+    rounds = 0
+    while True:
+        added = most_violated(bounds, is_used, x, low, high, reached)
+        if added < 0:
+            return FEASIBLE_STEP
+        sign = 1.0 if reached[added] < low[added] else -1.0
+        wanted = low[added] if sign > 0 else -high[added]
+        normal[:size] = sign * bounds[added]
+        dual = 0.0
+        while True:
+            rounds += 1
+            if rounds > 20 * (size + bounds.shape[0]):
+                return CIRCLE
+            for row in range(size):
+                direction[row] = dot(inverse[row, :size], normal[:size])
+            total = dot(direction[:size], direction[:size])
+            slope = dot(direction[count:size], direction[count:size])
+            multipliers(upper, direction, count, change)
+            leaving = first_to_leave(duals, change, count)
+            can_move = slope > DEPENDENT * total
+            if leaving < 0 and not can_move:
+                return NO_STEP
+            length = (wanted - dot(normal[:size], x)) / slope if can_move else np.inf
+            is_full = leaving < 0 or length <= duals[leaving] / change[leaving]
+            if not is_full:
+                length = duals[leaving] / change[leaving]
+            if can_move:
+                step[:size] = 0.0
+                for row in range(count, size):
+                    add(direction[row], inverse[row, :size], step[:size])
+                add(length, step[:size], x)
+            add(-length, change[:count], duals[:count])
+            dual += length
+            if is_full:
+                activate(inverse, upper, direction, count, size, work)
+                active[count], duals[count] = added, dual
+                is_used[added] = 1
+                count += 1
+                break
+            is_used[active[leaving]] = 0
+            deactivate(inverse, upper, leaving, count, size)
+            for row in range(leaving, count - 1):
+                active[row], duals[row] = active[row + 1], duals[row + 1]
+            count -= 1
+
+
+@machine_code
+def obey(
+    bounds: Array,
+    low: Array,
+    high: Array,
+    whole: Indices,
+    z: Array,
+    done: int,
+    inverse: Array,
+    upper: Array,
+    copy: Array,
+    vectors: Array,
+) -> int:
+    """Move z[done:] from the unbounded minimum of a level to the bounded one; changes `low` and `high`."""
+    m, free = bounds.shape[0], z.shape[0] - done
+    is_equal, is_used, active = whole[0, :m], whole[1, :m], whole[2]
+    for row in range(m):
+        offset = dot(bounds[row, :done], z[:done])
+        low[row] -= offset
+        high[row] -= offset
+        is_used[row] = is_equal[row]
+    bounded = copy.reshape(-1)[: m * free].reshape((m, free))
+    bounded[:, :] = bounds[:, done:]
+    return satisfy(bounded, low, high, is_used, z[done:], inverse, upper, active, vectors)
+
+
+@machine_code
+def are_finite(values: Array) -> bool:
+    """Return whether no value is NaN or infinite: a product with zero keeps both as NaN."""
+    total = 0.0
+    for index in range(values.shape[0]):
+        total += values[index] * 0.0
+    return total == 0.0
+
+
+@machine_code
+def examined(rows: Array, targets: Array, matrix: Array, lower: Array, upper: Array, is_started: bool) -> int:
+    """Return whether the problem has a meaning, and whether zero obeys its bounds."""
+    if not (are_finite(rows.reshape(-1)) and are_finite(targets) and are_finite(matrix.reshape(-1))):
+        return NOT_FINITE
+    is_outside = False
+    for index in range(lower.shape[0]):
+        if not (-np.inf < lower[index] <= upper[index] < np.inf):
+            return NOT_FINITE
+        is_outside = is_outside or lower[index] > 0.0 or upper[index] < 0.0
+    return ZERO_IS_OUTSIDE if is_outside and not is_started else SOLVED
+
+
+@machine_code
+def equalities(
+    matrix: Array, lower: Array, upper: Array, is_equal: Indices, rows: Array, targets: Array
+) -> int:
+    """Copy the bounds that are equal to `rows`, and return their number."""
+    count = 0
+    for index in range(lower.shape[0]):
+        is_equal[index] = 1 if upper[index] - lower[index] <= EQUALITY else 0
+        if is_equal[index] == 1:
+            rows[count] = matrix[index]
+            targets[count] = lower[index]
+            count += 1
+    return count
+
+
+@machine_code
+def solve_equalities(rows: Array, targets: Array, z: Array, rank: int, hessian: Array) -> bool:
+    """Set z[:rank] to the solution; rows that depend on others share their rounding errors."""
+    if rank == rows.shape[0]:
+        for row in range(rank):
+            z[row] = (targets[row] - dot(rows[row, :row], z[:row])) / rows[row, row]
+        return True
+    return least_squares(rows, targets, z, 0, rank, 0.0, hessian, True)
+
+
+@machine_code
+def multiply(matrix: Array, vector: Array, product: Array) -> None:
+    """Set `product` to matrix @ vector."""
+    for index in range(matrix.shape[0]):
+        product[index] = dot(matrix[index], vector)
+
+
+@machine_code
+def widen(reached: Array, lower: Array, upper: Array, low: Array, high: Array) -> None:
+    """Let bounds contain what the levels above reach, which may violate them by a rounding error."""
+    for index in range(lower.shape[0]):
+        low[index] = min(lower[index], reached[index]) - FEASIBLE
+        high[index] = max(upper[index], reached[index]) + FEASIBLE
+
+
+@machine_code
+def holds(matrix: Array, velocity: Array, low: Array, high: Array, is_equal: Indices, reached: Array) -> bool:
+    """Set `reached` to matrix @ velocity, and return whether it obeys all bounds."""
+    obeys = True
+    for index in range(low.shape[0]):
+        value = dot(matrix[index], velocity)
+        reached[index] = value
+        if is_equal[index] == 0 and (value < low[index] - FEASIBLE or value > high[index] + FEASIBLE):
+            obeys = False
+    return obeys
+
+
+@machine_code
+def solve(
+    rows: Array,
+    targets: Array,
+    ends: Indices,
+    matrix: Array,
+    lower: Array,
+    upper: Array,
+    epsilon: float,
+    velocity: Array,
+    is_started: bool,
+    residuals: Array,
+    squares: Array,
+    of_bounds: Array,
+    vectors: Array,
+    whole: Indices,
+) -> int:
+    """Solve all levels. `rows` and `targets` are overwritten; `velocity` obeys the bounds before and after.
+
+    Shapes: rows (R, n), targets (R,), ends (levels + 1,), matrix (m, n), squares (4, n, n), of_bounds
+    (3, m, n), vectors (15, max(R, m, n)), whole (3, max(m, n)).
+    """
+    state = examined(rows, targets, matrix, lower, upper, is_started)
+    if state != SOLVED:
+        return state
+    n, m = matrix.shape[1], matrix.shape[0]
+    reflections, hessian, inverse, triangular = squares[0], squares[1], squares[2], squares[3]
+    turned_bounds, equal_rows = of_bounds[0], of_bounds[1]
+    z, before, scales = vectors[7, :n], vectors[8, :n], vectors[9, :n]
+    low, high, norms, reached = vectors[10, :m], vectors[11, :m], vectors[12:14], vectors[14, :m]
+    is_equal = whole[0, :m]
+
+    done, last, turned = 0, 0, -1  # `last`: the number of reflections
+    z[:] = velocity
+    equal = equalities(matrix, lower, upper, is_equal, equal_rows, vectors[6])
+    if equal > 0:
+        done = last = triangle(equal_rows[:equal], vectors[6], 0, reflections, scales, norms)
+        reflect(z, reflections, scales, 0, done)
+        if not solve_equalities(equal_rows[:equal], vectors[6], z, done, hessian):
+            return STUCK
+        reflect_rows(rows, reflections, scales, 0, done)
+        velocity[:] = z
+        reflect_back(velocity, reflections, scales, done)
+    multiply(matrix, velocity, reached)
+
+    for level in range(ends.shape[0] - 1):
+        jacobian, target = rows[ends[level] : ends[level + 1]], targets[ends[level] : ends[level + 1]]
+        if done < n:
+            widen(reached, lower, upper, low, high)
+            is_last = level == ends.shape[0] - 2
+            # No level below needs the directions that the last one leaves free.
+            rank = n - done
+            if not is_last:
+                rank = triangle(jacobian, target, done, reflections, scales, norms)
+                last = done + rank
+            # Free coordinates of the levels above are chosen again, in the axes that this level has turned.
+            reflect(z, reflections, scales, done, last)
+            before[:] = z
+            if not least_squares(jacobian, target, z, done, rank, epsilon, hessian, not is_last):
+                return STUCK
+            z[done + rank :] = 0.0
+            velocity[:] = z
+            reflect_back(velocity, reflections, scales, last)
+            if not holds(matrix, velocity, low, high, is_equal, reached):
+                if turned < 0:
+                    turned_bounds[:] = matrix
+                reflect_rows(turned_bounds, reflections, scales, max(turned, 0), last)
+                turned = last
+                start_factor(hessian, rank, n - done, epsilon, inverse)
+                found = obey(
+                    turned_bounds, low, high, whole, z, done, inverse, triangular, of_bounds[2], vectors[:7]
+                )
+                if found == CIRCLE:
+                    return STUCK
+                if found == NO_STEP:
+                    z[:] = before
+                velocity[:] = z
+                reflect_back(velocity, reflections, scales, last)
+                multiply(matrix, velocity, reached)
+            reflect_rows(rows[ends[level + 1] :], reflections, scales, done, last)
+            done = last
+        residuals[level] = norm_of_residual(jacobian, target, z)
+    return SOLVED
