@@ -1,0 +1,56 @@
+"""Convex regions on the ground: footprints, and their hull while both feet stand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from services.whole_body_control.model.kinematics import Array
+
+Side = Literal["left", "right"]
+
+
+@dataclass(frozen=True, slots=True)
+class Footprint:
+    """Where a foot stands: the origin of its sole in m and its yaw in rad."""
+
+    side: Side
+    x: float
+    y: float
+    yaw: float = 0.0
+
+    @property
+    def place(self) -> Array:
+        """Return x and y."""
+        return np.array([self.x, self.y])
+
+    def to_ground(self, points: Array) -> Array:
+        """Return points (n, 2) of the frame of the foot on the ground."""
+        return np.asarray(points @ turn(self.yaw).T + self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A convex polygon as half planes `normals @ x <= offsets`; the normals have length 1."""
+
+    normals: Array
+    offsets: Array
+    centre: Array
+
+    @classmethod
+    def of(cls, footprints: Sequence[Footprint], sole: Array) -> "Region":
+        """Return the hull of soles, whose corners (n, 2) are given in the frame of the foot."""
+        corners = np.vstack([each.to_ground(sole) for each in footprints])
+        equations = ConvexHull(corners).equations
+        return cls(equations[:, :2], -equations[:, 2], corners.mean(axis=0))
+
+    def room_m(self, point: Array) -> float:
+        """Return how far a point is inside, negative outside (there: of the edge that is violated most)."""
+        return float((self.offsets - self.normals @ point).min())
+
+
+def turn(yaw: float) -> Array:
+    """Return the rotation (2, 2) by a yaw."""
+    return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])

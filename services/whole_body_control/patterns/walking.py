@@ -1,0 +1,81 @@
+"""The pattern generator: footsteps and the motion of the centre of mass, one period at a time.
+
+Each period the footsteps of the horizon are placed for the present wish, and the motion is planned above
+them. A foot in the air lands where the wish and the capture point want it, until `LOCKED` periods before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from services.whole_body_control.model.kinematics import Array
+from services.whole_body_control.patterns.footsteps import Footsteps, Stance, StepLimits, Wish
+from services.whole_body_control.patterns.pendulum import PendulumState
+from services.whole_body_control.patterns.regions import Footprint, Region
+from services.whole_body_control.patterns.zmp_control import Plan, ZmpControl
+
+LOCKED = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """What the feet and the centre of mass do in the next period; `region` is where the ZMP may be in it."""
+
+    stance: Stance
+    plan: Plan
+    region: Region
+
+
+class WalkingPattern:
+    """Generates the pattern from a stance at rest. Not thread-safe.
+
+    `sole` are the corners (n, 2) of a sole in the frame of the foot.
+    """
+
+    def __init__(self, control: ZmpControl, limits: StepLimits, sole: Array, stance: Stance) -> None:
+        self._control, self._sole = control, sole
+        self._footsteps = Footsteps(limits, control.period_s)
+        self.stance = stance
+        centre = (stance.left.place + stance.right.place) / 2
+        com = centre + sole.mean(axis=0)
+        self.state = PendulumState(com, np.zeros(2), com.copy())
+
+    def step(self, wish: Wish, measured: PendulumState | None = None) -> Pattern:
+        """Plan one period ahead, from the measured state where there is one. Raises `Unplannable`."""
+        if measured is not None:
+            self.stance = self._corrected(wish, measured)
+            self.state = replace(self.state, com=measured.com, velocity=measured.velocity)
+        elif self._can_still_place():
+            self.stance = self._footsteps.placed(self.stance, wish)
+        stances = list(self._footsteps.preview(self.stance, wish, self._control.samples + 1))
+        regions = self._regions(stances)
+        plan = self._control.plan(self.state, regions[1:], wish.velocity)
+        pattern = Pattern(self.stance, plan, regions[0])
+        self.stance, self.state = stances[1], plan.states[1]
+        return pattern
+
+    def _can_still_place(self) -> bool:
+        return self.stance.phase == "single" and self.stance.remaining > LOCKED
+
+    def _corrected(self, wish: Wish, measured: PendulumState) -> Stance:
+        """Move the landing by the error that the capture point will have when the foot lands."""
+        if not self._can_still_place():
+            return self.stance
+        pendulum = self._control.pendulum
+        error = pendulum.capture_point(measured) - pendulum.capture_point(self.state)
+        growth = np.exp(pendulum.omega * self.stance.remaining * self._control.period_s)
+        return self._footsteps.placed(self.stance, wish, growth * error)
+
+    def _regions(self, stances: Sequence[Stance]) -> list[Region]:
+        """Return the region of this period, and the one of each sample: where both its periods allow it."""
+        known: dict[tuple[Footprint, ...], Region] = {}
+        found = []
+        for index, stance in enumerate(stances):
+            before = stances[max(index - 1, 0)]
+            smaller = before if before.phase == "single" else stance
+            feet = (smaller.support,) if smaller.phase == "single" else (smaller.left, smaller.right)
+            if feet not in known:
+                known[feet] = Region.of(feet, self._sole)
+            found.append(known[feet])
+        return found
