@@ -1,4 +1,4 @@
-"""The stack of tasks on COMAN: solvers on recorded problems, their time and their agreement.
+"""The stack of tasks on COMAN: solvers on recorded problems, a whole cycle, and the pattern generator.
 
     python -m benchmarks.whole_body [--problems 1400] [--seed 1] [--rounds 5]
 
@@ -18,17 +18,23 @@ import pinocchio as pin
 from benchmarks.steal_time import report_steal_time
 from services.whole_body_control.engines.stack_engine import StackEngine
 from services.whole_body_control.model.kinematics import Array, Kinematics
+from services.whole_body_control.patterns.footsteps import Stance, StepLimits, Wish
+from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
+from services.whole_body_control.patterns.regions import Footprint
+from services.whole_body_control.patterns.walking import WalkingPattern
+from services.whole_body_control.patterns.zmp_control import ZmpControl
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.solvers.cascade import Cascade
 from services.whole_body_control.solvers.compiled import Compiled
 from services.whole_body_control.solvers.hierarchical import Hierarchical
 from services.whole_body_control.solvers.problem import EPSILON, Problem, Solution, Solver
-from services.whole_body_control.tasks.base import Stack
-from services.whole_body_control.tasks.constraints import Contact, JointLimits
+from services.whole_body_control.tasks.base import Constraint, Stack
+from services.whole_body_control.tasks.constraints import Contact, JointLimits, SelfCollision
 from services.whole_body_control.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
 
 DT_S = 0.01
-AGREES = 1e-6
+AGREES, NEARLY = 1e-6, 1e-3
+"""daqp has no damping of its own in a hierarchy, so it is nearer to a singularity by this much."""
 STEP_S, STEP_LENGTH_M, STEP_HEIGHT_M = 0.8, 0.06, 0.03
 PLACES = (True,) * 3 + (False,) * 3
 
@@ -153,11 +159,13 @@ def report(name: str, problems: list[Problem], solvers: list[Solver], rounds: in
         p50, p95, most = np.quantile(values, [0.5, 0.95, 1.0])
         found = list(disagreements(solver, problems))
         share = 100 * (1 - len(found) / len(problems))
+        far = [each for each in found if abs(each[2]) > NEARLY]
+        nearly = 100 * (1 - len(far) / len(problems))
         print(
             f"  {solver.name}: p50 {p50:.0f} us, p95 {p95:.0f} us, max {most:.0f} us; "
-            f"residuals as the reference in {share:.2f} %"
+            f"residuals as the reference to {AGREES} in {share:.2f} %, to {NEARLY} in {nearly:.2f} %"
         )
-        for number, level, difference in found[:10]:
+        for number, level, difference in far[:5]:
             print(f"    problem {number}: level {level} differs by {difference:.2g}")
 
 
@@ -170,6 +178,47 @@ def _is_bounded(problem: Problem) -> bool:
     )
     reached = problem.matrix @ Cascade().solve(free).velocity
     return bool(((reached < problem.lower - 1e-6) | (reached > problem.upper + 1e-6)).any())
+
+
+def measure_cycle(solvers: list[Solver]) -> None:
+    """Print the time of a whole cycle: kinematics, tasks, solution, integration; with self-collision too."""
+    for solver in solvers:
+        for is_checked in (False, True):
+            robot = Robot(seed=1)
+            constraints: list[Constraint] = [robot.limits]
+            if is_checked:
+                constraints.append(SelfCollision(robot.kinematics))
+            feet = robot.keeps("l_sole") & robot.keeps("r_sole")
+            hands = robot.hands[0] & robot.hands[1]
+            stack = feet / robot.com / hands / robot.waist / robot.posture << constraints
+            engine, times = StackEngine(robot.kinematics, stack, solver), []
+            for cycle in range(300):
+                if cycle % 25 == 0:
+                    robot.move_hands(0.05)
+                began = time.thread_time()
+                robot.q = engine.step(robot.q, DT_S).q
+                times.append(time.thread_time() - began)
+            what = " with self-collision" if is_checked else ""
+            print(f"cycle{what}, {solver.name}: p50 {1e6 * np.median(times):.0f} us")
+
+
+def measure_patterns() -> None:
+    """Print the time of a period of the pattern generator, and of its quadratic program alone."""
+    sole = np.array([[0.13, 0.05], [0.13, -0.05], [-0.07, -0.05], [-0.07, 0.05]])
+    limits = StepLimits(width_m=0.15, min_width_m=0.12, max_width_m=0.22, max_length_m=0.1)
+    start = Stance(Footprint("left", 0.0, 0.075), Footprint("right", 0.0, -0.075))
+    control, periods, plans = ZmpControl(Pendulum(0.515)), [], []
+    pattern = WalkingPattern(control, limits, sole, start)
+    region = start.region(sole)
+    for _ in range(300):
+        began = time.thread_time()
+        pattern.step(Wish(np.array([0.08, 0.0])))
+        between = time.thread_time()
+        control.plan(PendulumState(np.zeros(2), np.zeros(2), np.zeros(2)), [region] * 16, np.zeros(2))
+        periods.append(between - began)
+        plans.append(time.thread_time() - between)
+    print(f"pattern generator: p50 {1e6 * np.median(periods):.0f} us a period of 0.1 s", end=", ")
+    print(f"{1e6 * np.median(plans):.0f} us for the plan of a robot that stands")
 
 
 def main() -> None:
@@ -186,6 +235,8 @@ def main() -> None:
     with report_steal_time():
         for name, record in (("juggling", juggling), ("walking", walking)):
             report(name, record(chosen.seed, chosen.problems // 2), solvers, chosen.rounds)
+        measure_cycle(solvers)
+        measure_patterns()
     print(f"solved by the reference instead of the compiled cascade: {compiled.fallbacks}")
 
 
