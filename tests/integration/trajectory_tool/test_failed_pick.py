@@ -1,4 +1,4 @@
-"""A pick that fails in simulated physics ends in an incident with its reason, for a process that says nothing else."""
+"""A pick that fails in simulated physics ends in an incident with its reason."""
 
 from typing import Any
 
