@@ -30,6 +30,7 @@ from handover.service import ANY_TYPE, accepts, create_app
 from handover.storage import storage_check
 from handover.tls_trust import client_context
 from webui.http.control_proxy import ControlProxy
+from webui.http.health_proxy import HealthProxy
 from webui.http.page_files import PageFiles
 from webui.http.page_guard import CsrfCheck, PageGuard
 from webui.http.provider_routes import add_provider_sign_in
@@ -43,12 +44,12 @@ from webui.live.live_state import LiveState, Reader
 from webui.live.viewers import Viewers
 from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, OperatorView
 from webui.service_credentials import ServiceCredentials
-from webui.settings import GATEWAY, TRAJECTORY, WebuiSettings
+from webui.settings import GATEWAY, HUMAN_STATE, TRAJECTORY, WebuiSettings
 from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
 from webui.sources.broker_entities import BrokerEntities
 from webui.sources.devices import Devices
-from webui.sources.extra_services import extra_services
+from webui.sources.extra_services import ExtraService, extra_services
 from webui.sources.gloves import Gloves
 from webui.sources.on_demand import SourceContext
 from webui.sources.people import People
@@ -121,8 +122,13 @@ class Components:
         )
         self.operator = SimulatedOperator(settings, http, guard.access, self.state, self.events)
         self.live_socket = LiveSocket(self.state, self.viewers)
-        extra = extra_services(settings)
-        services = ServiceMonitor(urls, http, self.broker, self.state, self.events, extra=extra)
+        # Human state starts only where its extra is installed, which this machine cannot know of another.
+        own = {name: url for name, url in urls.items() if name != HUMAN_STATE}
+        extra = (
+            ExtraService(HUMAN_STATE, urls[HUMAN_STATE], is_wanted=False),
+            *extra_services(settings),
+        )
+        services = ServiceMonitor(own, http, self.broker, self.state, self.events, extra=extra)
         devices = Devices(self.state, self.events, services)
         processes = Processes(settings, http, self.state, self.events, services)
         self.tasklist = Tasklist(self.state)
@@ -145,6 +151,7 @@ class Components:
             return await guard.service_headers(dict(request.scope["headers"]))
 
         self.control = ControlProxy(urls, guard, settings.ca_files)
+        self.health = HealthProxy(urls[HUMAN_STATE], guard, settings.ca_files)
         self.proxy = ServiceProxy(urls, on_write, settings.ca_files, headers_of)
         on_demand = (Gloves(context), Robots(context), people, registered_devices)
         self._sources = (services, self.entities, self.alerts, processes, *on_demand)
@@ -210,6 +217,13 @@ def _add_api(app: FastAPI, components: Components) -> None:
     )
     async def drive(socket: WebSocket, robot: str) -> None:
         await components.control.serve(socket, GATEWAY, robot)
+
+    @app.websocket(
+        "/api/human-state/people/{person}/live",
+        dependencies=[require(Permission.READ_HEALTH_DATA, in_path("Person", "person"))],
+    )
+    async def health(socket: WebSocket, person: str) -> None:
+        await components.health.serve(socket, person)
 
     @app.get("/api/events", tags=["events"])
     async def events(

@@ -22,6 +22,7 @@ ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
     "alert-router": ("/",),
     "device-gateway": ("/",),
     "gesture-controller": ("/gestures", "/people", "/tests"),
+    "human-state": ("/drivers", "/people", "/sensors"),
     "ros-bridge": ("/rules",),
     "study": ("/",),
     "task-orchestrator": (

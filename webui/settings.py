@@ -16,6 +16,7 @@ STUDY = "study"
 ALERT_ROUTER = "alert-router"
 ACCOUNTS = "accounts"
 GATEWAY = "device-gateway"
+HUMAN_STATE = "human-state"
 ROS_BRIDGE = "ros-bridge"
 
 
@@ -61,6 +62,10 @@ class WebuiSettings(Settings):
     gateway_url: str | None = Field(
         None, description="where the broker reaches the device gateway; http://host:port of it if absent"
     )
+    human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
+    human_state_url: str | None = Field(
+        None, description="where others reach human state; http://host:port of it if absent"
+    )
     bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
     bridge_url: str | None = Field(
         None,
@@ -103,6 +108,7 @@ class WebuiSettings(Settings):
             GATEWAY: self.url_of(self.gateway_port, self.gateway_url),
             ALERT_ROUTER: self.url_of(self.alert_router_port, self.alert_router_url),
             STUDY: self.url_of(self.study_port, self.study_url),
+            HUMAN_STATE: self.url_of(self.human_state_port, self.human_state_url),
             ACCOUNTS: self.accounts,
         }
         if self.ros_mapping is not None:

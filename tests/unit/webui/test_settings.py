@@ -37,6 +37,7 @@ def test_every_service_has_a_url() -> None:
     assert urls["device-gateway"] == "http://127.0.0.1:54240"
     assert urls["alert-router"] == "http://127.0.0.1:54280"
     assert urls["study"] == "http://127.0.0.1:54270"
+    assert urls["human-state"] == "http://127.0.0.1:54250"
 
 
 def test_the_ros_bridge_has_a_url_if_a_mapping_is_set() -> None:

@@ -15,6 +15,7 @@ const CockpitPage = lazy(() => import("~/cockpit/CockpitPage"));
 const TasksPage = lazy(() => import("~/tasks/TasksPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
 const PeoplePage = lazy(() => import("~/people/PeoplePage"));
+const HealthPage = lazy(() => import("~/health/HealthPage"));
 const DevicesPage = lazy(() => import("~/devices/DevicesPage"));
 const AlertingPage = lazy(() => import("~/alerting/AlertingPage"));
 const SensorsPage = lazy(() => import("~/sensors/SensorsPage"));
@@ -51,6 +52,7 @@ export function App() {
             <Route path="/system" component={SystemPage} />
             <Route path="/people" component={PeoplePage} />
             <Route path="/sensors" component={SensorsPage} />
+            <Route path="/health" component={HealthPage} />
             <Route path="/devices" component={DevicesPage} />
             <Route path="/alerting" component={AlertingPage} />
             <Route path="/control" component={ControlPage} />

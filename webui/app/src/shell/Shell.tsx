@@ -1,21 +1,22 @@
 /** The frame of every page: navigation, connection state and preferences. */
 import {
-  BellRing, CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HardHat, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
+  BellRing, CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HardHat, HeartPulse, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
 } from "lucide-react";
-import { Suspense, useEffect, useState, type ReactNode } from "react";
+import { Suspense, useEffect, useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, useLocation } from "wouter";
 import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
 import { useAlertSound } from "~/alerts/sound";
 import { Button } from "~/design/Button";
-import { useConnectionState } from "~/live/hooks";
+import { useConnectionState, useTopicSelector } from "~/live/hooks";
 import { AccountMenu } from "~/session/AccountMenu";
+import { mayDo, useSession } from "~/session/session";
 import { KeyList } from "./KeyList";
 import { isForOtherTarget, usePageKeys } from "./keys";
 import { Preferences } from "./Preferences";
 import "./Shell.css";
 
-const pages = [
+const allPages = [
   { path: "/", name: "start", icon: House, key: "1" },
   { path: "/work", name: "work", icon: HardHat, key: "2" },
   { path: "/processes", name: "processes", icon: Workflow, key: "3" },
@@ -23,6 +24,7 @@ const pages = [
   { path: "/tasks", name: "tasks", icon: ListTodo, key: "9" },
   { path: "/system", name: "system", icon: Cog, key: "4" },
   { path: "/sensors", name: "sensors", icon: Thermometer, key: "m" },
+  { path: "/health", name: "health", icon: HeartPulse, key: "h" },
   { path: "/devices", name: "devices", icon: Cpu, key: "v" },
   { path: "/alerting", name: "alerting", icon: BellRing, key: "w" },
   { path: "/control", name: "control", icon: Gamepad2, key: "c" },
@@ -38,8 +40,9 @@ export function Shell({ children }: { children: ReactNode }) {
   const [showsKeys, setShowsKeys] = useState(false);
   const [showsPreferences, setShowsPreferences] = useState(false);
   const pageKeys = usePageKeys();
+  const pages = useOfferedPages();
   useAlertSound();
-  const here = pages.find((page) => (page.path === "/" ? path === "/" : path.startsWith(page.path)));
+  const here = allPages.find((page) => (page.path === "/" ? path === "/" : path.startsWith(page.path)));
 
   useEffect(() => {
     const listen = (event: KeyboardEvent) => {
@@ -55,7 +58,7 @@ export function Shell({ children }: { children: ReactNode }) {
     };
     document.addEventListener("keydown", listen);
     return () => document.removeEventListener("keydown", listen);
-  }, [pageKeys, go]);
+  }, [pageKeys, pages, go]);
 
   useEffect(() => {
     document.title = here === undefined ? "Handover" : `${t(`pages.${here.name}`)} · Handover`;
@@ -110,6 +113,14 @@ export function Shell({ children }: { children: ReactNode }) {
       <Preferences isOpen={showsPreferences} onClose={() => setShowsPreferences(false)} />
     </div>
   );
+}
+
+/** Health is offered where its service is, to who may read data of others or has own. */
+function useOfferedPages(): readonly (typeof allPages)[number][] {
+  const { user } = useSession();
+  const hasHealth = useTopicSelector("services", (services) => services?.some(({ name }) => name === "human-state") ?? false);
+  const isShown = hasHealth && (mayDo("readHealthData") || user?.person != null);
+  return useMemo(() => (isShown ? allPages : allPages.filter(({ name }) => name !== "health")), [isShown]);
 }
 
 function scrollIntoView(page: HTMLAnchorElement | null): void {

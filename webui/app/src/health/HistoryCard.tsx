@@ -1,0 +1,73 @@
+/** The history of one value; what was not valid is missing in it. */
+import { useMemo, useState } from "react";
+import { useTranslation } from "react-i18next";
+import type { HistoryValue, PersonView } from "~/api/generated/human-state";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { Button } from "~/design/Button";
+import { Card } from "~/design/Card";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { Select } from "~/design/Select";
+import { HistoryChart } from "~/devices/history/HistoryChart";
+import { columnsOf, lastInterval, summaryOf, type Interval } from "~/devices/history/interval";
+import { useCoarseNow } from "~/live/clock";
+import { useQueryParameter } from "~/route/queryParameter";
+import { DRAWN, numberText, pathOf, pointsOf, SERVICE, symbolOf } from "./health";
+
+const REFRESH_MS = 30_000;
+/** The service returns so many values at most, the newest. */
+const MAX_VALUES = 20_000;
+const SPANS = ["hour", "day", "week"] as const;
+const UNITS: Record<string, string> = { heartRate: "BPM", breathingRate: "C94", hrvRmssd: "C26", spo2: "P1", skinTemperature: "CEL" };
+
+export function HistoryCard({ person }: { person: PersonView }) {
+  const { t } = useTranslation("health");
+  return (
+    <Card title={t("history.title")} className="health__history">
+      {person.purposes.includes("history") ? <History person={person.person} /> : <p className="quiet">{t("history.off")}</p>}
+    </Card>
+  );
+}
+
+function History({ person }: { person: string }) {
+  const { t, i18n } = useTranslation(["health", "devices"]);
+  const [asked, setFeature] = useQueryParameter("value", "heartRate");
+  const [askedSpan, setSpan] = useQueryParameter("span", "hour");
+  const [zoom, setZoom] = useState<Interval | null>(null);
+  const feature = DRAWN.find((name) => name === asked) ?? "heartRate";
+  const chosen = SPANS.find((name) => name === askedSpan) ?? "hour";
+  const last = lastInterval(chosen, useCoarseNow(REFRESH_MS) / 1000);
+  const interval = useMemo(() => zoom ?? { begin: last.begin, end: last.end }, [zoom, last.begin, last.end]);
+  const iso = (seconds: number) => encodeURIComponent(new Date(seconds * 1000).toISOString());
+  const path = `${pathOf(person)}/history/${feature}?start=${iso(last.begin)}&end=${iso(last.end)}`;
+  const { value, failure } = useServiceQuery<HistoryValue[]>(SERVICE, path, { keepsPrevious: true });
+  const points = useMemo(() => pointsOf(value ?? []), [value]);
+  const data = useMemo(() => columnsOf(points, 2), [points]);
+  const summary = summaryOf(points);
+  const name = t(`feature.${feature}`);
+  const symbol = symbolOf(feature, UNITS[feature] ?? null);
+  const text = (number: number) => `${numberText(feature, number, i18n.language)} ${symbol}`.trim();
+  const said = summary === null ? t("history.empty") : t("history.summary", { min: text(summary.min), mean: text(summary.mean), max: text(summary.max) });
+  return (
+    <>
+      <div className="health__history-bar">
+        <Select label={t("history.value")} value={feature} options={DRAWN.map((each) => ({ value: each, name: t(`feature.${each}`) }))} onChange={setFeature} />
+        <SegmentedControl
+          label={t("history.span")}
+          value={chosen}
+          options={SPANS.map((each) => ({ value: each, name: t(`devices:history.spans.${each}`) }))}
+          onChange={(next) => {
+            setZoom(null);
+            setSpan(next);
+          }}
+        />
+        {zoom !== null && <Button onPress={() => setZoom(null)}>{t("history.whole")}</Button>}
+      </div>
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+      <p className="quiet small">
+        {said} {(value?.length ?? 0) >= MAX_VALUES && t("history.newest")}
+      </p>
+      <HistoryChart data={data} interval={interval} symbol={symbol} language={i18n.language} label={`${name}: ${said}`} onZoom={setZoom} />
+    </>
+  );
+}
