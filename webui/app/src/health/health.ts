@@ -16,7 +16,7 @@ export const pathOf = (person: string) => `people/${encodeURIComponent(person)}`
 /** In the order in which they are shown; others follow. */
 const ORDER = ["heartRate", "breathingRate", "exertionLevel", "spo2", "hrvRmssd", "hrvSdnn", "hrvLfHf", "skinTemperature", "stress", "fatigue", "edaTonic", "edaPhasic", "emgEnvelope", "movement", "steps", "cadence"];
 /** They have a card of their own. */
-export const POSITIONS = ["activity", "posture", "sleepPosition"] as const;
+export const POSITIONS = ["activity", "dailyActivity", "posture", "sleepPosition"] as const;
 const NOT_VITAL = new Set<string>([...POSITIONS, "copX", "copY", "load", "activeCells"]);
 const SHARES = new Set(["exertionLevel", "stress", "fatigue"]);
 const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", CEL: "°C", MMT: "mm" };
