@@ -47,6 +47,7 @@ PAGES = {
     "test": "/test",
     "study": "/study",
     "sensors": "/sensors",
+    "health": "/health",
     "devices": "/devices?device=page-arm",
     "alerting": "/alerting?add=yes",
 }
@@ -68,7 +69,7 @@ def screen(screen: Cell) -> Cell:
     """A screen with devices: an arm, a sensor out of its range, and one that was never connected."""
     if screen.runs("device_gateway"):
         return screen
-    screen.run("device_gateway")
+    screen.run("device_gateway", "human_state")
     with httpx.Client(base_url=screen.url("device_gateway"), timeout=120, trust_env=False) as rest:
 
         def add(name: str, description: dict[str, Any], values: dict[str, float] | None = None) -> None:
@@ -149,7 +150,7 @@ def test_engineer_pages_fit_a_phone(
     page = open_page(viewport=PHONE, has_touch=True, is_mobile=True)
     device = PAGES["devices"]
     devices = ("/sensors", "/devices", device, f"{device}&part=history", f"{device}&part=settings")
-    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study", *devices):
+    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study", "/health", *devices):
         page.goto(path)
         settled(page)
         nothing_is_cut_off(page)
