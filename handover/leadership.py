@@ -47,6 +47,7 @@ class Leadership:
         self._is_alone = engine.dialect.name == "sqlite"
         self._lock = DatabaseLock(engine, f"handover {service}")
         self._turn = threading.Lock()  # the lock of the database is not thread-safe
+        self._has_ended = False
 
     @asynccontextmanager
     async def led(self, work: Work) -> AsyncIterator[None]:
@@ -55,6 +56,7 @@ class Leadership:
         Raises what `work` raises when it is entered for the first time.
         """
         begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._has_ended = False
         task = asyncio.create_task(self._lead(work, begun))
         try:
             await begun
@@ -63,7 +65,7 @@ class Leadership:
             task.cancel()
             with suppress(asyncio.CancelledError):
                 await task
-            await asyncio.to_thread(self._release)
+            await asyncio.to_thread(self._end)
 
     async def check(self) -> None:
         """Raise an error, with the reason, while another replica leads."""
@@ -118,6 +120,8 @@ class Leadership:
 
     def _acquire(self) -> bool:
         with self._turn:
+            if self._has_ended:  # a cancelled task leaves its thread behind, which may come here late
+                return False
             try:
                 return self._lock.acquire()
             except DBAPIError:
@@ -126,6 +130,11 @@ class Leadership:
     def _probe(self) -> None:
         with self.transaction() as connection:
             connection.execute(text("SELECT 1"))
+
+    def _end(self) -> None:
+        with self._turn:
+            self._has_ended = True
+            self._lock.release()
 
     def _release(self) -> None:
         with self._turn:

@@ -17,7 +17,9 @@ PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "
 EXTRAS = {
     "services/alert_router": ("messengers",),
     "ros_fiware_bridge": ("ros", "ros-rclpy"),
+    "services/device_gateway": ("parquet",),
     "services/human_state": ("human-state",),
+    "services/human_state/drivers/ros_topic": ("ros",),
     "services/study": ("research",),
     "services/trajectory_tool/onboarding": ("motion",),
     "services/trajectory_tool/perception": ("physics",),

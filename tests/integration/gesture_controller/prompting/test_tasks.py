@@ -53,6 +53,7 @@ async def test_a_held_gesture_completes_its_task_and_keeps_the_device_current(
         "commandId": 3,
         "parts": [],
         "status": "inProgress",
+        "needsPin": False,
         "answers": [
             {"outcome": outcome, "gesture": None, "code": None, "parts": []}
             for outcome in ("notGood", "problem")

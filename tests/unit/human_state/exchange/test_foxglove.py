@@ -33,6 +33,13 @@ async def channels(client: Any, number: int) -> dict[str, dict[str, Any]]:
     return found
 
 
+async def publish_again_and_again(server: FoxgloveServer) -> None:
+    while True:
+        server.publish(RATE)
+        server.publish(ECG)
+        await asyncio.sleep(0.05)
+
+
 async def test_a_client_subscribes_and_receives_values_and_single_samples() -> None:
     with FoxgloveServer("p-1") as server:
         server.publish(RATE)
@@ -48,14 +55,14 @@ async def test_a_client_subscribes_and_receives_values_and_single_samples() -> N
             asked = [{"id": number, "channelId": known[topic]["id"]} for number, topic in enumerate(topics)]
             await client.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
             got: dict[int, list[tuple[int, Any]]] = {}
+            # The subscription counts from some moment on, so the values are sent until they arrive.
+            sending = asyncio.create_task(publish_again_and_again(server))
             while len(got.get(0, [])) < 1 or len(got.get(1, [])) < 2:
-                # The subscription counts from some moment on, so the values are sent until they arrive.
-                server.publish(RATE)
-                server.publish(ECG)
                 message = await client.recv()
                 if isinstance(message, bytes) and message[0] == 1:
                     number, at_ns = struct.unpack_from("<IQ", message, 1)
                     got.setdefault(number, []).append((at_ns, json.loads(message[13:])))
+            sending.cancel()
             assert got[0][0][0] == 1_770_000_000_500_000_000
             assert (got[0][0][1]["value"], got[0][0][1]["subject"]) == (92.5, "p-1")
             assert {(at_ns, value["values"][0]) for at_ns, value in got[1]} == {

@@ -23,6 +23,7 @@ export function StationsView() {
   const { t } = useTranslation(["accounts", "common"]);
   const { value, failure, reload } = useServiceQuery<StationView[]>(SERVICE, "stations", { intervalMs: REFRESH_MS });
   const [isAdding, setAdding] = useState(false);
+  const [made, setMade] = useState<string>();
   const [act, setAct] = useState<Act | null>(null);
   const [sorting, setSorting] = useSorting("name", "stationSort");
   const columns = useColumns(setAct);
@@ -52,10 +53,11 @@ export function StationsView() {
             isLabelled
             sorting={sorting}
             onSort={setSorting}
+            made={made}
           />
         </>
       )}
-      {isAdding && <AddDialog onClose={() => setAdding(false)} onAdded={reload} />}
+      {isAdding && <AddDialog onClose={() => setAdding(false)} onAdded={({ subject }) => { setMade(subject); reload(); }} />}
       <ConfirmDialog
         isOpen={act?.kind === "use"}
         onClose={() => setAct(null)}
@@ -129,7 +131,7 @@ function useColumns(onAct: (act: Act) => void): readonly Column<StationView>[] {
   );
 }
 
-function AddDialog({ onClose, onAdded }: { onClose: () => void; onAdded: () => void }) {
+function AddDialog({ onClose, onAdded }: { onClose: () => void; onAdded: (station: StationView) => void }) {
   const { t } = useTranslation("accounts");
   const [name, setName] = useState("");
   const [gloves, setGloves] = useState("");
@@ -144,7 +146,7 @@ function AddDialog({ onClose, onAdded }: { onClose: () => void; onAdded: () => v
       act={t("stations.add")}
       isDisabled={!isUsable}
       onAct={() =>
-        requestService(SERVICE, "stations", {
+        requestService<StationView>(SERVICE, "stations", {
           method: "POST",
           json: { name: name.trim(), gloves: gloves.split(/[\s,]+/).filter((glove) => glove !== ""), leaveAfterMin },
         }).then(onAdded)

@@ -30,6 +30,7 @@ export function TokensView() {
   const [isIssuing, setIssuing] = useState(false);
   const [revoking, setRevoking] = useState<TokenView | null>(null);
   const [secret, setSecret] = useState<Secret | null>(null);
+  const [made, setMade] = useState<string>();
   const [sorting, setSorting] = useSorting("-made", "tokenSort");
   const columns = useColumns(setRevoking);
   useKeys([{ key: "n", does: t("tokens.issue"), act: () => setIssuing(true) }]);
@@ -58,10 +59,11 @@ export function TokensView() {
             isLabelled
             sorting={sorting}
             onSort={setSorting}
+            made={made}
           />
         </>
       )}
-      {isIssuing && <IssueDialog onClose={() => setIssuing(false)} onIssued={(made) => { setSecret(made); reload(); }} />}
+      {isIssuing && <IssueDialog onClose={() => setIssuing(false)} onIssued={(issued, subject) => { setSecret(issued); setMade(subject); reload(); }} />}
       <ConfirmDialog
         isOpen={revoking !== null}
         onClose={() => setRevoking(null)}
@@ -116,7 +118,7 @@ function useColumns(onRevoke: (token: TokenView) => void): readonly Column<Token
   );
 }
 
-function IssueDialog({ onClose, onIssued }: { onClose: () => void; onIssued: (secret: Secret) => void }) {
+function IssueDialog({ onClose, onIssued }: { onClose: () => void; onIssued: (secret: Secret, subject: string) => void }) {
   const { t } = useTranslation("accounts");
   const [name, setName] = useState("");
   const [kind, setKind] = useState<(typeof KINDS)[number]>("script");
@@ -131,8 +133,8 @@ function IssueDialog({ onClose, onIssued }: { onClose: () => void; onIssued: (se
       act={t("tokens.issue")}
       isDisabled={name.trim().length < 2 || grants.length === 0}
       onAct={async () => {
-        const { token } = await issueToken({ name: name.trim(), kind, grants, validDays: days === "0" ? null : Number(days) });
-        onIssued({ title: t("tokens.secret", { name: name.trim() }), means: t("tokens.secretMeans"), value: token });
+        const { subject, token } = await issueToken({ name: name.trim(), kind, grants, validDays: days === "0" ? null : Number(days) });
+        onIssued({ title: t("tokens.secret", { name: name.trim() }), means: t("tokens.secretMeans"), value: token }, subject);
       }}
     >
       <Field label={t("tokens.name")} value={name} onChange={setName} maxLength={64} autoFocus />

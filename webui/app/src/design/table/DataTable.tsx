@@ -50,6 +50,8 @@ export interface DataTableProps<T> extends Pick<VirtualGridProps<T>, Inherited> 
   grouping?: Grouping<T> | undefined;
   /** Identifies filter and grouping; with another value the rows are shown in their sorted order. */
   view?: string;
+  /** The key of a row that this person has just made: once it is there, the sorted order is shown, also while reading. */
+  made?: string | undefined;
   /** The newest value of a row that `rows` no longer contains but the table still shows. */
   known?: ReadonlyMap<string, T>;
 }
@@ -58,7 +60,7 @@ const features = tableFeatures({ rowSortingFeature, sortedRowModel: createSorted
 type Features = typeof features;
 
 export function DataTable<T extends object>(props: DataTableProps<T>) {
-  const { rows, columns, keyOf, sorting, onSort, grouping, view = "", known, ...rest } = props;
+  const { rows, columns, keyOf, sorting, onSort, grouping, view = "", made, known, ...rest } = props;
   const { t } = useTranslation("common");
   const frame = useRef<HTMLDivElement>(null);
   const { isReading, handlers } = useIsReading();
@@ -80,7 +82,8 @@ export function DataTable<T extends object>(props: DataTableProps<T>) {
   const sorted = table.getRowModel().rows.map((row) => row.original);
   const byKey = known ?? new Map(rows.map((row) => [keyOf(row), row]));
   const isHeld = isReading || (rest.selected?.size ?? 0) > 0;
-  const { rows: shown, waiting, release } = useStableOrder(sorted, keyOf, byKey, isHeld, `${view} ${sorting.by} ${sorting.isDescending}`);
+  const own = made !== undefined && byKey.has(made) ? made : "";
+  const { rows: shown, waiting, release } = useStableOrder(sorted, keyOf, byKey, isHeld, `${view} ${sorting.by} ${sorting.isDescending} ${own}`);
   const showNew = () => {
     release();
     if (frame.current !== null) frame.current.scrollTop = 0;
