@@ -1,8 +1,10 @@
 """The settings of human state, in addition to the common ones."""
 
+import base64
+import binascii
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, SecretStr, field_validator
 
 from handover.settings import Settings
 
@@ -25,6 +27,14 @@ class HumanStateSettings(Settings):
     health_history_days: float = Field(
         30.0, gt=0, description="the history of the state of persons is deleted after so many days"
     )
+    health_recording_key: SecretStr | None = Field(
+        None,
+        description="the key that encrypts recordings: 32 bytes in base64 (`openssl rand -base64 32`); "
+        "without it nothing is recorded. Recordings cannot be read with another key",
+    )
+    health_recording_days: float = Field(
+        30.0, gt=0, description="a recording is deleted so many days after its end"
+    )
     health_break_message: str = Field(
         "breakProposed",
         max_length=64,
@@ -37,6 +47,25 @@ class HumanStateSettings(Settings):
         description="skops file with a model of the activities of daily living; one that was trained on "
         "simulated people if absent",
     )
+
+    @field_validator("health_recording_key")
+    @classmethod
+    def _has_32_bytes(cls, key: SecretStr | None) -> SecretStr | None:
+        if key is None or not key.get_secret_value():
+            return None
+        try:
+            length = len(base64.b64decode(key.get_secret_value(), validate=True))
+        except (binascii.Error, ValueError):
+            length = 0
+        if length != 32:
+            raise ValueError("must be 32 bytes in base64; make a key with `openssl rand -base64 32`")
+        return key
+
+    @property
+    def recording_key(self) -> bytes | None:
+        """The 32 bytes that encrypt recordings; None without a key."""
+        key = self.health_recording_key
+        return None if key is None else base64.b64decode(key.get_secret_value())
 
     @property
     def service_url(self) -> str:

@@ -82,19 +82,7 @@ class HumanStates:
         """Delete the HumanState of a pseudonym with its history, as soon as the broker answers."""
         identifier = self._settings.entity_id("HumanState", pseudonym)
         self._throttles.pop(identifier, None)
-
-        async def delete() -> None:
-            with suppress(NotFound):
-                await self._broker.delete(identifier)
-            try:
-                await self._broker.delete_evolution(identifier)
-            except BrokerUnavailable:
-                raise
-            except BrokerError as error:
-                if not isinstance(error, NotFound):
-                    log.warning("history of a HumanState is kept by the broker", error=str(error))
-
-        self._writer.put(identifier, delete)
+        self._writer.put(identifier, lambda: delete_everywhere(self._broker, identifier))
 
     async def delete_orphans(self, people: People) -> None:
         """Delete entities of persons who were deleted, or whose consent ended, while this did not run."""
@@ -104,6 +92,19 @@ class HumanStates:
             pseudonym = str(entity["id"]).removeprefix(prefix)
             if pseudonym.startswith("P-") and pseudonym not in allowed:
                 self.delete(pseudonym)
+
+
+async def delete_everywhere(broker: BrokerClient, identifier: str) -> None:
+    """Delete an entity with its history. Raises `BrokerError`, unless the broker has no history."""
+    with suppress(NotFound):
+        await broker.delete(identifier)
+    try:
+        await broker.delete_evolution(identifier)
+    except BrokerUnavailable:
+        raise
+    except BrokerError as error:
+        if not isinstance(error, NotFound):
+            log.warning("the broker keeps a history", entity=identifier, error=str(error))
 
 
 def _written(value: FusedValue, offset_s: float) -> FusedValue:

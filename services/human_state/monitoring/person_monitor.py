@@ -74,7 +74,10 @@ class PersonMonitor:
         """By identity: two queues with the same packets are different ones."""
         self.recent: deque[Feature] = deque(maxlen=2048)
         """Heart rates of the last minutes, for measured baselines."""
-        self.on_samples: Callable[[Samples], None] = lambda _: None
+        self.taps: set[Callable[[Samples | Feature | SensorReport], None]] = set()
+        """Called with all samples, reports and values of sensors, with times in s since 1970."""
+        self.recording: str | None = None
+        """The recording that runs."""
         self.was_lasting = False
         """Whether the strain was lasting when it was last looked at."""
         self._pipeline_of = pipeline_of
@@ -106,13 +109,13 @@ class PersonMonitor:
         if Purpose.LIVE not in self.person.purposes() or item.source not in self.person.sensors:
             return
         sensor = self.sensors.setdefault(item.source, SensorView())
+        self._tap(item)
         if isinstance(item, SensorReport):
             self._take_report(item, sensor)
             return
         sensor.signals[item.info.kind] = item.info
         for waiting in self._listeners.values():
             waiting.append(item)
-        self.on_samples(item)
         pipeline = self._pipeline(item, sensor)
         if pipeline is not None:
             self._take_features(pipeline.feed(item))
@@ -143,6 +146,7 @@ class PersonMonitor:
     def _take_faults(self, pipeline: SignalPipeline, sensor: SensorView) -> None:
         """Show what a pipeline has found; the values that end by it come as features."""
         for report in pipeline.take_reports():
+            self._tap(report)
             sensor.text = report.text[:300]
             if report.fault is not None:
                 sensor.fault, sensor.fault_at_s = report.fault, report.at_s
@@ -172,6 +176,7 @@ class PersonMonitor:
     def _take_features(self, features: Sequence[Feature]) -> None:
         wall_s, now_s = time.time(), time.monotonic()
         for feature in (*features, *self._analysis.take(features)):
+            self._tap(feature)
             age_s = max(wall_s - feature.at_s, 0.0)
             given = self.state.take(replace(feature, at_s=now_s - age_s), now_s)
             if given is None:
@@ -181,6 +186,10 @@ class PersonMonitor:
                 self.recent.append(given)
                 DELAY.observe(age_s)
                 self.step(now_s)
+
+    def _tap(self, item: Samples | Feature | SensorReport) -> None:
+        for tap in tuple(self.taps):
+            tap(item)
 
     def step(self, now_s: float) -> None:
         """Compute the limit at `now_s` (monotonic)."""

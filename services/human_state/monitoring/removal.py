@@ -1,6 +1,7 @@
 """Deletes what is known of a person: in the database, in what waits to be written, and in the broker."""
 
 import asyncio
+from collections.abc import Awaitable, Callable
 
 from services.human_state.monitoring.entities import HumanStates
 from services.human_state.monitoring.history import HistoryWriter
@@ -11,11 +12,19 @@ from services.human_state.storage.store import Store
 class Removal:
     """Deletes data of persons everywhere. While the broker is away, its part waits."""
 
-    def __init__(self, people: People, store: Store, history: HistoryWriter, entities: HumanStates) -> None:
+    def __init__(
+        self,
+        people: People,
+        store: Store,
+        history: HistoryWriter,
+        entities: HumanStates,
+        delete_recordings: Callable[[str], Awaitable[None]],
+    ) -> None:
         self._people = people
         self._store = store
         self._history = history
         self._entities = entities
+        self._delete_recordings = delete_recordings
 
     async def person(self, name: str) -> None:
         """Delete a person with everything."""
@@ -23,7 +32,8 @@ class Removal:
         await self.data(person)
 
     async def data(self, person: Person) -> None:
-        """Delete the history of a person, here and in the broker."""
+        """Delete the recordings of a person, and the history here and in the broker."""
+        await self._delete_recordings(person.pseudonym)
         await self._history.forget(person.pseudonym)
         await asyncio.to_thread(self._store.delete_history, person.pseudonym)
         self._entities.delete(person.pseudonym)

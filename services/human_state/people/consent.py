@@ -25,7 +25,7 @@ class Purpose(StrEnum):
     BROKER = "broker"
     """HumanState entities are written to the context broker."""
     RECORDING = "recording"
-    """Signals may be recorded in sessions that somebody starts and stops; the service makes none yet."""
+    """Signals may be recorded in recordings that somebody starts and stops."""
 
 
 @dataclass(frozen=True, slots=True)

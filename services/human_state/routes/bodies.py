@@ -1,7 +1,7 @@
 """The bodies of requests."""
 
 from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from pydantic.alias_generators import to_camel
@@ -56,10 +56,44 @@ class SensorChange(Body):
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
+class RecordingStart(Body):
+    """What is recorded, and who started it; with accounts that is the caller."""
+
+    label: Annotated[str, Field(max_length=200)] = ""
+    started_by: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class MarkerGiven(Body):
+    """An event for the time line of a recording; `at` is now if absent."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64)]
+    text: Annotated[str, Field(max_length=500)] = ""
+    at: AwareDatetime | None = None
+
+
 class Reset(Body):
     """Who has looked and ends the stop."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class RecordingView(Body):
+    """A recording. SHA-256 and `size`, in bytes, are those of the decrypted MCAP file.
+
+    `interrupted`: it waits to be closed, for example for the key.
+    """
+
+    id: str
+    label: str
+    state: Literal["running", "ended", "interrupted"]
+    started: datetime
+    started_by: str
+    ended: datetime | None
+    end_reason: str | None
+    sha256: str | None
+    size: int | None
+    messages: int | None
+    deleted_after: datetime
 
 
 class ConsentView(Body):
@@ -106,7 +140,7 @@ class LimitView(Body):
 
 
 class PersonView(Body):
-    """A person without values."""
+    """A person without values. `recording` is the id of the one that runs."""
 
     person: str
     pseudonym: str
@@ -116,6 +150,7 @@ class PersonView(Body):
     consent: ConsentView | None
     purposes: list[Purpose]
     is_monitored: bool
+    recording: str | None
     sensors: list[SensorStateView]
     limit: LimitView | None
 

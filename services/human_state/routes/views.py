@@ -51,6 +51,7 @@ def person_view(person: Person, monitoring: Monitoring) -> PersonView:
         ),
         purposes=sorted(person.purposes()),
         is_monitored=monitor is not None,
+        recording=None if monitor is None else monitor.recording,
         sensors=[_sensor_view(person, name, monitor) for name in sorted(person.sensors)],
         limit=None if monitor is None else limit_view(monitor, monitoring),
     )

@@ -74,6 +74,25 @@ class ValueRow:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordingRow:
+    """A recording: until it has ended, `ended_us` and what follows is None.
+
+    `sha256`, in hexadecimal digits, and `size` in bytes are those of the decrypted file.
+    """
+
+    id: str
+    subject: str
+    label: str
+    started_us: int
+    started_by: str
+    ended_us: int | None = None
+    end_reason: str | None = None
+    sha256: str | None = None
+    size: int | None = None
+    messages: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Everything:
     """What the service has stored, besides the history."""
 
@@ -218,6 +237,24 @@ class Store:
             return connection.execute(
                 delete(tables.history).where(tables.history.c.at_us < before_us)
             ).rowcount
+
+    def recordings(self) -> list[RecordingRow]:
+        """Return all recordings, oldest first."""
+        query = select(tables.recordings).order_by(tables.recordings.c.started_us)
+        with self._engine.connect() as connection:
+            return [RecordingRow(**row) for row in connection.execute(query).mappings()]
+
+    def save_recording(self, recording: RecordingRow) -> None:
+        """Insert or replace a recording."""
+        table = tables.recordings
+        with self._changing() as connection:
+            connection.execute(delete(table).where(table.c.id == recording.id))
+            connection.execute(insert(table).values(_members(recording)))
+
+    def delete_recording(self, identifier: str) -> None:
+        """Delete the row of a recording; its file is deleted before."""
+        with self._changing() as connection:
+            connection.execute(delete(tables.recordings).where(tables.recordings.c.id == identifier))
 
 
 def _delete_history(connection: Connection, subject: str) -> None:

@@ -5,11 +5,23 @@ Health data has the pseudonym of a person; only `person` and `consent` connect i
 
 from typing import Final
 
-from sqlalchemy import BigInteger, Boolean, Column, Engine, Float, Integer, MetaData, String, Table, Text
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Connection,
+    Engine,
+    Float,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+)
 
 from handover.migrations import migrate
 
-VERSION: Final = 1
+VERSION: Final = 2
 COMPONENT: Final = "human_state"
 
 meta = MetaData()
@@ -70,8 +82,26 @@ history = Table(
     Column("quality", Float, nullable=False),
     Column("status", String(16), nullable=False),
 )
+recordings = Table(
+    "human_state_recording",
+    meta,
+    Column("id", String(32), primary_key=True),
+    Column("subject", String(64), nullable=False, index=True),
+    Column("label", String(200), nullable=False),
+    Column("started_us", BigInteger, nullable=False),
+    Column("started_by", String(200), nullable=False),
+    Column("ended_us", BigInteger),
+    Column("end_reason", String(32)),
+    Column("sha256", String(64)),
+    Column("size", BigInteger),
+    Column("messages", BigInteger),
+)
 
 
 def prepare(engine: Engine) -> None:
     """Create the tables, or bring them to this version."""
-    migrate(engine, meta, component=COMPONENT, version=VERSION)
+    migrate(engine, meta, component=COMPONENT, version=VERSION, steps={1: _add_recordings})
+
+
+def _add_recordings(connection: Connection) -> None:
+    recordings.create(connection)

@@ -1,0 +1,1 @@
+"""Recordings of body signals: encrypted MCAP files that somebody starts and stops."""

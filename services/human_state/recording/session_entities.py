@@ -1,0 +1,84 @@
+"""The PhysiologicalSession of each recording in the broker, while the person allows entities there."""
+
+from typing import Final
+
+from handover.broker import BrokerClient
+from handover.latest_value_writer import LatestValueWriter
+from services.human_state.exchange.ngsi_ld import session
+from services.human_state.monitoring.entities import delete_everywhere
+from services.human_state.people.consent import Purpose
+from services.human_state.people.people import People, Person
+from services.human_state.recording.recordings import Recordings
+from services.human_state.settings import HumanStateSettings
+from services.human_state.storage.store import RecordingRow
+
+TYPE: Final = "PhysiologicalSession"
+
+
+class SessionEntities:
+    """Writes and deletes the entities. While the broker is away they wait."""
+
+    def __init__(
+        self,
+        settings: HumanStateSettings,
+        people: People,
+        recordings: Recordings,
+        broker: BrokerClient,
+        writer: LatestValueWriter,
+    ) -> None:
+        self._settings = settings
+        self._people = people
+        self._recordings = recordings
+        self._broker = broker
+        self._writer = writer
+        self._published: set[str] = set()
+
+    def id_of(self, recording: str) -> str:
+        """Return the id of the entity of a recording."""
+        return self._settings.entity_id(TYPE, recording)
+
+    def changed(self, row: RecordingRow) -> None:
+        """Write the entity of a recording, or delete it where it is no longer allowed."""
+        person = next((one for one in self._people.all() if one.pseudonym == row.subject), None)
+        self._apply(row, person)
+
+    def apply(self, name: str) -> None:
+        """Write and delete the entities of a person whose consent may have changed."""
+        person = self._people.find(name)
+        if person is not None:
+            for row in self._recordings.of(person.pseudonym):
+                if (Purpose.BROKER in person.purposes()) != (row.id in self._published):
+                    self._apply(row, person)
+
+    def deleted(self, recording: str) -> None:
+        """Delete the entity of a recording with its history."""
+        self._published.discard(recording)
+        identifier = self.id_of(recording)
+        self._writer.put(identifier, lambda: delete_everywhere(self._broker, identifier))
+
+    async def synchronize(self) -> None:
+        """Write all entities, and delete those of recordings that are gone."""
+        for row in self._recordings.all():
+            self.changed(row)
+        prefix = self.id_of("R-")
+        for entity in await self._broker.query(type=TYPE):
+            identifier = str(entity["id"])
+            recording = identifier.removeprefix(prefix.removesuffix("R-"))
+            if identifier.startswith(prefix) and recording not in self._published:
+                self.deleted(recording)
+
+    def _apply(self, row: RecordingRow, person: Person | None) -> None:
+        if person is None or Purpose.BROKER not in person.purposes():
+            if row.id in self._published:
+                self.deleted(row.id)
+            return
+        self._published.add(row.id)
+        entity = session(
+            self.id_of(row.id),
+            self._settings.entity_id("Person", person.name),
+            row.started_us / 1e6,
+            end_s=None if row.ended_us is None else row.ended_us / 1e6,
+            recording=f"{self._settings.service_url}/people/{person.name}/recordings/{row.id}/file",
+            sha256=row.sha256,
+        ).to_normalized()
+        self._writer.put(self.id_of(row.id), lambda: self._broker.upsert([entity]))
