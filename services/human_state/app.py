@@ -27,10 +27,7 @@ from services.human_state.monitoring.person_monitor import PersonMonitor
 from services.human_state.monitoring.processors import pipeline_of
 from services.human_state.monitoring.removal import Removal
 from services.human_state.people.people import People
-from services.human_state.recording.archive import Archive
-from services.human_state.recording.export import BundleExport
-from services.human_state.recording.recordings import Recordings
-from services.human_state.recording.session_entities import SessionEntities
+from services.human_state.recording.service import RecordingService
 from services.human_state.routes.people_routes import Parts, add_people_routes
 from services.human_state.routes.recording_routes import add_recording_routes
 from services.human_state.routes.streams import add_streams
@@ -55,15 +52,20 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     entities = HumanStates(settings, monitoring, broker, writer)
     history = HistoryWriter(store, monitoring, settings.health_history_days)
     breaks = BreakProposals(settings, guard.access)
-    archive = Archive(settings.data_dir / "recordings", settings.recording_key)
-    recordings = Recordings(archive, store, people, monitoring, tasks, settings.health_recording_days)
-    sessions = SessionEntities(settings, people, recordings, broker, writer)
-    removal = Removal(people, store, history, entities, recordings.delete_of)
+    recording = RecordingService(
+        settings,
+        store=store,
+        people=people,
+        monitoring=monitoring,
+        tasks=tasks,
+        broker=broker,
+        writer=writer,
+    )
+    removal = Removal(people, store, history, entities, recording.recordings.delete_of)
 
     def changed(name: str) -> None:
         monitoring.apply(name)
-        recordings.apply(name)
-        sessions.apply(name)
+        recording.apply(name)
 
     def strained(monitor: PersonMonitor) -> None:
         tasks.start(breaks.propose, monitor)
@@ -73,10 +75,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         await asyncio.to_thread(tables.prepare, engine)
         await people.load()
         async with broker, writer, tasks:
-            await recordings.load()
             people.on_changed = changed
-            recordings.on_changed = sessions.changed
-            recordings.on_deleted = sessions.deleted
             monitoring.on_stopped = entities.ended
             monitoring.on_strain = strained
             for person in people.all():
@@ -84,11 +83,10 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
             tasks.start_restarting(monitoring.run)
             tasks.start_restarting(history.run)
             tasks.start_restarting(entities.run)
-            tasks.start_restarting(recordings.run)
             writer.put("orphans", lambda: entities.delete_orphans(people))
-            writer.put("sessions", sessions.synchronize)
+            await recording.open()
             yield
-            await recordings.close()
+            await recording.close()
             people.on_changed = lambda _: None
         breaks.close()
         engine.dispose()
@@ -102,7 +100,6 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         audit=AuditTrail(settings, "human-state", engine),
     )
     add_people_routes(app, Parts(people, monitoring, store, removal))
-    export = BundleExport(settings.data_dir / "recordings", settings.recording_key)
-    add_recording_routes(app, people, recordings, sessions, export)
+    add_recording_routes(app, people, recording)
     add_streams(app, monitoring)
     return app

@@ -92,15 +92,21 @@ class Recordings:
         self._turn = asyncio.Lock()
 
     async def load(self) -> None:
-        """Read what was stored, and close what a crash has interrupted."""
+        """Read what was stored."""
         for row in await asyncio.to_thread(self._store.recordings):
             self._rows[row.id] = row
-        await asyncio.to_thread(self.archive.delete_others, self._rows)
+        await asyncio.to_thread(self.archive.delete_others, list(self._rows))
+
+    async def recover(self) -> None:
+        """Close what a crash has interrupted: seconds for a long recording."""
         for row in list(self._rows.values()):
-            if row.ended_us is None:
-                await self._recover(row)
-            else:
-                await asyncio.to_thread(self.archive.drop_journal, row.id)
+            async with self._turn:
+                if row.id not in self._rows or self._find(row.id) is not None:
+                    continue
+                if row.ended_us is None:
+                    await self._recover(row)
+                else:
+                    await asyncio.to_thread(self.archive.drop_journal, row.id)
 
     async def run(self) -> None:
         """Write, end what may not continue, and delete what is too old, until cancelled."""

@@ -14,10 +14,9 @@ from handover.messages import message
 from handover.security.permissions import Permission
 from services.human_state.formats.json_messages import Marker
 from services.human_state.people.people import People
-from services.human_state.recording.export import BundleExport
 from services.human_state.recording.recordings import Recordings, no_key
 from services.human_state.recording.sealed import SealError
-from services.human_state.recording.session_entities import SessionEntities
+from services.human_state.recording.service import RecordingService
 from services.human_state.routes.access import SignedIn, require_own_or
 from services.human_state.routes.bodies import MarkerGiven, Name, RecordingStart, RecordingView
 from services.human_state.routes.views import moment
@@ -26,10 +25,10 @@ from services.human_state.storage.store import RecordingRow
 RecordingId = Annotated[str, Path(pattern=r"^R-[0-9a-f]{16}$")]
 
 
-def add_recording_routes(
-    app: FastAPI, people: People, recordings: Recordings, entities: SessionEntities, export: BundleExport
-) -> None:
+def add_recording_routes(app: FastAPI, people: People, recording_service: RecordingService) -> None:
     """Add the routes."""
+    recordings, entities = recording_service.recordings, recording_service.entities
+    recording_service.mount(app)
 
     def found(person: str, recording: str) -> RecordingRow:
         return recordings.recording(recording, people.person(person).pseudonym)
@@ -104,7 +103,7 @@ def add_recording_routes(
         row = _ended(found(person, recording))
         if not recordings.archive.has_key:
             raise no_key()
-        content = await export.bundle(row, entities.id_of(row.id), time.time())
+        content = await recording_service.export.bundle(row, entities.id_of(row.id), time.time())
         headers = {"Cache-Control": "no-store"}
         return Response(content, media_type="application/fhir+json", headers=headers)
 

@@ -12,6 +12,7 @@ import pytest
 
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.notifications import KEY_HEADER
 from services.human_state.exchange.mcap import read_stream
 from services.human_state.formats.json_messages import Marker
 from services.human_state.model.features import Feature, FeatureName
@@ -42,9 +43,41 @@ async def one(rest: httpx.AsyncClient, identifier: str) -> dict[str, Any]:
     return next(each for each in found if each["id"] == identifier)
 
 
+async def ended(rest: httpx.AsyncClient, identifier: str) -> dict[str, Any] | None:
+    found = await one(rest, identifier)
+    return found if found["state"] == "ended" else None
+
+
 async def has_heart_rate(rest: httpx.AsyncClient) -> bool:
     values = (await rest.get("/people/aino/state")).raise_for_status().json()["values"]
     return any(each["name"] == "heartRate" for each in values)
+
+
+async def notify_of_tasks(rest: httpx.AsyncClient, broker: BrokerClient, folder: Path) -> None:
+    """Change a Task of the person who is recorded, and one of another; notify twice, as brokers may."""
+    subscription = "urn:ngsi-ld:Subscription:demo:human-state-tasks"
+
+    async def is_subscribed() -> bool:
+        return subscription in {each["id"] for each in await broker.subscriptions()}
+
+    await until(is_subscribed)
+    tasks = [
+        {
+            "id": f"urn:ngsi-ld:Task:demo:of-{person}",
+            "type": "Task",
+            "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:lift"},
+            "status": {"type": "Property", "value": "inProgress"},
+            "name": {"type": "Property", "value": "Lift"},
+            "involves": {"type": "Relationship", "object": f"urn:ngsi-ld:Person:demo:{person}"},
+        }
+        for person in ("aino", "eero")
+    ]
+    await broker.upsert(tasks)
+    headers = {KEY_HEADER: (folder / "human-state.notification-key").read_text()}
+    for _ in range(2):
+        answer = await rest.post("/notifications", json={"data": tasks}, headers=headers)
+        assert answer.status_code == 204, answer.text
+    assert (await rest.post("/notifications", json={"data": tasks})).status_code == 403
 
 
 async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
@@ -65,18 +98,19 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
         await until(lambda: has_heart_rate(rest))
         marked = await rest.post(f"{this}/markers", json={"name": "lift", "text": "the box"})
         assert marked.status_code == 204
+        await notify_of_tasks(rest, broker, tmp_path)
 
-        ended = (await rest.post(f"{this}/stop")).raise_for_status().json()
-        assert (ended["state"], ended["endReason"]) == ("ended", "stopped")
+        closed = (await rest.post(f"{this}/stop")).raise_for_status().json()
+        assert (closed["state"], closed["endReason"]) == ("ended", "stopped")
         late = await rest.post(f"{this}/markers", json={"name": "late"})
         assert late.json()["detailCode"] == "health.not_recording"
         file = await rest.get(f"{this}/file")
         digest = hashlib.sha256(file.content).digest()
-        assert (digest.hex(), len(file.content)) == (ended["sha256"], ended["size"])
+        assert (digest.hex(), len(file.content)) == (closed["sha256"], closed["size"])
         assert file.headers["repr-digest"] == f"sha-256=:{base64.b64encode(digest).decode()}:"
         items = list(read_stream(io.BytesIO(file.content), "it"))
-        assert len(items) == ended["messages"]
-        assert [each.text for each in items if isinstance(each, Marker)] == ["the box"]
+        assert len(items) == closed["messages"]
+        assert [each.text for each in items if isinstance(each, Marker)] == ["the box", "Lift: inProgress"]
         assert {each.info.kind for each in items if isinstance(each, Samples)} == {SignalKind.HEART_RATE}
         rates = [each for each in items if isinstance(each, Feature) and each.name is FeatureName.HEART_RATE]
         assert rates
@@ -96,7 +130,7 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
 
         published = await until(entity)
         assert published is not None
-        assert published["sha256"]["value"] == ended["sha256"]
+        assert published["sha256"]["value"] == closed["sha256"]
         assert published["refPerson"]["object"] == "urn:ngsi-ld:Person:demo:aino"
 
         assert (await rest.delete(this)).status_code == 204
@@ -141,13 +175,7 @@ async def test_a_withdrawn_consent_ends_a_recording_and_deletes_what_was_asked(
         await until(lambda: has_heart_rate(rest))
         (await rest.put("/people/aino/consent", json=consent("live", "history"))).raise_for_status()
         assert (await rest.get("/people/aino")).json()["recording"] is None
-
-        async def ended() -> dict[str, Any] | None:
-            found = await one(rest, first["id"])
-            return found if found["state"] == "ended" else None
-
-        kept = await until(ended)
-        assert kept is not None
+        kept = await until(lambda: ended(rest, first["id"]))
         assert kept["endReason"] == "consent"
         (await rest.put("/people/aino/consent", json=consent(*ALLOWED))).raise_for_status()
         await start(rest, "second")
@@ -189,8 +217,8 @@ async def test_the_next_start_closes_what_a_crash_has_left_and_deletes_what_is_o
         assert (await one(rest, made["id"]))["state"] == "interrupted"
         assert len(list(folder.iterdir())) == 1
     async with running(health_recording_key=KEY) as rest:
-        closed = await one(rest, made["id"])
-        assert (closed["state"], closed["endReason"]) == ("ended", "interrupted")
+        closed = await until(lambda: ended(rest, made["id"]))
+        assert closed["endReason"] == "interrupted"
         content = (await rest.get(f"{AINO}/{made['id']}/file")).raise_for_status().content
         assert hashlib.sha256(content).hexdigest() == closed["sha256"]
         assert len(list(read_stream(io.BytesIO(content), "it"))) == closed["messages"] > 0

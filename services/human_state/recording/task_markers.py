@@ -1,0 +1,116 @@
+"""Markers from Tasks: each new status of a Task that involves a person who is being recorded.
+
+The broker notifies of Tasks only while something is recorded. A gesture that answers a Task is seen by the
+status of the Task. A notification is a hint: the Task is read from the broker before it is marked.
+"""
+
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from typing import Any, Final
+
+from fastapi import FastAPI, Request, Response
+
+from datamodels import Task
+from handover.broker import BrokerClient, BrokerError, NotFound
+from handover.latest_value_writer import LatestValueWriter
+from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver, ids_of
+from handover.telemetry import get_logger
+from services.human_state.formats.json_messages import Marker
+from services.human_state.recording.recordings import Recordings
+from services.human_state.settings import HumanStateSettings
+
+log = get_logger(__name__)
+
+NAME: Final = "human-state"
+PATH: Final = "/notifications"
+MARKER: Final = "task"
+MAX_REMEMBERED: Final = 10_000
+
+
+class TaskMarkers:
+    """Subscribes to Tasks while something is recorded, and marks what changes."""
+
+    def __init__(
+        self,
+        settings: HumanStateSettings,
+        recordings: Recordings,
+        broker: BrokerClient,
+        writer: LatestValueWriter,
+    ) -> None:
+        self._settings = settings
+        self._recordings = recordings
+        self._broker = broker
+        self._writer = writer
+        self._receiver = NotificationReceiver(NAME, settings, broker)
+        self._seen: OrderedDict[tuple[str, str], str] = OrderedDict()
+        """The status that was marked, by person and Task."""
+        self._id = settings.entity_id("Subscription", f"{NAME}-tasks")
+
+    def mount(self, app: FastAPI) -> None:
+        """Add the route for notifications."""
+
+        @app.post(PATH, status_code=204, tags=["notifications"], dependencies=[REQUIRES_NOTIFICATION_KEY])
+        async def notify(request: Request) -> Response:
+            """Read the Tasks of a notification from the broker, and mark them."""
+            await self._read(ids_of(await self._receiver.receive(request)))
+            return Response(status_code=204)
+
+    def require_key(self) -> None:
+        """Raise `UsageError` if the key of notifications cannot be stored."""
+        self._receiver.require_key()
+
+    def apply(self) -> None:
+        """Subscribe or unsubscribe, as soon as the broker answers."""
+        self._writer.put(self._id, self._synchronize)
+
+    async def _synchronize(self) -> None:
+        if self._recordings.recorded():
+            await self._broker.ensure_subscription(self._subscription())
+        else:
+            self._seen.clear()
+            with suppress(NotFound):
+                await self._broker.delete_subscription(self._id)
+
+    def _subscription(self) -> dict[str, Any]:
+        return {
+            "id": self._id,
+            "type": "Subscription",
+            "description": "Tasks of persons who are being recorded",
+            "entities": [{"type": Task.ngsi_type()}],
+            "watchedAttributes": ["status"],
+            "notification": {
+                "format": "normalized",
+                "endpoint": self._receiver.endpoint(f"{self._settings.service_url}{PATH}"),
+            },
+        }
+
+    async def _read(self, identifiers: Iterable[str]) -> None:
+        if not self._recordings.recorded():
+            return
+        try:
+            entities = await self._receiver.read(Task.ngsi_type(), identifiers)
+        except BrokerError as error:
+            log.warning("tasks not marked", error=str(error))
+            return
+        for entity in entities:
+            self._mark(entity)
+
+    def _mark(self, entity: Mapping[str, Any]) -> None:
+        try:
+            task = Task.from_ngsild(entity)
+        except ValueError as error:
+            log.warning("task not marked", task=str(entity.get("id"))[:200], error=str(error)[:300])
+            return
+        status = str(task.status.value)
+        involved = {link.object for link in task.involves or ()}
+        for person in self._recordings.recorded():
+            key = person, task.id
+            if self._settings.entity_id("Person", person) not in involved or self._seen.get(key) == status:
+                continue
+            self._seen[key] = status
+            while len(self._seen) > MAX_REMEMBERED:
+                self._seen.popitem(last=False)
+            name = task.id if task.name is None else str(task.name.value)
+            self._recordings.mark_person(person, Marker(time.time(), MARKER, f"{name[:200]}: {status}"))
