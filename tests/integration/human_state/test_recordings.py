@@ -84,7 +84,7 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
     running: Running, shared_cell: Cell, tmp_path: Path
 ) -> None:
     async with (
-        running(health_recording_key=KEY) as rest,
+        running(health_recording_key=KEY, human_state_port=shared_cell.ports["human_state"]) as rest,
         BrokerClient(shared_cell.settings) as broker,
     ):
         person = await add_person(rest, "aino", *ALLOWED)
