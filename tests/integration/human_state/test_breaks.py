@@ -87,7 +87,9 @@ async def test_a_lasting_strain_proposes_one_break(orchestrator: httpx.AsyncClie
     hers, other = await begun(orchestrator, aino.pseudonym), await begun(orchestrator, "P-other")
     breaks = BreakProposals(settings, access)
     async with BackgroundTasks("test") as tasks:
-        monitoring = Monitoring(settings, people, access, tasks, pipeline_of)
+        monitoring = Monitoring(
+            settings, people, access, tasks, pipeline_of=pipeline_of, classifier_of=lambda: None
+        )
 
         def strained(one: PersonMonitor) -> None:
             tasks.start(breaks.propose, one)
