@@ -255,7 +255,9 @@ class Recordings:
 
     async def delete_of(self, subject: str) -> None:
         """Delete all recordings of a pseudonym."""
-        for row in self.of(subject):
+        async with self._turn:  # one that starts now is there afterwards
+            rows = self.of(subject)
+        for row in rows:
             await self.delete(row)
 
     def _begin(self, row: RecordingRow, name: str, monitor: PersonMonitor, journal: Journal) -> None:
