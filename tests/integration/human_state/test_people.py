@@ -45,7 +45,11 @@ async def test_a_person_is_sensed_with_consent_and_forgotten_without(
             found = await broker.query(type="HumanState", id=identifier)
             return found[0] if found and "heartRate" in found[0] else None
 
-        published = await until(entity)
+        async def with_heart_rate() -> dict[str, Any] | None:
+            found = await entity()
+            return found if found is not None and "heartRate" in found else None
+
+        published = await until(with_heart_rate)
         assert published is not None
         assert published["refPerson"]["object"] == "urn:ngsi-ld:Person:demo:aino"
         assert "aino" not in identifier
