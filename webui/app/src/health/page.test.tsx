@@ -8,7 +8,8 @@ import { RecordedCard } from "./RecordedCard";
 import { VitalSigns } from "./VitalSigns";
 
 const person: PersonView = {
-  person: "aino", pseudonym: "P-7f3a", restBpm: 60, maximumBpm: 180, baselineMethod: "age", consent: null, purposes: [], isMonitored: false, sensors: [], limit: null,
+  person: "aino", pseudonym: "P-7f3a", restBpm: 60, maximumBpm: 180, baselineMethod: "age", consent: null, purposes: [], isMonitored: false,
+  recording: null, sensors: [], limit: null,
 };
 const value = (name: string, over: Partial<ValueView> = {}): ValueView => ({
   name, value: 72, unit: "BPM", quality: 0.9, status: "valid", ageS: 1, method: "", isCalibrated: true, disagree: false, sensors: [], ...over,

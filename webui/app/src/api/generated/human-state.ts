@@ -53,6 +53,13 @@ export interface LimitView {
   robots: RobotLinkView[];
 }
 
+/** An event for the time line of a recording; `at` is now if absent. */
+export interface MarkerGiven {
+  name: string;
+  text?: string;
+  at?: string | null;
+}
+
 /**
  * The baseline of a person: `age` in years, or both heart rates; and the curve of the speed limit.
  *
@@ -67,7 +74,7 @@ export interface PersonChange {
   leastFraction?: number;
 }
 
-/** A person without values. */
+/** A person without values. `recording` is the id of the one that runs. */
 export interface PersonView {
   person: string;
   pseudonym: string;
@@ -77,12 +84,38 @@ export interface PersonView {
   consent: ConsentView | null;
   purposes: Purpose[];
   isMonitored: boolean;
+  recording: string | null;
   sensors: SensorStateView[];
   limit: LimitView | null;
 }
 
 /** What a consent is for. */
 export type Purpose = "live" | "speedLimits" | "history" | "broker" | "recording";
+
+/** What is recorded, and who started it; with accounts that is the caller. */
+export interface RecordingStart {
+  label?: string;
+  startedBy: string;
+}
+
+/**
+ * A recording. SHA-256 and `size`, in bytes, are those of the decrypted MCAP file.
+ *
+ * `interrupted`: it waits to be closed, for example for the key.
+ */
+export interface RecordingView {
+  id: string;
+  label: string;
+  state: "running" | "ended" | "interrupted";
+  started: string;
+  startedBy: string;
+  ended: string | null;
+  endReason: string | null;
+  sha256: string | null;
+  size: number | null;
+  messages: number | null;
+  deletedAfter: string;
+}
 
 /** Who has looked and ends the stop. */
 export interface Reset {
