@@ -20,6 +20,7 @@ from datamodels.streams import HumanInput
 from handover.background_tasks import BackgroundTasks
 from handover.control.control_link import ControlLink, Ended
 from handover.errors import Problem
+from handover.messages import message
 from handover.telemetry import get_logger
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.input_mapping import AxisInput, InputMapping, MappedAxes, written
@@ -115,7 +116,12 @@ class DeviceInputs:
             raise Problem(
                 409,
                 "Device in use",
-                f"{device} drives {before.robot} already; end that control first",
+                message(
+                    "device.in_use",
+                    "{device} drives {robot} already; end that control first",
+                    device=device,
+                    robot=before.robot,
+                ),
             )
         path = f"/robots/{quote(robot, safe='')}/control?{urlencode(query)}"
         service = self._own_url if robot in self._gateway.devices and robot != device else self._url

@@ -20,6 +20,7 @@ import orjson
 from sqlalchemy import Engine
 
 from handover.errors import HandoverError, Problem
+from handover.messages import message, text_of
 from handover.security.secret_tokens import is_token, new_token, token_hash
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
@@ -64,8 +65,11 @@ class WrongToken(HandoverError):
 
     def __init__(self) -> None:
         super().__init__(
-            "there is no such device, or the token is not its token; add the device with `handover device "
-            "add`, or make a new token with `handover device token`"
+            message(
+                "device.wrong_token",
+                "there is no such device, or the token is not its token; add the device with `handover "
+                "device add`, or make a new token with `handover device token`",
+            )
         )
 
 
@@ -76,8 +80,11 @@ class WrongCertificate(HandoverError):
 
     def __init__(self) -> None:
         super().__init__(
-            "there is no such device, or the certificate is not its certificate; make one with `handover "
-            "device certificate`, or send the token of the device"
+            message(
+                "device.wrong_certificate",
+                "there is no such device, or the certificate is not its certificate; make one with `handover "
+                "device certificate`, or send the token of the device",
+            )
         )
 
 
@@ -165,7 +172,11 @@ class DeviceGateway:
             raise Problem(
                 404,
                 "No such device",
-                f'there is no device "{name}"; add it with `handover device add {name}`',
+                message(
+                    "device.unknown",
+                    'there is no device "{device}"; add it with `handover device add {device}`',
+                    device=name,
+                ),
             )
         return found
 
@@ -175,11 +186,23 @@ class DeviceGateway:
             raise Problem(
                 422,
                 "Not a name",
-                f'"{name[:64]}" cannot be the name of a device: 1 to 64 letters, digits, "_", "." or "-", a '
-                "letter or digit first",
+                message(
+                    "device.bad_name",
+                    '"{name}" cannot be the name of a device: 1 to 64 letters, digits, "_", "." or "-", a '
+                    "letter or digit first",
+                    name=name[:64],
+                ),
             )
         if name in self.devices:
-            raise Problem(409, "Name taken", f'there is a device "{name}" already; choose another name')
+            raise Problem(
+                409,
+                "Name taken",
+                message(
+                    "device.name_taken",
+                    'there is a device "{device}" already; choose another name',
+                    device=name,
+                ),
+            )
         now_us, token = int(self._clock() * 1e6), new_token(TOKEN_KIND)
         device = Device(StoredDevice(name, description, token_hash(token), now_us, now_us), has_news=True)
         self.devices[name] = device  # so that a second request for the name is refused meanwhile
@@ -308,7 +331,7 @@ class DeviceGateway:
         try:
             return self.with_token(name, token)
         except WrongToken as wrong:
-            raise Problem(401, "Wrong token", str(wrong)) from None
+            raise Problem(401, "Wrong token", text_of(wrong)) from None
 
     def with_token(self, name: str, token: str) -> Device:
         """Return the device with this token; raise `WrongToken`."""

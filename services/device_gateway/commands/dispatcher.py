@@ -19,6 +19,7 @@ from jsonschema.exceptions import ValidationError, best_match
 from sqlalchemy import Engine
 
 from handover.errors import Problem
+from handover.messages import message
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
 from services.device_gateway.commands.command import (
@@ -143,8 +144,18 @@ class Dispatcher:
         """
         specification = description.command(name)
         if specification is None:
-            known = ", ".join(command.name for command in description.commands) or "none"
-            raise Problem(404, "No such command", f'{device} takes no command "{name}"; it takes {known}')
+            known = ", ".join(command.name for command in description.commands) or "–"
+            raise Problem(
+                404,
+                "No such command",
+                message(
+                    "device.command_unknown",
+                    '{device} takes no command "{command}"; it takes {known}',
+                    device=device,
+                    command=name[:64],
+                    known=known,
+                ),
+            )
         _require_valid(name, parameters, specification.parameters)
         identifier = identifier or uuid4().hex
         async with self._ordering:
@@ -154,14 +165,23 @@ class Dispatcher:
                     raise Problem(
                         409,
                         "Another command",
-                        f'the id "{identifier}" is that of another command; use a new one',
+                        message(
+                            "device.command_id_taken",
+                            'the id "{id}" is that of another command; use a new one',
+                            id=identifier,
+                        ),
                     )
                 return known_one
             if len(self._open[device]) >= MAX_OPEN:
                 raise Problem(
                     429,
                     "Too many commands",
-                    f"{device} has {MAX_OPEN} open commands; wait until some have ended",
+                    message(
+                        "device.commands_too_many",
+                        "{device} has {maximum} open commands; wait until some have ended",
+                        device=device,
+                        maximum=MAX_OPEN,
+                    ),
                 )
             now_s = self._clock()
             link = self._links.get(device)
@@ -173,8 +193,13 @@ class Dispatcher:
                     raise Problem(
                         409,
                         "Device away",
-                        f'{device} is not connected, and "{name}" is a motion, which is never queued; '
-                        "connect the device and send the command again",
+                        message(
+                            "device.motion_away",
+                            '{device} is not connected, and "{command}" is a motion, which is never queued; '
+                            "connect the device and send the command again",
+                            device=device,
+                            command=name,
+                        ),
                     )
                 command = command.sent_to(link.boot)
             one = _Open(command)
@@ -344,27 +369,52 @@ def _require_valid(name: str, parameters: Mapping[str, Any], schema: Mapping[str
     try:
         size = len(orjson.dumps(dict(parameters)))
     except TypeError as error:
-        raise Problem(422, "Wrong parameters", f"the parameters are no plain JSON: {error}") from None
+        raise Problem(
+            422,
+            "Wrong parameters",
+            message(
+                "device.parameters_no_json", "the parameters are no plain JSON: {error}", error=str(error)
+            ),
+        ) from None
     if size > MAX_PARAMETERS_BYTES:
         raise Problem(
             422,
             "Wrong parameters",
-            f"the parameters have {size} bytes, and at most {MAX_PARAMETERS_BYTES} fit",
+            message(
+                "device.parameters_too_large",
+                "the parameters have {size} bytes, and at most {maximum} fit",
+                size=size,
+                maximum=MAX_PARAMETERS_BYTES,
+            ),
         )
     if schema is None:
         return
     fault: ValidationError | None = best_match(Draft202012Validator(schema).iter_errors(dict(parameters)))
     if fault is not None:
-        where = "".join(f", {part}" for part in fault.absolute_path)
+        where = "".join(f", {part}" for part in [name, *fault.absolute_path])[2:]
         raise Problem(
             422,
             "Wrong parameters",
-            f"parameters of {name}{where}: {fault.message[:300]}",
+            message(
+                "device.parameters_invalid",
+                "parameters of {place}: {reason}",
+                place=where,
+                reason=fault.message[:300],
+            ),
         )
 
 
 def _no_command(device: str, identifier: str) -> Problem:
-    return Problem(404, "No such command", f'{device} has no command with the id "{identifier}"')
+    return Problem(
+        404,
+        "No such command",
+        message(
+            "device.no_command_with_id",
+            '{device} has no command with the id "{id}"',
+            device=device,
+            id=identifier[:128],
+        ),
+    )
 
 
 def _row(command: Command) -> CommandRow:

@@ -3,6 +3,7 @@
 from typing import Final
 
 from handover.errors import Problem
+from handover.messages import message
 
 MAX_PICTURE_BYTES: Final = 2 * 1024 * 1024
 PICTURE_TYPES: Final = ("image/png", "image/jpeg", "image/webp")
@@ -16,4 +17,10 @@ def media_type_of(content: bytes) -> str:
         return "image/jpeg"
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
         return "image/webp"
-    raise Problem(422, "No picture", "the file is no PNG, JPEG or WebP picture; convert it to one of them")
+    raise Problem(
+        422,
+        "No picture",
+        message(
+            "device.picture_unusable", "the file is no PNG, JPEG or WebP picture; convert it to one of them"
+        ),
+    )

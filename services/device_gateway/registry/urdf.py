@@ -9,6 +9,7 @@ from typing import Final
 from lxml import etree
 
 from handover.errors import Problem
+from handover.messages import Message, message
 from services.device_gateway.model.description import Joint
 
 MAX_URDF_BYTES: Final = 4 * 1024 * 1024
@@ -21,11 +22,19 @@ def joints_in(urdf: bytes) -> tuple[Joint, ...]:
     try:
         root = etree.fromstring(urdf, parser)
     except etree.XMLSyntaxError as error:
-        raise _refused(f"it is no XML: {str(error)[:200]}") from None
+        raise _refused(
+            message("device.urdf_no_xml", "it is no XML: {error}", error=str(error)[:200])
+        ) from None
     if root.tag != "robot":
-        raise _refused(f"its root element is {str(root.tag)[:40]}, not robot")
+        raise _refused(
+            message(
+                "device.urdf_wrong_root",
+                "its root element is {element}, not robot",
+                element=str(root.tag)[:40],
+            )
+        )
     if root.getroottree().docinfo.internalDTD is not None:
-        raise _refused("it has a document type; remove that")
+        raise _refused(message("device.urdf_document_type", "it has a document type; remove that"))
     found: list[Joint] = []
     for element in root.findall("joint"):
         kind = element.get("type")
@@ -49,7 +58,14 @@ def joints_in(urdf: bytes) -> tuple[Joint, ...]:
         except ValueError as error:
             reason = str(error).splitlines()
             text = next((line.strip() for line in reason if "Value error" in line), reason[0])
-            raise _refused(f"joint {element.get('name')}: {text[:200]}") from None
+            raise _refused(
+                message(
+                    "device.urdf_bad_joint",
+                    "joint {joint}: {reason}",
+                    joint=element.get("name"),
+                    reason=text[:200],
+                )
+            ) from None
     return tuple(found)
 
 
@@ -63,5 +79,9 @@ def _limit(element: "etree._Element | None", name: str, default: float | None) -
     return value
 
 
-def _refused(reason: str) -> Problem:
-    return Problem(422, "No URDF", f"the URDF cannot be used: {reason}")
+def _refused(reason: Message) -> Problem:
+    return Problem(
+        422,
+        "No URDF",
+        message("device.urdf_unusable", "the URDF cannot be used: {reason}", reason=reason),
+    )

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
+from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, in_path, require, require_by_handler
 from handover.security.permissions import Permission
@@ -64,7 +65,13 @@ def add_control_routes(app: FastAPI, gateway: DeviceGateway, inputs: DeviceInput
         _require(request, caller, new.robot)
         guard.require(caller, Permission.READ, guard.settings.entity_id("Device", device))
         if gateway.device(device).link is None:
-            raise Problem(409, "Not connected", f"{device} is not connected; start it first")
+            raise Problem(
+                409,
+                "Not connected",
+                message(
+                    "device.not_connected", "{device} is not connected; start its program", device=device
+                ),
+            )
         authorization = request.headers.get("authorization")
         credentials = {} if authorization is None else {"Authorization": authorization}
         overrides = {
@@ -93,7 +100,9 @@ def _found(gateway: DeviceGateway, inputs: DeviceInputs, device: str) -> DeviceC
     gateway.device(device)
     control = inputs.of(device)
     if control is None:
-        raise Problem(404, "No control", f"{device} drives no robot")
+        raise Problem(
+            404, "No control", message("device.drives_nothing", "{device} drives no robot", device=device)
+        )
     return control
 
 

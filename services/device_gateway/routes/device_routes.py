@@ -11,6 +11,7 @@ from sqlalchemy import Engine
 from handover.body_limit import max_body
 from handover.broker import BrokerClient, NotFound
 from handover.errors import Problem
+from handover.messages import message
 from handover.security.guard import in_path, require, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
 from handover.service import XML_TYPES, accepts
@@ -55,7 +56,11 @@ class NewDevice(BaseModel):
     def described(self) -> DeviceDescription:
         """Return the description; raise `Problem` if there is none, or two."""
         if (self.template is None) == (self.description is None):
-            raise Problem(422, "No description", "give either a template or a description")
+            raise Problem(
+                422,
+                "No description",
+                message("device.no_description", "give either a template or a description"),
+            )
         if self.template is not None:
             return template(self.template)
         assert self.description is not None  # noqa: S101 - one of them is given
@@ -150,7 +155,16 @@ def add_device_routes(
         gateway.device(device)
         found = await asyncio.to_thread(device_store.file_of, engine, device, kind)
         if found is None:
-            raise Problem(404, f"No {kind}", f"{device} has no {kind}; upload one with PUT on this address")
+            raise Problem(
+                404,
+                f"No {kind}",
+                message(
+                    "device.no_file",
+                    "{device} has no {kind}; upload one with PUT on this address",
+                    device=device,
+                    kind=kind,
+                ),
+            )
         return Response(
             found.content, media_type=found.media_type, headers={"X-Content-Type-Options": "nosniff"}
         )
@@ -216,5 +230,11 @@ async def _require_free(broker: BrokerClient, entity: str) -> None:
         raise Problem(
             409,
             "Name taken",
-            f"{entity} belongs to {performer}, which performs its Tasks; choose another name for this device",
+            message(
+                "device.entity_taken",
+                "{entity} belongs to {performer}, which performs its Tasks; choose another name for this "
+                "device",
+                entity=entity,
+                performer=str(performer)[:100],
+            ),
         )

@@ -149,7 +149,11 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
         known = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
         if gateway.writer.is_full:
             raise Problem(
-                503, "Too much at once", "the database is behind; send the message again in a second"
+                503,
+                "Too much at once",
+                message(
+                    "device.database_behind", "the database is behind; send the message again in a second"
+                ),
             )
         answered: asyncio.Future[Sequence[Mapping[str, Any]]] = asyncio.get_running_loop().create_future()
         gateway.receive(known, [await request.body()], answered.set_result)
@@ -165,9 +169,16 @@ def add_history_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
             return found
         missing = [name for name in names if name not in found]
         if missing:
-            known = ", ".join(found) or "none"
             raise Problem(
-                404, "No such value", f'{device} has no stored value "{missing[0]}"; it has {known}'
+                404,
+                "No such value",
+                message(
+                    "device.value_unknown",
+                    '{device} has no stored value "{name}"; it has {known}',
+                    device=device,
+                    name=missing[0][:64],
+                    known=", ".join(found) or "–",
+                ),
             )
         return {name: found[name] for name in names}
 
@@ -213,7 +224,11 @@ def _interval(begin: float | None, end: float | None) -> tuple[int, int]:
     end_s = time.time() + 1 if end is None else end
     begin_s = end_s - DAY_S if begin is None else begin
     if begin_s >= end_s:
-        raise Problem(422, "No interval", "begin must be before end, both in seconds since 1970")
+        raise Problem(
+            422,
+            "No interval",
+            message("device.no_interval", "begin must be before end, both in seconds since 1970"),
+        )
     return int(begin_s * 1e6), int(end_s * 1e6)
 
 

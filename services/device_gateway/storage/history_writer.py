@@ -23,6 +23,7 @@ from sqlalchemy import Connection, Engine, Table, delete, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from handover.errors import Problem
+from handover.messages import message
 from handover.retry import Backoff
 from handover.security.audit_trail import current_request, record_request
 from handover.telemetry import get_logger
@@ -245,5 +246,9 @@ def unavailable(error: SQLAlchemyError) -> Problem:
     return Problem(
         503,
         "Database unavailable",
-        f"nothing was changed: the database refused it ({reason}); try again later",
+        message(
+            "device.database_refused",
+            "nothing was changed: the database refused it ({reason}); try again later",
+            reason=reason,
+        ),
     )

@@ -6,6 +6,7 @@ from importlib.resources import files
 import yaml
 
 from handover.errors import Problem
+from handover.messages import message
 from services.device_gateway.model.description import DeviceDescription
 
 
@@ -24,6 +25,13 @@ def template(name: str) -> DeviceDescription:
     found = templates().get(name)
     if found is None:
         raise Problem(
-            404, "No such template", f'there is no template "{name}"; there are {", ".join(templates())}'
+            404,
+            "No such template",
+            message(
+                "device.template_unknown",
+                'there is no template "{template}"; there are {known}',
+                template=name[:64],
+                known=", ".join(templates()),
+            ),
         )
     return found
