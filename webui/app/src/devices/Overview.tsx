@@ -10,11 +10,12 @@ import { FileButton } from "~/design/FileButton";
 import { number } from "~/design/numbers";
 import { RelativeTime } from "~/design/RelativeTime";
 import { StatusBadge } from "~/design/StatusBadge";
+import { useCoarseNow } from "~/live/clock";
 import type { RegisteredDeviceView } from "~/live/messages";
 import { shortName } from "~/live/urn";
 import { mayDo } from "~/session/session";
 import { pathOf, savePicture, SERVICE, type SymbolOf } from "./gateway";
-import { digits, isoOf, outOfRange, spaced, valuesOf, type ShownValue } from "./values";
+import { connectionOf, digits, isoOf, outOfRange, spaced, valuesOf, type ShownValue } from "./values";
 
 interface OverviewProps {
   device: RegisteredDeviceView;
@@ -23,8 +24,11 @@ interface OverviewProps {
   onChanged: () => void;
 }
 
+const MINUTE_MS = 60_000;
+
 export function Overview({ device, details, symbolOf, onChanged }: OverviewProps) {
   const { t, i18n } = useTranslation("devices");
+  const now = useCoarseNow(MINUTE_MS);
   const { description } = details;
   const { placement } = description;
   const metres = (values: readonly number[]) => values.map((value) => number(value, i18n.language)).join(" · ");
@@ -39,7 +43,7 @@ export function Overview({ device, details, symbolOf, onChanged }: OverviewProps
     ["location", placement?.location == null ? null : shortName(placement.location)],
     ["position", placement?.relativePosition == null ? null : `${metres(placement.relativePosition)} m`],
     ["coordinates", placement?.coordinates == null ? null : `${number(placement.coordinates[1], i18n.language, { maximumFractionDigits: 6 })}°, ${number(placement.coordinates[0], i18n.language, { maximumFractionDigits: 6 })}°`],
-    ["connection", device.connected ? t("connection.open") : device.hasToken ? t("connection.away") : t("connection.noToken")],
+    ["connection", t(`connection.${connectionOf(device, details.certificateEndsAt, now)}`)],
     ["seen", device.seenAt === null ? null : <RelativeTime key="seen" at={isoOf(device.seenAt)} isStop />],
     ["entity", <code key="entity">{device.entity}</code>],
   ];

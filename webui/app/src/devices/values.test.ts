@@ -1,6 +1,6 @@
 import { describe, expect, it, test } from "vitest";
 import { device, value } from "./device.fixture";
-import { conditionOf, digits, outOfRange, spaced, valuesOf } from "./values";
+import { conditionOf, connectionOf, digits, outOfRange, spaced, valuesOf } from "./values";
 
 test("sensors stand as registered, also before their first value, then the joints", () => {
   const shown = valuesOf(device({ values: { elbow: value(0.5), humidity: value(40) } }));
@@ -22,6 +22,18 @@ describe("the condition of a device", () => {
   ])("is %s", (condition, given) => {
     expect(conditionOf(given)).toBe(condition);
   });
+});
+
+test("a device can connect with a token or a valid certificate", () => {
+  const now = 1_767_225_600;
+  const away = { connected: false };
+  const bare = { connected: false, hasToken: false };
+  expect(connectionOf(device(), null, now * 1000)).toBe("open");
+  expect(connectionOf(device(away), null, now * 1000)).toBe("away");
+  expect(connectionOf(device(away), now - 1, now * 1000)).toBe("away");
+  expect(connectionOf(device(bare), now + 1, now * 1000)).toBe("away");
+  expect(connectionOf(device(bare), now - 1, now * 1000)).toBe("expired");
+  expect(connectionOf(device(bare), null, now * 1000)).toBe("noAccess");
 });
 
 test("a value is compared with the range of its sensor", () => {

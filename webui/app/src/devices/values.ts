@@ -42,6 +42,16 @@ export function conditionOf(device: RegisteredDeviceView): Condition {
   return isSilent || values.some(({ latest }) => latest?.stale === true) ? "stale" : "ok";
 }
 
+export type ConnectionState = "open" | "away" | "expired" | "noAccess";
+
+/** Whether a device is connected, and if not, whether it could identify itself: by its token or its certificate. */
+export function connectionOf(device: RegisteredDeviceView, certificateEndsAt: number | null, nowMs: number): ConnectionState {
+  if (device.connected) return "open";
+  if (device.hasToken) return "away";
+  if (certificateEndsAt === null) return "noAccess";
+  return certificateEndsAt * 1000 > nowMs ? "away" : "expired";
+}
+
 /** "21.5" with four digits at most, but whole numbers in full. */
 export function digits(value: number, language: string): string {
   return number(value, language, Math.abs(value) >= 1000 ? { maximumFractionDigits: 0 } : { maximumSignificantDigits: 4 });

@@ -144,7 +144,7 @@ export function EditDevice({ device, details, units, onChanged, onToken, onDelet
   return (
     <>
       <Card title={t("access.title")}>
-        <p>{device.hasToken ? t("access.hasToken") : t("access.noToken")}</p>
+        <p>{t(device.hasToken ? "access.hasToken" : ends === null ? "access.noAccess" : "access.noToken")}</p>
         {ends !== null && <p>{t("access.hasCertificate", { end: exactTime(isoOf(ends), i18n.language) })}</p>}
         <div className="device-form__acts">
           <Button icon={<KeyRound aria-hidden size={18} />} onPress={() => ask("token")}>
