@@ -115,6 +115,14 @@ DEVICE_ANOMALY: Final = AlertType(
     "A value of a device is abnormal by a rule of the device gateway; the severity is that of the rule.",
     "Look at the device and at the chart of the value; correct the rule if the value is usual.",
 )
+DEVICE_CERTIFICATE_EXPIRES: Final = AlertType(
+    AlertCategory.DEVICE,
+    "deviceCertificateExpires",
+    Severity.HIGH,
+    "Device",
+    "The client certificate of a device expires within a week, or has expired.",
+    "Make a new one with `handover device certificate`, or on the page *Devices*, and copy it to the device.",
+)
 ROBOT_STOPPED_BY_LIMIT: Final = AlertType(
     AlertCategory.DEVICE,
     "robotStoppedByLimit",
@@ -168,6 +176,7 @@ CATALOGUE: Final = (
     GLOVE_SILENT,
     CALIBRATION_NEEDED,
     DEVICE_ANOMALY,
+    DEVICE_CERTIFICATE_EXPIRES,
     ROBOT_STOPPED_BY_LIMIT,
     UNKNOWN_GESTURE,
     TASK_NOT_ACCEPTED,

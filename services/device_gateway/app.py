@@ -1,6 +1,6 @@
 """The device gateway: devices and robots join over TCP and TLS, and are commanded and observed by REST."""
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
@@ -15,7 +15,9 @@ from handover.service import create_app
 from handover.storage import storage_check
 from services.device_gateway.adapters.base import configured
 from services.device_gateway.anomalies.anomalies import Anomalies
+from services.device_gateway.anomalies.monitor import Monitor
 from services.device_gateway.broker_reports import BrokerReports
+from services.device_gateway.certificate_alerts import CertificateAlerts
 from services.device_gateway.commands.dispatcher import Dispatcher
 from services.device_gateway.connection.device_server import DeviceServer
 from services.device_gateway.device_inputs import DeviceInputs
@@ -63,22 +65,20 @@ def make_app(settings: GatewaySettings) -> FastAPI:
         await gateway.load()
         async with broker, BackgroundTasks("device gateway") as tasks, inputs, LatestValueWriter() as writer:
             entities = RegistryEntities(settings, broker, writer)
-
-            def changed(device: Device) -> None:
-                entities.write(device)
-                monitor.set_device(device.name, device.values)
-                tasks.start(device_tasks.follow, device.name)
-
-            def removed(name: str) -> None:
-                tasks.start(device_tasks.follow, name)
-                entities.delete(name)
-                monitor.set_device(name, None)
-
-            gateway.on_changed, gateway.on_removed = changed, removed
+            certificates = CertificateAlerts(settings, broker, gateway.devices)
+            changed = _follow_changes(
+                gateway,
+                entities=entities,
+                certificates=certificates,
+                monitor=monitor,
+                device_tasks=device_tasks,
+                tasks=tasks,
+            )
             gateway.on_values = monitor.observe
             tasks.start(history.run)
             tasks.start_restarting(dispatcher.run)
             tasks.start_restarting(reports.run)
+            tasks.start_restarting(certificates.run)
             tasks.start_restarting(keep_retention, history, _rule_of(settings))
             await anomalies.load()
             async with device_tasks:
@@ -111,6 +111,33 @@ def make_app(settings: GatewaySettings) -> FastAPI:
     add_history_routes(app, gateway, engine)
     add_anomaly_routes(app, settings, gateway, engine, anomalies)
     return app
+
+
+def _follow_changes(
+    gateway: DeviceGateway,
+    *,
+    entities: RegistryEntities,
+    certificates: CertificateAlerts,
+    monitor: Monitor,
+    device_tasks: DeviceTasks,
+    tasks: BackgroundTasks,
+) -> Callable[[Device], None]:
+    """Pass on which devices change; return the function to call with a device that was added or changed."""
+
+    def changed(device: Device) -> None:
+        entities.write(device)
+        monitor.set_device(device.name, device.values)
+        certificates.request()
+        tasks.start(device_tasks.follow, device.name)
+
+    def removed(name: str) -> None:
+        tasks.start(device_tasks.follow, name)
+        entities.delete(name)
+        monitor.set_device(name, None)
+        certificates.request()
+
+    gateway.on_changed, gateway.on_removed = changed, removed
+    return changed
 
 
 def _add_routes_of_control(app: FastAPI, gateway: DeviceGateway, inputs: DeviceInputs) -> None:

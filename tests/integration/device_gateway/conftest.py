@@ -3,13 +3,16 @@
 import json
 import socket
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import ExitStack, asynccontextmanager
+from pathlib import Path
 from typing import Any, Self
 
 import httpx
 import pytest
 
+from services.context_broker.app import create_broker
+from services.context_broker.settings import BrokerSettings
 from tests.kit.cell import Cell
 from tests.kit.waiting import scaled
 
@@ -107,6 +110,17 @@ def new_bench(shared_cell: Cell) -> Iterator[Callable[[], Bench]]:
 def bench(new_bench: Callable[[], Bench]) -> Bench:
     """A client of the running gateway."""
     return new_bench()
+
+
+@asynccontextmanager
+async def broker_in_process(folder: Path) -> AsyncIterator[Any]:
+    """Run a real broker as an ASGI application, without a port."""
+    broker: Any = create_broker(BrokerSettings(data_dir=folder, _env_file=None))
+    await broker._serve()
+    try:
+        yield broker
+    finally:
+        await broker._broker.stop()
 
 
 def now_s() -> float:

@@ -11,14 +11,13 @@ import orjson
 
 from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
-from services.context_broker.app import create_broker
-from services.context_broker.settings import BrokerSettings
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.registry.device import Device
 from services.device_gateway.registry.entities import device_id, specification_id
 from services.device_gateway.settings import GatewaySettings
 from services.device_gateway.storage.device_store import StoredDevice
 from services.device_gateway.upkeep import MAX_BATCH_DEVICES, RegistryEntities
+from tests.integration.device_gateway.conftest import broker_in_process
 from tests.kit.waiting import scaled, until
 
 UPSERT = "/entityOperations/upsert"
@@ -71,11 +70,8 @@ class Registry:
 
 @asynccontextmanager
 async def registry(folder: Path) -> AsyncIterator[Registry]:
-    broker: Any = create_broker(BrokerSettings(data_dir=folder, _env_file=None))
-    await broker._serve()
-    async with LatestValueWriter() as writer:
+    async with broker_in_process(folder) as broker, LatestValueWriter() as writer:
         yield Registry(folder, broker, writer)
-    await broker._broker.stop()
 
 
 async def test_many_devices_are_written_in_few_requests_of_bounded_size(tmp_path: Path) -> None:
