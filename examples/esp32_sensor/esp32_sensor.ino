@@ -32,11 +32,9 @@ void answer(const String &id) {
 
 void connectToGateway() {
   greeted = false;
-  if (!gateway.connect(GATEWAY, PORT)) {
-    delay(delayMs);
-    delayMs = min(delayMs * 2, (uint32_t)15000);
-    return;
-  }
+  delay(delayMs);  // also after a refusal, which comes over an open connection
+  delayMs = min(delayMs * 2, (uint32_t)15000);
+  if (!gateway.connect(GATEWAY, PORT)) return;
   JsonDocument hello;
   hello["type"] = "hello";
   hello["version"] = 1;
