@@ -147,7 +147,7 @@ class PersonAnalysis:
             newest, rest = self._newest.get(name), self._rest.get(name)
             if newest is not None and rest and at_s - newest[0] < 60:
                 parts.append(float(np.clip(sign * (newest[1] / rest - 1) / 0.6, 0, 1)))
-        quality = len(parts) / 3
+        quality = (1 + len(parts)) / 4  # 0.5 from the heart rate alone, 1 from all three
         return [
             self._feature(
                 FeatureName.FATIGUE, fatigue, at_s, 0.5, method="banister-1", window_s=RECOVERY_HALF_S

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from services.human_state.model.features import FeatureName
+from services.human_state.model.features import FeatureName, Status
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 from services.human_state.monitoring.person_monitor import PersonMonitor
 from services.human_state.monitoring.processors import pipeline_of
@@ -43,6 +43,7 @@ def test_stress_and_fatigue_follow_from_the_heart_rate_and_feed_no_limit() -> No
     assert values[FeatureName.HEART_RATE].value == 150.0
     assert float(values[FeatureName.FATIGUE].value) > 0
     assert values[FeatureName.STRESS].value == 1.0
+    assert values[FeatureName.STRESS].status is Status.VALID
     assert not values[FeatureName.STRESS].is_calibrated
     assert monitor.state.for_limits(FeatureName.STRESS, time.monotonic()) is None
 
