@@ -1,6 +1,6 @@
 """Inputs of a person that wait to be sent: the newest one counts, and nothing queues for a slow reader.
 
-A release is never overtaken or lost: a later press must find a control that was released. So at most three
+Every release is delivered before a later press, which must find a control that was released. So at most three
 inputs wait: a release, an act of the gripper, and the newest other one, in this order.
 """
 

@@ -17,7 +17,7 @@ from tests.kit.waiting import until
 
 
 class Replica:
-    """A replica that counts how often its work was begun, and for how long it goes on."""
+    """A replica that counts how often its work was begun, and whether it lasts."""
 
     def __init__(self, url: str, service: str = "lamp") -> None:
         self.engine: Engine = connect(url)

@@ -25,7 +25,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 @pytest.fixture(scope="module")
 def compiled() -> Compiled:
-    """Compile once; this takes up to 20 s of one core where no earlier run has left its cache."""
+    """Compile once: up to 20 s of one core where no earlier run has left its cache."""
     return Compiled()
 
 

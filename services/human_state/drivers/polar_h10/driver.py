@@ -1,7 +1,7 @@
 """The Polar H10: ECG, acceleration, heart rate and intervals over one connection.
 
 The strap closes the connection after some minutes on some hosts; the runner opens it again, and everything
-is subscribed and started from the beginning. When the strap is taken off it goes on to send an ECG; the
+is subscribed and started from the beginning. When the strap is taken off it still sends an ECG; the
 intervals cease, and so contact is lost for all its signals.
 """
 
