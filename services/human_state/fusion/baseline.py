@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from services.human_state.model.cardiovascular import maximum_of_age
 from services.human_state.model.features import Feature, FeatureName, Status
 
 DEFAULT_REST_BPM: Final = 70.0
@@ -34,7 +35,7 @@ class Baseline:
     """Heart rates of a person in bpm, and how they were found: `default`, `age`, `measured` or `given`."""
 
     rest_bpm: float = DEFAULT_REST_BPM
-    maximum_bpm: float = 208 - 0.7 * DEFAULT_AGE
+    maximum_bpm: float = maximum_of_age(DEFAULT_AGE)
     method: str = "default"
 
     def __post_init__(self) -> None:
@@ -60,7 +61,7 @@ def by_age(age_years: float) -> Baseline:
     """Return the baseline of an age in years."""
     if not (math.isfinite(age_years) and 14 <= age_years <= 100):
         raise NoBaseline(f"the age {age_years} is not in 14 to 100 years; give the heart rates instead")
-    return Baseline(DEFAULT_REST_BPM, 208 - 0.7 * age_years, "age")
+    return Baseline(DEFAULT_REST_BPM, maximum_of_age(age_years), "age")
 
 
 def measured_rest_bpm(values: Sequence[Feature]) -> float:

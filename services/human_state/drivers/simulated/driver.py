@@ -131,18 +131,28 @@ class SimulatedDriver(SensorDriver):
         settings: SimulatedSettings = self.settings
         sink(SensorReport(self.source, now_s(), link=LinkState.CONNECTED, battery=settings.battery))
         began = asyncio.get_running_loop().time() - self._elapsed_s / (settings.pace or 1.0)
-        if self._began_s is None:
-            self._began_s = now_s() if settings.start_s is None else settings.start_s
+        self._begin()
         while settings.duration_s is None or self._elapsed_s < settings.duration_s - 1e-9:
-            self._elapsed_s += settings.packet_s
-            due = began + self._elapsed_s / settings.pace if settings.pace else 0.0
+            due_s = self._elapsed_s + settings.packet_s
+            due = began + due_s / settings.pace if settings.pace else 0.0
             await asyncio.sleep(max(0.0, due - asyncio.get_running_loop().time()) if settings.pace else 0.0)
-            self._advance()
-            for track in self._tracks:
-                samples = track.until(self.person, self._elapsed_s, self._began_s)
-                if samples is not None:
-                    sink(samples)
+            for samples in self.next_packets():
+                sink(samples)
             self._lose_link()
+
+    def next_packets(self) -> list[Samples]:
+        """Return the packets of the next `packet_s` at once: for a loop with its own clock."""
+        began_s = self._begin()
+        self._elapsed_s += self.settings.packet_s
+        self._advance()
+        made = [track.until(self.person, self._elapsed_s, began_s) for track in self._tracks]
+        return [samples for samples in made if samples is not None]
+
+    def _begin(self) -> float:
+        """Return the time of the first sample in s since 1970."""
+        if self._began_s is None:
+            self._began_s = now_s() if self.settings.start_s is None else self.settings.start_s
+        return self._began_s
 
     def _advance(self) -> None:
         for step in self.settings.program:

@@ -5,11 +5,15 @@
     person.advance(30.0)
     person.heart_rate_bpm
 
-Heart rate has two parts, both driven by effort from 0 (rest) to 1 (maximum): a fast one, which rises with a
-time constant of 25 s and recovers with 50 s, and a slow drift with 200 s, for long work. The steady state is
-`rest + effort * (maximum - rest)`, a linear relation as of oxygen uptake (ACSM's Guidelines for Exercise
-Testing and Prescription). Beats follow by integrating the rate, modulated by breathing (respiratory sinus
-arrhythmia) and by slow waves of blood pressure at 0.1 Hz; both shrink as the rate rises.
+Effort goes from 0 (rest) to 1 (maximum). The mean heart rate follows it with the dynamics of
+`services.human_state.model.cardiovascular`: some 57 s up and 54 s down, and a slow drift. Beats follow by
+integrating the rate, modulated by breathing (respiratory sinus arrhythmia) and by slow waves of blood
+pressure at 0.1 Hz; both shrink as the rate rises, since the vagus withdraws.
+
+Who walks is described by `walk`, which sets effort and gait:
+
+    person = SimulatedPerson(seed=1, body=Physiology.of_age(55))
+    person.walk(1.2)
 
 The same seed, efforts and steps give the same beats. Memory is bounded: beats older than `KEEP_S` are
 forgotten.
@@ -21,11 +25,8 @@ from typing import Final
 
 import numpy as np
 
-RISE_S: Final = 25.0
-RECOVERY_S: Final = 50.0
-DRIFT_S: Final = 200.0
-DRIFT_SHARE: Final = 0.15
-"""Share of the rise that comes with the slow part."""
+from services.human_state.model.cardiovascular import Heart, Physiology
+
 KEEP_S: Final = 10.0
 AHEAD_S: Final = 1.0
 """Beats are decided this long before they happen, so that waves may begin before the R peak."""
@@ -46,15 +47,14 @@ class SimulatedPerson:
         max_bpm: float = 185.0,
         effort: float = 0.0,
         variability: float = 1.0,
+        body: Physiology | None = None,
     ) -> None:
-        if not 30 <= rest_bpm < max_bpm <= 230:
-            raise ValueError(
-                f"a heart that beats {rest_bpm:g} at rest and {max_bpm:g} at most cannot be simulated; "
-                "give 30 to 230 bpm, rest below maximum"
-            )
-        self.rest_bpm: Final = rest_bpm
-        self.max_bpm: Final = max_bpm
+        self.body: Final = body or Physiology(rest_bpm, max_bpm)
+        self.rest_bpm: Final = self.body.rest_bpm
+        self.max_bpm: Final = self.body.max_bpm
         self.effort = effort
+        self.walking_mps: float | None = None
+        """The speed of a walk, which sets the gait; None: the gait follows the effort."""
         self.is_breathing = True
         """False: an apnoea, with the fall of the heart rate and the rise after it."""
         self.posture = "sitting"
@@ -63,8 +63,7 @@ class SimulatedPerson:
         self.beat_count = 0
         self._variability = variability
         self._random = np.random.default_rng([seed, 0])
-        self._fast = effort * (1 - DRIFT_SHARE)
-        self._slow = effort * DRIFT_SHARE
+        self._heart = Heart.steady(effort)
         self._apnoea = 0.0
         self._breath_phase = 0.0
         self._wave_phase = float(self._random.uniform(0, math.tau))
@@ -76,15 +75,19 @@ class SimulatedPerson:
     @property
     def heart_rate_bpm(self) -> float:
         """Return the mean heart rate of now, without its variability."""
-        share = min(1.0, self._fast + self._slow)
-        rate = self.rest_bpm + share * (self.max_bpm - self.rest_bpm)
+        rate = self._heart.rate_bpm(self.body)
         return max(30.0, rate * (1 - 0.15 * max(self._apnoea, 0.0) + 0.2 * max(-self._apnoea, 0.0)))
 
     @property
     def breathing_rate(self) -> float:
         """Return the breaths per minute; 0 in an apnoea."""
-        share = min(1.0, self._fast + self._slow)
+        share = self._heart.total(self.body)
         return (BREATHING_REST + share * (BREATHING_MAX - BREATHING_REST)) if self.is_breathing else 0.0
+
+    def walk(self, speed_mps: float, grade: float = 0.0) -> None:
+        """Walk at a speed from now on, on a grade; 0 stands still."""
+        self.walking_mps = max(speed_mps, 0.0)
+        self.effort = self.body.walking_effort(speed_mps, grade)
 
     def advance(self, seconds: float) -> None:
         """Let time pass."""
@@ -105,10 +108,7 @@ class SimulatedPerson:
         return wave
 
     def _step(self) -> None:
-        effort = min(max(self.effort, 0.0), 1.0)
-        fast, slow = effort * (1 - DRIFT_SHARE), effort * DRIFT_SHARE
-        self._fast += (fast - self._fast) * STEP_S / (RISE_S if fast > self._fast else RECOVERY_S)
-        self._slow += (slow - self._slow) * STEP_S / DRIFT_S
+        self._heart = self._heart.step(self.effort, STEP_S, self.body)
         # An apnoea slows the heart; when breath returns the rate overshoots for some seconds.
         if not self.is_breathing:
             self._apnoea += (1.0 - self._apnoea) * STEP_S / 8.0
@@ -116,7 +116,7 @@ class SimulatedPerson:
             self._apnoea = -1.0
         else:
             self._apnoea += (0.0 - self._apnoea) * STEP_S / 6.0
-        calm = 1 - min(1.0, self._fast + self._slow)
+        calm = 1 - self._heart.total(self.body)
         self._breath_phase += math.tau * self.breathing_rate / 60 * STEP_S
         self._wave_phase += math.tau * 0.1 * STEP_S
         depth = (1.0 if self.is_breathing else 0.0) * (1 + 0.5 * (1 - calm))

@@ -11,6 +11,7 @@ from services.human_state.drivers.runner import SensorRunner
 from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
 from services.human_state.drivers.simulated.person import SimulatedPerson
 from services.human_state.drivers.simulated.waveforms import WAVES
+from services.human_state.model.cardiovascular import Physiology
 from services.human_state.model.signals import (
     ClockKind,
     LinkState,
@@ -45,13 +46,22 @@ def test_the_heart_follows_effort_in_its_time() -> None:
     person = SimulatedPerson(1, rest_bpm=60, max_bpm=180)
     assert rate_after(person, 60) == pytest.approx(60, abs=1)
     person.effort = 0.5
-    rises = rate_after(person, 25)
-    assert 60 + 0.4 * 60 < rises < 60 + 0.7 * 60, "one time constant"
-    assert rate_after(person, 1000) == pytest.approx(120, abs=1)
+    rises = rate_after(person, 57.5)
+    assert 60 + 0.5 * 60 < rises < 60 + 0.7 * 60, "the sum of the time constants"
+    assert 120 < rate_after(person, 1000) < 126, "with the drift of long work"
     person.effort = 0.0
-    recovers = rate_after(person, 50)
+    recovers = rate_after(person, 54.4)
     assert 80 < recovers < 100
-    assert rate_after(person, 1000) == pytest.approx(60, abs=1)
+    assert rate_after(person, 1000) == pytest.approx(60, abs=3)
+
+
+def test_a_walk_sets_effort_and_gait() -> None:
+    person = SimulatedPerson(1, body=Physiology.of_age(55))
+    person.walk(1.3)
+    assert person.effort == person.body.walking_effort(1.3) > 0.2
+    assert rate_after(person, 300) == pytest.approx(104, abs=3)
+    person.walk(0.0)
+    assert rate_after(person, 600) == pytest.approx(70, abs=3)
 
 
 def test_beats_agree_with_the_rate_and_memory_is_bounded() -> None:

@@ -1,0 +1,1 @@
+"""The case studies of ROS4HC: machines that follow the state of a person."""
