@@ -4,12 +4,15 @@ A resource is the id of an entity; in a tenant other than that of our own servic
 caller with all rights for the tenant gets its store itself; any other caller gets a `RestrictedStore`.
 
 Entities about the body of a person (`broker_health_types`) are visible with the permission `readHealthData`
-only. A Person is created, changed and deleted by our services, or with the permission `managePeople`.
+only. A Person is created, changed and deleted by our services, or with the permission `managePeople`. What
+says who answered a Task is written by our services only (`task_evidence`).
 """
 
 import copy
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import orjson
@@ -21,6 +24,7 @@ from handover.security.permissions import Permission
 from handover.security.resource_patterns import ANY_RESOURCE
 from services.context_broker.access.operation_access import OperationAccess, access_of
 from services.context_broker.access.restricted_store import Recording, RestrictedStore
+from services.context_broker.access.task_evidence import TASK, task_refusal
 from services.context_broker.model.entity import Entity, Event
 from services.context_broker.request.request_context import Request
 from services.context_broker.request.routing import Operation
@@ -29,6 +33,7 @@ from services.context_broker.tenants import Tenant
 
 PERSON: Final = "Person"
 _PEOPLE: Final = frozenset({PERSON})
+_TASKS: Final = frozenset({TASK})
 _SUBSCRIBING: Final = frozenset({"createSubscription", "updateSubscription"})
 _NAME: Final = re.compile(r"[^\s()|,;]+")
 """A name in a type selection such as `(Robot|Device);Task`."""
@@ -61,8 +66,8 @@ class Rights:
             return False
         return not is_of(entity, self.health_types) or self.may(Permission.READ_HEALTH_DATA, entity.id)
 
-    def refusal(self, event: Event) -> Problem | None:
-        """Return why the caller may not make a change; None if it may."""
+    def refusal(self, find: Callable[[str], Entity | None], event: Event) -> Problem | None:
+        """Return why the caller may not make a change; None if it may. `find` returns other entities."""
         entity = event.after or event.before
         assert entity is not None  # noqa: S101 - a change has at least one end
         if not self.may(Permission.WRITE_ENTITIES, entity.id):
@@ -79,6 +84,8 @@ class Rights:
             Permission.READ_HEALTH_DATA, entity.id
         ):
             return self.denied(Permission.READ_HEALTH_DATA, entity.id)
+        if not is_service and any(is_of(one, _TASKS) for one in ends):
+            return task_refusal(event, find)
         return None
 
     def denied(self, permission: Permission, entity_id: str = ANY_RESOURCE) -> Problem:
@@ -130,12 +137,13 @@ class Authorization:
         rights = self.rights_of(caller, tenant.name)
         self._require(rights, operation, request, names)
         is_unrestricted = rights.is_unrestricted()
-        if is_unrestricted and recording is None:
+        if is_unrestricted and recording is None and caller.kind is CallerKind.SERVICE:
             return tenant
         if not is_unrestricted and b"ngsild-snapshot" in request.headers:
             raise rights.denied(Permission.WRITE_ENTITIES)
         restricted = copy.copy(tenant)
-        restricted.store = RestrictedStore(tenant.store, rights.shows, rights.refusal, recording)
+        refusal = partial(rights.refusal, tenant.store.latest)
+        restricted.store = RestrictedStore(tenant.store, rights.shows, refusal, recording)
         return restricted
 
     def rights_of(self, caller: Caller, tenant: str) -> Rights:

@@ -225,6 +225,80 @@ async def test_no_operation_of_a_caller_without_a_grant_changes_anything(
     assert await content() == before
 
 
+PIN_TASK = "urn:ngsi-ld:Task:demo:sign-off"
+TASK_DEFINITION = "urn:ngsi-ld:TaskDefinition:demo:sign-off"
+COMPLETED = {"status": {"type": "Property", "value": "completed"}}
+ANSWERED = {**COMPLETED, "outputParameters": {"type": "Property", "value": {"by": "screen"}}}
+
+
+def task(inputs: dict[str, Any], **attributes: Any) -> dict[str, Any]:
+    return entity(
+        PIN_TASK,
+        "Task",
+        isDefinedBy={"type": "Relationship", "object": TASK_DEFINITION},
+        status={"type": "Property", "value": "inProgress"},
+        workParameters={"type": "Property", "value": inputs},
+        **attributes,
+    )
+
+
+@pytest.mark.parametrize("is_defined", [False, True])
+async def test_a_task_that_demands_a_pin_is_answered_by_services_only(
+    http: httpx.AsyncClient, is_defined: bool
+) -> None:
+    demand = {"requirePin": {"type": "Property", "value": True}} if is_defined else {}
+    await http.post("/entities", json=entity(TASK_DEFINITION, "TaskDefinition", **demand), headers=SERVICE)
+    made = await http.post(
+        "/entities", json=task({} if is_defined else {"requirePin": True}), headers=SERVICE
+    )
+    assert made.status_code == 201, made.text
+    before = (await http.get(f"/entities/{PIN_TASK}", headers=SERVICE)).json()
+    path = f"/entities/{PIN_TASK}"
+    whole = {**task({"requirePin": False}), **COMPLETED}
+    for method, target, body in (
+        ("PATCH", f"{path}/attrs", COMPLETED),
+        ("PATCH", f"{path}/attrs", {"workParameters": {"type": "Property", "value": {"requirePin": False}}}),
+        ("POST", f"{path}/attrs", ANSWERED),
+        ("PATCH", f"{path}/attrs/status", {"value": "completed"}),
+        ("PUT", f"{path}/attrs/status", {"type": "Property", "value": "failed"}),
+        ("DELETE", f"{path}/attrs/workParameters", None),
+        ("PATCH", path, ANSWERED),
+        ("PUT", path, whole),
+        ("DELETE", path, None),
+        ("DELETE", "/entities?type=Task", None),
+        ("POST", "/entityOperations/upsert", [whole]),
+        ("POST", "/entityOperations/update", [{"id": PIN_TASK, "type": "Task", **ANSWERED}]),
+        ("POST", "/entityOperations/merge", [{"id": PIN_TASK, "type": "Task", **ANSWERED}]),
+        ("POST", "/entityOperations/delete", [PIN_TASK]),
+    ):
+        answer = await http.request(method, target, json=body, headers=OWNER)
+        assert "urn:handover:pin-required" in answer.text, (method, target, answer.status_code, answer.text)
+        assert (await http.get(path, headers=SERVICE)).json() == before, (method, target)
+    other = {"note": {"type": "Property", "value": "seen"}}
+    assert (await http.post(f"{path}/attrs", json=other, headers=OWNER)).status_code == 204
+    assert (await http.patch(path, json=ANSWERED, headers=SERVICE)).status_code == 204
+    assert (await http.patch(f"{path}/attrs", json=ANSWERED, headers=OWNER)).status_code == 403, (
+        "it has ended"
+    )
+    assert (await http.delete(path, headers=OWNER)).status_code == 204, "an ended one"
+
+
+async def test_no_client_says_who_performed_a_task(http: httpx.AsyncClient) -> None:
+    def answer(**outputs: str) -> dict[str, Any]:
+        return {"outputParameters": {"type": "Property", "value": {"by": "screen", **outputs}}}
+
+    forged = await http.post("/entities", json=task({}, **answer(performedBy=ANNA)), headers=OWNER)
+    assert (forged.status_code, "performedBy" in forged.json()["detail"]) == (403, True)
+    assert (await http.post("/entities", json=task({}), headers=OWNER)).status_code == 201
+    path = f"/entities/{PIN_TASK}"
+    assert (await http.patch(path, json=answer(performedBy=ANNA), headers=OWNER)).status_code == 403
+    assert (await http.patch(path, json=answer(operator="Anna"), headers=OWNER)).status_code == 204
+    assert (await http.patch(path, json=answer(performedBy=ANNA), headers=SERVICE)).status_code == 204
+    assert (await http.put(path, json=task({}, **answer()), headers=OWNER)).status_code == 403, "it is kept"
+    assert (await http.patch(path, json=COMPLETED, headers=OWNER)).status_code == 204
+    assert (await http.get(path, headers=SERVICE)).json()["outputParameters"]["value"]["performedBy"] == ANNA
+
+
 AUDITOR = token(Grant(Role.ADMIN), subject="auditor")
 
 
