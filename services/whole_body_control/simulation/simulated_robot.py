@@ -1,0 +1,133 @@
+"""A simulated humanoid: the `Robot` component on MuJoCo, with pushes, sensor noise and, for tests, the truth.
+
+With the same model, seed and commands the motion is the same, bit by bit. Not thread-safe.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from handover.errors import UsageError
+from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array
+from services.whole_body_control.simulation.body_model import FREE_JOINT, STEP_S, build
+
+QUATERNION_XYZW = np.array([1, 2, 3, 0])
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """Standard deviations of the noise of a sample; the bias of the gyroscope is drawn once."""
+
+    position_rad: float = 0.0
+    velocity_radps: float = 0.0
+    gyroscope_radps: float = 0.0
+    gyroscope_bias_radps: float = 0.0
+    accelerometer_mps2: float = 0.0
+    force_n: float = 0.0
+    torque_nm: float = 0.0
+
+
+QUIET = SensorNoise()
+TYPICAL_NOISE = SensorNoise(1e-4, 0.01, 0.005, 0.001, 0.05, 1.0, 0.05)
+"""Figures of encoders, inertial and force-torque sensors as humanoids have them."""
+
+
+class SimulatedRobot:
+    """A humanoid in MuJoCo, which stands at `q` (base and joints, as in `Kinematics`) at rest."""
+
+    def __init__(
+        self, humanoid: Humanoid, q: Array, noise: SensorNoise = QUIET, seed: int = 0, model: Any = None
+    ) -> None:
+        self.humanoid = humanoid
+        self.period_s = STEP_S
+        self.model = build(humanoid) if model is None else model
+        self._data = mujoco.MjData(self.model)
+        self._noise, self._random = noise, np.random.default_rng(seed)
+        self._bias = self._random.normal(scale=noise.gyroscope_bias_radps, size=3)
+        model = self.model
+        joints = [model.joint(name) for name in humanoid.joint_names]
+        self._q_of = np.array([joint.qposadr[0] for joint in joints])
+        self._v_of = np.array([joint.dofadr[0] for joint in joints])
+        if model.joint(FREE_JOINT).qposadr[0] != 0:
+            raise UsageError(f"the base of {humanoid.name} is not the first joint of its model")
+        self._push_until_s, self._pushed = -np.inf, np.zeros(6)
+        self._root = model.body(humanoid.root).id
+        if not humanoid.sensors.inertial:
+            raise UsageError(f"{humanoid.name} has no inertial sensor; add it to the group imu_sensors")
+        self._wrenches_at = 6 * len(humanoid.sensors.inertial)
+        self.place(q)
+
+    def place(self, q: Array) -> None:
+        """Put the robot at rest in a configuration, with its drives set to hold it."""
+        mujoco.mj_resetData(self.model, self._data)
+        self._data.qpos[:3], self._data.qpos[3:7] = q[:3], np.roll(q[3:7], 1)
+        self._data.qpos[self._q_of] = q[BASE_POSITIONS:]
+        self._data.ctrl[:] = q[BASE_POSITIONS:]
+        mujoco.mj_forward(self.model, self._data)
+
+    def read(self, sensors: RobotSensors) -> None:
+        """Write the present measurements into `sensors`."""
+        data, noise = self._data, self._noise
+        sensors.time_s = data.time
+        sensors.positions[:] = data.qpos[self._q_of]
+        sensors.velocities[:] = data.qvel[self._v_of]
+        sensors.torques[:] = data.actuator_force
+        sensors.gyroscope[:], sensors.accelerometer[:] = data.sensordata[:3], data.sensordata[3:6]
+        sensors.wrenches.ravel()[:] = data.sensordata[self._wrenches_at :]
+        sensors.wrenches *= -1.0  # MuJoCo: what the limb exerts on the world
+        if noise is not QUIET:
+            self._disturb(sensors)
+
+    def write(self, command: JointCommand) -> None:
+        """Set the drives. Raises `ValueError` for a command that is not finite; the last one holds."""
+        stiffness = np.maximum(command.stiffness, 1e-6)
+        target = command.positions + (command.damping * command.velocities + command.torques) / stiffness
+        if not np.isfinite(target).all():
+            raise ValueError("the command has a value that is not finite; the drives keep the last one")
+        self._data.ctrl[:] = target
+        self.model.actuator_gainprm[:, 0] = stiffness
+        self.model.actuator_biasprm[:, 1] = -stiffness
+        self.model.actuator_biasprm[:, 2] = -command.damping
+
+    def wait(self) -> None:
+        """Simulate one period."""
+        if self._push_until_s > self._data.time:
+            self._data.xfrc_applied[self._root] = self._pushed
+        else:
+            self._data.xfrc_applied[self._root] = 0.0
+        mujoco.mj_step(self.model, self._data)
+
+    def push(self, impulse_ns: Array, duration_s: float = 0.1) -> None:
+        """Push the root link with an impulse (3,) in N s, as a constant force from now on."""
+        self._pushed[:3] = np.asarray(impulse_ns) / duration_s
+        self._push_until_s = self._data.time + duration_s - STEP_S / 2
+
+    @property
+    def time_s(self) -> float:
+        """Return the simulated time."""
+        return float(self._data.time)
+
+    def true_configuration(self) -> Array:
+        """Return the configuration, base and joints; for tests and pictures, not for control."""
+        base = self._data.qpos[:BASE_POSITIONS]
+        return np.concatenate([base[:3], base[3:7][QUATERNION_XYZW], self._data.qpos[self._q_of]])
+
+    def true_velocity(self) -> Array:
+        """Return the velocity, with that of the base in its own frame; for tests, not for control."""
+        rotation = self._data.xmat[self._root].reshape(3, 3)
+        base = self._data.qvel[:BASE_VELOCITIES]
+        return np.concatenate([rotation.T @ base[:3], base[3:], self._data.qvel[self._v_of]])
+
+    def _disturb(self, sensors: RobotSensors) -> None:
+        noise, random = self._noise, self._random
+        count = len(sensors.positions)
+        sensors.positions += noise.position_rad * random.standard_normal(count)
+        sensors.velocities += noise.velocity_radps * random.standard_normal(count)
+        sensors.gyroscope += self._bias + noise.gyroscope_radps * random.standard_normal(3)
+        sensors.accelerometer += noise.accelerometer_mps2 * random.standard_normal(3)
+        sensors.wrenches[:, :3] += noise.force_n * random.standard_normal((len(sensors.wrenches), 3))
+        sensors.wrenches[:, 3:] += noise.torque_nm * random.standard_normal((len(sensors.wrenches), 3))
