@@ -175,9 +175,9 @@ def stop(process: subprocess.Popen[str]) -> float:
 
 
 def resident_mb(process: subprocess.Popen[str]) -> float:
-    """Resident memory of the launcher and all services, shared pages counted once for each."""
+    """Resident memory of the launcher and all services; a page that several share is counted once."""
     parent = psutil.Process(process.pid)
-    return float(sum(p.memory_info().rss for p in [parent, *parent.children(recursive=True)]) / 2**20)
+    return float(sum(p.memory_full_info().pss for p in [parent, *parent.children(recursive=True)]) / 2**20)
 
 
 async def measure_handovers(env: dict[str, str], count: int) -> list[float]:

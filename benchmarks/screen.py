@@ -128,7 +128,7 @@ async def measure_memory(
         page = await context.new_page()
         await page.goto(path)
         weigh[name] = heap_of(page, await context.new_cdp_session(page))
-    server = next(p for p in psutil.process_iter(["cmdline", "environ"]) if is_server(p, env))
+    server = next(p for p in psutil.process_iter(["cmdline"]) if is_server(p, env))
     weigh["server"] = resident_of(server)
     samples: dict[str, list[tuple[float, float]]] = {name: [] for name in weigh}
     began_s = time.monotonic()
@@ -147,10 +147,10 @@ async def measure_memory(
 
 def is_server(process: psutil.Process, env: dict[str, str]) -> bool:
     """Say whether a process is the screen's server of this measurement."""
-    environment = process.info["environ"] or {}
-    return (process.info["cmdline"] or [])[-2:] == ["-m", "webui"] and (
-        environment.get("HANDOVER_WEBUI_PORT") == env["HANDOVER_WEBUI_PORT"]
-    )
+    if " ".join(process.info["cmdline"] or []).split()[-2:] != ["-m", "webui"]:
+        return False
+    listening = {c.laddr.port for c in process.net_connections() if c.status == psutil.CONN_LISTEN}
+    return int(env["HANDOVER_WEBUI_PORT"]) in listening
 
 
 def heap_of(page: Page, session: CDPSession) -> Callable[[], Awaitable[float]]:

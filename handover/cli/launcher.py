@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 
 import httpx
 
+from handover.cli.processes import Process, ProcessStarter
 from handover.errors import UsageError
 from handover.extensions import Service
 from handover.outbound_policy import is_loopback
@@ -45,7 +46,7 @@ class Running:
     command: Sequence[str]
     url: str | None
     log: Path
-    process: asyncio.subprocess.Process | None = None
+    process: Process | None = None
     backoff: Backoff = field(default_factory=lambda: Backoff(INITIAL_RESTART_S, MAX_RESTART_S))
     started_s: float = field(default_factory=time.monotonic)
 
@@ -82,12 +83,14 @@ class Launcher:
         self._running: list[Running] = []
         self._watchers: list[asyncio.Task[None]] = []
         self._ports = contextlib.ExitStack()
+        self._starter = ProcessStarter()
         self._stopping = False
 
     async def __aenter__(self) -> Self:
         require_space(self._data_dir)
         try:
             await self._hold_ports()
+            self._starter.open()
             for service in self._services:
                 await self.add(service.name, [sys.executable, "-m", service.module], service.url())
             await self._all_ready()
@@ -129,6 +132,7 @@ class Launcher:
                 with contextlib.suppress(ProcessLookupError):
                     process.kill()
         await asyncio.gather(*waits)
+        await self._starter.close()
         self._ports.close()
 
     async def _hold_ports(self) -> None:
@@ -152,14 +156,7 @@ class Launcher:
             "PYTHONUNBUFFERED": "1",
         }
         with running.log.open("ab") as log:
-            running.process = await asyncio.create_subprocess_exec(
-                *running.command,
-                stdin=asyncio.subprocess.PIPE,
-                stdout=log,
-                stderr=log,
-                env=environment,
-                start_new_session=True,
-            )
+            running.process = await self._starter.start(running.command, environment, log)
         running.started_s = time.monotonic()
 
     async def _all_ready(self) -> None:

@@ -65,9 +65,10 @@ def read_until_ready(process: subprocess.Popen[str]) -> None:
 def services_of(process: subprocess.Popen[str]) -> dict[str, psutil.Process]:
     """The processes that a running command has started, by the folder of the service."""
     found = {}
-    for child in psutil.Process(process.pid).children():
-        module = child.cmdline()[2]
+    for child in psutil.Process(process.pid).children(recursive=True):
+        module = " ".join(child.cmdline()).split()[2]
         found[module.rsplit(".", 1)[-1]] = child
+    found.pop("fork_server", None)
     return found
 
 

@@ -4,7 +4,6 @@ import atexit
 import functools
 import json
 import os
-import resource
 import select
 import signal
 import socket
@@ -18,7 +17,8 @@ from typing import Protocol
 
 import httpx
 
-from tests.kit import fork_server, lifeline
+from handover.cli import fork_server
+from tests.kit import lifeline
 from tests.kit.waiting import scaled, wait_for
 
 MAX_LOG_EXCERPT = 3000
@@ -85,7 +85,7 @@ def _fork_server() -> socket.socket:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with theirs:
         server = subprocess.Popen(
-            [sys.executable, fork_server.__file__, str(theirs.fileno())],
+            [*module_command(fork_server.__name__), str(theirs.fileno())],
             env=clean_environment(),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -131,9 +131,11 @@ def spawn_module(module: str, environment: Mapping[str, str], log: Path, folder:
         return spawn(module_command(module), environment, log, folder)
     request = {
         "module": module,
+        "arguments": [],
+        "session": False,
         "environment": {**environment, **lifeline.ENVIRONMENT},
         "folder": str(folder.absolute()),
-        "limits": [resource.getrlimit(limit) for limit in fork_server.LIMITS],
+        "limits": fork_server.limits(),
     }
     reader, writer = os.pipe()
     try:

@@ -1,12 +1,14 @@
-"""Runs modules as processes that are forked from a process with the third-party libraries already imported.
+"""Runs modules as processes that are forked from a process with the libraries already imported (Linux).
 
-A service spends most of its start on these imports, and the tests start hundreds of services. The server has
-imported nothing of ours: each process imports its module and runs it as `python -m` does, with its own
-environment, folder, standard streams and resource limits. Tests of the start itself use `processes.spawn`.
+A service spends most of its start on imports, and a cell has a dozen services. The server imports the common
+libraries once and starts no thread; each process imports its own module and runs it as `python -m` does, with
+its own environment, folder and standard streams, in a session of its own.
 
-Protocol: a request is a JSON object with three file descriptors: standard input, output (also for errors)
-and the status pipe. To the pipe the server writes the process id and, at the end of the process, its exit
-status.
+Protocol (SOCK_SEQPACKET): a request is a JSON object with three file descriptors: standard input, output (for
+errors too) and the status pipe. To the pipe the server writes the process id and, at the end of the process,
+its exit status, both as lines. The server ends when the other end of the socket is closed.
+
+Only for modules that are in this environment: what a process may do is decided by who holds the socket.
 """
 
 import gc
@@ -25,25 +27,43 @@ from typing import Any, Final
 
 PRELOADED: Final = (
     "croniter",
+    "cryptography.hazmat.primitives.asymmetric.ed25519",
+    "cryptography.x509",
     "fastapi",
     "httpx",
     "jsonschema",
+    "jwt",
     "lxml.etree",
     "orjson",
     "prometheus_client",
     "pydantic_settings",
     "sqlalchemy.dialects.sqlite",
+    "sqlalchemy.ext.asyncio",
     "structlog",
     "uvicorn.lifespan.on",
     "uvicorn.loops.uvloop",
     "uvicorn.protocols.http.httptools_impl",
     "uvicorn.protocols.websockets.auto",
+    "websockets.asyncio.client",
     "yaml",
+    "datamodels.entities",
+    "handover.broker",
+    "handover.performer",
+    "handover.serving",
+    "handover.storage",
 )
+"""None of them may start a thread: a forked process would lack it (NumPy's linear algebra does)."""
 LIMITS: Final = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE)
 """The resource limits of a process: those of the client at the time of the request."""
 MAX_REQUEST_BYTES: Final = 1 << 20
 MAX_DESCRIPTORS: Final = 1024
+THREADED = 3
+"""The exit code when a library has started a thread."""
+
+
+def limits() -> list[tuple[int, int]]:
+    """Return the resource limits of this process, for a request."""
+    return [resource.getrlimit(limit) for limit in LIMITS]
 
 
 def serve(requests: socket.socket) -> dict[str, Any] | None:
@@ -75,7 +95,8 @@ def serve(requests: socket.socket) -> dict[str, Any] | None:
                 *streams, statuses[process] = descriptors
                 for stream in streams:
                     os.close(stream)
-                os.write(statuses[process], f"{process}\n".encode())
+                with suppress(BrokenPipeError):  # the client has ended; so will the process
+                    os.write(statuses[process], f"{process}\n".encode())
 
 
 def _report_ended(statuses: dict[int, int]) -> None:
@@ -94,6 +115,8 @@ def _prepare(request: dict[str, Any], standard_input: int, output: int, _status:
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if request["session"]:
+        os.setsid()
     for descriptor, source in enumerate((standard_input, output, output)):
         os.dup2(source, descriptor)
     os.closerange(3, MAX_DESCRIPTORS)
@@ -105,13 +128,31 @@ def _prepare(request: dict[str, Any], standard_input: int, output: int, _status:
     return request
 
 
+def _name(request: dict[str, Any]) -> None:
+    """Show the module in `ps` and `top` in place of this server."""
+    with suppress(ModuleNotFoundError):
+        import setproctitle  # noqa: PLC0415 - not on other systems
+
+        setproctitle.setproctitle(" ".join((sys.executable, "-m", request["module"], *request["arguments"])))
+    Path("/proc/self/comm").write_text(request["module"].rpartition(".")[2])
+
+
+def _prepare_names() -> None:
+    """Find the place of the name; the library needs the environment for it, which is replaced later."""
+    with suppress(ModuleNotFoundError):
+        import setproctitle  # noqa: PLC0415 - not on other systems
+
+        setproctitle.getproctitle()
+
+
 def main() -> None:
     """Import the libraries, serve, and in a forked process run its module."""
     for module in PRELOADED:
         with suppress(ModuleNotFoundError):  # a service that needs it says so itself
             importlib.import_module(module)
     if len(list(Path("/proc/self/task").iterdir())) > 1:
-        raise SystemExit("a library has started a thread, which a forked process would lack")
+        raise SystemExit(THREADED)
+    _prepare_names()
     gc.collect()
     gc.freeze()  # otherwise each process would copy all memory that it shares with the server
     requests = socket.socket(fileno=int(sys.argv[1]))
@@ -119,9 +160,10 @@ def main() -> None:
     if request is None:
         return
     requests.detach()  # it is closed already
+    _name(request)
     added = request["environment"].get("PYTHONPATH", "")
     sys.path[:1] = [request["folder"], *filter(None, added.split(os.pathsep))]
-    sys.argv = [request["module"]]
+    sys.argv = [request["module"], *request["arguments"]]
     runpy.run_module(request["module"], run_name="__main__", alter_sys=True)
 
 

@@ -1,0 +1,119 @@
+"""Processes of the launcher are forked where that is possible, and started as programs where it is not."""
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+
+import psutil
+import pytest
+
+from handover.cli.processes import ForkedProcess, Process, ProcessStarter
+from tests.kit.processes import clean_environment
+from tests.kit.waiting import scaled
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
+
+SCRIPT = """
+import os, sys
+print(sys.argv[1:], os.environ.get("GIVEN"), os.getsid(0) == os.getpid(), __name__, flush=True)
+if sys.argv[1:] == ["stay"]:
+    sys.stdin.read()
+    sys.exit("the parent has ended")
+sys.exit(7)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory, with a module."""
+    (tmp_path / "some_service.py").write_text(SCRIPT)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+async def starter(folder: Path) -> AsyncIterator[ProcessStarter]:
+    starter = ProcessStarter()
+    starter.open()
+    yield starter
+    await starter.close()
+
+
+async def start(starter: ProcessStarter, *words: str, folder: Path) -> Process:
+    environment = {**clean_environment(), "GIVEN": "a setting", "PYTHONUNBUFFERED": "1"}
+    with (folder / "log").open("ab") as log:
+        return await starter.start([sys.executable, "-m", "some_service", *words], environment, log)
+
+
+async def wait(process: Process) -> int:
+    async with asyncio.timeout(scaled(60)):
+        return await process.wait()
+
+
+async def wait_for_words(log: Path, words: str) -> None:
+    async with asyncio.timeout(scaled(60)):
+        while words not in log.read_text():
+            await asyncio.sleep(0.01)
+
+
+async def require_ended(process: int) -> None:
+    async with asyncio.timeout(scaled(60)):
+        while psutil.pid_exists(process):
+            await asyncio.sleep(0.01)
+
+
+def server_of(starter: ProcessStarter) -> int:
+    children = psutil.Process().children()
+    return next(one.pid for one in children if "handover.cli.fork_server" in one.cmdline())
+
+
+def shown(process: Process) -> Sequence[str]:
+    return " ".join(psutil.Process(process.pid).cmdline()).split()
+
+
+async def test_a_module_gets_its_arguments_environment_session_and_name(
+    starter: ProcessStarter, folder: Path
+) -> None:
+    process = await start(starter, "stay", folder=folder)
+    assert isinstance(process, ForkedProcess)
+    await wait_for_words(folder / "log", "__main__")
+    assert (folder / "log").read_text() == "['stay'] a setting True __main__\n"
+    assert shown(process) == [sys.executable, "-m", "some_service", "stay"]
+    assert psutil.Process(process.pid).name() == "some_service"
+    assert process.returncode is None
+    process.terminate()
+    assert await wait(process) == process.returncode == -signal.SIGTERM
+    with pytest.raises(ProcessLookupError):
+        process.kill()
+
+
+async def test_the_exit_status_is_that_of_the_module(starter: ProcessStarter, folder: Path) -> None:
+    assert await wait(await start(starter, folder=folder)) == 7
+    missing = [sys.executable, "-m", "there_is_no_such_module"]
+    with (folder / "log").open("ab") as log:
+        assert await wait(await starter.start(missing, clean_environment(), log)) == 1
+    assert "No module named there_is_no_such_module" in (folder / "log").read_text()
+
+
+async def test_a_killed_server_ends_its_processes_and_later_ones_are_programs(
+    starter: ProcessStarter, folder: Path
+) -> None:
+    first = await start(starter, "stay", folder=folder)
+    await wait_for_words(folder / "log", "__main__")
+    os.kill(server_of(starter), signal.SIGKILL)
+    assert await wait(first) == -signal.SIGTERM
+    await require_ended(first.pid)
+    second = await start(starter, "again", folder=folder)
+    assert not isinstance(second, ForkedProcess)
+    assert await wait(second) == 7
+    assert "['again'] a setting True __main__" in (folder / "log").read_text()
+
+
+async def test_another_program_is_started_as_it_is(starter: ProcessStarter, folder: Path) -> None:
+    with (folder / "log").open("ab") as log:
+        process = await starter.start(["/bin/sh", "-c", "exit 3"], clean_environment(), log)
+    assert not isinstance(process, ForkedProcess)
+    assert await wait(process) == 3
