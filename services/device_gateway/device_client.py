@@ -29,6 +29,7 @@ import json
 import os
 import random
 import secrets
+import selectors
 import socket
 import ssl
 import sys
@@ -44,6 +45,8 @@ MAX_REMEMBERED = 1_000
 """Commands whose last answer is remembered."""
 MAX_LINE_BYTES = 64 * 1024
 KEEP_ALIVE_S = 15.0
+SEND_TIMEOUT_S = 15.0
+"""A connection that takes no bytes for so long is broken."""
 DEAD_S = 60.0
 """A connection on which nothing arrives for so long, though an answer is due, is broken."""
 MIN_DELAY_S, MAX_DELAY_S = 0.2, 15.0
@@ -105,7 +108,7 @@ class DeviceClient:
         self._answers: OrderedDict[str, Message] = OrderedDict()
         self._waiting: OrderedDict[int, Message] = OrderedDict()
         self._seq = 0
-        self._socket: socket.socket | None = None
+        self._connection: _Connection | None = None
         self._lock = threading.RLock()
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
@@ -199,11 +202,9 @@ class DeviceClient:
             self._write(answer)
 
     def _stay_connected(self) -> None:
-        connection = socket.create_connection(self.address, timeout=10)
+        connection = _Connection(self.address, self._tls)
         was_connected = False
         try:
-            if self._tls is not None:
-                connection = self._tls.wrap_socket(connection, server_hostname=self.address[0])
             lines = _Lines(connection)
             hello: Message = {
                 "type": "hello",
@@ -217,7 +218,7 @@ class DeviceClient:
             connection.sendall(_line(hello))
             self._check(lines.next(10.0))
             with self._lock:
-                self._socket, was_connected = connection, True
+                self._connection, was_connected = connection, True
                 for message in list(self._waiting.values()):
                     self._write(message)
                 for answer in list(self._answers.values()):
@@ -227,7 +228,7 @@ class DeviceClient:
             self._read(lines)
         finally:
             with self._lock:
-                self._socket = None
+                self._connection = None
             connection.close()
             if was_connected:
                 self._on_state(False)
@@ -326,9 +327,9 @@ class DeviceClient:
         self._write_bytes(_line(message))
 
     def _write_bytes(self, data: bytes) -> None:
-        if self._socket is not None:
+        if self._connection is not None:
             try:
-                self._socket.sendall(data)
+                self._connection.sendall(data)
             except OSError:  # the reading thread connects again
                 self._break_off()
 
@@ -338,10 +339,9 @@ class DeviceClient:
         A socket that is closed while a thread reads frees its number, and that thread would read from
         whatever is opened next.
         """
-        if self._socket is not None:
-            with contextlib.suppress(OSError):
-                self._socket.shutdown(socket.SHUT_RDWR)
-            self._socket = None
+        if self._connection is not None:
+            self._connection.shutdown()
+            self._connection = None
 
     @staticmethod
     def _check(message: Message | None) -> None:
@@ -351,20 +351,86 @@ class DeviceClient:
             raise OSError(message.get("reason", "refused"))
 
 
-class _Lines:
-    """The messages that arrive over a socket."""
+class _Connection:
+    """A connection that one thread reads while others write, with TLS or without.
 
-    def __init__(self, connection: socket.socket) -> None:
+    OpenSSL forbids the use of one connection by two threads at once, even if one only reads and one only
+    writes. So the socket never blocks: a lock is held for each operation, and not while a thread waits.
+    """
+
+    def __init__(self, address: tuple[str, int], tls: ssl.SSLContext | None) -> None:
+        self._socket = socket.create_connection(address, timeout=10)
+        self._lock = threading.Lock()
+        try:
+            if tls is not None:
+                self._socket = tls.wrap_socket(self._socket, server_hostname=address[0])
+            self._socket.setblocking(False)
+        except BaseException:
+            self._socket.close()
+            raise
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """Return bytes, none at the end of the connection; None if none arrive in time."""
+        ends_s = time.monotonic() + timeout_s
+        while True:
+            try:
+                with self._lock:
+                    return self._socket.recv(65536)
+            except (ssl.SSLWantReadError, BlockingIOError):
+                events = selectors.EVENT_READ
+            except ssl.SSLWantWriteError:
+                events = selectors.EVENT_WRITE
+            if not self._wait(events, ends_s):
+                return None
+
+    def sendall(self, data: bytes) -> None:
+        """Send bytes; raise OSError if the other side takes none for `SEND_TIMEOUT_S`."""
+        rest = memoryview(data)
+        ends_s = time.monotonic() + SEND_TIMEOUT_S
+        while rest:
+            try:
+                with self._lock:
+                    sent = self._socket.send(rest)
+            except (ssl.SSLWantWriteError, BlockingIOError):
+                events = selectors.EVENT_WRITE
+            except ssl.SSLWantReadError:
+                events = selectors.EVENT_READ
+            else:
+                rest = rest[sent:]
+                ends_s = time.monotonic() + SEND_TIMEOUT_S
+                continue
+            if not self._wait(events, ends_s):
+                raise OSError("the gateway reads nothing")
+
+    def shutdown(self) -> None:
+        """End the connection in both directions; a thread that waits for bytes finds the end."""
+        with self._lock, contextlib.suppress(OSError):
+            socket.socket.shutdown(self._socket, socket.SHUT_RDWR)  # the TLS object stays as it is
+
+    def close(self) -> None:
+        """Close the socket."""
+        with self._lock:
+            self._socket.close()
+
+    def _wait(self, events: int, ends_s: float) -> bool:
+        """Wait until the socket is ready; return False if the time is over before."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._socket, events)
+            return bool(selector.select(max(ends_s - time.monotonic(), 0.0)))
+
+
+class _Lines:
+    """The messages that arrive over a connection."""
+
+    def __init__(self, connection: _Connection) -> None:
         self._connection = connection
         self._rest = b""
 
     def next(self, timeout_s: float) -> Message | None:
         """Return the next message; None if none arrives in time. Raises OSError at the end."""
-        self._connection.settimeout(timeout_s)
         while b"\n" not in self._rest:
-            try:
-                data = self._connection.recv(65536)
-            except socket.timeout:  # noqa: UP041 - TimeoutError only from Python 3.10 on
+            data = self._connection.receive(timeout_s)
+            if data is None:
                 return None
             if not data:
                 raise OSError("the gateway closed the connection")
