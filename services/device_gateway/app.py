@@ -33,7 +33,7 @@ from services.device_gateway.routes.device_routes import add_device_routes
 from services.device_gateway.routes.drive_routes import add_drive_routes
 from services.device_gateway.routes.history_routes import add_history_routes
 from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage import tables
+from services.device_gateway.storage import schema
 from services.device_gateway.storage.history_writer import HistoryWriter
 from services.device_gateway.storage.retention import RetentionRule
 from services.device_gateway.upkeep import RegistryEntities, keep_retention
@@ -61,7 +61,7 @@ def make_app(settings: GatewaySettings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        tables.prepare(engine)
+        schema.prepare(engine)
         await gateway.load()
         async with broker, BackgroundTasks("device gateway") as tasks, inputs, LatestValueWriter() as writer:
             entities = RegistryEntities(settings, broker, writer)

@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Collection, Mapping
+from functools import partial
 from typing import Any, Final
 
 import orjson
@@ -20,11 +21,13 @@ from services.device_gateway.registry.entities import (
     specification_id,
 )
 from services.device_gateway.settings import GatewaySettings
+from services.device_gateway.storage import partitions
 from services.device_gateway.storage.history_writer import HistoryWriter
 from services.device_gateway.storage.retention import (
     RetentionRule,
     all_series,
     delete_messages,
+    old_partitions,
     summarize,
 )
 
@@ -136,7 +139,10 @@ async def keep_retention(writer: HistoryWriter, rule: RetentionRule) -> None:
 
 
 async def apply_retention(writer: HistoryWriter, rule: RetentionRule, now_us: int) -> None:
-    """Apply `rule` to the history once."""
+    """Apply `rule` to the history once, and create the partitions of the next days."""
+    await writer.call(lambda connection: partitions.create_ahead(connection, now_us))
+    for partition in await writer.call(lambda connection: old_partitions(connection, rule, now_us)):
+        await writer.call_beside(partial(partitions.drop_summarized, partition=partition))
     for series in await writer.call(all_series):
 
         def act(connection: Connection, series: int = series) -> None:

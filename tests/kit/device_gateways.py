@@ -14,7 +14,7 @@ from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.protocol.times import TimeRule
 from services.device_gateway.settings import GatewaySettings
-from services.device_gateway.storage import tables
+from services.device_gateway.storage import schema
 from services.device_gateway.storage.history_writer import HistoryWriter
 
 SENSOR = DeviceDescription.model_validate(
@@ -35,7 +35,7 @@ async def running_gateway(
     engine: Engine, settings: GatewaySettings, *, is_writing: bool = True, **options: Any
 ) -> AsyncIterator[DeviceGateway]:
     """Return a gateway; with `is_writing` False its database is never written, as if the disk hung."""
-    tables.prepare(engine)
+    schema.prepare(engine)
     writer = HistoryWriter(engine)
     dispatcher = Dispatcher(engine, writer, settings.device_ack_timeout_s)
     reports = BrokerReports(settings, BrokerClient(settings), 1.0, 100.0)

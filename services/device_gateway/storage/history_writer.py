@@ -28,7 +28,8 @@ from handover.retry import Backoff
 from handover.security.audit_trail import current_request, record_request
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
-from services.device_gateway.storage import tables
+from services.device_gateway.storage import partitions, tables
+from services.device_gateway.storage.partitions import DAY_US
 
 log = get_logger(__name__)
 
@@ -91,6 +92,8 @@ class HistoryWriter:
         self._has_waiting = asyncio.Event()
         self._series: dict[tuple[str, str], int] = {}
         self._is_sqlite = engine.dialect.name == "sqlite"
+        self._days: set[int] = set()
+        """Days whose partition exists, if values are partitioned."""
         self._insert_message = self._insert(tables.messages, MessageRow._fields)
         self._insert_value = self._insert(tables.values, ("series", "t_us", "value"), "DO NOTHING")
         changing = ", ".join(
@@ -158,6 +161,18 @@ class HistoryWriter:
         except SQLAlchemyError as error:
             raise unavailable(error) from None
 
+    async def call_beside(self, act: Callable[[Connection], T]) -> T:
+        """Run `act` in a transaction on another thread, while rows are written; raise `Problem` 503."""
+
+        def transaction() -> T:
+            with self._engine.begin() as connection:
+                return act(connection)
+
+        try:
+            return await asyncio.to_thread(transaction)
+        except SQLAlchemyError as error:
+            raise unavailable(error) from None
+
     def forget(self, device: str) -> None:
         """Forget the series of a device that was deleted."""
         for key in [key for key in self._series if key[0] == device]:
@@ -196,9 +211,11 @@ class HistoryWriter:
 
     def _write(self, group: _Group) -> None:
         new = {key for device, name, _, _ in group.values if (key := (device, name)) not in self._series}
+        days = set() if self._is_sqlite else {t_us // DAY_US for _, _, t_us, _ in group.values} - self._days
         try:
             with self._engine.begin() as connection:
                 self._number(connection, new)
+                partitions.ensure(connection, days)
                 if group.messages:
                     connection.exec_driver_sql(self._insert_message, group.messages)
                 if group.values:
@@ -211,7 +228,9 @@ class HistoryWriter:
         except BaseException:
             for key in new:
                 self._series.pop(key, None)
+            self._days.clear()  # the retention may have dropped one of them
             raise
+        self._days |= days
 
     def _number(self, connection: Connection, names: set[tuple[str, str]]) -> None:
         """Read or create the numbers of series."""

@@ -3,6 +3,8 @@
 A value is summarized when it is deleted, and summaries of the same interval are merged. So a value that
 arrives late is either still within the time of full rate, or is merged into the summary that exists: nothing
 is counted twice, and no position in the history has to be remembered. Each series is one short transaction.
+
+On PostgreSQL values are partitioned by day, and a day is summarized and dropped as a whole (`partitions`).
 """
 
 from dataclasses import dataclass
@@ -11,9 +13,9 @@ from typing import Any, Final
 from sqlalchemy import Connection, Table, delete, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from services.device_gateway.storage import tables
+from services.device_gateway.storage import partitions, tables
+from services.device_gateway.storage.partitions import MINUTE_US, Partition
 
-MINUTE_US: Final = 60_000_000
 HOUR_US: Final = 3_600_000_000
 MAX_ROWS: Final = 20_000
 """Messages deleted in one transaction."""
@@ -38,15 +40,16 @@ def all_series(connection: Connection) -> list[int]:
 def summarize(connection: Connection, series: int, rule: RetentionRule, now_us: int) -> None:
     """Apply `rule` to the values of one series."""
     value = tables.values
-    _move(
-        connection,
-        value,
-        tables.minutes,
-        series,
-        _before(now_us, rule.values_h, MINUTE_US),
-        MINUTE_US,
-        (func.count(), func.avg(value.c.value), func.min(value.c.value), func.max(value.c.value)),
-    )
+    if not partitions.has_partitions(connection):
+        _move(
+            connection,
+            value,
+            tables.minutes,
+            series,
+            _before(now_us, rule.values_h, MINUTE_US),
+            MINUTE_US,
+            (func.count(), func.avg(value.c.value), func.min(value.c.value), func.max(value.c.value)),
+        )
     minute = tables.minutes
     total = func.sum(minute.c.n)
     mean = func.sum(minute.c.mean * minute.c.n) / total
@@ -62,6 +65,12 @@ def summarize(connection: Connection, series: int, rule: RetentionRule, now_us: 
     hour = tables.hours
     old = hour.c.t_us < _before(now_us, rule.hours_h, HOUR_US)
     connection.execute(delete(hour).where((hour.c.series == series) & old))
+
+
+def old_partitions(connection: Connection, rule: RetentionRule, now_us: int) -> list[Partition]:
+    """Return the partitions with values that are all older than `rule` keeps, oldest first."""
+    before_us = _before(now_us, rule.values_h)
+    return [one for one in partitions.partitions(connection) if one.end_us <= before_us]
 
 
 def delete_messages(connection: Connection, rule: RetentionRule, now_us: int) -> bool:

@@ -1,12 +1,8 @@
 """The tables of the device gateway. Times are microseconds since 1970."""
 
-from typing import Final
-
 from sqlalchemy import (
     BigInteger,
     Column,
-    Connection,
-    Engine,
     Float,
     Index,
     Integer,
@@ -17,11 +13,6 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
 )
-
-from handover.migrations import migrate
-
-VERSION: Final = 3
-COMPONENT: Final = "device_gateway"
 
 meta = MetaData()
 
@@ -91,6 +82,7 @@ values = Table(
     Column("t_us", BigInteger, primary_key=True),
     Column("value", Float, nullable=False),
     sqlite_with_rowid=False,
+    postgresql_partition_by="RANGE (t_us)",  # see `partitions`
 )
 
 
@@ -132,15 +124,3 @@ watches = Table(
     Column("process_us", BigInteger),
     Column("learned", Text),
 )
-
-
-def prepare(engine: Engine) -> None:
-    """Create the tables, or bring them to this version."""
-    migrate(
-        engine, meta, component=COMPONENT, version=VERSION, steps={1: meta.create_all, 2: _add_certificates}
-    )
-
-
-def _add_certificates(connection: Connection) -> None:
-    connection.exec_driver_sql("ALTER TABLE device ADD COLUMN certificate_sha256 VARCHAR(64)")
-    connection.exec_driver_sql("ALTER TABLE device ADD COLUMN certificate_end_us BIGINT")

@@ -11,7 +11,7 @@ from services.device_gateway.anomalies import monitor as monitors
 from services.device_gateway.anomalies.baseline import baseline_of
 from services.device_gateway.anomalies.monitor import Monitor, WatchKey
 from services.device_gateway.anomalies.rules import Rule, SeasonalCheck, read_rules
-from services.device_gateway.storage import history, tables
+from services.device_gateway.storage import history, schema
 from services.device_gateway.storage.history_writer import HistoryWriter
 
 HOT = Rule.model_validate(
@@ -105,7 +105,7 @@ def test_rules_are_read_from_a_file_and_faults_are_named(tmp_path: Path) -> None
 
 async def test_a_baseline_has_what_is_usual_at_each_time_of_the_day(tmp_path: Path) -> None:
     engine = connect(f"sqlite:///{tmp_path / 'devices.db'}")
-    tables.prepare(engine)
+    schema.prepare(engine)
     writer = HistoryWriter(engine)
     day_us, start_us = 86_400_000_000, 20_000 * 86_400_000_000
     writer.add(

@@ -1,0 +1,36 @@
+"""The schema of the database: its tables are created, or brought to the version of this release."""
+
+import time
+from typing import Final
+
+from sqlalchemy import Connection, Engine
+
+from handover.migrations import migrate
+from services.device_gateway.storage import partitions
+from services.device_gateway.storage.tables import meta
+
+VERSION: Final = 4
+COMPONENT: Final = "device_gateway"
+
+
+def prepare(engine: Engine) -> None:
+    """Create the tables, or bring them to this version; create the partitions of the next days."""
+    migrate(
+        engine,
+        meta,
+        component=COMPONENT,
+        version=VERSION,
+        steps={1: meta.create_all, 2: _add_certificates, 3: _partition_values},
+    )
+    with engine.begin() as connection:
+        partitions.create_ahead(connection, int(time.time() * 1e6))
+
+
+def _add_certificates(connection: Connection) -> None:
+    connection.exec_driver_sql("ALTER TABLE device ADD COLUMN certificate_sha256 VARCHAR(64)")
+    connection.exec_driver_sql("ALTER TABLE device ADD COLUMN certificate_end_us BIGINT")
+
+
+def _partition_values(connection: Connection) -> None:
+    partitions.partition_existing(connection)
+    meta.create_all(connection)
