@@ -54,7 +54,7 @@ RUN if [ "$LOCK" = physics ]; then \
 RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data --shell /usr/sbin/nologin handover \
     && install -d -o handover -g handover -m 0700 /data /secrets /authority /security \
     && install -d -o handover -g handover -m 0755 /tls /tls/clients /tls/context-broker /tls/task-orchestrator \
-        /tls/gesture-controller /tls/trajectory-tool /tls/study /tls/alert-router /tls/accounts /tls/device-gateway /tls/webui /tls/human-state /tls/ros-bridge \
+        /tls/gesture-controller /tls/trajectory-tool /tls/study /tls/alert-router /tls/accounts /tls/device-gateway /tls/webui /tls/human-state /tls/assistive-devices /tls/ros-bridge \
         /tls/operator
 COPY --from=install /opt/handover /opt/handover
 ENV PATH=/opt/handover/bin:$PATH \

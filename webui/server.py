@@ -44,7 +44,7 @@ from webui.live.live_state import LiveState, Reader
 from webui.live.viewers import Viewers
 from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, OperatorView
 from webui.service_credentials import ServiceCredentials
-from webui.settings import GATEWAY, HUMAN_STATE, TRAJECTORY, WebuiSettings
+from webui.settings import ASSISTIVE_DEVICES, GATEWAY, HUMAN_STATE, TRAJECTORY, WebuiSettings
 from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
 from webui.sources.broker_entities import BrokerEntities
@@ -122,10 +122,12 @@ class Components:
         )
         self.operator = SimulatedOperator(settings, http, guard.access, self.state, self.events)
         self.live_socket = LiveSocket(self.state, self.viewers)
-        # Human state starts only where its extra is installed, which this machine cannot know of another.
-        own = {name: url for name, url in urls.items() if name != HUMAN_STATE}
+        # Human state starts only where its extra is installed, which this machine cannot know of another;
+        # assistive devices only with a machine.
+        optional = (HUMAN_STATE, ASSISTIVE_DEVICES)
+        own = {name: url for name, url in urls.items() if name not in optional}
         extra = (
-            ExtraService(HUMAN_STATE, urls[HUMAN_STATE], is_wanted=False),
+            *(ExtraService(name, urls[name], is_wanted=False) for name in optional),
             *extra_services(settings),
         )
         services = ServiceMonitor(own, http, self.broker, self.state, self.events, extra=extra)

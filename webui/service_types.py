@@ -20,6 +20,7 @@ FOLDER: Final = Path(__file__).parent / "app" / "src" / "api" / "generated"
 ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
     "accounts": ("/",),
     "alert-router": ("/",),
+    "assistive-devices": ("/machines",),
     "device-gateway": ("/",),
     "gesture-controller": ("/gestures", "/people", "/tests"),
     "human-state": ("/drivers", "/people", "/sensors"),

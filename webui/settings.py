@@ -17,6 +17,7 @@ ALERT_ROUTER = "alert-router"
 ACCOUNTS = "accounts"
 GATEWAY = "device-gateway"
 HUMAN_STATE = "human-state"
+ASSISTIVE_DEVICES = "assistive-devices"
 ROS_BRIDGE = "ros-bridge"
 
 
@@ -66,6 +67,10 @@ class WebuiSettings(Settings):
     human_state_url: str | None = Field(
         None, description="where others reach human state; http://host:port of it if absent"
     )
+    assistive_port: int = Field(54290, ge=1, le=65535, description="REST port of assistive devices")
+    assistive_url: str | None = Field(
+        None, description="where others reach assistive devices; http://host:port of it if absent"
+    )
     bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
     bridge_url: str | None = Field(
         None,
@@ -109,6 +114,7 @@ class WebuiSettings(Settings):
             ALERT_ROUTER: self.url_of(self.alert_router_port, self.alert_router_url),
             STUDY: self.url_of(self.study_port, self.study_url),
             HUMAN_STATE: self.url_of(self.human_state_port, self.human_state_url),
+            ASSISTIVE_DEVICES: self.url_of(self.assistive_port, self.assistive_url),
             ACCOUNTS: self.accounts,
         }
         if self.ros_mapping is not None:

@@ -68,6 +68,33 @@ def demo(
 
 
 @app.command()
+def case(
+    name: Annotated[str | None, typer.Argument(help="The case; without it the cases are listed.")] = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="End after the trial, with exit code 0 if the machine did right.")
+    ] = False,
+    duration_s: Annotated[
+        float | None,
+        typer.Option("--duration", min=5, help="Seconds of the trial, instead of the paper's."),
+    ] = None,
+    timeout_s: Annotated[float, typer.Option("--timeout", help="Maximum duration in seconds.")] = 1800.0,
+    data_dir: DataDir = None,
+) -> None:
+    """Run a case study: a machine that adapts to the body of a simulated person, on the page Cases."""
+    from handover.cli.case import known_cases, load_case, run_case  # noqa: PLC0415 - only this command
+
+    if name is None:
+        for each in known_cases():
+            say(f"{each.name:<14} {each.summary}")
+        return
+    chosen = load_case(name)
+    say(f"{chosen.summary} Nothing here is a medical device or a safety function.")
+    _until_stopped(
+        run_case(chosen, _settings(data_dir), once=once, duration_s=duration_s, timeout_s=timeout_s, say=say)
+    )
+
+
+@app.command()
 def up(
     data_dir: DataDir = None,
     ros: Annotated[

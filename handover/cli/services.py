@@ -10,6 +10,7 @@ from handover.settings import Settings
 from ros_fiware_bridge.settings import BridgeSettings
 from services.accounts.settings import AccountsSettings
 from services.alert_router.settings import RouterSettings
+from services.assistive_devices.settings import AssistiveSettings
 from services.context_broker.settings import BrokerSettings
 from services.device_gateway.settings import GatewaySettings
 from services.gesture_controller.settings import ControllerSettings
@@ -48,16 +49,23 @@ SERVICES = (
 HUMAN_STATE = Service("human-state", "services.human_state", HumanStateSettings, "human_state_port")
 HUMAN_STATE_NEEDS = ("numpy", "scipy", "neurokit2")
 """Packages of the extra `human-state`, without which the service cannot start."""
+ASSISTIVE_DEVICES = Service(
+    "assistive-devices", "services.assistive_devices", AssistiveSettings, "assistive_port"
+)
 ROS_BRIDGE = Service("ros-bridge", "ros_fiware_bridge", BridgeSettings, "bridge_port")
-OPTIONAL_SERVICES = (HUMAN_STATE, ROS_BRIDGE)
+OPTIONAL_SERVICES = (HUMAN_STATE, ASSISTIVE_DEVICES, ROS_BRIDGE)
 """Services that start only with an extra or a setting."""
 
 
 def wanted() -> tuple[Service, ...]:
-    """Return the services of the cell: human state with its extra, the bridge with a mapping, and others."""
+    """Return the services of the cell.
+
+    Human state runs with its extra, assistive devices with a machine, the bridge with a mapping.
+    """
     body = (HUMAN_STATE,) if all(map(find_spec, HUMAN_STATE_NEEDS)) else ()
     bridge = (ROS_BRIDGE,) if BridgeSettings.load().ros_mapping is not None else ()
-    return (*SERVICES, *body, *bridge, *map(_extra, Settings.load().extra_services))
+    devices = (ASSISTIVE_DEVICES,) if AssistiveSettings.load().assistive_machines else ()
+    return (*SERVICES, *body, *devices, *bridge, *map(_extra, Settings.load().extra_services))
 
 
 def all_services() -> tuple[Service, ...]:

@@ -40,6 +40,10 @@ HIDDEN: Final = "**********"
 """What people see in place of a secret, as pydantic writes it."""
 
 
+class NotSimulated(Exception):
+    """A sensor that measures cannot be given what its person does."""
+
+
 class PacketError(Exception):
     """The bytes of a device are not what its protocol says; the only error that a parser raises."""
 
@@ -100,6 +104,10 @@ class SensorDriver(ABC):
     @abstractmethod
     async def run(self, sink: Sink) -> None:
         """Serve one connection until it is cancelled. Raise `LinkLost` when the device is gone."""
+
+    def simulate(self, given: Any) -> None:  # noqa: ARG002 - for drivers that simulate
+        """Take what a simulated person does now. Raises `NotSimulated`, or `ValueError` for bad values."""
+        raise NotSimulated(f"{self.source} measures a person; only a simulated sensor can be given acts")
 
     def reject(self, sink: Sink, error: PacketError) -> None:
         """Report a packet that was dropped, at most once a second: a hostile device must not flood."""

@@ -6,6 +6,7 @@ limits of all persons are computed `TICK_S` apart; the end of a consent is looke
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -41,6 +42,7 @@ CHECK_EVERY_S: Final = 1.0
 class _Running:
     row: SensorRow
     task: asyncio.Task[None] | None
+    driver: SensorDriver | None = None
 
 
 @dataclass(slots=True)
@@ -69,6 +71,8 @@ class Monitoring:
         self.monitors: dict[str, PersonMonitor] = {}
         self.links: dict[tuple[str, str], RobotLink] = {}
         """By robot and person."""
+        self.followers: Counter[str] = Counter()
+        """How many controllers follow the stream of limits of each robot by themselves."""
         self.sequence = 0
         self.on_stopped: Callable[[PersonMonitor], None] = lambda _: None
         """Called after a person's monitoring has ended."""
@@ -81,7 +85,7 @@ class Monitoring:
         self._classifier_of = classifier_of
         self._running: dict[str, _Running] = {}
         self._ticked = asyncio.Event()
-        self._message = b"{}"
+        self._limits: dict[str, Any] = {"sequence": 0, "stamp": 0.0, "limits": []}
 
     def apply(self, name: str) -> None:
         """Start and stop what the person called `name` needs now."""
@@ -101,7 +105,7 @@ class Monitoring:
             if running is None or running.row != row:
                 self._stop_sensor(row.name, None)
                 monitor.forget(row.name)
-                self._running[row.name] = _Running(row, self._start_sensor(row, monitor))
+                self._running[row.name] = self._start_sensor(row, monitor)
         wanted = person.robots if Purpose.SPEED_LIMITS in purposes else frozenset()
         for robot, of in list(self.links):
             if of == name and robot not in wanted:
@@ -130,7 +134,12 @@ class Monitoring:
         if running.task is not None:
             running.task.cancel()
 
-    def _start_sensor(self, row: SensorRow, monitor: PersonMonitor) -> asyncio.Task[None] | None:
+    def driver_of(self, sensor: str) -> SensorDriver | None:
+        """Return the driver of a sensor that runs."""
+        running = self._running.get(sensor)
+        return None if running is None else running.driver
+
+    def _start_sensor(self, row: SensorRow, monitor: PersonMonitor) -> _Running:
         try:
             kind: type[SensorDriver] = SENSOR_DRIVERS.load(row.driver)
             driver = kind(row.name, kind.settings_model.model_validate(row.settings))
@@ -138,10 +147,10 @@ class Monitoring:
         except (HandoverError, ValueError) as error:
             log.warning("sensor cannot start", sensor=row.name, driver=row.driver, error=str(error))
             monitor.sensors[row.name] = SensorView(LinkState.FAULT, text=str(error)[:300])
-            return None
+            return _Running(row, None)
         kinds = frozenset(info.kind for info in driver.signals)
         monitor.sensors[row.name] = SensorView(kinds=kinds)
-        return self._tasks.start(runner.run)
+        return _Running(row, self._tasks.start(runner.run), driver)
 
     def _link(self, robot: str, person: str) -> None:
         url = f"{self._settings.trajectory_tool.replace('http', 'ws', 1)}/robots/{robot}/speed_limits"
@@ -191,7 +200,7 @@ class Monitoring:
                 link = self.links.get((robot, name))
                 if link is not None:
                     self._send(link, monitor, now_s, wall_s)
-        self._message = orjson.dumps({"sequence": self.sequence, "stamp": wall_s, "limits": limits})
+        self._limits = {"sequence": self.sequence, "stamp": wall_s, "limits": limits}
         self._ticked.set()
         self._ticked = asyncio.Event()
 
@@ -215,10 +224,13 @@ class Monitoring:
             )
         )
 
-    async def next_message(self) -> bytes:
-        """Wait for the next limits of all persons: JSON with sequence, stamp, and limits."""
+    async def next_limits(self, robot: str | None = None) -> bytes:
+        """Wait for the next limits, of all persons or of one robot: JSON with sequence, stamp and limits."""
         await self._ticked.wait()
-        return self._message
+        if robot is None:
+            return orjson.dumps(self._limits)
+        limits = [one for one in self._limits["limits"] if robot in one["robots"]]
+        return orjson.dumps({**self._limits, "limits": limits})
 
 
 def source_of(person: Person) -> str:

@@ -3,14 +3,18 @@
 import asyncio
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Any, Final
 
 import orjson
 from fastapi import FastAPI
+from pydantic import ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from services.human_state.drivers.base import NotSimulated
+from services.human_state.fusion.person_state import FusedValue
 from services.human_state.model.signals import Samples
 from services.human_state.monitoring.monitoring import Monitoring
 from services.human_state.routes.access import of_person
@@ -27,9 +31,35 @@ def add_streams(app: FastAPI, monitoring: Monitoring) -> None:
 
     @app.websocket("/limits", dependencies=[require(Permission.READ_HEALTH_DATA)])
     async def limits(socket: WebSocket) -> None:
-        """Send the limits 20 times a second; a reader that is slow misses some, see `sequence`."""
+        """Send the limits 20 times a second; a reader that is slow misses some, see `sequence`.
+
+        With `?robot=` only those of one robot, whose controller follows them by itself.
+        """
         await socket.accept()
-        await _until_left(socket, _send_limits(socket, monitoring))
+        robot = socket.query_params.get("robot")
+        followed = () if robot is None else (robot,)
+        monitoring.followers.update(followed)
+        try:
+            await _until_left(socket, _send_limits(socket, monitoring, robot))
+        finally:
+            monitoring.followers.subtract(followed)
+
+    @app.websocket("/people/{person}/values", dependencies=[require(Permission.READ_HEALTH_DATA, of_person)])
+    async def values(socket: WebSocket, person: str) -> None:
+        """Send the values of a person for a controller, 20 times a second; none without consent."""
+        await socket.accept()
+        await _until_left(socket, _send_values(socket, monitoring, person))
+
+    @app.websocket("/sensors/{sensor}/simulation", dependencies=[require(Permission.CONFIGURE)])
+    async def simulation(socket: WebSocket, sensor: str) -> None:
+        """Receive what the person of a simulated sensor does: effort, posture, lean, breathing, movement.
+
+        Each message is a JSON object of the acts that change; it is answered by `{"accepted": …}`.
+        """
+        await socket.accept()
+        with suppress(WebSocketDisconnect, RuntimeError, KeyError):
+            while True:
+                await socket.send_text(_simulated(monitoring, sensor, await socket.receive_text()))
 
     @app.websocket("/people/{person}/live", dependencies=[require(Permission.READ_HEALTH_DATA, of_person)])
     async def live(socket: WebSocket, person: str) -> None:
@@ -58,9 +88,46 @@ async def _read(socket: WebSocket) -> None:
         return
 
 
-async def _send_limits(socket: WebSocket, monitoring: Monitoring) -> None:
+async def _send_limits(socket: WebSocket, monitoring: Monitoring, robot: str | None) -> None:
     while True:
-        await socket.send_text((await monitoring.next_message()).decode())
+        await socket.send_text((await monitoring.next_limits(robot)).decode())
+
+
+async def _send_values(socket: WebSocket, monitoring: Monitoring, person: str) -> None:
+    while True:
+        await monitoring.next_limits()
+        monitor, now_s = monitoring.monitors.get(person), time.monotonic()
+        shown = [] if monitor is None else [_value(one, now_s) for one in monitor.values(now_s)]
+        await socket.send_text(orjson.dumps({"sequence": monitoring.sequence, "values": shown}).decode())
+
+
+def _value(value: FusedValue, now_s: float) -> dict[str, Any]:
+    return {
+        "name": value.name,
+        "value": value.value,
+        "quality": round(value.quality, 3),
+        "status": value.status,
+        "ageS": round(max(now_s - value.at_s, 0.0), 3),
+        "disagree": value.disagree,
+    }
+
+
+def _simulated(monitoring: Monitoring, sensor: str, text: str) -> str:
+    """Let the person of a simulated sensor act; return the answer."""
+    driver = monitoring.driver_of(sensor)
+    reason = f'no body sensor "{sensor}" runs; add it to a person who consents'
+    if driver is not None:
+        try:
+            driver.simulate(orjson.loads(text))
+        except ValidationError as error:
+            reason = "; ".join(
+                f"{'.'.join(map(str, one['loc'])) or 'message'}: {one['msg']}" for one in error.errors()[:3]
+            )
+        except (NotSimulated, ValueError) as error:
+            reason = str(error)
+        else:
+            return '{"accepted":true}'
+    return orjson.dumps({"accepted": False, "reason": reason[:300]}).decode()
 
 
 async def _send_live(socket: WebSocket, monitoring: Monitoring, person: str) -> None:

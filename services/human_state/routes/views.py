@@ -8,7 +8,7 @@ from handover.errors import UsageError
 from services.human_state.drivers.base import SENSOR_DRIVERS, SensorDriver
 from services.human_state.fusion.person_state import FusedValue
 from services.human_state.model.features import UNITS
-from services.human_state.monitoring.monitoring import Monitoring
+from services.human_state.monitoring.monitoring import Monitoring, RobotLink
 from services.human_state.monitoring.person_monitor import PersonMonitor, SensorView
 from services.human_state.people.consent import Purpose
 from services.human_state.people.people import Person
@@ -95,10 +95,16 @@ def limit_view(monitor: PersonMonitor, monitoring: Monitoring) -> LimitView | No
         strained_bpm=limit.curve.strained_bpm,
         least_fraction=limit.curve.least,
         robots=[
-            RobotLinkView(robot=robot, problem="not connected yet" if link is None else link.stream.problem)
+            RobotLinkView(robot=robot, problem=_problem_of(link, is_followed=monitoring.followers[robot] > 0))
             for robot, link in links.items()
         ],
     )
+
+
+def _problem_of(link: RobotLink | None, *, is_followed: bool) -> str:
+    if is_followed:
+        return ""
+    return "not connected yet" if link is None else link.stream.problem
 
 
 def state_view(monitor: PersonMonitor, monitoring: Monitoring) -> StateView:

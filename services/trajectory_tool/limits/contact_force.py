@@ -7,8 +7,8 @@ the wrist.
 
 from collections.abc import Callable
 
+from handover.control.speed_limits import Allowed
 from handover.messages import message
-from services.trajectory_tool.limits.speed_limits import Allowed
 
 RULE = "contactForce"
 

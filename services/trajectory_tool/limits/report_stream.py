@@ -9,7 +9,7 @@ import orjson
 from pydantic import BaseModel, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from services.trajectory_tool.limits.speed_limits import RefusedReport
+from handover.control.speed_limits import RefusedReport
 from services.trajectory_tool.metrics import LIMIT_REPORTS
 
 MAX_MESSAGE_BYTES = 16 * 1024

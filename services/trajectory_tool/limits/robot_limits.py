@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from datamodels.streams import PeopleReport, SpeedLimitReport
+from handover.control.speed_limits import Allowed, SpeedLimits
 from handover.messages import Message, message
 from services.trajectory_tool.limits.contact_force import ContactForce
 from services.trajectory_tool.limits.contact_table import ContactSpeed
@@ -25,7 +26,6 @@ from services.trajectory_tool.limits.separation import (
     Stopping,
     distance_from,
 )
-from services.trajectory_tool.limits.speed_limits import Allowed, SpeedLimits
 from services.trajectory_tool.limits.store import LimitStore, MeasuredStop, Mode, RobotRecord, SafeSpeed
 from services.trajectory_tool.metrics import ALLOWED_PACE, LIMIT_STOPS
 from services.trajectory_tool.robot import Joints

@@ -19,13 +19,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from datamodels.streams import PeopleReport
-from handover.messages import message
-from services.trajectory_tool.limits.speed_limits import (
+from handover.control.speed_limits import (
     MAX_SOURCES,
     Allowed,
     RefusedReport,
     require_new,
 )
+from handover.messages import message
 
 Point = tuple[float, float]
 Distance = Callable[[Point], float]

@@ -7,10 +7,10 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 from pydantic.alias_generators import to_camel
 
+from handover.control.speed_limits import Allowed
 from handover.messages import with_code
 from services.trajectory_tool.limits.contact_table import ContactSpeed
 from services.trajectory_tool.limits.robot_limits import RobotLimits
-from services.trajectory_tool.limits.speed_limits import Allowed
 from services.trajectory_tool.limits.store import Mode
 from services.trajectory_tool.robot import Robot
 

@@ -17,9 +17,9 @@ from pydantic import ValidationError
 from datamodels.entities import Person
 from datamodels.streams import MAX_PEOPLE, SOURCE_PATTERN, PeopleReport, SeenPerson
 from handover.broker import BrokerClient
+from handover.control.speed_limits import RefusedReport
 from handover.errors import HandoverError
 from handover.telemetry import get_logger
-from services.trajectory_tool.limits.speed_limits import RefusedReport
 
 log = get_logger(__name__)
 

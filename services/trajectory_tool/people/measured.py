@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from datamodels.streams import MAX_PEOPLE, DepthReport, PeopleReport, ScanReport
-from services.trajectory_tool.limits.speed_limits import RefusedReport, require_new
+from handover.control.speed_limits import RefusedReport, require_new
 from services.trajectory_tool.people.surroundings import Array, Surroundings, distances_from_chains
 from services.trajectory_tool.people.tracking import Tracker, clusters
 from services.trajectory_tool.perception.depth_image import DepthImage, Intrinsics

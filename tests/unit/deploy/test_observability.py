@@ -77,7 +77,14 @@ def test_prometheus_asks_every_service_where_it_listens() -> None:
     }
 
 
-@pytest.mark.parametrize(("name", "profile"), [("ros-bridge", "ros"), ("human-state", "human-state")])
+@pytest.mark.parametrize(
+    ("name", "profile"),
+    [
+        ("ros-bridge", "ros"),
+        ("human-state", "human-state"),
+        ("assistive-devices", "assistive-devices"),
+    ],
+)
 def test_prometheus_asks_a_service_of_a_profile_where_there_is_one(name: str, profile: str) -> None:
     jobs = yaml.safe_load((HERE / "prometheus.yml").read_text())["scrape_configs"]
     (job,) = [job for job in jobs if job["job_name"] == name]

@@ -8,7 +8,7 @@ import asyncio
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -66,6 +66,22 @@ class EffortStep(DriverSettings):
     is_breathing: bool = True
 
 
+class Acts(DriverSettings):
+    """What a simulated person does from now on; what is absent stays as it is.
+
+    `lean` is that of the upper body to the right and forwards, -1 to 1; `movement` what a radar sees, 0 to
+    100. `contact` false takes the straps off. `walkingMps` is the speed of a walk, with its effort and gait.
+    """
+
+    effort: Annotated[float, Field(ge=0, le=1)] | None = None
+    posture: Annotated[str, Field(max_length=20)] | None = None
+    is_breathing: bool | None = Field(None, alias="isBreathing")
+    lean: tuple[Annotated[float, Field(ge=-1, le=1)], Annotated[float, Field(ge=-1, le=1)]] | None = None
+    movement: Annotated[float, Field(ge=0, le=100)] | None = None
+    contact: bool | None = None
+    walking_mps: Annotated[float, Field(ge=0, le=5)] | None = Field(None, alias="walkingMps")
+
+
 class SimulatedSettings(DriverSettings):
     """What is simulated."""
 
@@ -116,6 +132,7 @@ class SimulatedDriver(SensorDriver):
         self._elapsed_s = 0.0
         self._began_s: float | None = None
         self._lost: set[SimulatedFault] = set()
+        self._is_worn = True
         self.person.advance(0.0)
 
     @property
@@ -146,13 +163,26 @@ class SimulatedDriver(SensorDriver):
         self._elapsed_s += self.settings.packet_s
         self._advance()
         made = [track.until(self.person, self._elapsed_s, began_s) for track in self._tracks]
-        return [samples for samples in made if samples is not None]
+        return [self._worn(samples) for samples in made if samples is not None]
+
+    def _worn(self, samples: Samples) -> Samples:
+        is_off = not self._is_worn and samples.info.method.startswith("chest strap")
+        return replace(samples, has_contact=False) if is_off else samples
 
     def _begin(self) -> float:
         """Return the time of the first sample in s since 1970."""
         if self._began_s is None:
             self._began_s = now_s() if self.settings.start_s is None else self.settings.start_s
         return self._began_s
+
+    def simulate(self, given: Any) -> None:
+        acts, person = Acts.model_validate(given), self.person
+        if acts.contact is not None:
+            self._is_worn = acts.contact
+        if "walking_mps" in acts.model_fields_set:
+            person.walk(acts.walking_mps or 0.0)
+        for name, value in acts.model_dump(exclude={"contact", "walking_mps"}, exclude_none=True).items():
+            setattr(person, name, value)
 
     def _advance(self) -> None:
         for step in self.settings.program:

@@ -58,6 +58,10 @@ class SimulatedPerson:
         self.is_breathing = True
         """False: an apnoea, with the fall of the heart rate and the rise after it."""
         self.posture = "sitting"
+        self.lean = (0.0, 0.0)
+        """How far the upper body leans to the right and forwards, -1 to 1."""
+        self.movement: float | None = None
+        """The movement that a radar sees, 0 to 100; None: it follows effort."""
         self.now_s = 0.0
         self.beats_s: deque[float] = deque()
         self.beat_count = 0

@@ -109,10 +109,12 @@ def acceleration(person: SimulatedPerson, times_s: Floats, random: np.random.Gen
 def pressure_map(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
     """Return 3 by 4 cells, 0 to 4095: two thighs and the seat bones, leaning with breath and movement."""
     rows, columns = np.mgrid[0:MAT_ROWS, 0:MAT_COLUMNS]
-    lean = 0.15 * person.breath_at(times_s) + 0.3 * person.effort * np.sin(2 * np.pi * 0.2 * times_s)
+    sway = 0.15 * person.breath_at(times_s) + 0.3 * person.effort * np.sin(2 * np.pi * 0.2 * times_s)
+    right, forwards = person.lean
     shape = np.zeros((len(times_s), MAT_ROWS * MAT_COLUMNS))
     for column in (0.7, 2.3):
-        distance = (rows - 1.2).ravel() ** 2 + (columns.ravel() - column - lean[:, None]) ** 2
+        across = columns.ravel() - column - 0.8 * right - 0.3 * sway[:, None]
+        distance = (rows - 1.2 + 0.8 * forwards).ravel() ** 2 + across**2
         shape += 1500 * np.exp(-distance / 1.2)
     if person.posture == "standing":
         shape *= 0
@@ -144,7 +146,8 @@ def skin_temperature(person: SimulatedPerson, times_s: Floats, random: np.random
 
 def movement(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
     """Return the movement that a radar sees, 0 to 100."""
-    return np.clip(np.round(2 + 90 * person.effort + random.normal(0, 2, (len(times_s), 1))), 0, 100)
+    seen = 2 + 90 * person.effort if person.movement is None else person.movement
+    return np.clip(np.round(seen + random.normal(0, 2, (len(times_s), 1))), 0, 100)
 
 
 def _beats(

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from datamodels.streams import PeopleReport
+from handover.control.speed_limits import RefusedReport
 from services.trajectory_tool.limits.separation import (
     Separation,
     SeparationRule,
     SeparationState,
     distance_from,
 )
-from services.trajectory_tool.limits.speed_limits import RefusedReport
 
 RULE = SeparationRule()
 PEAK_MPS = 1.0

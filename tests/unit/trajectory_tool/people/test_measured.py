@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from datamodels.streams import DepthReport, PeopleReport, ScanReport
+from handover.control.speed_limits import RefusedReport
 from services.trajectory_tool.limits.separation import Separation, SeparationRule, distance_from
-from services.trajectory_tool.limits.speed_limits import RefusedReport
 from services.trajectory_tool.obstacles import Box, Cylinder, Obstacle, Sphere
 from services.trajectory_tool.people.measured import SceneSensors
 from services.trajectory_tool.people.simulation import SimulatedSensor

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from datamodels.streams import SpeedLimitReport
-from services.trajectory_tool.limits.speed_limits import (
+from handover.control.speed_limits import (
     MAX_SOURCES,
     RAISE_PER_S,
     RefusedReport,

@@ -1,0 +1,70 @@
+"""Assistive devices: machines that adapt to the body of a person, as simulated cases.
+
+Nothing here is a medical device or a safety-rated function.
+"""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from handover.background_tasks import BackgroundTasks
+from handover.broker import BrokerClient
+from handover.database import connect
+from handover.latest_value_writer import LatestValueWriter
+from handover.security.audit_trail import AuditTrail
+from handover.security.guard import Guard
+from handover.service import create_app
+from services.assistive_devices.body_link import BodyLink
+from services.assistive_devices.machine import CASES, Case
+from services.assistive_devices.metrics import REJECTED
+from services.assistive_devices.routes import add_routes
+from services.assistive_devices.running.entities import MachineRecords
+from services.assistive_devices.running.machine_runner import MachineRunner
+from services.assistive_devices.settings import AssistiveSettings
+
+
+def make_app(settings: AssistiveSettings) -> FastAPI:
+    """Return the application; raise `UsageError` for a machine that does not exist."""
+    engine = connect(settings.database("assistive-devices"))
+    guard = Guard(settings, "assistive-devices")
+    broker = BrokerClient(settings, credentials=guard.access)
+    tasks = BackgroundTasks("assistive devices")
+    writer = LatestValueWriter(on_rejected=lambda _: REJECTED.inc())
+    runners: dict[str, MachineRunner] = {}
+    for name in settings.assistive_machines:
+        case: Case = CASES.load(name)
+        link = BodyLink(
+            settings.human_state,
+            person=case.person,
+            robot=case.robot,
+            sensor=case.person,
+            headers=guard.access.headers,
+            ca_files=settings.ca_files,
+        )
+        runners[name] = MachineRunner(case, link, tasks)
+    records = MachineRecords(settings, list(runners.values()), broker, writer)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        async with broker, writer, tasks:
+            for runner in runners.values():
+                tasks.start_restarting(runner.link.run)
+                tasks.start_restarting(runner.run)
+                tasks.start_restarting(runner.machine.work)
+            tasks.start_restarting(records.run)
+            yield
+        for runner in runners.values():
+            runner.link.close()
+        engine.dispose()
+
+    app = create_app(
+        "Assistive devices",
+        description=__doc__ or "",
+        lifespan=lifespan,
+        checks={"broker": broker.probe},
+        guard=guard,
+        audit=AuditTrail(settings, "assistive-devices", engine),
+    )
+    add_routes(app, runners)
+    return app

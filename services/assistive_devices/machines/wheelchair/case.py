@@ -1,0 +1,225 @@
+"""The case of the wheelchair: ROS4HC, section 5.1."""
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+from services.assistive_devices.machine import Case, Machine, MachineState, Seen
+from services.assistive_devices.machines.wheelchair.controller import Centre, Parameters, Wheelchair
+from services.assistive_devices.machines.wheelchair.simulation import Chair, Driver
+from services.assistive_devices.trial import Trial
+
+FREE_BPM: Final = 90.0
+STRAINED_BPM: Final = 125.0
+PAPER_DURATION_S: Final = 180.0
+SHORT_S: Final = 60.0
+"""A trial that is to be shorter leaves out the stop at 125 bpm and the strap."""
+CENTRE_MAX_AGE_S: Final = 0.5
+STRAIN: Final = 0.75
+MIN_MOVING_MPS: Final = 0.02
+PATIENCE_S: Final = 240.0
+
+
+def vmax_of(heart_rate_bpm: float, max_speed_mps: float) -> float:
+    """Return equation 2 of the paper: the greatest speed in m/s at a heart rate."""
+    share = (heart_rate_bpm - FREE_BPM) / (STRAINED_BPM - FREE_BPM)
+    return max_speed_mps * (1 - min(max(share, 0.0), 1.0))
+
+
+class WheelchairMachine(Machine):
+    """The controller, the simulated chair, and the person who drives it."""
+
+    def __init__(self) -> None:
+        self.controller = Wheelchair()
+        self.chair = Chair()
+        self.driver = Driver()
+        self.heart_rate_bpm: float | None = None
+        self.fraction = 0.0
+        self._wants_to_drive = False
+        self._has_contact = True
+        self._centre: Centre | None = None
+        self._allowed_reason = ""
+        self._rise_mps = 0.0
+        self._is_faulty = False
+
+    def start(self) -> None:
+        self.controller = self.controller.start()
+
+    def stop(self) -> None:
+        self.controller = self.controller.stop()
+        self._wants_to_drive = False
+
+    def step(self, seen: Seen) -> None:
+        body, now_s = seen.body, seen.now_s
+        x_mm = body.number("copX", now_s, CENTRE_MAX_AGE_S)
+        y_mm = body.number("copY", now_s, CENTRE_MAX_AGE_S)
+        self._centre = None if x_mm is None or y_mm is None else Centre(x_mm, y_mm)
+        self.heart_rate_bpm = body.number("heartRate", now_s, 3.0)
+        self.fraction, self._allowed_reason = seen.allowed.fraction, str(seen.allowed.reason)
+        before = abs(self.controller.linear)
+        self.controller = self.controller.step(self._centre, self.fraction, seen.dt_s)
+        if self._is_faulty:
+            self._rise_mps = max(self._rise_mps, abs(self.controller.linear) - before)
+        self.chair = self.chair.step(self.controller.linear, self.controller.angular, seen.dt_s)
+        self.driver = self.driver.step(self.chair, seen.dt_s, wants_to_drive=self._wants_to_drive)
+
+    def acts(self) -> Mapping[str, Any]:
+        return {
+            "effort": round(self.driver.effort(self.chair), 3),
+            "lean": [round(part, 3) for part in self.driver.lean],
+            "posture": "sitting",
+            "contact": self._has_contact,
+        }
+
+    def state(self) -> MachineState:
+        controller, chair = self.controller, self.chair
+        is_moving = abs(chair.linear_mps) > MIN_MOVING_MPS
+        if not controller.is_enabled:
+            state, reason = ("stopping", "a person stopped it") if is_moving else ("idle", "not started")
+        elif self._centre is None:
+            state, reason = "stopped", "no valid centre of pressure"
+        elif not controller.is_calibrated:
+            state, reason = "calibrating", "the person sits upright"
+        elif self.fraction <= 0.0:
+            state, reason = "stopped", self._allowed_reason
+        else:
+            state, reason = "driving", self._allowed_reason
+        vmax, intent = controller.vmax.value, controller.intent[0]
+        chart = {"speed": chair.linear_mps, "vmax": vmax, "intent": intent}
+        if self.heart_rate_bpm is not None:
+            chart["heartRate"] = self.heart_rate_bpm
+        values = {
+            "speed": (chair.linear_mps, "MTS"),
+            "turn": (chair.angular_radps, "2A"),
+            "vmax": (vmax, "MTS"),
+            "intent": (intent, "MTS"),
+            "commandLinear": (controller.linear, "MTS"),
+            "commandAngular": (controller.angular, "2A"),
+            "distance": (chair.travelled_m, "MTR"),
+            "x": (chair.x_m, "MTR"),
+            "y": (chair.y_m, "MTR"),
+        }
+        return MachineState(state, reason, values, chart, is_moving)
+
+    async def perform_trial(self, trial: Trial) -> None:
+        duration_s = trial.duration_s or PAPER_DURATION_S
+        self.chair, self.driver = Chair(), Driver()
+        self._rise_mps = 0.0
+        await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        trial.say(f"heart rate {self.heart_rate_bpm or 0:.0f} bpm; the person sits upright")
+        self.start()
+        await trial.until("the upright posture", lambda: self.controller.is_calibrated, PATIENCE_S)
+        driven_s = time.monotonic()
+        self._wants_to_drive = True
+        await trial.until("the chair drives", lambda: self.chair.linear_mps > 0.2, PATIENCE_S)
+        trial.say("the person leans forwards and drives along the course")
+        await trial.until("the limit of a calm body", lambda: self.fraction >= 0.99, PATIENCE_S)
+        calm = Parameters().max_speed_mps * 0.75
+        await trial.until("the speed of a calm body", lambda: self.chair.linear_mps >= calm, PATIENCE_S)
+        fastest = self.chair.linear_mps
+        trial.say(f"calm: {fastest:.2f} m/s at {self.heart_rate_bpm or 0:.0f} bpm; now the person works")
+        await self._strain(trial)
+        if duration_s >= SHORT_S:
+            await self._stop_at_125(trial)
+            await self._lose_strap(trial)
+            left_s = duration_s - (time.monotonic() - driven_s)
+            if left_s > 0:
+                trial.say(f"the person drives for another {left_s:.0f} s")
+                await trial.until("the end", lambda: time.monotonic() - driven_s >= duration_s, left_s + 60)
+        self.stop()
+        await trial.until("the chair stands", lambda: not self.state().is_moving, PATIENCE_S)
+        driven_s = time.monotonic() - driven_s
+        trial.compare("trial", "3 min in a room", f"{driven_s:.0f} s, {self.chair.travelled_m:.0f} m")
+        trial.compare("speed of a calm body", "(figure 3c only)", f"{fastest:.2f} m/s", fastest >= calm)
+
+    async def _strain(self, trial: Trial) -> None:
+        """Let the heart rate rise, and compare vmax with equation 2."""
+        self.driver = replace(self.driver, strain=STRAIN)
+        maximum = self.controller.parameters.max_speed_mps
+        worst = 0.0
+        checked = {95.0: math.nan, 105.0: math.nan, 115.0: math.nan}
+
+        def has_risen() -> bool:
+            nonlocal worst
+            rate = self.heart_rate_bpm
+            if rate is not None and rate > FREE_BPM:
+                vmax = self.controller.vmax.value
+                worst = max(worst, abs(vmax - vmax_of(rate, maximum)))
+                checked.update(
+                    {bpm: vmax for bpm, known in checked.items() if math.isnan(known) and rate >= bpm}
+                )
+            return rate is not None and rate >= 118
+
+        await trial.until("the heart rate rises to 118 bpm", has_risen, PATIENCE_S)
+        slow, intent = self.chair.linear_mps, self.controller.intent[0]
+        trial.say(f"{self.heart_rate_bpm or 0:.0f} bpm: {slow:.2f} m/s, while the lean asks for {intent:.2f}")
+        trial.compare(
+            "vmax at 95, 105 and 115 bpm",
+            ", ".join(f"{vmax_of(bpm, maximum):.2f}" for bpm in checked) + " m/s (equation 2)",
+            ", ".join(f"{vmax:.2f}" for vmax in checked.values()) + " m/s (smoothed)",
+        )
+        trial.compare(
+            "greatest distance to equation 2 while the rate rises",
+            "0 (before its smoothing)",
+            f"{worst:.2f} m/s (after ours)",
+            worst <= 0.3,
+        )
+        trial.compare(
+            "speed falls although the lean stays",
+            "yes (figure 3c)",
+            f"{slow:.2f} of {intent:.2f} m/s",
+            slow <= 0.5 * maximum and intent >= 0.75 * maximum,
+        )
+
+    async def _stop_at_125(self, trial: Trial) -> None:
+        await trial.until("a stop at 125 bpm", lambda: self.fraction == 0.0, PATIENCE_S)
+        await trial.until("the chair stands", lambda: not self.state().is_moving, PATIENCE_S)
+        trial.say(f"{self.heart_rate_bpm or 0:.0f} bpm: the chair stands, and waits for a reset")
+        trial.compare("vmax from 125 bpm on", "0", f"{self.controller.vmax.value:.2f} m/s", passed=True)
+        self.driver = replace(self.driver, strain=0.0)
+        await trial.until("the rest of the person", lambda: (self.heart_rate_bpm or 200) < 105, PATIENCE_S)
+        trial.say("rested; the person resets the stop")
+        await trial.reset()
+        await trial.until("the chair drives again", lambda: self.chair.linear_mps > 0.1, PATIENCE_S)
+
+    async def _lose_strap(self, trial: Trial) -> None:
+        trial.say("the strap slips off")
+        self._is_faulty, self._has_contact = True, False
+        fell_s = await trial.until("the limit falls", lambda: self.fraction < 0.3, PATIENCE_S)
+        stood_s = await trial.until("the chair stands", lambda: not self.state().is_moving, PATIENCE_S)
+        trial.compare(
+            "strap off: slower than 30 %, then a stop",
+            "(not in the paper)",
+            f"after {fell_s:.1f} and {fell_s + stood_s:.1f} s; the command rose by {self._rise_mps:.2f} m/s",
+            self._rise_mps <= 0.0,
+        )
+        self._is_faulty, self._has_contact = False, True
+        trial.say("the strap is on again")
+        await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        await trial.reset()
+        await trial.until("the chair drives again", lambda: self.chair.linear_mps > 0.1, PATIENCE_S)
+
+
+CASE: Final = Case(
+    name="wheelchair",
+    summary="A wheelchair steered by leaning, slower while the heart beats fast.",
+    robot="wheelchair-1",
+    category="wheelchair",
+    make=WheelchairMachine,
+    sensor={
+        "signals": ["heartRate", "pressureMap"],
+        "rates_hz": {"pressureMap": 25.0},
+        "packet_s": 0.1,
+        "rest_bpm": 65.0,
+        "max_bpm": 185.0,
+    },
+    person_settings={
+        "restBpm": 65.0,
+        "maximumBpm": 185.0,
+        "freeBpm": FREE_BPM,
+        "strainedBpm": STRAINED_BPM,
+        "leastFraction": 0.0,
+    },
+)

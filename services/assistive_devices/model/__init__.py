@@ -1,0 +1,1 @@
+"""Values of the body, and mechanisms that the controllers of several machines use. Pure."""

@@ -1,0 +1,75 @@
+"""What a controller knows of the body of a person: values with age, quality and status."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+VALID: Final = "valid"
+MIN_QUALITY: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One value; `at_s` is when it was measured, on the monotonic clock of this process."""
+
+    value: float | str
+    at_s: float
+    quality: float = 1.0
+    status: str = VALID
+    disagree: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """The values of one person by name, as received last. Frozen; a pure controller ages them itself."""
+
+    readings: Mapping[str, Reading] = field(default_factory=dict)
+
+    def number(self, name: str, now_s: float, max_age_s: float) -> float | None:
+        """Return a value that may be used: valid, of quality 0.5 at least, not older than `max_age_s`."""
+        reading = self.readings.get(name)
+        if reading is None or reading.status != VALID or reading.quality < MIN_QUALITY:
+            return None
+        if now_s - reading.at_s > max_age_s or isinstance(reading.value, str):
+            return None
+        return None if math.isnan(reading.value) else reading.value
+
+    def text(self, name: str, now_s: float, max_age_s: float) -> str | None:
+        """Return a word (posture, position) that may be used."""
+        reading = self.readings.get(name)
+        if reading is None or reading.status != VALID or now_s - reading.at_s > max_age_s:
+            return None
+        return reading.value if isinstance(reading.value, str) else None
+
+    def shown(self, now_s: float) -> list[dict[str, Any]]:
+        """Return all values for people, with their age."""
+        return [
+            {
+                "name": name,
+                "value": one.value if isinstance(one.value, str) or not math.isnan(one.value) else None,
+                "quality": one.quality,
+                "status": one.status,
+                "age_s": max(now_s - one.at_s, 0.0),
+            }
+            for name, one in self.readings.items()
+        ]
+
+
+def read_body(values: list[Mapping[str, Any]], received_s: float) -> Body:
+    """Return the values of a message of human state that arrived at `received_s`.
+
+    A value without a number is no value: it keeps its status, and no controller uses it.
+    """
+    readings = {}
+    for one in values:
+        value, age_s = one["value"], float(one["ageS"])
+        reading = Reading(
+            float("nan") if value is None else value if isinstance(value, str) else float(value),
+            received_s - max(age_s, 0.0),
+            float(one["quality"] or 0.0),
+            str(one["status"]),
+            bool(one.get("disagree", False)),
+        )
+        readings[str(one["name"])] = reading if value is not None else replace(reading, status="implausible")
+    return Body(readings)

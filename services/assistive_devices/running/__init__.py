@@ -1,0 +1,1 @@
+"""Machines that run: their cycles, history, trials and entities."""

@@ -1,0 +1,115 @@
+"""Runs one machine: 20 cycles a second, its history for the chart, and one trial at a time."""
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from handover.background_tasks import BackgroundTasks
+from handover.control.speed_limits import Allowed
+from handover.errors import Problem
+from handover.messages import message
+from handover.telemetry import get_logger
+from services.assistive_devices.body_link import BodyLink
+from services.assistive_devices.machine import MAX_STEP_S, Case, Machine, Seen
+from services.assistive_devices.metrics import CYCLES, FRACTION, STOPS
+from services.assistive_devices.trial import Trial, TrialFailed
+
+log = get_logger(__name__)
+
+PERIOD_S: Final = 0.05
+POINT_EVERY_S: Final = 0.5
+MAX_POINTS: Final = 1300
+"""Of the chart: a little more than the ten minutes of the longest trial."""
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """The values of the chart at a time, in s since 1970."""
+
+    at_s: float
+    values: dict[str, float]
+
+
+class MachineRunner:
+    """The machine of one case, with the link to the body of its person."""
+
+    def __init__(self, case: Case, link: BodyLink, tasks: BackgroundTasks) -> None:
+        self.case = case
+        self.link = link
+        self.machine: Machine = case.make()
+        self.points: deque[Point] = deque(maxlen=MAX_POINTS)
+        self.trial: Trial | None = None
+        self.on_cycle: Callable[[MachineRunner], None] = lambda _: None
+        self.allowed = Allowed("body", 0.0)
+        self._tasks = tasks
+        self._trial_task: asyncio.Task[None] | None = None
+        self._point_s = 0.0
+
+    async def run(self) -> None:
+        """Compute cycles until cancelled."""
+        clock = asyncio.get_running_loop().time
+        before_s = due_s = clock()
+        while True:
+            due_s = max(due_s + PERIOD_S, clock())
+            await asyncio.sleep(due_s - clock())
+            passed_s, before_s = clock() - before_s, clock()
+            CYCLES.observe(passed_s)
+            self.cycle(min(passed_s, MAX_STEP_S))
+
+    def cycle(self, dt_s: float) -> None:
+        """Compute one cycle."""
+        now_s = time.monotonic()
+        self.allowed = self.link.allowed(now_s)
+        FRACTION.labels(self.case.name).set(self.allowed.fraction)
+        self.machine.step(Seen(now_s, dt_s, self.link.body, self.allowed))
+        self.link.do(self.machine.acts())
+        if now_s - self._point_s >= POINT_EVERY_S:
+            self._point_s = now_s
+            self.points.append(Point(time.time(), dict(self.machine.state().chart)))
+        self.on_cycle(self)
+
+    def start(self) -> None:
+        """Let the machine move."""
+        self.machine.start()
+
+    def stop(self) -> None:
+        """Stop the machine, and its trial."""
+        STOPS.labels(self.case.name, "person").inc()
+        self.machine.stop()
+        if self.trial is not None and self.trial.is_running:
+            self.trial.failure = "a person stopped the machine"
+            self.trial.is_running = False
+            if self._trial_task is not None:
+                self._trial_task.cancel()
+
+    async def reset(self) -> None:
+        """Release a stop of the limit, at human state and here. Raises `Problem` while it is not possible."""
+        await self.link.reset()
+
+    def begin_trial(self, duration_s: float | None) -> None:
+        """Begin a trial. Raises `Problem` 409 while one runs."""
+        if self.trial is not None and self.trial.is_running:
+            raise Problem(
+                409,
+                "Trial runs",
+                message(
+                    "case.trial_runs", "a trial of {case} runs already; stop it first", case=self.case.name
+                ),
+            )
+        self.trial = Trial(duration_s, on_reset=self.reset)
+        self._trial_task = self._tasks.start(self._perform, self.trial)
+
+    async def _perform(self, trial: Trial) -> None:
+        try:
+            await self.machine.perform_trial(trial)
+        except TrialFailed as failed:
+            trial.failure = str(failed)
+        except Exception as error:
+            trial.failure = f"{type(error).__name__}: {error}"
+            raise
+        finally:
+            self.machine.stop()
+            trial.is_running = False

@@ -1,0 +1,44 @@
+"""The settings of assistive devices, in addition to the common ones."""
+
+from pydantic import Field
+
+from handover.settings import Names, Settings
+
+
+class AssistiveSettings(Settings):
+    """The machines that run, and where the state of persons comes from."""
+
+    assistive_port: int = Field(54290, ge=1, le=65535, description="REST port of assistive devices")
+    assistive_url: str | None = Field(
+        None, description="where others reach assistive devices; http://host:port of it if absent"
+    )
+    assistive_machines: Names = Field(
+        (), description="the machines that run, separated by commas: wheelchair, bed, treadmill, bin-picking"
+    )
+    human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
+    human_state_url: str | None = Field(
+        None, description="where others reach human state; http://host:port of it if absent"
+    )
+    trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
+    trajectory_url: str | None = Field(
+        None, description="where speed limits reach the trajectory tool; http://host:port of it if absent"
+    )
+    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
+    orchestrator_url: str | None = Field(
+        None, description="where the broker reaches the orchestrator; host and port if absent"
+    )
+
+    @property
+    def human_state(self) -> str:
+        """The URL of human state."""
+        return self.url_of(self.human_state_port, self.human_state_url)
+
+    @property
+    def trajectory_tool(self) -> str:
+        """The URL of the trajectory tool."""
+        return self.url_of(self.trajectory_port, self.trajectory_url)
+
+    @property
+    def orchestrator(self) -> str:
+        """The URL of the orchestrator."""
+        return self.url_of(self.orchestrator_port, self.orchestrator_url)

@@ -1,0 +1,80 @@
+"""A trial: the script of a case, which waits for conditions and compares figures with those of the paper."""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+POLL_S: Final = 0.05
+
+
+class TrialFailed(Exception):
+    """A condition of a trial did not come true; the text names it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One line of the comparison. `passed` is None where there is nothing to decide."""
+
+    name: str
+    paper: str
+    ours: str
+    passed: bool | None = None
+
+
+@dataclass(slots=True)
+class Trial:
+    """The course of a trial. `duration_s` is how long the machine is used; the paper's by default."""
+
+    duration_s: float | None = None
+    began_s: float = field(default_factory=time.monotonic)
+    messages: list[tuple[float, str]] = field(default_factory=list)
+    """The time since the beginning in s, and what happened."""
+    figures: list[Figure] = field(default_factory=list)
+    failure: str = ""
+    is_running: bool = True
+    on_reset: Callable[[], Awaitable[object]] | None = None
+    """Releases a stop of the limit, as the person in charge does."""
+
+    async def reset(self) -> None:
+        """Let the person in charge release a stop of the limit."""
+        if self.on_reset is not None:
+            await self.on_reset()
+
+    @property
+    def passed(self) -> bool:
+        """Return whether the machine did what it should."""
+        return (
+            not self.is_running and not self.failure and all(one.passed is not False for one in self.figures)
+        )
+
+    @property
+    def elapsed_s(self) -> float:
+        """Return the time since the beginning."""
+        return time.monotonic() - self.began_s
+
+    def say(self, text: str) -> None:
+        """Note what happens, for people."""
+        self.messages.append((self.elapsed_s, text))
+
+    def compare(self, name: str, paper: str, ours: str, passed: bool | None = None) -> None:
+        """Add a figure of the paper with ours."""
+        self.figures.append(Figure(name, paper, ours, passed))
+
+    async def until(self, what: str, condition: Callable[[], bool], timeout_s: float) -> float:
+        """Wait until `condition` holds; return the seconds. Raises `TrialFailed` after `timeout_s`."""
+        began_s = time.monotonic()
+        while not condition():
+            if time.monotonic() - began_s > timeout_s:
+                raise TrialFailed(f"{what}: not within {timeout_s:.0f} s")
+            await asyncio.sleep(POLL_S)
+        return time.monotonic() - began_s
+
+    async def holds(self, what: str, condition: Callable[[], bool], for_s: float) -> None:
+        """Wait `for_s` while `condition` holds. Raises `TrialFailed` when it does not."""
+        began_s = time.monotonic()
+        while time.monotonic() - began_s < for_s:
+            if not condition():
+                raise TrialFailed(f"{what}: not any more after {time.monotonic() - began_s:.1f} s")
+            await asyncio.sleep(POLL_S)
