@@ -19,6 +19,12 @@ Array = NDArray[np.float64]
 BASE_POSITIONS, BASE_VELOCITIES = 7, 6
 
 
+def cross(first: Array, second: Array) -> Array:
+    """Return the vector product of two vectors (3,), in a tenth of the time of `numpy.cross`."""
+    (a, b, c), (x, y, z) = first.tolist(), second.tolist()
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+
+
 class Kinematics:
     """A humanoid for computations; not thread-safe, so each thread makes its own.
 
@@ -108,6 +114,23 @@ class Kinematics:
     def momentum_matrix(self) -> Array:
         """Return the centroidal momentum matrix: (6, n_velocities), linear first."""
         return np.asarray(pin.computeCentroidalMap(self.pin_model, self.data, self._q))[:, self._columns]
+
+    def joint_damping(self) -> Array:
+        """Return the viscous damping of each joint as the URDF has it, in N m s/rad."""
+        return np.asarray(np.array(self.pin_model.damping)[self._v_of])
+
+    def inverse_dynamics(self, v: Array, acceleration: Array, upwards: Array) -> Array:
+        """Return the forces (n_velocities,) that move the state of `update` without any contact.
+
+        `upwards` (3,) in m/s² is what an accelerometer at rest would show: gravity, and an acceleration of
+        the whole body. The inertia of drives is not part of it.
+        """
+        self.pin_model.gravity = pin.Motion(-upwards, np.zeros(3))
+        self._v[:BASE_VELOCITIES], self._v[self._v_of] = v[:BASE_VELOCITIES], v[BASE_VELOCITIES:]
+        wanted = np.zeros(self.n_velocities)
+        wanted[self._columns] = acceleration
+        forces = pin.rnea(self.pin_model, self.data, self._q, self._v, wanted)
+        return np.asarray(np.asarray(forces)[self._columns])
 
     def integrate(self, q: Array, v: Array, dt_s: float) -> Array:
         """Return the configuration after moving with `v` for `dt_s`."""

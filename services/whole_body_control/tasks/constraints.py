@@ -42,14 +42,24 @@ class JointLimits(Constraint):
 
 
 class Contact(Constraint):
-    """A link does not move, as a foot on the ground: an equality above all levels."""
+    """A link does not move, as a foot on the ground: an equality above all levels.
 
-    def __init__(self, link: str) -> None:
+    With a `target` (a `pinocchio.SE3`) it is drawn there with `gain` in 1/s, so that rounding does not let
+    it drift over thousands of cycles.
+    """
+
+    def __init__(self, link: str, target: Any = None, gain: float = 10.0) -> None:
         self.name, self.link = f"contact of {link}", link
+        self.target, self.gain = target, gain
 
     def bounds(self, kinematics: Kinematics, q: Array, dt_s: float) -> Bounds:  # noqa: ARG002
-        """Return six rows that are zero."""
-        return Bounds(kinematics.jacobian(self.link), np.zeros(6), np.zeros(6))
+        """Return six rows that are zero, or lead back to the target."""
+        wanted = np.zeros(6)
+        if self.target is not None:
+            pose = kinematics.pose(self.link)
+            wanted[:3] = self.gain * (self.target.translation - pose.translation)
+            wanted[3:] = self.gain * pin.log3(self.target.rotation @ pose.rotation.T)
+        return Bounds(kinematics.jacobian(self.link), wanted, wanted.copy())
 
 
 class SupportPolygon(Constraint):

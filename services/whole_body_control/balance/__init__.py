@@ -1,0 +1,1 @@
+"""Balance: where the robot is, which forces hold it, and how it answers a push."""

@@ -1,0 +1,96 @@
+"""Forces on the feet for a wanted zero moment point, and the joint torques that make them.
+
+The centre of mass of a linear inverted pendulum above the ZMP p needs the force m (c'' + g) with
+c'' = omega² (c - p); it passes through the centre of mass. It is shared by the feet that stand, with a centre
+of pressure of each inside of its sole, and the joints carry body and forces (Kajita 2010, Caron 2019).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.whole_body_control.model.kinematics import BASE_VELOCITIES, Array, Kinematics, cross
+from services.whole_body_control.patterns.regions import Footprint, Side, turn
+
+GRAVITY_MPS2 = 9.81
+UPWARDS = np.array([0.0, 0.0, GRAVITY_MPS2])
+
+
+def nearest_in_sole(foot: Footprint, sole: Array, point: Array, margin_m: float) -> Array:
+    """Return the point (2,) of a rectangular sole, `margin_m` inside, that is nearest to a point."""
+    local = turn(foot.yaw).T @ (point - foot.place)
+    low, high = sole.min(axis=0) + margin_m, sole.max(axis=0) - margin_m
+    return np.asarray(turn(foot.yaw) @ np.clip(local, low, high) + foot.place)
+
+
+def shares(
+    feet: Mapping[Side, Footprint], sole: Array, zmp: Array, margin_m: float
+) -> dict[Side, tuple[float, Array]]:
+    """Return for each standing foot its share of the weight and its centre of pressure (2,)."""
+    if len(feet) == 1:
+        ((name, foot),) = feet.items()
+        return {name: (1.0, nearest_in_sole(foot, sole, zmp, margin_m))}
+    (first, one), (second, other) = feet.items()
+    centre = sole.mean(axis=0)
+    start, end = (one.to_ground(centre[None])[0], other.to_ground(centre[None])[0])
+    line = end - start
+    share = float(np.clip((zmp - start) @ line / (line @ line), 0.0, 1.0))
+    offset = zmp - (start + share * line)
+    points = [
+        nearest_in_sole(foot, sole, middle + offset, margin_m)
+        for foot, middle in ((one, start), (other, end))
+    ]
+    return {first: (1.0 - share, points[0]), second: (share, points[1])}
+
+
+@dataclass(frozen=True, slots=True)
+class Needed:
+    """What a motion needs: torques of the joints without contact, and the wrench of the ground on the robot.
+
+    `force` (3,) in N, `zmp` (2,) in m where it has no horizontal moment, `yaw_moment` in N m there.
+    """
+
+    torques: Array
+    force: Array
+    zmp: Array
+    yaw_moment: float
+
+
+class FeedForward:
+    """Joint torques for a motion and the forces of the feet; reads an updated `Kinematics`."""
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self._kinematics = kinematics
+        self._damping = kinematics.joint_damping()
+
+    def needed(self, velocity: Array, acceleration: Array, shift: Array) -> Needed:
+        """Return what a velocity and an acceleration (n_velocities,) of the reference need.
+
+        `shift` (3,) in m/s² is what the stabiliser adds to the acceleration of the whole body. The wrench has
+        the moment that swinging limbs need, which the pendulum of the plan does not know.
+        """
+        kinematics = self._kinematics
+        forces = kinematics.inverse_dynamics(velocity, acceleration, shift + UPWARDS)
+        base = kinematics.pose(kinematics.humanoid.root)
+        force = base.rotation @ forces[:3]
+        moment = base.rotation @ forces[3:BASE_VELOCITIES] + cross(base.translation, force)
+        zmp = np.array([-moment[1], moment[0]]) / max(force[2], 1.0)
+        yaw_moment = moment[2] - (zmp[0] * force[1] - zmp[1] * force[0])
+        return Needed(forces[BASE_VELOCITIES:], force, zmp, float(yaw_moment))
+
+    def torques(self, needed: Needed, forces: Mapping[str, tuple[float, Array]], velocity: Array) -> Array:
+        """Return the torques of the joints in N m.
+
+        `forces` has for each link on the ground its share of the force and its centre of pressure (2,). The
+        known damping of the joints is compensated.
+        """
+        kinematics, found = self._kinematics, needed.torques
+        wrench = np.empty(6)
+        for link, (share, point) in forces.items():
+            pose = kinematics.pose(link)
+            arm = np.array([*(point - pose.translation[:2]), -pose.translation[2]])
+            wrench[:3], wrench[3:] = share * needed.force, share * cross(arm, needed.force)
+            wrench[5] += share * needed.yaw_moment
+            found = found - kinematics.jacobian(link)[:, BASE_VELOCITIES:].T @ wrench
+        return np.asarray(found + self._damping * velocity[BASE_VELOCITIES:])

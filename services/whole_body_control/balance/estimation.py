@@ -1,0 +1,177 @@
+"""State estimation without a view of the world: leg odometry with an inertial sensor.
+
+Roll and pitch integrate the gyroscope, and follow the accelerometer slowly (a complementary filter after
+Mahony 2008, with an estimate of the bias). Feet that carry weight do not move: the velocity of the base is
+what keeps the centres of pressure still, weighted by the force on each foot. The position integrates it, and
+follows the places where the feet came to stand, so that it does not drift while they stand. The ground is
+flat, at height 0. Yaw and position on the ground have no reference, and drift with the steps.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from handover.errors import UsageError
+from services.whole_body_control.components.robot import RobotSensors
+from services.whole_body_control.model.kinematics import BASE_VELOCITIES, Array, Kinematics, cross
+
+GRAVITY_MPS2 = 9.81
+TILT_GAIN, BIAS_GAIN = 0.4, 0.02
+"""How fast the tilt follows the accelerometer in 1/s, and the bias of the gyroscope in 1/s²."""
+ANCHOR_GAIN = 10.0
+"""How fast the position follows the places of the standing feet, in 1/s."""
+MIN_CONTACT_N = 30.0
+"""A foot with less force does not stand."""
+MAX_SHAKE_MPS2 = 3.0
+
+
+@dataclass
+class FootState:
+    """A foot: its sole, the force on it in N, the centre of pressure (2,) in the frame of the sole in m."""
+
+    link: str
+    sensor_row: int
+    to_sole: Array
+    weight_below_n: float
+    corners: Array
+    force_n: float = 0.0
+    share: float = 0.5
+    """The share of the weight that it carries."""
+
+    def __post_init__(self) -> None:
+        self.pressure = self.corners[:, :2].mean(axis=0)
+        self.anchor = np.zeros(3)
+        self.is_standing = False
+
+
+class StateEstimator:
+    """Estimates base, velocities, centre of mass and feet; starts at rest at `q`. Not thread-safe.
+
+    `kinematics` is updated with the estimate, and belongs to it.
+    """
+
+    def __init__(self, kinematics: Kinematics, q: Array) -> None:
+        self.kinematics = kinematics
+        humanoid = kinematics.humanoid
+        self.q, self.v = q.copy(), np.zeros(kinematics.n_velocities)
+        self._rotation = pin.Quaternion(q[3:7]).toRotationMatrix()
+        self._position = q[:3].copy()
+        self._bias = np.zeros(3)
+        kinematics.update(q)
+        base = kinematics.pose(humanoid.root)
+        inertial = kinematics.pose(humanoid.sensors.inertial[0])
+        self._of_inertial = base.rotation.T @ inertial.rotation
+        self.feet = {
+            name: _foot(kinematics, contact.link, np.array(contact.corners))
+            for name, contact in humanoid.contacts.items()
+        }
+        for foot in self.feet.values():
+            foot.anchor = np.array(kinematics.pose(foot.link).translation)
+            foot.is_standing = True
+        self.com, self.com_velocity = kinematics.centre_of_mass(), np.zeros(3)
+
+    @property
+    def rotation(self) -> Array:
+        """Return the orientation (3, 3) of the base."""
+        return np.asarray(self._rotation)
+
+    def update(self, sensors: RobotSensors, dt_s: float) -> None:
+        """Compute the state of `dt_s` after the last one."""
+        spin = self._turn(sensors, dt_s)
+        self._measure_feet(sensors)
+        self.q[:3] = self._position
+        self.q[3:7] = pin.Quaternion(self._rotation).coeffs()
+        self.q[7:] = sensors.positions
+        self.v[:3] = 0.0
+        self.v[3:BASE_VELOCITIES] = spin
+        self.v[BASE_VELOCITIES:] = sensors.velocities
+        self.kinematics.update(self.q, self.v)
+        velocity, correction = self._walked()
+        step = (velocity + ANCHOR_GAIN * correction) * dt_s
+        self._position += step
+        self.q[:3] = self._position
+        self.v[:3] = self._rotation.T @ velocity
+        self.com = self.kinematics.centre_of_mass() + step
+        self.com_velocity = np.asarray(self.kinematics.data.vcom[0]) + velocity
+        self._anchor(step)
+
+    def sole(self, name: str) -> Array:
+        """Return the place (3,) of the origin of a sole."""
+        return np.array(self.kinematics.pose(self.feet[name].link).translation)
+
+    @property
+    def centre_of_pressure(self) -> Array:
+        """Return the measured centre of pressure (2,) on the ground; not finite while no foot stands."""
+        points = sum((foot.share * self._point(foot)[:2] for foot in self.feet.values()), np.zeros(2))
+        return points if any(foot.is_standing for foot in self.feet.values()) else np.full(2, np.nan)
+
+    def _turn(self, sensors: RobotSensors, dt_s: float) -> Array:
+        """Integrate the gyroscope and return the angular velocity of the base in its own frame."""
+        spin = self._of_inertial @ sensors.gyroscope - self._bias
+        force = self._of_inertial @ sensors.accelerometer
+        strength = float(np.linalg.norm(force))
+        corrected = spin
+        if abs(strength - GRAVITY_MPS2) < MAX_SHAKE_MPS2:
+            error = cross(force / strength, self._rotation[2])
+            corrected = spin + TILT_GAIN * error
+            self._bias -= BIAS_GAIN * dt_s * error
+        self._rotation = self._rotation @ pin.exp3(corrected * dt_s)
+        return np.asarray(spin)
+
+    def _measure_feet(self, sensors: RobotSensors) -> None:
+        total = 0.0
+        for foot in self.feet.values():
+            wrench = sensors.wrenches[foot.sensor_row]
+            foot.force_n = max(float(wrench[2]) + foot.weight_below_n, 0.0)
+            foot.is_standing = foot.force_n > MIN_CONTACT_N
+            if foot.is_standing:
+                total += foot.force_n
+                force, torque = wrench[:3], wrench[3:] - cross(foot.to_sole, wrench[:3])
+                at = np.array([-torque[1], torque[0]]) / force[2]
+                low, high = foot.corners[:, :2].min(axis=0), foot.corners[:, :2].max(axis=0)
+                foot.pressure = np.clip(at, low, high)
+        for foot in self.feet.values():
+            foot.share = foot.force_n / total if foot.is_standing else 0.0
+
+    def _point(self, foot: FootState) -> Array:
+        """Return the centre of pressure (3,) in the world."""
+        pose = self.kinematics.pose(foot.link)
+        return np.asarray(pose.translation + pose.rotation[:, :2] @ foot.pressure)
+
+    def _walked(self) -> tuple[Array, Array]:
+        """Return the velocity (3,) of the base, and its distance (3,) from where the feet put it."""
+        velocity, correction = np.zeros(3), np.zeros(3)
+        for foot in self.feet.values():
+            if foot.share:
+                pose = self.kinematics.pose(foot.link)
+                moving = self.kinematics.velocity(foot.link)
+                arm = pose.rotation[:, :2] @ foot.pressure
+                velocity -= foot.share * (moving[:3] + cross(moving[3:], arm))
+                correction += foot.share * (foot.anchor - pose.translation)
+        return velocity, correction
+
+    def _anchor(self, step: Array) -> None:
+        """Keep the places of standing feet; those that come to stand do so on the ground where they are."""
+        for foot in self.feet.values():
+            place = self.kinematics.pose(foot.link).translation + step
+            if foot.share < 0.3:
+                foot.anchor = np.array([*place[:2], 0.0])
+
+
+def _foot(kinematics: Kinematics, link: str, corners: Array) -> FootState:
+    """Return a foot with the force-torque sensor above it. Raises `UsageError` without one."""
+    humanoid = kinematics.humanoid
+    sole = kinematics.pose(link)
+    chain = next((each for each in humanoid.chains.values() if each.tip == link), None)
+    sensors = list(humanoid.sensors.force_torque.items())
+    joint_id = kinematics.pin_model.getJointId(chain.joints[-1]) if chain else None
+    for row, (_, sensor) in enumerate(sensors):
+        frame = kinematics.pin_model.frames[kinematics.pin_model.getFrameId(sensor)]
+        if frame.parentJoint == joint_id:
+            offset = kinematics.pose(sensor).actInv(sole).translation
+            mass_kg = kinematics.pin_model.inertias[joint_id].mass
+            return FootState(link, row, np.array(offset), mass_kg * GRAVITY_MPS2, corners)
+    raise UsageError(
+        f'{humanoid.name} has no force-torque sensor at "{link}", at the tip of a chain; balance needs one'
+    )

@@ -1,0 +1,1 @@
+"""What a humanoid does: standing and walking."""

@@ -1,0 +1,244 @@
+"""Walking: pattern generator, stabiliser, stack of tasks and feed-forward torques in one controller.
+
+Every `PERIOD_S` of the pattern generator the motion of the next period is planned. Every control period
+
+1. the state is estimated from the sensors,
+2. the stabiliser moves the wanted ZMP by the error of the capture point, within the soles that stand,
+3. the stack of tasks computes the joints for the planned centre of mass and feet,
+4. the torques of the wanted forces are fed forward to the joint impedance.
+
+The plan lives on the ground of the footsteps. The estimate drifts against it with every step, and is moved by
+what the standing feet are off their footprints.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+
+from services.whole_body_control.balance.contact_forces import FeedForward, shares
+from services.whole_body_control.balance.estimation import StateEstimator
+from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.engines.stack_engine import StackEngine
+from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
+from services.whole_body_control.patterns.footsteps import Stance, StepLimits, Wish, swing_position
+from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
+from services.whole_body_control.patterns.regions import Footprint, Side
+from services.whole_body_control.patterns.walking import Pattern, WalkingPattern
+from services.whole_body_control.patterns.zmp_control import PERIOD_S, ZmpControl
+from services.whole_body_control.solvers.problem import Solver
+from services.whole_body_control.tasks.base import Constraint, Level
+from services.whole_body_control.tasks.constraints import Contact, JointLimits
+from services.whole_body_control.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
+
+ACCELERATION_SHARE, MAX_ACCELERATION = 0.3, 60.0
+"""Of the newest difference of velocities in their moving mean; in rad/s² or m/s²."""
+FOOT_GAIN, MAX_OFFSET_M = 10.0, 0.02
+"""How fast the target of a foot in the air makes up for what it missed, in 1/s, and by how much at most."""
+SIDES: tuple[Side, Side] = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class WalkingSettings:
+    """The parameters of walking."""
+
+    pose: str = "stand"
+    control_s: float = 0.004
+    capture_gain: float = 2.5
+    """How far the ZMP moves for an error of the capture point; above 1 the error shrinks."""
+    sole_margin_m: float = 0.02
+    lift_m: float = 0.03
+    contacts: dict[str, str] = field(default_factory=lambda: {"left": "left_sole", "right": "right_sole"})
+
+
+@dataclass(frozen=True, slots=True)
+class WalkingState:
+    """What one control period found and wanted, on the ground of the footsteps."""
+
+    stance: Stance
+    reference: PendulumState
+    com: Array
+    com_velocity: Array
+    wanted_zmp: Array
+    measured_zmp: Array
+    fault: str = ""
+
+
+class WalkingController:
+    """Walks with a commanded velocity. Not thread-safe; `step` performs no I/O."""
+
+    def __init__(
+        self,
+        humanoid: Humanoid,
+        solver: Solver | None = None,
+        settings: WalkingSettings | None = None,
+        limits: StepLimits | None = None,
+    ) -> None:
+        self.settings = settings or WalkingSettings()
+        self._kinematics = Kinematics(humanoid)
+        self.start = self._kinematics.standing(self.settings.pose)
+        self._q = self.start.copy()
+        self._kinematics.update(self._q)
+        self.estimator = StateEstimator(Kinematics(humanoid), self.start)
+        contacts = self.settings.contacts
+        self._links: dict[Side, str] = {side: humanoid.contacts[contacts[side]].link for side in SIDES}
+        self._sole = np.array(humanoid.contacts[contacts["left"]].corners)[:, :2]
+        self._start_feet = {side: self._kinematics.pose(self._links[side]).copy() for side in SIDES}
+        self._com_height = float(self._kinematics.centre_of_mass()[2])
+        self._pendulum = Pendulum(self._com_height)
+        stance = Stance(self._footprint("left"), self._footprint("right"))
+        width = float(np.linalg.norm(stance.left.place - stance.right.place))
+        limits = limits or StepLimits(width, 0.85 * width, 1.5 * width, 0.1)
+        self._pattern = WalkingPattern(ZmpControl(self._pendulum), limits, self._sole, stance)
+        self._limits = limits
+        self._next = self._pattern.step(Wish(np.zeros(2)))
+        first = self._next.plan.states[0]
+        com = np.array([*first.com, self._com_height])
+        self.state = WalkingState(stance, first, com, np.zeros(3), first.zmp, first.zmp)
+        self._phase_s = 0.0
+        self._feed_forward = FeedForward(self._kinematics)
+        self._solver = solver
+        self._tasks(humanoid)
+        self.wish = Wish(np.zeros(2))
+        self._shift = np.zeros(2)
+        self._foot_offset, self._foot_wanted = np.zeros(3), np.zeros(3)
+
+    def step(self, sensors: RobotSensors, command: JointCommand) -> WalkingState:
+        """Compute the command of the next `control_s`.
+
+        Sensors with values that are not finite change nothing: the last command holds, and `fault` says why.
+        """
+        if not sensors.is_finite:
+            return replace(
+                self.state, fault="a sensor has a value that is not finite; the last command holds"
+            )
+        dt_s = self.settings.control_s
+        self.estimator.update(sensors, dt_s)
+        if self._phase_s >= PERIOD_S - dt_s / 2:
+            self._next, self._phase_s = self._pattern.step(self.wish), 0.0
+        pattern = self._next
+        self._phase_s += dt_s
+        plan = pattern.plan
+        reference = self._pendulum.advance(plan.states[0], plan.zmp_velocities[0], self._phase_s)
+        com, velocity, measured_zmp = self._on_plan(pattern.stance)
+        omega = self._pendulum.omega
+        error = com[:2] + velocity[:2] / omega - self._pendulum.capture_point(reference)
+        wanted = reference.zmp + self.settings.capture_gain * error
+        feet = self._standing(pattern.stance)
+        forces = shares(feet, self._sole, wanted, self.settings.sole_margin_m)
+        wanted = sum((share * point for share, point in forces.values()), np.zeros(2))
+        fault = self._move(pattern, reference, dt_s)
+        self._send(command, omega**2 * (reference.zmp - wanted), feet)
+        self.state = WalkingState(pattern.stance, reference, com, velocity, wanted, measured_zmp, fault)
+        return self.state
+
+    def _tasks(self, humanoid: Humanoid) -> None:
+        self._com = CentreOfMassTask("com", self._kinematics.centre_of_mass(), gain=20.0)
+        self._waist = OrientationTask("waist", humanoid.root)
+        self._posture = posture(self._kinematics, self.settings.pose)
+        limits = JointLimits(self._kinematics)
+        self._swing = {
+            side: PoseTask(f"{side} foot", self._links[side], self._start_feet[side], gain=20.0)
+            for side in SIDES
+        }
+        self._contacts = {side: Contact(self._links[side], self._start_feet[side]) for side in SIDES}
+        self._engines: dict[tuple[Side, ...], StackEngine] = {}
+        supports: tuple[tuple[Side, ...], ...] = (SIDES, ("left",), ("right",))
+        for standing in supports:
+            top: Level = self._com
+            for side in SIDES:
+                if side not in standing:
+                    top = top & self._swing[side]
+            constraints: list[Constraint] = [self._contacts[side] for side in standing]
+            stack = top / self._waist / self._posture << [*constraints, limits]
+            self._engines[standing] = StackEngine(self._kinematics, stack, self._solver)
+        self._velocity = np.zeros(self._kinematics.n_velocities)
+        self._acceleration = np.zeros(self._kinematics.n_velocities)
+
+    def _move(self, pattern: Pattern, reference: PendulumState, dt_s: float) -> str:
+        """Advance the joint references; return what is wrong."""
+        stance = pattern.stance
+        self._com.target = np.array([*reference.com, self._com_height])
+        self._com.velocity = np.array([*reference.velocity, 0.0])
+        standing: list[Side] = []
+        for side in SIDES:
+            if stance.phase == "single" and side == stance.swing:
+                self._swing_foot(stance, dt_s)
+            else:
+                standing.append(side)
+                self._contacts[side].target = self._on_ground(stance.foot(side), 0.0)
+        step = self._engines[tuple(standing)].step(self._q, dt_s)
+        change = (step.velocity - self._velocity) / dt_s
+        self._acceleration += ACCELERATION_SHARE * (
+            np.clip(change, -MAX_ACCELERATION, MAX_ACCELERATION) - self._acceleration
+        )
+        self._q, self._velocity = step.q, step.velocity
+        return step.fault
+
+    def _swing_foot(self, stance: Stance, dt_s: float) -> None:
+        start, landing = stance.foot(stance.swing), stance.landing or stance.foot(stance.swing)
+        whole = self._limits.single * PERIOD_S
+        now = whole - stance.remaining * PERIOD_S + self._phase_s
+        places = [
+            swing_position(start, landing, time_s / whole, self.settings.lift_m)
+            for time_s in (now, now + dt_s)
+        ]
+        share = min(max(now / whole, 0.0), 1.0)
+        smooth = share**3 * (10 - 15 * share + 6 * share**2)
+        yaw = start.yaw + smooth * (landing.yaw - start.yaw)
+        task = self._swing[stance.swing]
+        foot = self.estimator.sole(self.settings.contacts[stance.swing])
+        foot[:2] += self._shift
+        missed = self._foot_wanted - foot if now > 1.5 * dt_s else np.zeros(3)
+        self._foot_wanted = places[0]
+        kept = self._foot_offset if now > 1.5 * dt_s else np.zeros(3)
+        self._foot_offset = np.clip(kept + FOOT_GAIN * dt_s * missed, -MAX_OFFSET_M, MAX_OFFSET_M)
+        place = places[0] + self._foot_offset
+        task.target = self._on_ground(
+            Footprint(stance.swing, float(place[0]), float(place[1]), yaw), float(place[2])
+        )
+        task.velocity = np.concatenate([(places[1] - places[0]) / dt_s, np.zeros(3)])
+
+    def _send(self, command: JointCommand, shift: Array, feet: dict[Side, Footprint]) -> None:
+        self._kinematics.update(self._q)
+        needed = self._feed_forward.needed(self._velocity, self._acceleration, np.array([*shift, 0.0]))
+        forces = shares(feet, self._sole, needed.zmp, self.settings.sole_margin_m)
+        links = {self._links[side]: force for side, force in forces.items()}
+        command.positions[:] = self._q[BASE_POSITIONS:]
+        command.velocities[:] = self._velocity[BASE_VELOCITIES:]
+        command.torques[:] = self._feed_forward.torques(needed, links, self._velocity)
+
+    def _standing(self, stance: Stance) -> dict[Side, Footprint]:
+        """Return the feet that stand by the plan."""
+        return {
+            side: stance.foot(side)
+            for side in SIDES
+            if not (stance.phase == "single" and side == stance.swing)
+        }
+
+    def _on_plan(self, stance: Stance) -> tuple[Array, Array, Array]:
+        """Return the centre of mass, its velocity and the ZMP as measured, moved onto the footprints."""
+        estimator, shift = self.estimator, np.zeros(2)
+        for side in SIDES:
+            foot = estimator.feet[self.settings.contacts[side]]
+            footprint = stance.foot(side)
+            if stance.phase == "single" and side == stance.swing and stance.landing is not None:
+                footprint = stance.landing
+            shift += foot.share * (footprint.place - estimator.sole(self.settings.contacts[side])[:2])
+        self._shift = shift
+        com = estimator.com.copy()
+        com[:2] += shift
+        return com, estimator.com_velocity, estimator.centre_of_pressure + shift
+
+    def _footprint(self, side: Side) -> Footprint:
+        pose = self._start_feet[side]
+        yaw = float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
+        return Footprint(side, float(pose.translation[0]), float(pose.translation[1]), yaw)
+
+    def _on_ground(self, foot: Footprint, height_m: float) -> pin.SE3:
+        start = self._start_feet[foot.side]
+        cosine, sine = np.cos(foot.yaw), np.sin(foot.yaw)
+        turned = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        level = start.translation[2]
+        return pin.SE3(turned, np.array([foot.x, foot.y, level + height_m]))

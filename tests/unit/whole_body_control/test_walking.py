@@ -1,0 +1,97 @@
+"""COMAN walks, turns, stops and is pushed in MuJoCo; its estimate is compared with the truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk, WalkRecord
+from services.whole_body_control.behaviours.walking import WalkingController
+from services.whole_body_control.model.kinematics import Array, Kinematics
+from services.whole_body_control.patterns.footsteps import Wish
+from services.whole_body_control.patterns.zmp_control import MARGIN_M
+from services.whole_body_control.robots import humanoid
+from services.whole_body_control.simulation.body_model import build
+from services.whole_body_control.simulation.simulated_robot import QUIET, TYPICAL_NOISE, SimulatedRobot
+from services.whole_body_control.solvers.hierarchical import Hierarchical
+
+COMAN = humanoid("coman")
+MODEL = build(COMAN)
+STILL = Wish(np.zeros(2))
+SPEED_MPS, YAW_RATE = 0.08, 0.1
+
+
+def walk(*, noisy: bool) -> SimulatedWalk:
+    controller = WalkingController(COMAN, Hierarchical())
+    noise = TYPICAL_NOISE if noisy else QUIET
+    return SimulatedWalk(controller, SimulatedRobot(COMAN, controller.start, noise, 1, MODEL))
+
+
+@dataclass
+class Walked:
+    record: WalkRecord
+    walk: SimulatedWalk
+    truth: Array
+    estimate: Array
+
+
+@pytest.fixture(scope="module")
+def walked() -> Walked:
+    """Return a walk of four seconds ahead and to the left, with noise, and two seconds to stop."""
+    one = walk(noisy=True)
+    wish = Wish(np.array([SPEED_MPS, 0.0]), YAW_RATE)
+    record = one.run(6.5, lambda time_s: wish if 0.2 <= time_s < 4.2 else STILL)
+    return Walked(record, one, one.robot.true_configuration(), one.controller.estimator.q.copy())
+
+
+def test_it_goes_where_it_is_sent_and_then_stands_on_both_feet(walked: Walked) -> None:
+    assert not walked.record.has_fallen
+    assert not any(state.fault for state in walked.record.states)
+    stance = walked.record.states[-1].stance
+    assert stance.phase == "standing"
+    assert (stance.left.x + stance.right.x) / 2 > 0.7 * 4.0 * SPEED_MPS
+    planned = (stance.left.place + stance.right.place) / 2 + [0.03, 0.0]
+    kinematics = Kinematics(COMAN)
+    kinematics.update(walked.truth)
+    assert kinematics.centre_of_mass()[:2] == pytest.approx(planned, abs=0.05)
+    yaw = 2 * np.arctan2(walked.truth[5], walked.truth[6])
+    assert yaw == pytest.approx(stance.left.yaw, abs=0.06)
+    assert stance.left.yaw > 0.2
+
+
+def test_it_keeps_to_the_plan(walked: Walked) -> None:
+    assert walked.record.tracking_rms_m() < 0.01
+    assert walked.record.planned_room_m.min() >= MARGIN_M - 1e-6
+    assert walked.record.is_single.sum() > 100
+    assert walked.record.share_inside() >= 0.9
+
+
+def test_the_estimate_follows_the_truth_but_for_the_drift_of_the_steps(walked: Walked) -> None:
+    walked_m = float(np.linalg.norm(walked.truth[:2]))
+    assert walked.estimate[:3] == pytest.approx(walked.truth[:3], abs=0.02 + 0.05 * walked_m)
+    assert walked.estimate[3:5] == pytest.approx(walked.truth[3:5], abs=0.01)
+    velocity = walked.walk.controller.estimator.v
+    assert velocity[:6] == pytest.approx(walked.walk.robot.true_velocity()[:6], abs=0.05)
+
+
+@pytest.mark.parametrize("impulse", [(10.0, 0.0), (-10.0, 0.0), (0.0, 5.0)], ids=str)
+def test_a_push_is_survived_while_it_stands(impulse: tuple[float, float]) -> None:
+    one = walk(noisy=False)
+    one.run(0.3, lambda _: STILL)
+    one.robot.push(np.array([*impulse, 0.0]))
+    record = one.run(1.6, lambda _: STILL)
+    assert not record.has_fallen
+    assert np.abs(record.com - record.reference).max() > 0.01  # the push was felt
+    assert np.linalg.norm(record.states[-1].com_velocity) < 0.1
+
+
+def test_a_sensor_that_is_not_finite_leaves_the_last_command() -> None:
+    one = walk(noisy=False)
+    one.run(0.02, lambda _: STILL)
+    before = one.command.positions.copy(), one.command.torques.copy()
+    one.sensors.gyroscope[1] = np.nan
+    state = one.controller.step(one.sensors, one.command)
+    assert "not finite" in state.fault
+    assert (one.command.positions == before[0]).all()
+    assert (one.command.torques == before[1]).all()
+    assert one.controller.step(walk(noisy=False).sensors, one.command).fault == ""
