@@ -198,6 +198,7 @@ bench-control: setup  ## people who move robots by hand: input to motion command
 
 bench-human-state: setup  ## body signals: beats, rates, faults, cost, beside neurokit2, xqrs and heartpy (ARGS=--quick)
 	@$(BIN)/python -m benchmarks.human_state $(ARGS)
+	@$(BIN)/python -m benchmarks.human_state_limits
 
 bench-whole-body: setup  ## the stack of tasks on COMAN: solvers on recorded problems (ARGS="--problems 400")
 	@$(BIN)/python -m benchmarks.whole_body $(ARGS)

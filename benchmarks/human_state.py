@@ -26,6 +26,7 @@ import wfdb.processing
 from numpy.typing import NDArray
 
 from benchmarks.steal_time import report_steal_time
+from services.human_state.drivers.monitor import SignalMonitor
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 from services.human_state.processing.beats import BeatDetector
@@ -313,9 +314,15 @@ def run_fault(
     wrong = 0
     now_s = begin_s
     queue = list(faulty[warm : warm + 16])
+    monitor = SignalMonitor("sensor", packets[0].info)
+    for packet in packets[:warm]:
+        monitor.take(packet, packet.end_s)
     while queue and now_s < begin_s + 16 * length_s:
         now_s += 0.05
-        features: list[Feature] = list(pipeline.advance(now_s)) if name == "gap" else []
+        silence = monitor.silence(now_s) if name == "gap" and found_s is None else None
+        if silence is not None:
+            found_s = now_s - begin_s
+        features: list[Feature] = [] if silence is None else list(pipeline.report(silence))
         arrived = begin_s + (17 - len(queue)) * length_s if name != "gap" else queue[0].end_s
         if now_s >= arrived:
             features += pipeline.feed(queue.pop(0))
@@ -336,14 +343,13 @@ def measure_slow_faults() -> None:
     found = []
     for period_s in (1.0, 3.0, 5.0):
         info = SignalInfo(SignalKind.HEART_RATE, "BPM", None)
-        pipeline = SignalPipeline(info, [])
+        monitor = SignalMonitor("radar", info)
         for number in range(6):
             at_s = BEGIN_S + number * period_s
-            pipeline.feed(Samples("radar", info, at_s, np.array([[70.0]]), np.array([at_s])))
+            monitor.take(Samples("radar", info, at_s, np.array([[70.0]]), np.array([at_s])), at_s)
         now_s = at_s
-        while not pipeline.take_reports():
+        while monitor.silence(now_s) is None:
             now_s += 0.1
-            pipeline.advance(now_s)
         found.append((now_s - at_s) / period_s)
     print(
         "  silence of sensors with a value each 1, 3 and 5 s: found after "

@@ -26,6 +26,7 @@ from typing import Any, ClassVar, Final
 from pydantic import BaseModel, ConfigDict, SecretStr
 
 from handover.extensions import ExtensionPoint
+from handover.messages import message
 from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
 
 Sink = Callable[[Samples | SensorReport], None]
@@ -114,7 +115,7 @@ class SensorDriver(ABC):
         at_s = now_s()
         if abs(at_s - self._rejected_s) >= 1.0:
             self._rejected_s = at_s
-            text = f"a packet was dropped: {error}"
+            text = message("health.sensor.packet", "a packet was dropped: {error}", error=str(error)[:300])
             sink(SensorReport(self.source, at_s, fault=SensorFault.ARTEFACT, text=text))
 
     @classmethod

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from pydantic import Field
 
 from handover.errors import UsageError
+from handover.messages import message, text_of
 from services.human_state.drivers.base import (
     DriverSettings,
     FoundDevice,
@@ -85,7 +86,9 @@ class BluetoothDriver(SensorDriver):
                 await self._serve(client, sink, lost)
         except (bleak.exc.BleakError, TimeoutError, OSError) as error:
             raise LinkLost(f"Bluetooth: {error or type(error).__name__}") from error
-        raise LinkLost("the device closed the connection, or is out of reach")
+        raise LinkLost(
+            message("health.sensor.out_of_reach", "the device closed the connection, or is out of reach")
+        )
 
     async def _serve(self, client: "BleakClient", sink: Sink, lost: asyncio.Event) -> None:
         """Serve and read the battery until the link is lost; what `serve` raises ends the connection."""
@@ -99,7 +102,7 @@ class BluetoothDriver(SensorDriver):
                 for task in serving:
                     task.cancel()
         except* LinkLost as group:
-            raise LinkLost(str(group.exceptions[0])) from group
+            raise LinkLost(text_of(group.exceptions[0])) from group
         except* (_bleak().exc.BleakError, TimeoutError, OSError) as group:
             raise LinkLost(f"Bluetooth: {group.exceptions[0]}") from group
 
@@ -113,7 +116,14 @@ class BluetoothDriver(SensorDriver):
         )
         if found is None:
             wanted = settings.address or settings.name or f"device with the service {self.service_uuid}"
-            raise LinkLost(f"no {wanted} within {settings.search_s:g} s; is it worn, charged and near?")
+            raise LinkLost(
+                message(
+                    "health.sensor.not_found",
+                    "no {wanted} within {seconds} s; is it worn, charged and near?",
+                    wanted=wanted,
+                    seconds=settings.search_s,
+                )
+            )
         return found
 
     def _is_wanted(self, device: Any, advertised: Any) -> bool:

@@ -11,13 +11,17 @@ Invariants, whatever a device sends:
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from handover.messages import message
+from services.human_state.drivers.continuity import Continuity
 from services.human_state.drivers.timing import ClockMap
+from services.human_state.drivers.value_checks import Runs, Units
 from services.human_state.model.signals import (
     ClockKind,
     Samples,
@@ -27,11 +31,6 @@ from services.human_state.model.signals import (
     SignalKind,
 )
 
-WAVEFORMS: Final = frozenset(
-    {SignalKind.ECG, SignalKind.PPG, SignalKind.EMG, SignalKind.EEG, SignalKind.EOG, SignalKind.ICG,
-     SignalKind.BCG}
-)  # fmt: skip
-"""Signals that are never constant on a body."""
 _NEVER_ZERO: Final = frozenset(
     {SignalKind.HEART_RATE, SignalKind.INTER_BEAT_INTERVAL, SignalKind.BREATHING_RATE, SignalKind.SPO2}
 )
@@ -44,26 +43,19 @@ MAX_TIME_S: Final = 1e11
 """Clocks of devices count less; a float resolves 15 microseconds there."""
 FAST_SILENCE_S: Final = 0.9
 """Waveforms come in packets; silence of them is found within 1 s."""
-MAX_FLAT_S: Final = 0.4
-SATURATED_RUN: Final = 3
-"""Samples at a bound in a row; single ones are peaks."""
-MAX_RATE_ERROR: Final = 0.02
 MAX_SLEW: Final = 0.01
 """Times of consecutive packets move by at most this share of their span towards the mapped clock."""
 MAX_RESIDUAL_S: Final = 0.5
 """Further off than this, they follow it at once and a clock jump is reported."""
+MAX_LATE_S: Final = 2.0
+"""Packets of a device with a clock of its own may come so much later than those before."""
+EXCUSED_S: Final = 1.0
+"""After a pause of this machine, what waited arrives within this time and that of the pause."""
+DRAINING: Final = 0.5
+"""Packets that come within this share of the time in which they were measured had to wait."""
+MIN_PERIODS: Final = 3
 _REPEAT_S: Final = 1.0
 """A lasting fault is reported this often."""
-_RATE_SPAN_S: Final = 1.0
-_MAX_RATE_SPAN_S: Final = 10.0
-_BLOCK_S: Final = 2.0
-_UNIT_FACTOR: Final = 100.0
-
-ECG_SPREAD_UV: Final = (5.0, 50_000.0)
-"""Peak to peak of an ECG at the skin in microvolt, with room for artefacts; volts lie outside."""
-GRAVITY_MPS2: Final = (3.0, 30.0)
-"""The median length of an acceleration with gravity, over 2 s; g and milli-g lie outside."""
-_MICROVOLTS: Final = {"D82": 1.0, "2Z": 1e3, "VLT": 1e6}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,35 +87,65 @@ class SignalMonitor:
         self._arrival_s: float | None = None
         self._is_silent = False
         self._lasting: dict[SensorFault, float] = {}
-        self._runs = _Runs(info)
-        self._units = _Units(info)
-        self._continuity = _Continuity(info)
+        self._runs = Runs(info)
+        self._units = Units(info)
+        self._continuity = Continuity(info)
         self._had_contact: bool | None = None
         self._last_out_s = -math.inf
+        self._periods_s: deque[float] = deque(maxlen=9)
+        self._late_s = 0.0
+        self._is_draining = False
+        """Whether packets come faster than they were measured: those that had to wait."""
+        self._late_until_s = -math.inf
 
     def restart(self) -> None:
         """Forget the times: the device was connected again. What was sent stays in the order of time."""
         self._clock.reset()
-        self._continuity = _Continuity(self.info)
-        self._runs = _Runs(self.info)
+        self._continuity = Continuity(self.info)
+        self._runs = Runs(self.info)
         self._arrival_s = None
         self._is_silent = False
 
+    def delayed(self, at_s: float, late_s: float) -> None:
+        """Take note that this machine took nothing for `late_s` before `at_s`: that is no silence."""
+        if self._arrival_s is not None:
+            self._arrival_s = min(self._arrival_s + late_s, at_s)
+        self._late_s = max(late_s, self._late_s if at_s <= self._late_until_s else 0.0)
+        self._late_until_s = at_s + late_s + EXCUSED_S
+
     def silence(self, at_s: float) -> SensorReport | None:
         """Return a report once when nothing has arrived for too long."""
-        if self._arrival_s is None or self._silence_s is None or self._is_silent:
+        limit_s = self._silence_limit_s()
+        if self._arrival_s is None or limit_s is None or self._is_silent:
             return None
         silent_s = at_s - self._arrival_s
-        if silent_s < self._silence_s:
+        if silent_s < limit_s:
             return None
         self._is_silent = True
-        text = f"no {self.info.kind} for {silent_s:.1f} s"
+        text = message(
+            "health.sensor.silent",
+            "no {signal} for {seconds} s",
+            signal=self.info.kind,
+            seconds=round(silent_s, 1),
+        )
         return self._report(SensorFault.GAP, at_s, text, {"silence_s": silent_s})
+
+    def _silence_limit_s(self) -> float | None:
+        """Return how long the signal may be silent: two periods of one that comes irregularly."""
+        if self._silence_s is not None or self.info.rate_hz is not None or len(self._periods_s) < MIN_PERIODS:
+            return self._silence_s
+        return max(FAST_SILENCE_S, 2 * float(np.median(self._periods_s)))
 
     def take(self, samples: Samples, arrival_s: float) -> Checked:
         """Check the samples of one packet that arrived at `arrival_s`, in s since 1970."""
         if len(samples.values) == 0:
             return Checked(None)
+        if self._arrival_s is not None and not self._is_silent:
+            self._periods_s.append(max(arrival_s - self._arrival_s, 0.0))
+        passed_s = math.inf if self._arrival_s is None else arrival_s - self._arrival_s
+        self._is_draining = self.info.rate_hz is not None and (
+            passed_s < DRAINING * len(samples.values) / self.info.rate_hz
+        )
         self._arrival_s = arrival_s
         self._is_silent = False
         reports: list[SensorReport] = []
@@ -141,7 +163,11 @@ class SignalMonitor:
         ours_s = arrival_s if samples.clock is ClockKind.ARRIVAL else 0.0
         far_s = MAX_AGE_S if samples.clock is ClockKind.ARRIVAL else MAX_TIME_S
         if not (abs(samples.start_s - ours_s) <= far_s and np.all(np.abs(times_s - ours_s) <= far_s)):
-            text = f"{self.info.kind}: an impossible time; the packet was dropped"
+            text = message(
+                "health.sensor.time",
+                "{signal}: an impossible time; the packet was dropped",
+                signal=self.info.kind,
+            )
             reports.append(self._report(SensorFault.ARTEFACT, arrival_s, text))
             return None
         if self.info.rate_hz is None:
@@ -186,26 +212,41 @@ class SignalMonitor:
     ) -> Samples | None:
         rate_hz = self.info.rate_hz or 1.0
         count = len(samples.values)
-        found = self._continuity.take(samples.start_s, count, arrival_s, samples.clock)
+        late_s = self._late_s if arrival_s <= self._late_until_s else 0.0
+        found = self._continuity.take(samples.start_s, count, arrival_s, samples.clock, late_s)
         if found.is_repeated:
             return None
         if found.gap_s:
-            text = f"{self.info.kind}: {found.gap_s:.2f} s are missing"
+            text = message(
+                "health.sensor.gap",
+                "{signal}: {seconds} s are missing",
+                signal=self.info.kind,
+                seconds=round(found.gap_s, 2),
+            )
             reports.append(self._report(SensorFault.GAP, arrival_s, text, {"gap_s": found.gap_s}))
         if found.jump_s:
             self._jumped(found.jump_s, arrival_s, reports)
             if samples.clock is ClockKind.RECORDING:
                 self._last_out_s = -math.inf
         if found.rate_hz is not None:
-            text = f"{self.info.kind}: {found.rate_hz:.4g} samples per second arrive, {rate_hz:g} are stated"
+            text = message(
+                "health.sensor.rate",
+                "{signal}: {measured} samples per second arrive, {stated} are stated",
+                signal=self.info.kind,
+                measured=round(found.rate_hz, 2),
+                stated=round(rate_hz, 2),
+            )
             details = {"measured_hz": found.rate_hz, "stated_hz": rate_hz}
             self._lasts(SensorFault.RATE, arrival_s, text, reports, details)
             samples = replace(samples, quality=0.0)
         target_s, uncertainty_s = self._mapped(samples, count / rate_hz, arrival_s)
         if found.is_continued and math.isfinite(self._last_out_s):
             residual_s = target_s - (self._last_out_s + 1 / rate_hz)
-            if abs(residual_s) > MAX_RESIDUAL_S:
-                self._jumped(residual_s, arrival_s, reports, reset=False)
+            if abs(residual_s) > self._max_residual_s(residual_s, arrival_s, samples.clock):
+                if residual_s < 0 and self._is_late(arrival_s, samples.clock):
+                    self._came_late(-residual_s, arrival_s, reports)
+                else:
+                    self._jumped(residual_s, arrival_s, reports, reset=False)
             elif samples.clock is not ClockKind.RECORDING:
                 slew_s = min(MAX_SLEW * count, 0.4) / rate_hz
                 rest_s = residual_s - max(-slew_s, min(slew_s, residual_s))
@@ -213,6 +254,27 @@ class SignalMonitor:
                 uncertainty_s += abs(rest_s)
         latest_s = math.inf if samples.clock is ClockKind.RECORDING else arrival_s + MAX_AHEAD_S
         return self._cut(replace(samples, start_s=target_s, uncertainty_s=uncertainty_s), latest_s)
+
+    def _is_late(self, arrival_s: float, clock: ClockKind) -> bool:
+        """Return whether this machine or the link was busy just now."""
+        return clock is not ClockKind.RECORDING and (self._is_draining or arrival_s <= self._late_until_s)
+
+    def _max_residual_s(self, residual_s: float, arrival_s: float, clock: ClockKind) -> float:
+        """Return how far times may be off: packets that come later than before only raise the uncertainty."""
+        if residual_s < 0 or clock is ClockKind.RECORDING:
+            return MAX_RESIDUAL_S
+        is_late = arrival_s <= self._late_until_s
+        return max(MAX_LATE_S if clock is ClockKind.DEVICE else MAX_RESIDUAL_S, self._late_s * is_late)
+
+    def _came_late(self, late_s: float, arrival_s: float, reports: list[SensorReport]) -> None:
+        """Packets before were later than known: what overlaps them is dropped."""
+        text = message(
+            "health.sensor.late",
+            "{signal}: packets came {seconds} s late",
+            signal=self.info.kind,
+            seconds=round(late_s, 1),
+        )
+        reports.append(self._report(SensorFault.LATE, arrival_s, text, {"late_s": late_s}))
 
     def _mapped(self, samples: Samples, span_s: float, arrival_s: float) -> tuple[float, float]:
         """Return the time of the first sample on our clock, and its uncertainty."""
@@ -244,7 +306,12 @@ class SignalMonitor:
     ) -> None:
         if reset:
             self._clock.reset()
-        text = f"{self.info.kind}: the times jumped by {jump_s:+.2f} s"
+        text = message(
+            "health.sensor.jump",
+            "{signal}: the times jumped by {seconds} s",
+            signal=self.info.kind,
+            seconds=round(jump_s, 2),
+        )
         reports.append(self._report(SensorFault.CLOCK_JUMP, arrival_s, text, {"jump_s": jump_s}))
 
     # Values
@@ -254,30 +321,47 @@ class SignalMonitor:
         quality = samples.quality
         if np.isinf(values).any():
             values = np.where(np.isinf(values), np.nan, values)
-            self._lasts(SensorFault.ARTEFACT, arrival_s, f"{kind}: an infinite value", reports)
+            self._lasts(
+                SensorFault.ARTEFACT,
+                arrival_s,
+                message("health.sensor.infinite", "{signal}: an infinite value", signal=kind),
+                reports,
+            )
         if kind in _NEVER_ZERO:
             values = np.where(values <= 0.0, np.nan, values)
         if samples.has_contact is False:
             quality = 0.0
             if self._had_contact is not False:
                 self._lasting.pop(SensorFault.NO_CONTACT, None)
-            self._lasts(SensorFault.NO_CONTACT, arrival_s, "the sensor does not touch the body", reports)
+            self._lasts(
+                SensorFault.NO_CONTACT,
+                arrival_s,
+                message("health.sensor.contact", "the sensor does not touch the body"),
+                reports,
+            )
         self._had_contact = samples.has_contact
         saturated, flat = self._runs.take(values)
         if saturated:
             quality = 0.0
-            text = f"{kind}: values at the bound of the sensor"
+            text = message(
+                "health.sensor.saturated", "{signal}: values at the bound of the sensor", signal=kind
+            )
             self._lasts(SensorFault.SATURATED, arrival_s, text, reports)
             if self.info.rate_hz is None or self.info.rate_hz < 10:
                 outside = (values > self.info.max_value) | (values < self.info.min_value)
                 values = np.where(outside, np.nan, values)
         if flat:
             quality = 0.0
-            self._lasts(SensorFault.FLAT, arrival_s, f"{kind}: the signal is constant", reports)
+            self._lasts(
+                SensorFault.FLAT,
+                arrival_s,
+                message("health.sensor.flat", "{signal}: the signal is constant", signal=kind),
+                reports,
+            )
         unit_fault = self._units.take(values, is_usable=quality > 0)
         if unit_fault:
             quality = 0.0
-            self._lasts(SensorFault.UNIT, arrival_s, f"{kind}: {unit_fault}", reports)
+            self._lasts(SensorFault.UNIT, arrival_s, unit_fault, reports)
         if values is samples.values and quality == samples.quality:
             return samples
         return replace(samples, values=values, quality=quality)
@@ -309,185 +393,4 @@ class SignalMonitor:
             details=details or {},
             has_contact=has_contact,
             kind=self.info.kind,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    gap_s: float = 0.0
-    jump_s: float = 0.0
-    rate_hz: float | None = None
-    """The measured rate, if it is not the stated one."""
-    is_continued: bool = False
-    is_repeated: bool = False
-
-
-class _Continuity:
-    """Where a packet of a regular signal continues the one before: gaps, jumps, and a rate that lies.
-
-    The device says when its samples were taken (or the arrival does). If a packet starts later than the one
-    before ended, either samples are missing, and then as much of our time has passed, or the clock jumped.
-    """
-
-    def __init__(self, info: SignalInfo) -> None:
-        self._rate_hz = info.rate_hz or 1.0
-        self._last: tuple[float, int, float] | None = None  # start, count, arrival
-        self._ratio: float | None = None
-        self._counted = 0
-        self._counted_from_s = 0.0
-        self._measured_hz: float | None = None
-
-    def take(self, start_s: float, count: int, arrival_s: float, clock: ClockKind) -> _Found:
-        """Take the stamp of the next packet, its number of samples and its arrival."""
-        last, self._last = self._last, (start_s, count, arrival_s)
-        if last is None:
-            self._restart(start_s, count)
-            return _Found()
-        last_start_s, last_count, last_arrival_s = last
-        span_s = last_count / self._rate_hz
-        late_s = start_s - last_start_s - span_s
-        if clock is ClockKind.ARRIVAL:
-            return self._arrived(start_s, count, span_s, late_s)
-        if (start_s, count) == (last_start_s, last_count):
-            return _Found(is_repeated=True)
-        if abs(late_s) <= max(1.5 / self._rate_hz, 0.05 * span_s):
-            self._ratio = None
-            return self._continued(start_s, count, slack_s=2 / self._rate_hz)
-        self._restart(start_s, count)
-        ratio, before = (start_s - last_start_s) / span_s, self._ratio
-        self._ratio = ratio
-        if 0.4 < ratio < 2.5 and before is not None and abs(ratio / before - 1) < 0.02:
-            self._measured_hz = self._rate_hz / ratio
-            return _Found(max(late_s, 0.0), min(late_s, 0.0), self._measured_hz)
-        passed_s = arrival_s - last_arrival_s
-        is_lost = late_s > 0 and (clock is ClockKind.RECORDING or passed_s + 1.0 > late_s)
-        return _Found(gap_s=late_s) if is_lost else _Found(jump_s=late_s)
-
-    def _arrived(self, start_s: float, count: int, span_s: float, late_s: float) -> _Found:
-        """Arrivals jitter: only what exceeds a slow packet is a gap."""
-        if late_s > (max(0.25, 3 * span_s) if span_s < 0.5 else 1.5 * span_s):
-            self._restart(start_s, count)
-            return _Found(gap_s=late_s)
-        return self._continued(start_s, count, slack_s=0.3 + span_s)
-
-    def _restart(self, start_s: float, count: int) -> None:
-        self._counted = count
-        self._counted_from_s = start_s
-
-    def _continued(self, start_s: float, count: int, slack_s: float) -> _Found:
-        """Compare the samples counted since some packet with the time between them."""
-        span_s = start_s - self._counted_from_s
-        stated_s = self._counted / self._rate_hz
-        if span_s > 0 and stated_s >= _RATE_SPAN_S:
-            is_wrong = abs(span_s - stated_s) > MAX_RATE_ERROR * stated_s + slack_s
-            if is_wrong:
-                self._measured_hz = self._counted / span_s
-            if is_wrong or stated_s >= _MAX_RATE_SPAN_S:
-                if not is_wrong:
-                    self._measured_hz = None
-                self._restart(start_s, 0)
-        self._counted += count
-        return _Found(rate_hz=self._measured_hz, is_continued=True)
-
-
-class _Runs:
-    """Samples in a row that are at a bound, or equal, across packets; by channel."""
-
-    def __init__(self, info: SignalInfo) -> None:
-        channels = len(info.channels)
-        self._info = info
-        self._at_bound = np.zeros(channels, dtype=np.int64)
-        self._equal = np.zeros(channels, dtype=np.int64)
-        self._last = np.full(channels, np.nan)
-        self._needed = SATURATED_RUN if (info.rate_hz or 0.0) >= 10 else 1
-        is_wave = info.kind in WAVEFORMS and info.rate_hz is not None
-        self._max_equal = max(3, round(MAX_FLAT_S * (info.rate_hz or 1.0))) if is_wave else None
-
-    def take(self, values: NDArray[np.float64]) -> tuple[bool, bool]:
-        """Return whether the samples are saturated, and whether they are flat."""
-        bound = (values >= self._info.max_value) | (values <= self._info.min_value)
-        if self._needed == 1:
-            saturated = bool(((values > self._info.max_value) | (values < self._info.min_value)).any())
-        else:
-            longest, self._at_bound = _longest_runs(bound, self._at_bound)
-            saturated = bool((longest >= self._needed).any())
-        if self._max_equal is None:
-            return saturated, False
-        equal = values == np.vstack((self._last, values[:-1]))
-        self._last = values[-1].copy()
-        longest, self._equal = _longest_runs(equal, self._equal)
-        return saturated, bool((longest >= self._max_equal).any())
-
-
-def _longest_runs(
-    flags: NDArray[np.bool_], before: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return per column the longest run of true rows, and the run at the end; `before` are runs so far."""
-    rows = np.arange(1, len(flags) + 1)[:, None]
-    last_false = np.maximum.accumulate(np.where(flags, 0, rows), axis=0)
-    runs = np.where(last_false > 0, rows - last_false, rows + before)
-    runs = np.where(flags, runs, 0)
-    return runs.max(axis=0), runs[-1]
-
-
-class _Units:
-    """Whether values have the order of magnitude of their unit, in blocks of 2 s."""
-
-    def __init__(self, info: SignalInfo) -> None:
-        self._info = info
-        self._size = round(_BLOCK_S * info.rate_hz) if info.rate_hz and info.rate_hz >= 10 else 0
-        self._is_watched = self._size > 0 and info.kind in (WAVEFORMS | {SignalKind.ACCELERATION})
-        self._block: list[NDArray[np.float64]] = []
-        self._count = 0
-        self._typical: float | None = None
-        self._odd = 0
-        self._fault = ""
-
-    def take(self, values: NDArray[np.float64], *, is_usable: bool) -> str:
-        """Return what is wrong with the unit; an empty text if nothing is known to be wrong."""
-        if not self._is_watched:
-            return ""
-        if not is_usable:
-            self._block, self._count = [], 0
-            return self._fault
-        self._block.append(values)
-        self._count += len(values)
-        if self._count >= self._size:
-            self._fault = self._fault_of(np.concatenate(self._block))
-            self._block, self._count = [], 0
-        return self._fault
-
-    def _fault_of(self, block: NDArray[np.float64]) -> str:
-        if not np.isfinite(block).any():
-            return ""
-        if self._info.kind is SignalKind.ACCELERATION:
-            if self._info.unit != "MSK" or block.shape[1] != 3:
-                return ""
-            length = float(np.nanmedian(np.linalg.norm(block, axis=1)))
-            lower, upper = GRAVITY_MPS2
-            if lower <= length <= upper:
-                return ""
-            return f"a median of {length:.3g} m/s² is no acceleration with gravity; is it another unit?"
-        spread = float(np.nanmax(np.nanmax(block, axis=0) - np.nanmin(block, axis=0)))
-        factor = _MICROVOLTS.get(self._info.unit)
-        if self._info.kind is SignalKind.ECG and factor is not None:
-            lower, upper = ECG_SPREAD_UV
-            if not lower <= spread * factor <= upper:
-                return f"{spread:.3g} {self._info.unit} peak to peak is no ECG; is it another unit?"
-        return self._compared(spread)
-
-    def _compared(self, spread: float) -> str:
-        if spread <= 0:
-            return self._fault
-        if self._typical is None:
-            self._typical = spread
-            return ""
-        ratio = spread / self._typical
-        if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR:
-            self._typical *= max(0.8, min(1.25, ratio))
-            self._odd = 0
-            return ""
-        self._odd += 1
-        return (
-            f"the values changed by a factor of {ratio:.3g}; did the unit change?" if self._odd >= 2 else ""
         )

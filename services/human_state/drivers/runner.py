@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
+from handover.messages import Message, message, text_of
 from handover.retry import Backoff
 from services.human_state.drivers.base import LinkLost, SensorDriver, Sink
 from services.human_state.drivers.monitor import SignalMonitor
@@ -29,6 +30,8 @@ MIN_STABLE_S: Final = 10.0
 WATCH_S: Final = 0.1
 MAX_WALL_STEP_S: Final = 0.5
 """Our clock was set if it differs by more from the monotonic one than before."""
+MAX_LATE_S: Final = 0.2
+"""This machine is busy if it looks after a sensor later than this."""
 MAX_TEXT: Final = 500
 
 
@@ -72,6 +75,7 @@ class SensorRunner:
         self._connected_at = 0.0  # monotonic
         self._is_stable = False
         self._link_text = ""
+        self._watched_s: float | None = None  # monotonic
 
     async def run(self) -> None:
         """Serve the sensor until the driver returns. Faults of the driver are reported and retried."""
@@ -81,7 +85,9 @@ class SensorRunner:
             self._begin()
             state, text = await self._serve_once()
             if text is None:
-                self._report_link(LinkState.LOST, "the driver has no more samples")
+                self._report_link(
+                    LinkState.LOST, message("health.sensor.no_more", "the driver has no more samples")
+                )
                 return
             self._report_link(state, text)
             if self._is_stable:
@@ -100,6 +106,7 @@ class SensorRunner:
     async def _serve_once(self) -> tuple[LinkState, str | None]:
         """Serve one connection; return its end, with no text when the driver has ended by itself."""
         serving = asyncio.ensure_future(self.driver.run(self._take))
+        self._watched_s = None
         try:
             while not serving.done():
                 await asyncio.wait([serving], timeout=self._timing.watch_s)
@@ -107,14 +114,19 @@ class SensorRunner:
                     return LinkState.LOST, why
             await serving
         except LinkLost as lost:
-            return LinkState.LOST, str(lost) or "the connection was lost"
+            return LinkState.LOST, text_of(lost) or message("health.sensor.lost", "the connection was lost")
         except asyncio.CancelledError:
             if serving.cancelled():
                 return LinkState.LOST, "the driver was cancelled"
             raise
         except Exception as error:
             log.exception("sensor driver failed", extra={"source": self.driver.source})
-            return LinkState.FAULT, f"the driver failed: {type(error).__name__}: {error}"
+            text = message(
+                "health.sensor.driver_failed",
+                "the driver failed: {error}",
+                error=f"{type(error).__name__}: {error}"[:MAX_TEXT],
+            )
+            return LinkState.FAULT, text
         else:
             return LinkState.LOST, None
         finally:
@@ -123,6 +135,7 @@ class SensorRunner:
     def _watch(self) -> str | None:
         """Look for silence and for a clock of ours that was set; return why the connection must be closed."""
         self._check_our_clock()
+        self._check_our_pace()
         at_s = self._wall_s()
         for monitor in self._monitors.values():
             if (report := monitor.silence(at_s)) is not None:
@@ -131,7 +144,23 @@ class SensorRunner:
         limit_s = self.driver.max_silence_s if limit_s is None else limit_s
         if self._active_at is None or self._monotonic_s() - self._active_at < limit_s:
             return None
-        return f"connected, but silent for {limit_s:g} s"
+        return message(
+            "health.sensor.link_silent", "connected, but silent for {seconds} s", seconds=round(limit_s, 2)
+        )
+
+    def _check_our_pace(self) -> None:
+        """Notice that this machine was busy: what did not arrive meanwhile waits, and is late."""
+        now_s = self._monotonic_s()
+        before_s, self._watched_s = self._watched_s, now_s
+        if before_s is None:
+            return
+        late_s = now_s - before_s - self._timing.watch_s
+        if late_s <= MAX_LATE_S:
+            return
+        for monitor in self._monitors.values():
+            monitor.delayed(self._wall_s(), late_s)
+        if self._active_at is not None:
+            self._active_at = min(self._active_at + late_s, now_s)
 
     def _check_our_clock(self) -> None:
         ahead_s = self._wall_s() - self._monotonic_s()
@@ -139,7 +168,11 @@ class SensorRunner:
         if abs(step_s) <= MAX_WALL_STEP_S:
             return
         self._monitors = {info: self._monitor(info) for info in self._monitors}
-        text = f"the clock of this machine was set by {step_s:+.1f} s"
+        text = message(
+            "health.sensor.our_clock",
+            "the clock of this machine was set by {seconds} s",
+            seconds=round(step_s, 1),
+        )
         self._sink(
             SensorReport(
                 self.driver.source,
@@ -199,12 +232,16 @@ class SensorRunner:
             self._link_text = report.text
             if report.link is LinkState.CONNECTED and self._active_at is None:
                 self._active_at = self._monotonic_s()
-        self._sink(replace(report, source=self.driver.source, text=report.text[:MAX_TEXT]))
+        self._sink(replace(report, source=self.driver.source, text=_short(report.text)))
 
     def _report_link(self, link: LinkState, text: str) -> None:
         if (link, text) == (self.link, self._link_text):
             return
         self._take_report(SensorReport(self.driver.source, self._wall_s(), link=link, text=text))
+
+
+def _short(text: str) -> str:
+    return text if isinstance(text, Message) else text[:MAX_TEXT]
 
 
 async def _cancelled(task: asyncio.Task[None]) -> None:

@@ -105,10 +105,16 @@ class PersonState:
 
     def has_fault(self, name: FeatureName, now_s: float) -> bool:
         """Return whether a sensor that once counted has no valid value now, or has a fault."""
-        return any(
-            kept.counted is not None and (kept.is_faulty or _is_stale(kept.counted, now_s))
-            for (kind, _), kept in self._kept.items()
+        return bool(self.faulty_sensors(name, now_s))
+
+    def faulty_sensors(self, name: FeatureName, now_s: float) -> list[str]:
+        """Return the sensors that once counted and have no valid value now, or a fault."""
+        return sorted(
+            source
+            for (kind, source), kept in self._kept.items()
             if kind is name
+            and kept.counted is not None
+            and (kept.is_faulty or _is_stale(kept.counted, now_s))
         )
 
     def for_limits(self, name: FeatureName, now_s: float) -> FusedValue | None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,6 +154,11 @@ class SensorFault(StrEnum):
     RECONNECTED = "reconnected"
     RATE = "rate"  # the samples come at another rate than the device says
     UNIT = "unit"  # the values changed their order of magnitude
+    LATE = "late"  # a busy machine or link delivers late; the samples themselves are good
+
+
+SILENT: Final = frozenset({SensorFault.GAP, SensorFault.LATE})
+"""Faults that say nothing against the values before them: these are stale, not implausible."""
 
 
 @dataclass(frozen=True, slots=True)

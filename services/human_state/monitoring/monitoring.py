@@ -180,7 +180,6 @@ class Monitoring:
             ):
                 self.apply(person.name)
         for name, monitor in list(self.monitors.items()):
-            monitor.advance(time.time())
             was_lasting, monitor.was_lasting = monitor.was_lasting, monitor.strain.is_lasting
             if monitor.was_lasting and not was_lasting:
                 self.on_strain(monitor)

@@ -35,6 +35,8 @@ MAX_WAITING: Final = 256
 """Packets that wait for a page that does not read; the oldest are dropped."""
 BASELINE_S: Final = 600.0
 RADAR: Final = "radar"
+FAULT_SHOWN_S: Final = 10.0
+"""A fault is shown for so long after it has ended."""
 
 ClassifierOf = Callable[[], AdlClassifier | None]
 PipelineOf = Callable[[SignalInfo, Collection[SignalKind]], SignalPipeline]
@@ -47,13 +49,28 @@ class SensorView:
     link: LinkState | None = None
     battery: float | None = None
     has_contact: bool | None = None
-    fault: SensorFault | None = None
+    fault: SensorReport | None = None
     fault_at_s: float = 0.0
+    """Monotonic, as all times here."""
+    good_at_s: float = 0.0
+    """When usable samples were received last."""
     text: str = ""
+    """Why the link is as it is."""
     kinds: frozenset[SignalKind] = frozenset()
     """The signals that its driver sends."""
     signals: dict[str, SignalInfo] = field(default_factory=dict)
     """Those that were received."""
+
+    def take_fault(self, report: SensorReport, now_s: float) -> None:
+        """Take a fault; samples without quality say less than the report that took it from them."""
+        is_known = self.fault is not None and now_s - self.fault_at_s < FAULT_SHOWN_S
+        if not (is_known and report.fault is SensorFault.ARTEFACT):
+            self.fault, self.fault_at_s = report, now_s
+
+    def present_fault(self, now_s: float) -> SensorReport | None:
+        """Return the last fault while it lasts, and for some seconds: people look up later."""
+        is_over = self.good_at_s > self.fault_at_s and now_s - self.fault_at_s > FAULT_SHOWN_S
+        return None if is_over else self.fault
 
 
 class PersonMonitor:
@@ -114,6 +131,8 @@ class PersonMonitor:
             self._take_report(item, sensor)
             return
         sensor.signals[item.info.kind] = item.info
+        if item.quality > 0:
+            sensor.good_at_s = time.monotonic()
         for waiting in self._listeners.values():
             waiting.append(item)
         pipeline = self._pipeline(item, sensor)
@@ -147,24 +166,18 @@ class PersonMonitor:
         """Show what a pipeline has found; the values that end by it come as features."""
         for report in pipeline.take_reports():
             self._tap(report)
-            sensor.text = report.text[:300]
             if report.fault is not None:
-                sensor.fault, sensor.fault_at_s = report.fault, report.at_s
-
-    def advance(self, wall_s: float) -> None:
-        """Look for signals that are silent; `wall_s` is in s since 1970."""
-        for (source, _), pipeline in self._pipelines.items():
-            if pipeline is not None:
-                self._take_features(pipeline.advance(wall_s))
-                self._take_faults(pipeline, self.sensors[source])
+                sensor.take_fault(report, time.monotonic())
+            else:
+                sensor.text = report.text
 
     def _take_report(self, report: SensorReport, sensor: SensorView) -> None:
         sensor.link = report.link or sensor.link
         sensor.battery = sensor.battery if report.battery is None else report.battery
         sensor.has_contact = sensor.has_contact if report.has_contact is None else report.has_contact
         if report.fault is not None:
-            sensor.fault, sensor.fault_at_s = report.fault, report.at_s
-        if report.text or report.link is not None:
+            sensor.take_fault(report, time.monotonic())
+        elif report.text or report.link is not None:
             sensor.text = report.text
         self.state.report(report)
         for (source, _), pipeline in self._pipelines.items():

@@ -4,17 +4,17 @@
 
 | fault | found by |
 |---|---|
-| gap | the packet begins later than the last one ended, or `advance` finds the sensor silent |
-| clockJump | it begins earlier, or more than a minute later |
-| rate | two packets in a row are off by the same ratio, or the samples drift from the rate by 2 % in 5 s |
+| gap | the packet begins later than the last one ended |
+| clockJump | it begins earlier |
 | noContact | the device says so; the ECG becomes quiet, as with a strap that was taken off |
 | saturated | samples at the bounds of the sensor, or clipped at one value |
 | flat | every channel keeps one value for longer than a body signal can |
 | unit | values that no body produces in this unit, gravity that is not 9.8 m/s2, a level that rose by 30 |
 | artefact | NaN, or a level 10 times the usual one of this ECG, PPG or breathing signal |
 
-After a fault samples are used again when `SETTLE_S` of good ones have come: transients of amplifiers are not
-values. Time from the fault to its report is one packet, and at most 1 s of signal.
+Silence, clocks, and rates that lie are found by `drivers.monitor`, which knows when packets arrived. After a
+fault samples are used again when `SETTLE_S` of good ones have come: transients of amplifiers are not values.
+Time from the fault to its report is one packet, and at most 1 s of signal.
 """
 
 from collections import deque
@@ -24,6 +24,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from handover.messages import message
 from services.human_state.model.signals import (
     ClockKind,
     Samples,
@@ -38,10 +39,9 @@ Finding = tuple[SensorFault, str, dict[str, float]]
 """A fault, what a person should know of it, and figures."""
 
 SETTLE_S: Final = 1.0
-MAX_GAP_S: Final = 60.0
-"""A longer step of the clock is a jump: a sensor that was away so long starts over anyway."""
 MAX_ARRIVAL_JITTER_S: Final = 0.25
-SILENCE_S: Final = 0.95
+MAX_UNCERTAINTY_S: Final = 0.1
+"""An uncertain clock is no reason to join packets that are further apart."""
 MIN_LEVEL_S: Final = 2.2
 """So much signal shows the usual level: one beat at least."""
 MIN_QUIET_S: Final = 1.05
@@ -96,9 +96,6 @@ class SignalGuard:
     def __init__(self, info: SignalInfo) -> None:
         self.info: Final = info
         self._next_s: float | None = None
-        self._packet_s: deque[float] = deque(maxlen=9)
-        self._drift: deque[tuple[float, int]] = deque(maxlen=64)
-        self._offsets: deque[float] = deque(maxlen=3)
         self._constant_s = np.zeros(len(info.channels))
         self._last_row: Floats | None = None
         self._levels: deque[float] = deque(maxlen=80)
@@ -113,17 +110,6 @@ class SignalGuard:
     def fault(self) -> SensorFault | None:
         """Return the fault that lasts, or None."""
         return self._fault
-
-    def advance(self, now_s: float) -> tuple[SensorReport, ...]:
-        """Report a sensor that is silent: after 0.95 s for fast signals, after two periods for others."""
-        if self._next_s is None or self._fault is SensorFault.GAP:
-            return ()
-        silent_s = now_s - self._next_s
-        period_s = float(np.median(self._packet_s)) if self._packet_s else 1.0
-        allowed_s = max(SILENCE_S, 2 * period_s) if self.info.rate_hz is None or period_s > 1 else SILENCE_S
-        if silent_s <= allowed_s:
-            return ()
-        return self._begin(SensorFault.GAP, now_s, f"no samples for {silent_s:.1f} s", gap_s=silent_s)
 
     def check(self, samples: Samples) -> Checked:
         """Return the packet if it may be used, and new faults."""
@@ -151,9 +137,7 @@ class SignalGuard:
         if fault is self._fault:
             return ()
         self._fault = fault
-        return (
-            SensorReport(self._source, at_s, fault=fault, text=f"{self.info.kind}: {text}", details=details),
-        )
+        return (SensorReport(self._source, at_s, fault=fault, text=text, details=details),)
 
     def _duration_s(self, samples: Samples, times_s: Floats) -> float:
         rate_hz = self.info.rate_hz
@@ -166,71 +150,77 @@ class SignalGuard:
     def _clock_fault(  # noqa: PLR0911 -- one return a rule
         self, samples: Samples, times_s: Floats
     ) -> Finding | None:
+        """Find packets that do not continue the one before: nothing is analysed over a joint.
+
+        Why they do not, and rates that lie, are found by the monitor of the driver, which sees arrivals.
+        """
+        expected_s, rate_hz = self._next_s, samples.info.rate_hz
         if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
             self._next_s = None
-            return SensorFault.CLOCK_JUMP, "its times are not in order", {}
-        expected_s, rate_hz = self._next_s, samples.info.rate_hz
+            return (
+                SensorFault.CLOCK_JUMP,
+                message("health.sensor.order", "{signal}: its times are not in order", signal=self.info.kind),
+                {},
+            )
         start_s, end_s = float(times_s[0]), float(times_s[-1])
         if rate_hz is None:
-            return self._irregular_fault(expected_s, start_s, end_s)
-        count = len(samples.values)
-        self._next_s = start_s + count / rate_hz
+            self._next_s = end_s
+            is_early = expected_s is not None and start_s < expected_s - 0.001
+            return (
+                (
+                    SensorFault.CLOCK_JUMP,
+                    message(
+                        "health.sensor.order", "{signal}: its times are not in order", signal=self.info.kind
+                    ),
+                    {},
+                )
+                if is_early
+                else None
+            )
+        self._next_s = start_s + len(samples.values) / rate_hz
         if rate_hz != self.info.rate_hz:
-            return SensorFault.RATE, f"says {rate_hz:g} Hz, was {self.info.rate_hz} Hz", {}
+            return (
+                SensorFault.RATE,
+                message(
+                    "health.sensor.other_rate",
+                    "{signal}: says {rate} Hz, was {before} Hz",
+                    signal=self.info.kind,
+                    rate=rate_hz,
+                    before=self.info.rate_hz,
+                ),
+                {},
+            )
         if expected_s is None:
-            self._drift.append((start_s, 0))
             return None
         offset_s = start_s - expected_s
-        self._packet_s.append(count / rate_hz)
-        tolerance_s = max(1.5 / rate_hz, 0.01, 3 * samples.uncertainty_s)
+        tolerance_s = max(1.5 / rate_hz, 0.01, 3 * min(samples.uncertainty_s, MAX_UNCERTAINTY_S))
         if samples.clock is ClockKind.ARRIVAL:
             tolerance_s = max(tolerance_s, MAX_ARRIVAL_JITTER_S)
             if abs(offset_s) <= tolerance_s:  # jitter of the arrival must not add up
-                self._next_s = expected_s + 0.1 * offset_s + count / rate_hz
-        previous = self._offsets[-1] if self._offsets else 0.0
-        self._offsets.append(offset_s)
-        if abs(offset_s) > tolerance_s:
-            self._drift.clear()
-            alike = abs(previous) > tolerance_s and 0.6 < offset_s / previous < 1.6
-            if alike:
-                true_hz = rate_hz / max(1e-3, 1 + offset_s * rate_hz / count)
-                return SensorFault.RATE, f"says {rate_hz:g} Hz, sends {true_hz:.1f} Hz", {"rate_hz": true_hz}
-            if 0 < offset_s <= MAX_GAP_S:
-                return SensorFault.GAP, f"{offset_s:.3f} s are missing", {"gap_s": offset_s}
-            return SensorFault.CLOCK_JUMP, f"its clock jumped by {offset_s:.3f} s", {"jump_s": offset_s}
-        return self._drift_fault(start_s, count, rate_hz, tolerance_s)
-
-    def _drift_fault(self, start_s: float, count: int, rate_hz: float, tolerance_s: float) -> Finding | None:
-        """Compare samples counted with the time that passed, over 5 s at least."""
-        total = (self._drift[-1][1] if self._drift else 0) + round(self._packet_s[-1] * rate_hz)
-        self._drift.append((start_s, total))
-        # `total` counts the samples up to the end of this packet; its start is `count` before. Only packets
-        # of one size are compared, which is what sensors send.
-        first_s, first_total = self._drift[0]
-        passed_s = start_s - first_s
-        if passed_s < 5:
+                self._next_s = expected_s + 0.1 * offset_s + len(samples.values) / rate_hz
+        if abs(offset_s) <= tolerance_s:
             return None
-        counted_s = (total - first_total) / rate_hz
-        if abs(counted_s - passed_s) > 0.02 * passed_s + tolerance_s + 2 * count / rate_hz * 0.02:
-            true_hz = (total - first_total) / passed_s
-            self._drift.clear()
-            return SensorFault.RATE, f"says {rate_hz:g} Hz, sends {true_hz:.1f} Hz", {"rate_hz": true_hz}
-        return None
-
-    def _irregular_fault(self, expected_s: float | None, start_s: float, end_s: float) -> Finding | None:
-        self._next_s = end_s
-        if expected_s is None:
-            return None
-        step_s = start_s - expected_s
-        if step_s < -0.001:
-            return SensorFault.CLOCK_JUMP, f"its clock jumped by {step_s:.3f} s", {"jump_s": step_s}
-        period_s = float(np.median(self._packet_s)) if len(self._packet_s) >= 3 else None
-        if step_s > MAX_GAP_S:
-            return SensorFault.CLOCK_JUMP, f"its clock jumped by {step_s:.1f} s", {"jump_s": step_s}
-        if period_s is not None and step_s > max(1.0, 2 * period_s):
-            return SensorFault.GAP, f"no value for {step_s:.1f} s", {"gap_s": step_s}
-        self._packet_s.append(max(step_s, 0.0))
-        return None
+        if offset_s > 0:
+            return (
+                SensorFault.GAP,
+                message(
+                    "health.sensor.gap",
+                    "{signal}: {seconds} s are missing",
+                    signal=self.info.kind,
+                    seconds=round(offset_s, 3),
+                ),
+                {"gap_s": offset_s},
+            )
+        return (
+            SensorFault.CLOCK_JUMP,
+            message(
+                "health.sensor.jump",
+                "{signal}: the times jumped by {seconds} s",
+                signal=self.info.kind,
+                seconds=round(offset_s, 3),
+            ),
+            {"jump_s": offset_s},
+        )
 
     # --- values
 
@@ -239,19 +229,68 @@ class SignalGuard:
     ) -> Finding | None:
         values, info = samples.values, self.info
         if samples.has_contact is False:
-            return SensorFault.NO_CONTACT, "the sensor does not touch the body", {}
+            return (
+                SensorFault.NO_CONTACT,
+                message("health.sensor.contact", "the sensor does not touch the body"),
+                {},
+            )
         if samples.info.unit != info.unit:
-            return SensorFault.UNIT, f"its unit changed from {info.unit} to {samples.info.unit}", {}
+            return (
+                SensorFault.UNIT,
+                message(
+                    "health.sensor.unit_changed",
+                    "{signal}: its unit changed from {before} to {unit}",
+                    signal=self.info.kind,
+                    before=info.unit,
+                    unit=samples.info.unit,
+                ),
+                {},
+            )
         if not np.isfinite(values).all() or samples.quality <= 0:
-            return SensorFault.ARTEFACT, "the device could not measure some samples", {}
+            return (
+                SensorFault.ARTEFACT,
+                message(
+                    "health.sensor.unmeasured",
+                    "{signal}: the device could not measure some samples",
+                    signal=self.info.kind,
+                ),
+                {},
+            )
         saturated = (values <= info.min_value) | (values >= info.max_value)
         if info.kind in WAVEFORMS and saturated.any():
-            return SensorFault.SATURATED, f"samples at {info.min_value:g} or {info.max_value:g}", {}
+            return (
+                SensorFault.SATURATED,
+                message(
+                    "health.sensor.saturated",
+                    "{signal}: values at the bound of the sensor",
+                    signal=self.info.kind,
+                ),
+                {},
+            )
         if info.kind is SignalKind.PRESSURE_MAP and (values >= info.max_value).mean() > 0.5:
-            return SensorFault.SATURATED, "more than half of the cells are at their maximum", {}
+            return (
+                SensorFault.SATURATED,
+                message(
+                    "health.sensor.cells",
+                    "{signal}: more than half of the cells are at their maximum",
+                    signal=self.info.kind,
+                ),
+                {},
+            )
         lower, upper = PLAUSIBLE.get((info.kind, info.unit), (-np.inf, np.inf))
         if (values < lower).any() or (values > upper).any():
-            return SensorFault.UNIT, f"a value outside {lower:g} to {upper:g} {info.unit}", {}
+            return (
+                SensorFault.UNIT,
+                message(
+                    "health.sensor.outside",
+                    "{signal}: a value outside {lower} to {upper} {unit}",
+                    signal=self.info.kind,
+                    lower=lower,
+                    upper=upper,
+                    unit=info.unit,
+                ),
+                {},
+            )
         if info.kind not in WAVEFORMS or info.rate_hz is None:
             return None
         return self._flat_fault(samples) or self._level_fault(samples)
@@ -278,9 +317,22 @@ class SignalGuard:
                 longest_s[channel] = self._constant_s[channel]
                 at_extreme = False
             if at_extreme:
-                return SensorFault.SATURATED, "clipped at one value", {}
+                return (
+                    SensorFault.SATURATED,
+                    message("health.sensor.clipped", "{signal}: clipped at one value", signal=self.info.kind),
+                    {},
+                )
         if longest_s.min() >= limit_s:
-            return SensorFault.FLAT, f"one value for {longest_s.min():.1f} s", {}
+            return (
+                SensorFault.FLAT,
+                message(
+                    "health.sensor.constant",
+                    "{signal}: one value for {seconds} s",
+                    signal=self.info.kind,
+                    seconds=round(float(longest_s.min()), 1),
+                ),
+                {},
+            )
         return None
 
     def _is_clipped(self, values: Floats, rate_hz: float) -> bool:
@@ -309,7 +361,13 @@ class SignalGuard:
             if len(values) >= 0.1 * rate_hz and not 0.45 * gravity < size < 2.5 * gravity:
                 return (
                     SensorFault.UNIT,
-                    f"gravity is {size:.2f}; it must be near {gravity:.2f}",
+                    message(
+                        "health.sensor.other_gravity",
+                        "{signal}: gravity is {size}; it must be near {gravity}",
+                        signal=self.info.kind,
+                        size=round(size, 2),
+                        gravity=round(gravity, 2),
+                    ),
                     {"gravity": size},
                 )
             return None
@@ -326,9 +384,27 @@ class SignalGuard:
             return None
         ratio = level / usual
         if ratio > 30:
-            return SensorFault.UNIT, f"its level rose by {ratio:.0f}", {"ratio": ratio}
+            return (
+                SensorFault.UNIT,
+                message(
+                    "health.sensor.rose",
+                    "{signal}: its level rose by a factor of {ratio}",
+                    signal=self.info.kind,
+                    ratio=round(ratio),
+                ),
+                {"ratio": ratio},
+            )
         if ratio > 10:
-            return SensorFault.ARTEFACT, f"its level rose by {ratio:.0f}", {"ratio": ratio}
+            return (
+                SensorFault.ARTEFACT,
+                message(
+                    "health.sensor.rose",
+                    "{signal}: its level rose by a factor of {ratio}",
+                    signal=self.info.kind,
+                    ratio=round(ratio),
+                ),
+                {"ratio": ratio},
+            )
         if kind is not SignalKind.ECG:
             self._levels.append(level)
             return None
@@ -340,6 +416,15 @@ class SignalGuard:
         # A slow heart is quiet for longer between its beats than a strap that is off may stay unnoticed.
         allowed_s = max(MIN_QUIET_S, 1.3 * max(self._quiet_runs_s, default=MIN_QUIET_S))
         if ratio < 1 / 500 or self._quiet_s > allowed_s:
-            return SensorFault.NO_CONTACT, f"its level fell to {ratio:.3f} of the usual one", {"ratio": ratio}
+            return (
+                SensorFault.NO_CONTACT,
+                message(
+                    "health.sensor.fell",
+                    "{signal}: its level fell to {ratio} of the usual one",
+                    signal=self.info.kind,
+                    ratio=round(ratio, 3),
+                ),
+                {"ratio": ratio},
+            )
         self._levels.append(level)
         return None

@@ -3,11 +3,13 @@
     processors = processors_for(info)       # none, or one pipeline: a `Processor`
     pipeline = pipeline_for(info)           # the same, also for a signal that nobody analyses
     features = pipeline.feed(samples)       # each packet
-    features = pipeline.advance(now_s)      # once a second or so: finds sensors that are silent
+    features = pipeline.report(report)      # faults, lost contact and silence that the driver found
     reports = pipeline.take_reports()       # the faults that were found
 
-A fault resets every processor, and each feature that was valid is given out once more as implausible with
-quality 0, so that nobody keeps using it until it is stale. A package adds a processor with an entry point:
+A fault resets every processor, and each feature that was valid is given out once more with quality 0, so that
+nobody keeps using it: as stale when the signal only ceased or came late, else as implausible.
+
+A package adds a processor with an entry point:
 
     [project.entry-points."handover.signal_processors"]
     my-gait = "my_gait:processor_for"
@@ -24,7 +26,7 @@ from typing import Final
 
 from handover.extensions import ExtensionPoint
 from services.human_state.model.features import Feature, FeatureName, Status
-from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
+from services.human_state.model.signals import SILENT, Samples, SensorReport, SignalInfo, SignalKind
 from services.human_state.processing.base import Processor
 from services.human_state.processing.guard import SignalGuard
 
@@ -119,10 +121,6 @@ class SignalPipeline:
             return []
         return self._end(report, is_new=False)
 
-    def advance(self, now_s: float) -> Sequence[Feature]:
-        """Take the time; return ended features if the sensor is silent for too long."""
-        return [feature for fault in self._guard.advance(now_s) for feature in self._end(fault)]
-
     def take_reports(self) -> list[SensorReport]:
         """Return the faults found since the last call."""
         taken = list(self._reports)
@@ -132,9 +130,9 @@ class SignalPipeline:
     def _end(self, report: SensorReport, *, is_new: bool = True) -> list[Feature]:
         if is_new:
             self._reports.append(report)
+        status = Status.STALE if report.fault in SILENT else Status.IMPLAUSIBLE
         ended = [
-            replace(feature, at_s=report.at_s, quality=0.0, status=Status.IMPLAUSIBLE)
-            for feature in self._valid.values()
+            replace(feature, at_s=report.at_s, quality=0.0, status=status) for feature in self._valid.values()
         ]
         self._valid.clear()
         return ended + self._each(lambda processor: processor.report(report), report.source, report.at_s)

@@ -33,6 +33,8 @@ RMSSD_WINDOW_S: Final = 60.0
 LONG_WINDOW_S: Final = 300.0
 MAX_CHANGE: Final = 0.2
 PLAUSIBLE_BPM: Final = (30.0, 220.0)
+WARM_QUALITY: Final = 0.5
+"""A value with less does not count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +150,10 @@ class Rhythm:
             quality = float(np.mean([each.quality for each in window]))
             coverage = min(1.0, total_s / min(6.0, HEART_RATE_WINDOW_S))
             regular = float(np.mean([each.is_normal for each in window]))
-            quality *= coverage * (0.4 + 0.6 * regular)
+            quality *= 0.4 + 0.6 * regular
+            if not self._was_valid and quality * coverage < WARM_QUALITY <= quality:
+                return None  # good beats, but too few of them so far: no value yet, not a bad one
+            quality *= coverage
             is_plausible = PLAUSIBLE_BPM[0] <= bpm <= PLAUSIBLE_BPM[1]
             self._was_valid = is_plausible
             found = Feature(FeatureName.HEART_RATE, source, bpm, at_s, quality, Status.VALID, self.method)

@@ -116,7 +116,10 @@ class SensorStateView(Body):
     battery: float | None
     has_contact: bool | None
     fault: str | None
+    """While it lasts, and some seconds longer."""
     problem: str
+    problem_code: str | None
+    problem_parameters: dict[str, Any] | None
     signals: list[str]
 
 
@@ -133,6 +136,8 @@ class LimitView(Body):
     fraction: float
     is_stopped: bool
     reason: str
+    held_by: list[str]
+    """Sensors with a fault, for which the limit does not rise now."""
     free_bpm: float
     strained_bpm: float
     least_fraction: float
@@ -216,3 +221,20 @@ class FoundView(Body):
     address: str
     name: str
     rssi_dbm: int | None
+
+
+class HistoryPoint(Body):
+    """The valid values of a part of the time around `at`."""
+
+    at: datetime
+    least: float
+    mean: float
+    most: float
+    values: int
+
+
+class HistoryDuration(Body):
+    """How long a text held, in s."""
+
+    value: str
+    seconds: float

@@ -4,7 +4,7 @@ import asyncio
 import time
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Final
 
 from fastapi import FastAPI, Query, Request, Response
 from pydantic import ValidationError
@@ -34,6 +34,8 @@ from services.human_state.routes.bodies import (
     ConsentGiven,
     DriverView,
     FoundView,
+    HistoryDuration,
+    HistoryPoint,
     HistoryValue,
     LimitView,
     Name,
@@ -48,6 +50,8 @@ from services.human_state.storage.store import SensorRow, Store
 
 Mover = Annotated[Caller, require_by_handler(Permission.MOVE_ROBOTS, "for the robot")]
 Configurer = Annotated[Caller, require_by_handler(Permission.CONFIGURE, "for the person")]
+DAY_S: Final = 86_400.0
+MAX_POINTS: Final = 2000
 Seconds = Annotated[float, Query(gt=0, le=30)]
 
 
@@ -80,7 +84,15 @@ class Parts:
 
 def add_people_routes(app: FastAPI, parts: Parts) -> None:
     """Add all routes of persons."""
-    for add in (_add_people, _add_baselines, _add_consents, _add_state, _add_limits, _add_sensors):
+    for add in (
+        _add_people,
+        _add_baselines,
+        _add_consents,
+        _add_state,
+        _add_summaries,
+        _add_limits,
+        _add_sensors,
+    ):
         add(app, parts)
 
 
@@ -203,9 +215,7 @@ def _add_state(app: FastAPI, parts: Parts) -> None:
         """Return the values of a feature, oldest first: the last day, or from `start` to `end`."""
         require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         subject = people.person(person).pseudonym
-        to_s = time.time() if end is None else end.timestamp()
-        from_s = to_s - 86_400 if start is None else start.timestamp()
-        rows = await asyncio.to_thread(store.values, subject, feature, int(from_s * 1e6), int(to_s * 1e6))
+        rows = await asyncio.to_thread(store.values, subject, feature, *_time(start, end))
         return [
             HistoryValue(
                 at=moment(row.at_us),
@@ -215,6 +225,53 @@ def _add_state(app: FastAPI, parts: Parts) -> None:
             )
             for row in rows
         ]
+
+
+def _add_summaries(app: FastAPI, parts: Parts) -> None:
+    people, store = parts.people, parts.store
+
+    @app.get("/people/{person}/history/{feature}/points", tags=["state"])
+    async def points(  # noqa: PLR0917 - parameters of a route
+        person: Name,
+        feature: FeatureName,
+        caller: SignedIn,
+        request: Request,
+        start: datetime | None = None,
+        end: datetime | None = None,
+        count: Annotated[int, Query(ge=1, le=MAX_POINTS)] = 600,
+    ) -> list[HistoryPoint]:
+        """Return the valid numbers of a time in `count` equal parts: least, mean and most of each."""
+        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        subject = people.person(person).pseudonym
+        rows = await asyncio.to_thread(store.points, subject, feature, *_time(start, end), count)
+        return [
+            HistoryPoint(
+                at=moment(row.at_us), least=row.least, mean=row.mean, most=row.most, values=row.values
+            )
+            for row in rows
+        ]
+
+    @app.get("/people/{person}/history/{feature}/durations", tags=["state"])
+    async def durations(  # noqa: PLR0917 - parameters of a route
+        person: Name,
+        feature: FeatureName,
+        caller: SignedIn,
+        request: Request,
+        start: datetime | None = None,
+        end: datetime | None = None,
+    ) -> list[HistoryDuration]:
+        """Return how long each text of a feature held, such as an activity or a sleep position."""
+        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        subject = people.person(person).pseudonym
+        rows = await asyncio.to_thread(store.durations, subject, feature, *_time(start, end))
+        return [HistoryDuration(value=value, seconds=round(seconds, 3)) for value, seconds in rows]
+
+
+def _time(start: datetime | None, end: datetime | None) -> tuple[int, int]:
+    """Return a time in us since 1970: the last day if none is given."""
+    to_s = time.time() if end is None else end.timestamp()
+    from_s = to_s - DAY_S if start is None else start.timestamp()
+    return int(from_s * 1e6), int(to_s * 1e6)
 
 
 def _add_limits(app: FastAPI, parts: Parts) -> None:

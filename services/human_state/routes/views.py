@@ -5,9 +5,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from handover.errors import UsageError
+from handover.messages import with_code
 from services.human_state.drivers.base import SENSOR_DRIVERS, SensorDriver
 from services.human_state.fusion.person_state import FusedValue
-from services.human_state.model.features import UNITS
+from services.human_state.model.features import UNITS, FeatureName
 from services.human_state.monitoring.monitoring import Monitoring, RobotLink
 from services.human_state.monitoring.person_monitor import PersonMonitor, SensorView
 from services.human_state.people.consent import Purpose
@@ -60,6 +61,9 @@ def person_view(person: Person, monitoring: Monitoring) -> PersonView:
 def _sensor_view(person: Person, name: str, monitor: PersonMonitor | None) -> SensorStateView:
     row = person.sensors[name]
     known = SensorView() if monitor is None else monitor.sensors.get(name, SensorView())
+    fault = known.present_fault(time.monotonic())
+    problem = known.text if fault is None or not fault.text else fault.text
+    coded = with_code("problem", problem)
     return SensorStateView(
         name=name,
         driver=row.driver,
@@ -67,8 +71,10 @@ def _sensor_view(person: Person, name: str, monitor: PersonMonitor | None) -> Se
         link=known.link,
         battery=known.battery,
         has_contact=known.has_contact,
-        fault=known.fault,
-        problem=known.text,
+        fault=None if fault is None else fault.fault,
+        problem=str(problem),
+        problem_code=coded.get("problemCode"),
+        problem_parameters=coded.get("problemParameters"),
         signals=sorted(known.signals),
     )
 
@@ -91,6 +97,7 @@ def limit_view(monitor: PersonMonitor, monitoring: Monitoring) -> LimitView | No
         fraction=limit.fraction,
         is_stopped=limit.is_stopped,
         reason=limit.reason(time.monotonic()),
+        held_by=monitor.state.faulty_sensors(FeatureName.HEART_RATE, time.monotonic()),
         free_bpm=limit.curve.free_bpm,
         strained_bpm=limit.curve.strained_bpm,
         least_fraction=limit.curve.least,

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import orjson
-from sqlalchemy import Connection, Engine, delete, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Engine, case, delete, func, insert, select, update
 
 from handover.security.audit_trail import record_deletion, record_request
 from services.human_state.storage import tables
 
 MAX_HISTORY_ROWS: Final = 20_000
+MAX_LASTING_US: Final = 10_000_000
+VALID: Final = "valid"
 _OF_PERSON: Final = (tables.consents, tables.sensors, tables.bindings, tables.limits)
 
 
@@ -71,6 +73,17 @@ class ValueRow:
     text: str | None
     quality: float
     status: str
+
+
+@dataclass(frozen=True, slots=True)
+class PointRow:
+    """The valid numbers of a part of the history around `at_us`."""
+
+    at_us: int
+    least: float
+    mean: float
+    most: float
+    values: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,13 +236,55 @@ class Store:
         table = tables.history
         query = (
             select(table)
-            .where((table.c.subject == subject) & (table.c.feature == feature))
-            .where((table.c.at_us >= from_us) & (table.c.at_us <= to_us))
+            .where(_within(subject, feature, from_us, to_us))
             .order_by(table.c.at_us.desc())
             .limit(MAX_HISTORY_ROWS)
         )
         with self._engine.connect() as connection:
             return [ValueRow(**row) for row in connection.execute(query).mappings()][::-1]
+
+    def points(self, subject: str, feature: str, from_us: int, to_us: int, count: int) -> list[PointRow]:
+        """Return the valid numbers of a time in at most `count` parts of equal length, oldest first."""
+        table = tables.history
+        width_us = max((to_us - from_us) // count + 1, 1)
+        part = (table.c.at_us - from_us) // width_us
+        number = table.c.number
+        query = (
+            select(part, func.min(number), func.avg(number), func.max(number), func.count())
+            .where(_within(subject, feature, from_us, to_us))
+            .where(number.is_not(None) & (table.c.status == VALID))
+            .group_by(part)
+            .order_by(part)
+        )
+        with self._engine.connect() as connection:
+            found = connection.execute(query).all()
+        return [
+            PointRow(from_us + place * width_us + width_us // 2, least, float(mean), most, rows)
+            for place, least, mean, most, rows in found
+        ]
+
+    def durations(self, subject: str, feature: str, from_us: int, to_us: int) -> list[tuple[str, float]]:
+        """Return how long each valid text held in a time, in s, the longest first.
+
+        A text holds until the next value, and for `MAX_LASTING_US` at most: the sensor was off afterwards.
+        """
+        table = tables.history
+        following = func.lead(table.c.at_us, 1, to_us).over(order_by=table.c.at_us)
+        values = (
+            select(table.c.text, table.c.status, (following - table.c.at_us).label("length_us"))
+            .where(_within(subject, feature, from_us, to_us))
+            .subquery()
+        )
+        lasted = case((values.c.length_us > MAX_LASTING_US, MAX_LASTING_US), else_=values.c.length_us)
+        total = func.sum(lasted)
+        query = (
+            select(values.c.text, total)
+            .where(values.c.text.is_not(None) & (values.c.status == VALID))
+            .group_by(values.c.text)
+            .order_by(total.desc(), values.c.text)
+        )
+        with self._engine.connect() as connection:
+            return [(text, float(lasted_us) / 1e6) for text, lasted_us in connection.execute(query)]
 
     def delete_old_values(self, before_us: int) -> int:
         """Delete values before a time; return how many."""
@@ -255,6 +310,12 @@ class Store:
         """Delete the row of a recording; its file is deleted before."""
         with self._changing() as connection:
             connection.execute(delete(tables.recordings).where(tables.recordings.c.id == identifier))
+
+
+def _within(subject: str, feature: str, from_us: int, to_us: int) -> ColumnElement[bool]:
+    table = tables.history
+    is_feature = (table.c.subject == subject) & (table.c.feature == feature)
+    return is_feature & (table.c.at_us >= from_us) & (table.c.at_us <= to_us)
 
 
 def _delete_history(connection: Connection, subject: str) -> None:

@@ -245,7 +245,7 @@ def test_a_fault_empties_the_window() -> None:
     for packet in packets[:30]:
         pipeline.feed(packet)
     ended = pipeline.report(SensorReport("s", BEGIN_S + 15, fault=SensorFault.GAP))
-    assert {f.status for f in ended} == {Status.IMPLAUSIBLE}
+    assert {f.status for f in ended} == {Status.STALE}
     assert not [
         f for packet in packets[30:40] for f in pipeline.feed(packet) if f.name is FeatureName.HEART_RATE
     ]

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from handover.errors import UsageError
+from handover.messages import message
 from services.human_state.drivers.base import (
     DriverSettings,
     FoundDevice,
@@ -69,7 +70,14 @@ class RadarDriver(SensorDriver):
         try:
             port = serial.serial_for_url(settings.port, settings.baud, timeout=0.2, exclusive=True)
         except (OSError, ValueError) as error:
-            raise LinkLost(f"{settings.port} cannot be opened: {error}") from error
+            raise LinkLost(
+                message(
+                    "health.sensor.port",
+                    "{port} cannot be opened: {error}",
+                    port=str(settings.port),
+                    error=str(error),
+                )
+            ) from error
         sink(SensorReport(self.source, now_s(), link=LinkState.CONNECTED))
         reader = FrameReader()
         try:

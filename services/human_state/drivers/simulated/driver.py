@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from handover.messages import message
 from services.human_state.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
 from services.human_state.drivers.simulated.person import SimulatedPerson
 from services.human_state.drivers.simulated.waveforms import WAVES, Wave
@@ -200,7 +201,7 @@ class SimulatedDriver(SensorDriver):
                 self._advance()
                 for track in self._tracks:
                     track.until(self.person, self._elapsed_s, 0.0)
-                raise LinkLost("the simulated connection was lost")
+                raise LinkLost(message("health.sensor.lost", "the connection was lost"))
 
 
 class _Track:

@@ -72,6 +72,43 @@ def test_a_device_with_jitter_and_drift_has_no_faults_and_no_gaps() -> None:
     assert abs(times[-1] - (feed.our_s - 1 / 130)) < feed.sent[-1].uncertainty_s + 0.02
 
 
+def test_packets_that_waited_at_the_beginning_are_late_and_no_clock_jump() -> None:
+    feed = Feed()
+    for waited in range(4):  # all four arrive together, two seconds after the first was measured
+        feed.packet(delay_s=2.0 - waited / 2)
+    feed.run(20)
+    assert set(feed.faults) == {SensorFault.LATE}
+    times_s = np.concatenate([one.sample_times_s() for one in feed.sent])
+    assert (np.diff(times_s) > 0).all()
+    assert feed.our_s - times_s[-1] < 0.1
+
+
+def test_packets_of_a_busy_machine_are_joined_and_only_the_uncertainty_grows() -> None:
+    feed = Feed()
+    feed.run(10)
+    for _ in range(120):  # for a minute everything comes 1.5 s later
+        feed.packet(delay_s=1.5)
+    assert feed.faults == []
+    assert feed.sent[-1].uncertainty_s > 1.0
+    times_s = np.concatenate([one.sample_times_s() for one in feed.sent])
+    assert np.diff(times_s) == pytest.approx(1 / 130, abs=0.8 / 130), "no sample is missing"
+
+
+def test_a_pause_of_this_machine_is_no_silence_and_no_gap_of_what_is_stamped_at_its_arrival() -> None:
+    feed = Feed(clock=ClockKind.ARRIVAL)
+    feed.run(10)
+    paused_s = 3.0
+    at_s = feed.our_s + paused_s
+    feed.monitor.delayed(at_s, paused_s)
+    assert feed.monitor.silence(at_s + 0.1) is None
+    for waited in range(6):  # what waited is taken at once
+        feed.packet(delay_s=paused_s - (waited + 1) / 2)
+    feed.run(5)
+    assert SensorFault.GAP not in feed.faults
+    assert SensorFault.CLOCK_JUMP not in feed.faults
+    assert feed.monitor.silence(feed.our_s + 1.5) is not None, "silence is found again afterwards"
+
+
 def test_lost_packets_are_a_gap_of_their_length() -> None:
     feed = Feed()
     feed.run(5)
@@ -117,7 +154,7 @@ def test_a_rate_that_lies_is_found_and_its_samples_cannot_be_used(clock: ClockKi
 def test_a_rate_that_is_true_again_is_used_again(clock: ClockKind) -> None:
     feed = Feed(clock=clock)
     feed.run(6, rate=0.8)
-    feed.run(30)
+    feed.run(30 if clock is ClockKind.DEVICE else 75)
     assert feed.sent[-1].quality == 1.0
 
 

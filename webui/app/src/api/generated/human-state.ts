@@ -34,6 +34,21 @@ export interface FoundView {
   rssiDbm: number | null;
 }
 
+/** How long a text held, in s. */
+export interface HistoryDuration {
+  value: string;
+  seconds: number;
+}
+
+/** The valid values of a part of the time around `at`. */
+export interface HistoryPoint {
+  at: string;
+  least: number;
+  mean: number;
+  most: number;
+  values: number;
+}
+
 /** One value of the history. */
 export interface HistoryValue {
   at: string;
@@ -47,6 +62,7 @@ export interface LimitView {
   fraction: number;
   isStopped: boolean;
   reason: string;
+  heldBy: string[];
   freeBpm: number;
   strainedBpm: number;
   leastFraction: number;
@@ -145,6 +161,8 @@ export interface SensorStateView {
   hasContact: boolean | null;
   fault: string | null;
   problem: string;
+  problemCode: string | null;
+  problemParameters: Record<string, unknown> | null;
   signals: string[];
 }
 
