@@ -74,7 +74,6 @@ class SensedPerson:
             if report is not None:
                 self.state.report(report)
                 self._take(pipeline.report(report))
-            self._take(pipeline.advance(self.now_s))
 
     def _take(self, features: Sequence[Feature]) -> None:
         for feature in features:
