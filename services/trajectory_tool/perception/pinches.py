@@ -66,37 +66,74 @@ def _best_along(
     """Return score, angle, place along and across the direction of closing, and width; None without one."""
     c, s = math.cos(angle), math.sin(angle)
     turned = flat @ np.array([[c, -s], [s, c]])  # first: in the direction of closing
-    half, room = fingers.opening / 2, fingers.thickness + CLEARANCE_M
-    margin = half + room + 2 * CELL_M
+    areas = _Areas.of(fingers)
+    margin = (areas.shift + areas.free) * CELL_M
     low = turned.min(axis=0) - margin
     shape = np.ceil((turned.max(axis=0) + margin - low) / CELL_M).astype(int) + 1
     grid = np.zeros(shape, dtype=np.float32)
     cells = np.floor((turned - low) / CELL_M).astype(int)
     grid[cells[:, 0], cells[:, 1]] = 1.0
     grid = cv2.morphologyEx(grid, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    wide = max(round((fingers.width + 2 * CLEARANCE_M) / CELL_M), 1)
-    free = max(round((room + PLAY_M + CLEARANCE_M) / CELL_M), 1)
-    inner = max(round((fingers.opening - 2 * (PLAY_M + CLEARANCE_M)) / CELL_M), 1)
-    beside = cv2.boxFilter(grid, -1, (wide, free), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    between = cv2.boxFilter(grid, -1, (wide, inner), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    shift = inner // 2 + free // 2 + 1
+    beside = _sums(grid, areas.free, areas.wide)
+    between = _sums(grid, areas.inner, areas.held)
     left, right = np.full_like(grid, np.inf), np.full_like(grid, np.inf)
-    left[shift:], right[:-shift] = beside[:-shift], beside[shift:]
-    full = wide * inner
-    needed = MIN_FILLED * wide * MIN_ACROSS_M / CELL_M
+    left[areas.shift :], right[: -areas.shift] = beside[: -areas.shift], beside[areas.shift :]
+    needed = MIN_FILLED * fingers.width * MIN_ACROSS_M / CELL_M**2
     possible = (left < 0.5) & (right < 0.5) & (between >= needed)
     if not possible.any():
         return None
     rows, columns = np.nonzero(possible)
     across = low[0] + (rows + 0.5) * CELL_M
     along = low[1] + (columns + 0.5) * CELL_M
+    full = areas.inner * areas.held
     scores = FILLED_WEIGHT_M * between[rows, columns] / full - np.hypot(across, along)
     best = int(scores.argmax())
-    # Between the fingers the middle of what is there counts: both then have the same room.
     row, column = int(rows[best]), int(columns[best])
-    first, last = max(row - inner // 2, 0), row + inner // 2 + 1
-    strip = grid[first:last, max(column - wide // 2, 0) : column + wide // 2 + 1].any(axis=1)
-    filled = np.flatnonzero(strip)
-    centre = low[0] + (first + (filled[0] + filled[-1]) / 2 + 0.5) * CELL_M
+    first = row - areas.inner // 2
+    strip = grid[first : row + areas.inner // 2 + 1, column - areas.held // 2 : column + areas.held // 2 + 1]
+    filled = np.flatnonzero(strip.any(axis=1))
+    # Both fingers have the same room at the middle of what is between them; but something else that lies
+    # beside it may be in the way of a finger there.
+    middle = first + (int(filled[0]) + int(filled[-1])) // 2
+    if possible[middle, column]:
+        row = middle
     width_m = float((filled[-1] - filled[0] + 1) * CELL_M)
-    return float(scores[best]), angle, float(along[best]), float(centre), width_m
+    return float(scores[best]), angle, float(along[best]), float(low[0] + (row + 0.5) * CELL_M), width_m
+
+
+@dataclass(frozen=True, slots=True)
+class _Areas:
+    """Sizes in cells, all odd, so that the middle of an area is the middle of a cell.
+
+    In the direction of closing: `inner` between the fingers, `free` that each finger needs, and `shift` from
+    the middle to that of a finger's area. Across it: `wide` that the fingers need, and `held` between them,
+    without a cell at each edge of the fingers, as nothing is held by an edge.
+    """
+
+    inner: int
+    free: int
+    shift: int
+    wide: int
+    held: int
+
+    @classmethod
+    def of(cls, fingers: Fingers) -> "_Areas":
+        """Return the sizes: what must be free is rounded up, what must be filled is rounded down."""
+        inner = _odd_down(fingers.opening - 2 * (PLAY_M + CLEARANCE_M))
+        free = _odd_up(fingers.opening / 2 + fingers.thickness + CLEARANCE_M - inner * CELL_M / 2)
+        wide = _odd_up(fingers.width + 2 * CLEARANCE_M)
+        return cls(inner, free, (inner + free) // 2, wide, _odd_down(fingers.width - 2 * CELL_M))
+
+
+def _odd_down(length_m: float) -> int:
+    return max(math.floor((length_m / CELL_M - 1) / 2) * 2 + 1, 1)
+
+
+def _odd_up(length_m: float) -> int:
+    return max(math.ceil((length_m / CELL_M - 1) / 2) * 2 + 1, 1)
+
+
+def _sums(grid: Array, rows: int, columns: int) -> Array:
+    """Return the sum over the area of so many rows and columns around each cell; both odd."""
+    sums: Array = cv2.boxFilter(grid, -1, (columns, rows), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return sums

@@ -51,7 +51,6 @@ PATCHES = st.lists(
 )
 
 
-@pytest.mark.xfail(reason="at the edge of its grid the search finds some places that touch or hold nothing")
 @given(PATCHES)
 @settings(max_examples=40, deadline=None)
 def test_the_opened_fingers_touch_nothing_at_a_pinch(
