@@ -16,6 +16,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from services.trajectory_tool.perception.depth_image import Array
 from services.trajectory_tool.perception.grasps import CLEARANCE_M, Fingers
@@ -73,7 +74,7 @@ def _best_along(
     grid = np.zeros(shape, dtype=np.float32)
     cells = np.floor((turned - low) / CELL_M).astype(int)
     grid[cells[:, 0], cells[:, 1]] = 1.0
-    grid = cv2.morphologyEx(grid, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    grid = np.asarray(cv2.morphologyEx(grid, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.float32)
     beside = _sums(grid, areas.free, areas.wide)
     between = _sums(grid, areas.inner, areas.held)
     left, right = np.full_like(grid, np.inf), np.full_like(grid, np.inf)
@@ -133,7 +134,7 @@ def _odd_up(length_m: float) -> int:
     return max(math.ceil((length_m / CELL_M - 1) / 2) * 2 + 1, 1)
 
 
-def _sums(grid: Array, rows: int, columns: int) -> Array:
+def _sums(grid: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
     """Return the sum over the area of so many rows and columns around each cell; both odd."""
-    sums: Array = cv2.boxFilter(grid, -1, (columns, rows), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return sums
+    sums = cv2.boxFilter(grid, -1, (columns, rows), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(sums, dtype=np.float32)

@@ -1,14 +1,17 @@
-/** The values of one series over time: the mean as a line within the band from minimum to maximum. Dragging zooms. */
-import { useEffect, useRef } from "react";
+/**
+ * The values of one series over time: the mean as a line within the band from minimum to maximum; a forecast as a broken
+ * line within its band. Dragging zooms.
+ */
+import { useEffect, useMemo, useRef } from "react";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { exactTime } from "~/design/times";
 import { useShownTheme } from "~/shell/theme";
 import { digits, isoOf } from "../values";
-import type { Columns, Interval } from "./interval";
+import { withForecast, type Columns, type ForecastColumns, type Interval } from "./interval";
 
 interface HistoryChartProps {
-  data: Columns;
+  data: Columns | ForecastColumns;
   interval: Interval;
   symbol: string;
   language: string;
@@ -20,10 +23,11 @@ interface HistoryChartProps {
 /** A drag by less is a press. */
 const MIN_DRAG_PX = 8;
 
-export function HistoryChart({ data, interval, symbol, language, label, onZoom }: HistoryChartProps) {
+export function HistoryChart({ data: given, interval, symbol, language, label, onZoom }: HistoryChartProps) {
   const place = useRef<HTMLDivElement>(null);
   const readout = useRef<HTMLOutputElement>(null);
   const plot = useRef<uPlot>(null);
+  const data = useMemo(() => (given.length === 7 ? given : withForecast(given, [])), [given]);
   const newest = useRef({ data, interval, onZoom });
   const theme = useShownTheme();
 
@@ -52,8 +56,7 @@ export function HistoryChart({ data, interval, symbol, language, label, onZoom }
             ({ cursor: { idx } }) => {
               const out = readout.current;
               if (out === null) return;
-              const [t, mean] = [newest.current.data[0][idx ?? -1], newest.current.data[1][idx ?? -1]];
-              out.textContent = t === undefined || mean == null ? "" : `${digits(mean, language)} ${symbol} · ${exactTime(isoOf(t), language)}`;
+              out.textContent = readoutOf(newest.current.data, idx ?? -1, symbol, language);
             },
           ],
         },
@@ -78,6 +81,17 @@ export function HistoryChart({ data, interval, symbol, language, label, onZoom }
       <output ref={readout} className="history-chart__readout small" aria-hidden />
     </div>
   );
+}
+
+/** The value at a moment; of a forecast its band as well. */
+function readoutOf(columns: ForecastColumns, idx: number, symbol: string, language: string): string {
+  const [t, mean] = [columns[0][idx], columns[3][idx]];
+  if (t === undefined) return "";
+  const at = exactTime(isoOf(t), language);
+  if (mean != null) return `${digits(mean, language)} ${symbol} · ${at}`;
+  const [low, high, expected] = [columns[4][idx], columns[5][idx], columns[6][idx]];
+  if (low == null || high == null || expected == null) return "";
+  return `≈ ${digits(expected, language)} ${symbol} (${digits(low, language)} – ${digits(high, language)}) · ${at}`;
 }
 
 function optionsOf(host: HTMLElement, language: string, interval: Interval): uPlot.Options {
@@ -109,12 +123,11 @@ function optionsOf(host: HTMLElement, language: string, interval: Interval): uPl
       },
       { ...axis, size: 64, values: (_, splits) => splits.map((value) => digits(value, language)) },
     ],
-    series: [
-      {},
-      { stroke: colour("--accent"), width: 2 },
-      band,
-      band,
+    // Bands are filled when their upper series is drawn: the lines come last, so that they lie above them.
+    series: [{}, band, band, { stroke: colour("--accent"), width: 2 }, band, band, { stroke: colour("--accent"), width: 2, dash: [6, 4], points: { show: false } }],
+    bands: [
+      { series: [2, 1], fill: colour("--accent-soft") },
+      { series: [5, 4], fill: colour("--accent-soft") },
     ],
-    bands: [{ series: [3, 2], fill: colour("--accent-soft") }],
   };
 }

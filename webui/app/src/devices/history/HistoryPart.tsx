@@ -1,13 +1,14 @@
 /** Charts of the values of a device, each with its own scale, over the same time; and their download. */
-import { ChevronLeft, ChevronRight, Download, RotateCcw, ZoomIn, ZoomOut } from "lucide-react";
+import { ChevronLeft, ChevronRight, Download, RotateCcw, TrendingUp, ZoomIn, ZoomOut } from "lucide-react";
 import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
 import { ToggleButton, ToggleButtonGroup } from "react-aria-components";
-import type { SeriesView } from "~/api/generated/device-gateway";
+import type { ForecastView, SeriesView } from "~/api/generated/device-gateway";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { SegmentedControl } from "~/design/SegmentedControl";
+import { number } from "~/design/numbers";
 import { exactTime } from "~/design/times";
 import { useNow } from "~/live/clock";
 import type { RegisteredDeviceView } from "~/live/messages";
@@ -15,10 +16,11 @@ import { useQueryChange, useQueryParameter } from "~/route/queryParameter";
 import { pathOf, SERVICE, type SymbolOf } from "../gateway";
 import { digits, isoOf, spaced, valuesOf } from "../values";
 import { HistoryChart } from "./HistoryChart";
-import { columnsOf, intervalIn, intervalText, isSpan, lastInterval, moved, SPANS, summaryOf, zoomed, type Interval, type Span } from "./interval";
+import { columnsOf, HORIZONS, intervalIn, intervalText, isSpan, lastInterval, moved, SPANS, summaryOf, withForecast, zoomed, type Interval, type Span } from "./interval";
 
 const POINTS = 600;
 const INITIAL_CHARTS = 3;
+const FORECAST_EVERY_MS = 60_000;
 const NONE: readonly SeriesView[] = [];
 
 export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView; symbolOf: SymbolOf }) {
@@ -28,10 +30,15 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
   const [spanText] = useQueryParameter("span", "hour");
   const change = useQueryChange();
   const [zoom, setZoom] = useQueryParameter("time");
+  const [ahead, setAhead] = useQueryParameter("forecast");
+  const hasForecast = ahead === "on";
   const span: Span = isSpan(spanText) ? spanText : "hour";
   const fixed = useMemo(() => intervalIn(zoom), [zoom]);
   const last = lastInterval(span, useNow() / 1000);
   const interval = useMemo(() => fixed ?? { begin: last.begin, end: last.end }, [fixed, last.begin, last.end]);
+  const horizon = HORIZONS[span];
+  // The latest values leave room for what is ahead; a chosen period stays as it is.
+  const shown = useMemo(() => (hasForecast && fixed === null ? { begin: interval.begin, end: interval.end + horizon.seconds } : interval), [hasForecast, fixed, interval, horizon]);
   const chosen = wanted === "" ? names.slice(0, INITIAL_CHARTS) : names.filter((name) => wanted.split(",").includes(name));
   const query = `${chosen.map((name) => `name=${encodeURIComponent(name)}&`).join("")}begin=${interval.begin}&end=${interval.end}`;
   const path = chosen.length === 0 ? null : `${pathOf(device.name)}/values`;
@@ -60,6 +67,10 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
           <Button label={t("history.farther")} icon={<ZoomOut aria-hidden size={20} />} onPress={() => set(zoomed(interval, 2))} />
           <Button label={t("history.reset")} icon={<RotateCcw aria-hidden size={20} />} onPress={() => setZoom("")} isDisabled={fixed === null} />
         </div>
+        <ToggleButton className="device-history__value" isSelected={hasForecast} onChange={(isOn) => setAhead(isOn ? "on" : "")}>
+          <TrendingUp aria-hidden size={18} />
+          {t("history.forecast.show")}
+        </ToggleButton>
         <a className="button button--plain button--normal" href={`/api/${SERVICE}/${pathOf(device.name)}/values.csv?${query}`} download={`${device.name}.csv`}>
           <Download aria-hidden size={18} />
           {t("history.csv")}
@@ -77,22 +88,38 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
         ))}
       </ToggleButtonGroup>
       <p className="quiet small">
-        {at(interval.begin)} – {at(interval.end)} · {t("history.hint")}
+        {at(shown.begin)} – {at(shown.end)} · {t("history.hint")}
       </p>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {chosen.map((name) => {
         const series = value.find((each) => each.name === name);
         const symbol = symbolOf(series?.unit ?? device.values[name]?.unit);
-        return <Series key={name} title={title(name)} series={series ?? null} symbol={symbol} interval={interval} onZoom={set} />;
+        const forecastPath = hasForecast ? `${pathOf(device.name)}/forecast?name=${encodeURIComponent(name)}&horizon=${horizon.seconds}&steps=${horizon.steps}` : null;
+        return <Series key={name} title={title(name)} series={series ?? null} symbol={symbol} interval={shown} valuesEnd={interval.end} forecastPath={forecastPath} onZoom={set} />;
       })}
     </div>
   );
 }
 
-function Series({ title, series, symbol, interval, onZoom }: { title: string; series: SeriesView | null; symbol: string; interval: Interval; onZoom: (interval: Interval) => void }) {
+interface SeriesProps {
+  title: string;
+  series: SeriesView | null;
+  symbol: string;
+  interval: Interval;
+  /** Until when the interval has values; then a forecast. */
+  valuesEnd: number;
+  forecastPath: string | null;
+  onZoom: (interval: Interval) => void;
+}
+
+function Series({ title, series, symbol, interval, valuesEnd, forecastPath, onZoom }: SeriesProps) {
   const { t, i18n } = useTranslation("devices");
   const points = series?.points;
-  const data = useMemo(() => columnsOf(points ?? [], (interval.end - interval.begin) / POINTS), [points, interval]);
+  const { value: forecast, failure } = useServiceQuery<ForecastView>(SERVICE, forecastPath, { intervalMs: FORECAST_EVERY_MS });
+  const data = useMemo(() => {
+    const columns = columnsOf(points ?? [], (valuesEnd - interval.begin) / POINTS);
+    return withForecast(columns, forecast?.points ?? []);
+  }, [points, interval, valuesEnd, forecast]);
   const summary = summaryOf(points ?? []);
   const text = (value: number) => `${digits(value, i18n.language)} ${symbol}`.trim();
   const said = summary === null ? t("history.empty") : t("history.summary", { min: text(summary.min), mean: text(summary.mean), max: text(summary.max) });
@@ -105,7 +132,26 @@ function Series({ title, series, symbol, interval, onZoom }: { title: string; se
         <span className="quiet small">{points === undefined ? "" : said}</span>
       </header>
       <HistoryChart data={data} interval={interval} symbol={symbol} language={i18n.language} label={`${title}: ${said}`} onZoom={onZoom} />
+      {forecastPath !== null && <ForecastText forecast={forecast} failure={failure} symbol={symbol} />}
     </section>
+  );
+}
+
+/** How a forecast was made, and how wrong earlier ones were. */
+function ForecastText({ forecast, failure, symbol }: { forecast: ForecastView | null; failure: string | null; symbol: string }) {
+  const { t, i18n } = useTranslation("devices");
+  if (failure !== null) return <p className="quiet small">{failure}</p>;
+  const last = forecast?.points.at(-1);
+  if (forecast === null || last === undefined) return <p className="quiet small">{t("history.forecast.loading")}</p>;
+  const { method, error, naiveError, origins, coverage } = forecast;
+  const text = (value: number) => `${digits(value, i18n.language)} ${symbol}`.trim();
+  const rough = (value: number) => `${number(value, i18n.language, { maximumSignificantDigits: 2 })} ${symbol}`.trim();
+  return (
+    <p className="small">
+      {t(`history.forecast.method.${method}`, { until: exactTime(isoOf(last.t), i18n.language), value: text(last.mean), low: text(last.low), high: text(last.high) })}{" "}
+      {t("history.forecast.error", { count: origins, error: rough(error), naive: rough(naiveError), percent: Math.round(100 * coverage) })}{" "}
+      {error >= naiveError && <strong>{t("history.forecast.useless")}</strong>}
+    </p>
   );
 }
 
