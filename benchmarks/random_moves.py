@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.steal_time import report_steal_time
 from services.trajectory_tool.joint_trajectory import Array
 from services.trajectory_tool.planned_course import PlannedCourse
-from services.trajectory_tool.planning import timing
+from services.trajectory_tool.planning import retiming, timing
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.robots import ROBOTS
 from services.trajectory_tool.trajectory import Course, Limits
@@ -126,7 +126,8 @@ class Moves:
     def _course(self, path: list[Array], speed: float) -> tuple[Course | PlannedCourse, float]:
         limits = self.limits
         if len(path) > 2:
-            trajectory = timing.along(timing.BlendedLines(path, limits), limits).slowed(speed)
+            curve = timing.along(timing.BlendedLines(path, limits), limits)
+            trajectory = retiming.faster(curve, limits).slowed(speed)
             return PlannedCourse(trajectory, limits, 0.0), trajectory.duration_s
         if self.random.random() < LINE_SHARE / (1 - CURVE_SHARE):
             trajectory = timing.line(path[0], path[1], limits).slowed(speed)

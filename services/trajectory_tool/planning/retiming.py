@@ -12,8 +12,9 @@ limits at many places. Newton's method minimises duration and barriers, with les
 barriers (Boyd and Vandenberghe: Convex Optimization, chapter 11). The set of rates that keep the limit of
 jerk is not convex, so the result is a local optimum; the Hessian lacks the term that is not positive.
 
-Between these places a limit may be exceeded. Therefore the result is slowed as a whole as far as the limits
-demand, and if it is not shorter than the motion that was given, that one is returned.
+Between these places a limit of jerk may be exceeded. There it is lowered, and the search continues twice at
+most. The result is slowed as a whole as far as the limits still demand, and if it is not shorter than the
+motion that was given, that one is returned.
 """
 
 import math
@@ -27,19 +28,29 @@ from services.trajectory_tool.joint_trajectory import Array, JointTrajectory, sp
 from services.trajectory_tool.planning import timing
 from services.trajectory_tool.trajectory import Limits
 
-INTERVAL_S = 0.03
-"""About the length of the intervals of b; shorter ones give a shorter motion and cost more."""
-MIN_INTERVALS, MAX_INTERVALS = 12, 60
-PLACES = 6
+INTERVAL_S, QUICK_INTERVAL_S = 0.012, 0.03
+"""About the length of the intervals of b; shorter ones give a shorter motion and cost more.
+
+The second one is for joints whose acceleration builds up within an interval: jerk hardly limits them.
+"""
+MIN_INTERVALS, MAX_INTERVALS = 12, 150
+PLACES = 5
 """The places in each interval where the limits hold exactly."""
 
 GAP = 3e-3
 """The end: so close to the optimum (a fraction of the duration) are the barriers."""
-FIRST_GAP, NARROWING = 2.0, 4.0
-MAX_STEPS = 60
+FIRST_GAPS, NARROWING = (2.0, 0.03, 0.03), 4.0
+"""The gaps at the beginning, for each attempt, and the factor by which they narrow."""
+TOLERANCE = 2e-3
+"""So little (a fraction of the limit) may be exceeded between the places before another attempt."""
+MAX_STEPS = 100
+NEAR = 0.98
+"""Of the way to the nearest limit, a step covers this fraction at most."""
 SHRINK, SUFFICIENT = 0.6, 0.1
 """Backtracking: the factor of the step size, and the fraction of the expected decrease that is sufficient."""
-LONG, MIN_SIZE = 0.5, 1e-6
+LONG, MIN_SIZE = 0.9, 1e-6
+"""After a long step, the barriers get less weight; there is no step below the smallest size."""
+MIN_SHARE = 1e-9
 SAMPLES = 24
 """The places in each interval between which the time is interpolated."""
 
@@ -49,25 +60,58 @@ ORDERS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 def faster(trajectory: JointTrajectory, limits: Limits) -> JointTrajectory:
     """Return a motion within `limits` on the path of `trajectory` that takes no longer."""
-    intervals = round(trajectory.duration_s / INTERVAL_S)
+    build_up_s = float((np.array(limits.acceleration) / np.array(limits.jerk)).max())
+    interval_s = INTERVAL_S if build_up_s > INTERVAL_S else QUICK_INTERVAL_S
+    intervals = round(trajectory.duration_s / interval_s)
     rates = _Rates(trajectory, limits, min(max(intervals, MIN_INTERVALS), MAX_INTERVALS))
-    found = rates.motion(rates.optimum()).within(limits)
-    return min(trajectory, found, key=lambda one: one.duration_s)
+    best, coefficients = trajectory, np.ones(rates.intervals + 1)
+    for gap in FIRST_GAPS:
+        coefficients = rates.optimum(coefficients, gap)
+        at_s, found = rates.motion(coefficients)
+        best = min(best, found.within(limits), key=lambda one: one.duration_s)
+        if not rates.tighten(at_s, found):
+            break
+    return best
+
+
+@dataclass(frozen=True, slots=True)
+class _Terms:
+    """What the limits bound, as fractions of them: one row a joint, one column a place, by interval.
+
+    All are linear in the coefficients.
+    """
+
+    rate: Array
+    """b."""
+    acceleration: Array
+    jerk: Array
+    """Likewise, times the slowness b^(-1/2)."""
+    velocity: Array
+    """The square of the highest velocity of a joint."""
+
+    def after(self, size: float, change: "_Terms") -> "_Terms":
+        """Return the terms after a step."""
+        return _Terms(
+            self.rate + size * change.rate,
+            self.acceleration + size * change.acceleration,
+            self.jerk + size * change.jerk,
+            self.velocity + size * change.velocity,
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    """Coefficients that keep the limits. The arrays have a column for each place, by interval."""
+    """Coefficients that keep the limits, and the distances from the limits."""
 
     coefficients: Array
+    terms: _Terms
     slowness: Array
     """b^(-1/2)."""
-    acceleration: tuple[Array, Array]
-    """The distance from the upper and the lower limit, one row a joint, as a fraction of the limit."""
-    jerk: tuple[Array, Array]
+    acceleration: Array
+    """The distances from the upper and from the lower limit."""
+    jerk: Array
     """Likewise, times the slowness."""
     velocity: Array
-    """The smallest distance of a joint."""
     barriers: float
     """The sum of the barriers."""
 
@@ -79,7 +123,7 @@ class _Rates:
     """
 
     def __init__(self, trajectory: JointTrajectory, limits: Limits, intervals: int) -> None:
-        self._trajectory, self._intervals = trajectory, intervals
+        self._trajectory, self._limits, self.intervals = trajectory, limits, intervals
         self._step_s = trajectory.duration_s / intervals
         within = (np.arange(PLACES) + 0.5) / PLACES
         at_s = (np.arange(intervals)[:, None] + within).ravel() * self._step_s
@@ -100,10 +144,10 @@ class _Rates:
         self._place_s = self._step_s / PLACES
         self._count = len(at_s) * (4 * len(q1) + 1)
 
-    def optimum(self) -> Array:
-        """Return coefficients close to a local optimum."""
-        state = self._start()
-        weight = self._count / (FIRST_GAP * self._duration_s(state))
+    def optimum(self, coefficients: Array, gap: float) -> Array:
+        """Return coefficients close to a local optimum, found from others with a gap at the beginning."""
+        state = self._start(coefficients)
+        weight = self._count / (gap * self._duration_s(state))
         for _ in range(MAX_STEPS):
             found, size = self._newton(state, weight)
             if found is None:
@@ -115,14 +159,17 @@ class _Rates:
                 weight *= NARROWING
         return state.coefficients
 
-    def motion(self, coefficients: Array) -> JointTrajectory:
-        """Return the motion at a rate. It keeps the limits at the places, and about between them."""
+    def motion(self, coefficients: Array) -> tuple[Array, JointTrajectory]:
+        """Return the motion at a rate, and the times of its points in the motion that was given.
+
+        It keeps the limits at the places, and about between them.
+        """
         trajectory = self._trajectory
         halves = np.arange(2 * SAMPLES) / (2 * SAMPLES)
         b = (_windows(coefficients) @ _splines(halves)[0].T).ravel()
         end = _windows(coefficients)[-1] @ _splines(np.ones(1))[0][0]
         slowness = np.append(b, end) ** -0.5
-        places = np.linspace(0.0, trajectory.duration_s, self._intervals * SAMPLES + 1)
+        places = np.linspace(0.0, trajectory.duration_s, self.intervals * SAMPLES + 1)
         steps = (slowness[2::2] + 4 * slowness[1::2] + slowness[:-2:2]) * places[1] / 6  # Simpson's rule
         times = np.concatenate([[0.0], np.cumsum(steps)])
         total_s = float(times[-1])
@@ -131,35 +178,35 @@ class _Rates:
         at_s = np.clip(place(np.linspace(0.0, total_s, count + 1)), 0.0, trajectory.duration_s)
         points = trajectory.derivative(at_s, 0)
         points[0], points[-1] = trajectory.points[0], trajectory.points[-1]
-        return timing.at_rest_at_ends(points, total_s / count)
+        return at_s, timing.at_rest_at_ends(points, total_s / count)
+
+    def tighten(self, at_s: Array, found: JointTrajectory) -> bool:
+        """Lower the limits at the places near which a motion exceeds them; return whether there are any."""
+        jerk = np.abs(np.diff(found.points, 3, axis=0)).T / found.spacing_s**3
+        ratios = (jerk / np.array(self._limits.jerk)[:, None]).max(axis=0)
+        exceeded = np.flatnonzero(ratios > 1 + TOLERANCE)
+        places = np.zeros(self._velocity.shape)
+        between = at_s[np.clip(exceeded, 1, len(at_s) - 1) - 1] / self._place_s - 0.5
+        for reach in range(-1, 3):
+            near = np.clip(np.floor(between).astype(np.int64) + reach, 0, len(places) - 1)
+            np.maximum.at(places, near, ratios[exceeded])
+        self._jerk = tuple(one * np.maximum(places, 1.0) for one in self._jerk)
+        return len(exceeded) > 0
 
     def _duration_s(self, state: _State) -> float:
         return float(state.slowness.sum()) * self._place_s
 
-    def _start(self) -> _State:
-        """Return a constant rate that keeps the limits; that of the given motion is at their border."""
-        coefficients = np.ones(self._intervals + 1)
-        while (found := self._state(coefficients)) is None:
+    def _start(self, coefficients: Array) -> _State:
+        """Return the rate, lowered until it keeps the limits; that of the given motion is at their border."""
+        while not isinstance(found := _state(coefficients, self._terms(coefficients)), _State):
             coefficients = 0.97 * coefficients
         return found
 
-    def _state(self, coefficients: Array) -> _State | None:
-        """Return the distances from the limits; None if a limit is exceeded."""
+    def _terms(self, coefficients: Array) -> _Terms:
         windows = _windows(coefficients)
         b, b1, b2 = ((windows @ splines.T).ravel() for splines in self._splines)
-        if b.min() <= 0:
-            return None
-        slowness = b**-0.5
         (a0, a1), (j0, j1, j2) = self._acceleration, self._jerk
-        acceleration = a0 * b + a1 * b1
-        jerk = j0 * b + j1 * b1 + j2 * b2
-        distances = np.stack([1 - acceleration, 1 + acceleration, slowness - jerk, slowness + jerk])
-        velocity = 1 - b * self._velocity
-        if min(distances.min(), velocity.min()) <= 0:
-            return None
-        barriers = float(-np.log(distances).sum() - np.log(velocity).sum())
-        up, down, jerk_up, jerk_down = distances
-        return _State(coefficients, slowness, (up, down), (jerk_up, jerk_down), velocity, barriers)
+        return _Terms(b, a0 * b + a1 * b1, j0 * b + j1 * b1 + j2 * b2, self._velocity * b)
 
     def _newton(self, state: _State, weight: float) -> tuple[_State | None, float]:
         """Return the state after a step and the size of the step; None if no step is better."""
@@ -169,21 +216,24 @@ class _Rates:
         except LinAlgError:
             return None, 0.0
         slope, before = float(gradient @ step), weight * self._duration_s(state) + state.barriers
-        size = 1.0
+        change = self._terms(step)
+        size = min(1.0, NEAR * _farthest(state, change))
         while size > MIN_SIZE:
-            found = self._state(state.coefficients + size * step)
-            if found is not None:
+            found = _state(state.coefficients + size * step, state.terms.after(size, change))
+            if isinstance(found, _State):
                 after = weight * self._duration_s(found) + found.barriers
                 if after <= before + SUFFICIENT * size * slope:
                     return found, size
-            size *= SHRINK
+                size *= SHRINK
+            else:
+                size *= NEAR * _crossing(state, found)
         return None, 0.0
 
     def _derivatives(self, state: _State, weight: float) -> tuple[Array, Array]:
         """Return gradient and Hessian (lower bands) of the weighted duration and the barriers."""
         (a0, a1), (j0, j1, j2) = self._acceleration, self._jerk
-        up, down = (1 / one for one in state.acceleration)
-        jerk_up, jerk_down = (1 / one for one in state.jerk)
+        up, down = 1 / state.acceleration
+        jerk_up, jerk_down = 1 / state.jerk
         velocity = self._velocity / state.velocity
         slow = state.slowness
         slow1 = -0.5 * slow**3  # its derivative by b
@@ -211,6 +261,39 @@ class _Rates:
             one.reshape(-1, PLACES) @ splines for one, splines in zip(first, self._splines, strict=True)
         )
         return _assembled(np.asarray(gradients), by_interval.reshape(-1, 4, 4))
+
+
+def _state(coefficients: Array, terms: _Terms) -> _State | Array:
+    """Return the state; if a limit of jerk is exceeded, the distances from these limits."""
+    slowness = terms.rate**-0.5
+    jerk = np.stack([slowness - terms.jerk, slowness + terms.jerk])
+    acceleration = np.stack([1 - terms.acceleration, 1 + terms.acceleration])
+    velocity = 1 - terms.velocity
+    if min(jerk.min(), acceleration.min(), velocity.min()) <= 0:
+        return jerk
+    barriers = -float(np.log(jerk).sum() + np.log(acceleration).sum() + np.log(velocity).sum())
+    return _State(coefficients, terms, slowness, acceleration, jerk, velocity, barriers)
+
+
+def _farthest(state: _State, change: _Terms) -> float:
+    """Return the size of step that reaches the first limit other than that of jerk."""
+    shares = (
+        -change.rate / state.terms.rate,
+        change.acceleration / state.acceleration[0],
+        -change.acceleration / state.acceleration[1],
+        change.velocity / state.velocity,
+    )
+    return 1 / max(*(float(share.max()) for share in shares), MIN_SHARE)
+
+
+def _crossing(state: _State, jerk: Array) -> float:
+    """Return about the fraction of a step at which the first limit of jerk is exceeded.
+
+    The distances are convex in the size of the step, so the true fraction is at most this one.
+    """
+    exceeded = jerk <= 0
+    before = state.jerk[exceeded]
+    return float((before / (before - jerk[exceeded])).min())
 
 
 def _splines(at: Array) -> tuple[Array, Array, Array]:

@@ -5,12 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.jerk_reference import optimal_duration_s
 from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.planning import retiming, timing
 from services.trajectory_tool.robots import ROBOTS
 from services.trajectory_tool.trajectory import Limits, duration_s
 
 UR10 = ROBOTS.load("ur10")
+UR5E = ROBOTS.load("ur5e")
 PANDA = ROBOTS.load("panda")
 EVERY_S = 0.001
 ROUNDING = 1e-6
@@ -80,10 +82,11 @@ def test_a_faster_timing_keeps_path_and_limits(path: list[list[float]], robot: A
         assert np.abs(dense - place).max(axis=1).min() < 0.004
 
 
-def test_a_faster_timing_of_a_curve_saves_time_where_the_jerk_is_limited() -> None:
+@pytest.mark.parametrize("robot", [UR10, UR5E])
+def test_a_faster_timing_of_a_curve_is_near_the_optimum_where_the_jerk_is_limited(robot: Any) -> None:
     points = [np.zeros(6), np.array([0.8, -0.5, 0.4, 0, 0, 0]), np.array([0.2, 0.3, 0.9, 0.5, 0, 0])]
-    given = timing.along(timing.BlendedLines(points, UR10.limits), UR10.limits)
-    assert retiming.faster(given, UR10.limits).duration_s < 0.97 * given.duration_s
+    given = timing.along(timing.BlendedLines(points, robot.limits), robot.limits)
+    assert retiming.faster(given, robot.limits).duration_s < 1.03 * optimal_duration_s(given, robot.limits)
 
 
 @settings(deadline=None, max_examples=30)
