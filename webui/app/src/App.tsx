@@ -16,6 +16,7 @@ const TasksPage = lazy(() => import("~/tasks/TasksPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
 const PeoplePage = lazy(() => import("~/people/PeoplePage"));
 const HealthPage = lazy(() => import("~/health/HealthPage"));
+const CasesPage = lazy(() => import("~/cases/CasesPage"));
 const DevicesPage = lazy(() => import("~/devices/DevicesPage"));
 const AlertingPage = lazy(() => import("~/alerting/AlertingPage"));
 const SensorsPage = lazy(() => import("~/sensors/SensorsPage"));
@@ -53,6 +54,7 @@ export function App() {
             <Route path="/people" component={PeoplePage} />
             <Route path="/sensors" component={SensorsPage} />
             <Route path="/health" component={HealthPage} />
+            <Route path="/cases" component={CasesPage} />
             <Route path="/devices" component={DevicesPage} />
             <Route path="/alerting" component={AlertingPage} />
             <Route path="/control" component={ControlPage} />

@@ -58,10 +58,12 @@ class WheelchairMachine(Machine):
         self._centre = None if x_mm is None or y_mm is None else Centre(x_mm, y_mm)
         self.heart_rate_bpm = body.number("heartRate", now_s, 3.0)
         self.fraction, self._allowed_reason = seen.allowed.fraction, str(seen.allowed.reason)
-        before = abs(self.controller.linear)
-        self.controller = self.controller.step(self._centre, self.fraction, seen.dt_s)
-        if self._is_faulty:
-            self._rise_mps = max(self._rise_mps, abs(self.controller.linear) - before)
+        before = self.controller.vmax.value
+        self.controller = self.controller.step(
+            self._centre, self.fraction, seen.dt_s, may_rise=self.heart_rate_bpm is not None
+        )
+        if self._is_faulty and self.heart_rate_bpm is None:
+            self._rise_mps = max(self._rise_mps, self.controller.vmax.value - before)
         self.chair = self.chair.step(self.controller.linear, self.controller.angular, seen.dt_s)
         self.driver = self.driver.step(self.chair, seen.dt_s, wants_to_drive=self._wants_to_drive)
 
@@ -182,7 +184,7 @@ class WheelchairMachine(Machine):
         await trial.until("the rest of the person", lambda: (self.heart_rate_bpm or 200) < 105, PATIENCE_S)
         trial.say("rested; the person resets the stop")
         await trial.reset()
-        await trial.until("the chair drives again", lambda: self.chair.linear_mps > 0.1, PATIENCE_S)
+        await trial.until("the chair drives again", lambda: self.fraction >= 0.4, PATIENCE_S)
 
     async def _lose_strap(self, trial: Trial) -> None:
         trial.say("the strap slips off")
@@ -192,7 +194,7 @@ class WheelchairMachine(Machine):
         trial.compare(
             "strap off: slower than 30 %, then a stop",
             "(not in the paper)",
-            f"after {fell_s:.1f} and {fell_s + stood_s:.1f} s; the command rose by {self._rise_mps:.2f} m/s",
+            f"after {fell_s:.1f} and {fell_s + stood_s:.1f} s; vmax rose by {self._rise_mps:.2f} m/s",
             self._rise_mps <= 0.0,
         )
         self._is_faulty, self._has_contact = False, True

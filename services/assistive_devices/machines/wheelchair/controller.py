@@ -8,8 +8,8 @@ rises above the limit itself. Equation 1 scales the translation to vmax. The ang
 same factor while the chair moves, so that the curve stays; on the spot it has a limit of its own.
 
 Invariants, for any centres of pressure, limits and gaps: the speed never exceeds the maximum; while it is
-above vmax of the limit it does not rise; without a valid centre of pressure it falls to 0 within the
-deceleration; with a limit of 0 it falls to 0.
+above vmax it does not rise, and vmax does not rise during a fault; without a valid centre of pressure it falls
+to 0 within the deceleration; with a limit of 0 it falls to 0.
 
 Worked example: a maximum of 1.2 m/s and 107.5 bpm give a limit of 0.5, so vmax is 0.6 m/s. A command of 1.0
 m/s and 0.5 rad/s becomes 0.6 m/s and 0.3 rad/s: the same curve of 2 m radius.
@@ -83,16 +83,22 @@ class Wheelchair:
         """Whether the upright posture is known."""
         return self.calibrated_s >= CALIBRATION_S
 
-    def step(self, centre: Centre | None, fraction: float, dt_s: float) -> "Wheelchair":
+    def step(
+        self, centre: Centre | None, fraction: float, dt_s: float, *, may_rise: bool = True
+    ) -> "Wheelchair":
         """Return the controller `dt_s` later.
 
         `centre` is None unless a fresh, valid one is known; `fraction` is the limit of the body, 0 to 1. A
-        fraction that is no number counts as 0.
+        fraction that is no number counts as 0. vmax rises only while `may_rise`: the heart rate is valid.
         """
         dt_s = min(max(dt_s, 0.0), MAX_DT_S)
         given = self.parameters
         limit = min(max(fraction, 0.0), 1.0) if math.isfinite(fraction) else 0.0
-        vmax = self.vmax.step(given.max_speed_mps * limit, dt_s, given.limit_time_constant_s)
+        target = given.max_speed_mps * limit
+        if not may_rise and target >= self.vmax.value:
+            vmax = Smoothed(self.vmax.value)
+        else:
+            vmax = self.vmax.step(target, dt_s, given.limit_time_constant_s)
         ready = replace(self, vmax=vmax)
         if centre is None or not self.is_enabled:
             return ready._stopping(dt_s)

@@ -1,6 +1,6 @@
 /** The frame of every page: navigation, connection state and preferences. */
 import {
-  BellRing, CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HardHat, HeartPulse, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
+  BellRing, CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HandHelping, HardHat, HeartPulse, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
 } from "lucide-react";
 import { Suspense, useEffect, useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -25,6 +25,7 @@ const allPages = [
   { path: "/system", name: "system", icon: Cog, key: "4" },
   { path: "/sensors", name: "sensors", icon: Thermometer, key: "m" },
   { path: "/health", name: "health", icon: HeartPulse, key: "h" },
+  { path: "/cases", name: "cases", icon: HandHelping, key: "y" },
   { path: "/devices", name: "devices", icon: Cpu, key: "v" },
   { path: "/alerting", name: "alerting", icon: BellRing, key: "w" },
   { path: "/control", name: "control", icon: Gamepad2, key: "c" },
@@ -115,12 +116,14 @@ export function Shell({ children }: { children: ReactNode }) {
   );
 }
 
-/** Health is offered where its service is, to who may read data of others or has own. */
+/** Health and Cases are offered where their services are, to who may read data of others or, for Health, has own. */
 function useOfferedPages(): readonly (typeof allPages)[number][] {
   const { user } = useSession();
   const hasHealth = useTopicSelector("services", (services) => services?.some(({ name }) => name === "human-state") ?? false);
-  const isShown = hasHealth && (mayDo("readHealthData") || user?.person != null);
-  return useMemo(() => (isShown ? allPages : allPages.filter(({ name }) => name !== "health")), [isShown]);
+  const hasCases = useTopicSelector("services", (services) => services?.some(({ name }) => name === "assistive-devices") ?? false);
+  const showsHealth = hasHealth && (mayDo("readHealthData") || user?.person != null);
+  const showsCases = hasCases && mayDo("readHealthData");
+  return useMemo(() => allPages.filter(({ name }) => (name !== "health" || showsHealth) && (name !== "cases" || showsCases)), [showsHealth, showsCases]);
 }
 
 function scrollIntoView(page: HTMLAnchorElement | null): void {
