@@ -8,8 +8,8 @@ rises above the limit itself. Equation 1 scales the translation to vmax. The ang
 same factor while the chair moves, so that the curve stays; on the spot it has a limit of its own.
 
 Invariants, for any centres of pressure, limits and gaps: the speed never exceeds the maximum; while it is
-above vmax it does not rise, and vmax does not rise during a fault; without a valid centre of pressure it falls
-to 0 within the deceleration; with a limit of 0 it falls to 0.
+above vmax it does not rise, and vmax does not rise during a fault; without a valid centre of pressure it
+falls to 0 within the deceleration; with a limit of 0 it falls to 0.
 
 Worked example: a maximum of 1.2 m/s and 107.5 bpm give a limit of 0.5, so vmax is 0.6 m/s. A command of 1.0
 m/s and 0.5 rad/s becomes 0.6 m/s and 0.3 rad/s: the same curve of 2 m radius.
