@@ -122,12 +122,13 @@ def create_app(
     checks: Mapping[str, Check] | None = None,
     guard: Guard | None = None,
     audit: AuditTrail | None = None,
+    audit_prefix: str = "",
 ) -> FastAPI:
     """Return a FastAPI application with health, metrics and problem details in place.
 
     `checks` are the dependencies of the service by name; `/readyz` awaits each. `guard` authenticates the
     callers of routes that `require` a permission; the application starts and ends it, and `audit`, which
-    records what callers change and which data of persons they read.
+    records what callers change and which data of persons they read; its routes begin with `audit_prefix`.
     """
     app = FastAPI(
         title=title,
@@ -141,7 +142,7 @@ def create_app(
     app.router.route_class = TypedRoute
     add_operations(app, checks or {})
     if audit is not None:
-        add_audit_routes(app, audit)
+        add_audit_routes(app, audit, prefix=audit_prefix)
     app.add_exception_handler(Problem, _on_problem)  # type: ignore[arg-type]  # WebSockets as well
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_validation_error)

@@ -10,6 +10,7 @@ from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.messages import message
 from handover.notifications import REQUIRES_NOTIFICATION_KEY
+from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard, require
 from handover.security.permissions import Permission
 from handover.service import create_app
@@ -85,6 +86,7 @@ def make_app(settings: BridgeSettings) -> FastAPI:
             "storage": storage_check(settings.data_dir),
         },
         guard=guard,
+        audit=AuditTrail(settings, "ros-bridge"),
     )
     _add_routes(app, holder, settings)
     arms.add_routes(app, lambda: holder.get().graph)

@@ -16,6 +16,7 @@ from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
+from handover.security.audit_trail import AuditTrail
 from handover.security.caller import Caller, CallerKind
 from handover.security.guard import (
     authenticated,
@@ -111,6 +112,7 @@ class Components:
         self.state = LiveState()
         self.viewers = Viewers()
         engine = connect(settings.database("webui"))
+        self.audit = AuditTrail(settings, "webui", engine)
         self.events = EventLog(engine, self.state.publish_event)
         self.user_settings = UserSettings(engine)
         self.broker = BrokerClient(settings, credentials=guard.access)
@@ -188,6 +190,8 @@ def make_app(settings: WebuiSettings, page: PageFiles | None = None) -> ASGIApp:
         lifespan=components.lifespan,
         checks={"page": components.check_page, "storage": storage_check(settings.data_dir)},
         guard=components.guard,
+        audit=components.audit,
+        audit_prefix="/api/webui",
     )
     components.entities.mount(app)
     add_sessions(app, components.guard)

@@ -129,7 +129,7 @@ def run(
 ) -> None:
     """Run one service in the foreground."""
     chosen = service_named(service)
-    secrets.wait_for_secrets()
+    secrets.wait_for_secrets(chosen.settings.model_fields)
     secure.wait_for_security("HANDOVER_TLS_KEY", "HANDOVER_TLS_CERTIFICATE")
     if port is not None:
         os.environ[chosen.port_setting] = str(port)
@@ -147,7 +147,7 @@ def glove(context: typer.Context) -> None:
         return
     from glove_sdk_bridge.__main__ import main as bridge  # noqa: PLC0415 - only this command needs it
 
-    secrets.wait_for_secrets()
+    secrets.wait_for_secrets(("glove_token",))
     secure.wait_for_security()
     raise typer.Exit(bridge(bridge_arguments(context.args), program="handover glove"))
 

@@ -4,18 +4,22 @@ The containers run `make` first, so that every installation has its own random s
 with the name of its setting, which only the user of the services can read.
 """
 
+import base64
 import os
 import secrets
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 import typer
 
 from handover.errors import UsageError
-from handover.settings import SECRETS_DIR, Settings
+from handover.settings import PREFIX, SECRETS_DIR, Settings
 
-SECRETS = ("HANDOVER_GLOVE_TOKEN", "HANDOVER_DATABASE_PASSWORD")
+RECORDING_KEY = "HANDOVER_HEALTH_RECORDING_KEY"
+"""Without it, no recording of body signals can be read: keep a copy."""
+SECRETS = ("HANDOVER_GLOVE_TOKEN", "HANDOVER_DATABASE_PASSWORD", RECORDING_KEY)
 RANDOM_BYTES = 32
 READY_TIMEOUT_S = 60.0
 CHECK_EVERY_S = 0.1
@@ -33,28 +37,35 @@ def make() -> None:
 def make_in(folder: Path) -> None:
     """Create the missing secrets in `folder`, and say which were created."""
     for name in SECRETS:
-        if write_once(folder / name, os.environ.get(name) or secrets.token_hex(RANDOM_BYTES)):
+        if write_once(folder / name, os.environ.get(name) or _random(name)):
             typer.echo(f"{name}: created in {folder / name}")
         else:
             typer.echo(f"{name}: exists in {folder / name}")
 
 
+def _random(name: str) -> str:
+    if name == RECORDING_KEY:
+        return base64.b64encode(secrets.token_bytes(RANDOM_BYTES)).decode("ascii")
+    return secrets.token_hex(RANDOM_BYTES)
+
+
 @app.command()
 def show() -> None:
-    """Print the secrets for gloves and devices."""
+    """Print the secrets: for gloves and databases, and the key of recordings for a copy."""
     folder = _folder()
     for name in SECRETS:
         typer.echo(f"{name}={os.environ.get(name) or _read(folder / name)}")
 
 
-def wait_for_secrets(*, timeout_s: float = READY_TIMEOUT_S) -> None:
-    """Wait until the secrets exist; return at once without `HANDOVER_SECRETS_DIR`.
+def wait_for_secrets(settings: Iterable[str], *, timeout_s: float = READY_TIMEOUT_S) -> None:
+    """Wait until the secrets among `settings` exist; return at once without `HANDOVER_SECRETS_DIR`.
 
     `handover secrets make` may run at the same time. Raises `UsageError` after the timeout.
     """
     folder = os.environ.get(SECRETS_DIR)
     deadline_s = time.monotonic() + timeout_s
-    for name in SECRETS if folder else ():
+    needed = {f"{PREFIX}{name}".upper() for name in settings}
+    for name in (one for one in SECRETS if folder and one in needed):
         file = Path(folder or "") / name
         while not os.environ.get(name) and not file.exists():
             if time.monotonic() > deadline_s:

@@ -83,10 +83,12 @@ def _chosen(  # noqa: PLR0917 - query parameters
 Chosen = Annotated[AuditFilter, Depends(_chosen)]
 
 
-def add_audit_routes(app: FastAPI, source: AuditSource, names: Names = lambda _: {}) -> None:
-    """Add the routes; filters: subject, part of the action or resource, outcome, times in ms."""
+def add_audit_routes(
+    app: FastAPI, source: AuditSource, names: Names = lambda _: {}, *, prefix: str = ""
+) -> None:
+    """Add the routes below `prefix`; filters: subject, part of action or resource, outcome, times in ms."""
 
-    @app.get("/audit", tags=["audit"])
+    @app.get(f"{prefix}/audit", tags=["audit"])
     async def audit_records(
         _: Auditor,
         chosen: Chosen,
@@ -102,13 +104,13 @@ def add_audit_routes(app: FastAPI, source: AuditSource, names: Names = lambda _:
         views: list[AuditView] = await source.read(read)
         return views
 
-    @app.get("/audit/verification", tags=["audit"])
+    @app.get(f"{prefix}/audit/verification", tags=["audit"])
     async def audit_verification(_: Auditor) -> AuditVerification:
         """Check the chain of all records."""
         found = await source.read(source.log.verify)
         return {"records": found.records, "head": found.head, "fault": found.fault}
 
-    @app.get("/audit/export", tags=["audit"], response_class=Response)
+    @app.get(f"{prefix}/audit/export", tags=["audit"], response_class=Response)
     async def audit_export(
         caller: Auditor,
         chosen: Chosen,

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import httpx
 import pytest
 
 from ros_fiware_bridge.graph.qos import LATCHED
@@ -43,6 +44,8 @@ async def test_subscriptions_latched_topics_and_disabled_rules_survive_a_restart
     await shop.until(lambda: _are(shop, ["ros-bridge-rule-kind", "ros-bridge-rule-speed"]))
     refused = shop.post("/rules/sped/enable")
     assert (refused.status_code, refused.json()["title"]) == (404, "No such rule")
+    records = httpx.get(f"{shop.cell.url('ros_fiware_bridge')}/audit", timeout=120).json()
+    assert [one["text"] for one in reversed(records)] == ["/rules/speed/disable", "/rules/speed/enable"]
     process = shop.cell.processes.pop("ros_fiware_bridge")
     process.terminate()
     process.wait(timeout=120)

@@ -74,6 +74,11 @@ async def test_an_alert_is_acknowledged_once_with_the_name_of_the_person(
         stored = await broker.retrieve(urn)
         assert (stored["alertState"]["value"], stored["acknowledgedBy"]["value"]) == ("acknowledged", "Aino")
 
+        records = browser.get("/api/webui/audit").json()
+        assert [(one["action"], one["outcome"], one["text"]) for one in records] == [
+            ("POST /api/alerts/{alert}/acknowledge", "done", f"/api/alerts/{urn}/acknowledge")
+        ]
+
         twice = browser.post(f"/api/alerts/{urn}/acknowledge", json={"by": "Ville"})
         assert twice.status_code == 409
         assert "Aino" in twice.json()["detail"]

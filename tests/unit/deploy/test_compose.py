@@ -10,6 +10,7 @@ from dotenv import dotenv_values
 
 from glove_sdk_bridge.command_line import parse
 from handover.cli.glove import bridge_arguments
+from handover.cli.secrets import SECRETS
 from handover.cli.secure import Plan
 from handover.cli.services import OPTIONAL_SERVICES
 from handover.cli.services import SERVICES as USUAL
@@ -58,7 +59,7 @@ def test_the_simulated_operator_is_not_there_unless_it_is_chosen() -> None:
 def test_no_secret_is_printed_in_the_repository() -> None:
     for text in (*texts(COMPOSE), *ENV.values()):
         assert "public-until-changed" not in text
-    for name in ("CELL_GLOVE_TOKEN", "CELL_DATABASE_PASSWORD"):
+    for name in ("CELL_GLOVE_TOKEN", "CELL_DATABASE_PASSWORD", "CELL_HEALTH_RECORDING_KEY"):
         assert ENV[name] == ""
     assert "POSTGRES_PASSWORD" not in CONTAINERS["postgres"]["environment"]
 
@@ -70,7 +71,7 @@ def test_who_needs_a_secret_reads_it_from_a_file_and_depends_on_no_container_tha
         said = each.get("environment", {})
         if name == INIT:
             assert (mounts, said["HANDOVER_SECRETS_DIR"]) == (["secrets:/secrets"], "/secrets")
-        elif {"HANDOVER_GLOVE_TOKEN", "HANDOVER_DATABASE_PASSWORD"} & set(said):
+        elif set(SECRETS) & set(said):
             assert (mounts, said["HANDOVER_SECRETS_DIR"]) == (["secrets:/secrets:ro"], "/secrets")
             assert each["command"][:2] in (["handover", "run"], ["handover", "glove"]), "these wait for it"
         elif name == "postgres":

@@ -9,12 +9,14 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from handover.cli.services import SERVICES
+from handover.cli.services import OPTIONAL_SERVICES
+from handover.cli.services import SERVICES as USUAL
 from handover.settings import origins
 from tests.kit import processes
 
 FOLDER = Path(__file__).parents[3] / "deploy/kubernetes"
 KUSTOMIZATION: dict[str, Any] = yaml.safe_load((FOLDER / "kustomization.yaml").read_text())
+SERVICES = (*USUAL, *OPTIONAL_SERVICES)
 DOCUMENTS: list[dict[str, Any]] = [
     document
     for name in KUSTOMIZATION["resources"]
@@ -161,10 +163,21 @@ def test_the_script_makes_every_file_of_the_secrets(tmp_path: Path) -> None:
     for files in secrets.values():
         for file in files:
             assert (tmp_path / file).is_file(), file
-    used = {
-        volume["secret"]["secretName"]
-        for name in WORKLOADS
-        for volume in pod_of(name)["volumes"]
-        if "secret" in volume
+    assert {one for name in WORKLOADS for one in secrets_of(name)} == set(secrets)
+
+
+def secrets_of(name: str) -> set[str]:
+    """Return the names of the secrets that a pod can read."""
+    volumes = pod_of(name)["volumes"]
+    projected = [one["secret"] for each in volumes for one in each.get("projected", {}).get("sources", ())]
+    return {one["secret"]["secretName"] for one in volumes if "secret" in one} | {
+        one["name"] for one in projected
     }
-    assert used == set(secrets)
+
+
+def test_each_pod_has_the_private_files_of_no_other() -> None:
+    for name in OURS:
+        own = {"handover-secrets", "public-keys", f"tls-{name}"}
+        more = {"accounts": {"signing-keys"}, "human-state": {"recording-key"}}
+        assert secrets_of(name) <= own | more.get(name, set()), name
+    assert "recording-key" in secrets_of("human-state")

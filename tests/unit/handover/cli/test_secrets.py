@@ -11,10 +11,11 @@ from typer.testing import CliRunner
 from glove_sdk_bridge.command_line import parse
 from handover.cli.glove import bridge_arguments
 from handover.cli.main import app
-from handover.cli.secrets import SECRETS, wait_for_secrets, write_once
+from handover.cli.secrets import RECORDING_KEY, SECRETS, wait_for_secrets, write_once
 from handover.errors import UsageError
 from handover.settings import Settings, origins
 from services.gesture_controller.settings import ControllerSettings
+from services.human_state.settings import HumanStateSettings
 
 Run = Callable[..., str]
 TOKEN = "HANDOVER_GLOVE_TOKEN"
@@ -42,7 +43,7 @@ def test_secrets_are_made_once_and_only_the_owner_can_read_them(folder: Path, ru
     made = {name: (folder / name).read_text().strip() for name in SECRETS}
     assert len(set(made.values())) == len(SECRETS)
     for name, value in made.items():
-        assert len(value) == 64
+        assert len(value) == (44 if name == RECORDING_KEY else 64)
         assert value not in said, "the log must not hold it"
         assert stat.S_IMODE((folder / name).stat().st_mode) == 0o600
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
@@ -104,17 +105,18 @@ def test_of_many_who_make_a_secret_at_once_one_does(tmp_path: Path) -> None:
 
 
 def test_a_service_waits_until_the_secrets_are_made(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needed = HumanStateSettings.model_fields
     with ThreadPoolExecutor(1) as thread:
-        waiting = thread.submit(wait_for_secrets, timeout_s=60)
-        for name in SECRETS:
+        waiting = thread.submit(wait_for_secrets, needed, timeout_s=60)
+        for name in ("HANDOVER_DATABASE_PASSWORD", RECORDING_KEY):
             assert not waiting.done()
             write_once(folder / name, "x")
         waiting.result(60)
-    (folder / TOKEN).unlink()
+    assert not (folder / TOKEN).exists(), "it does not need the token of gloves"
     with pytest.raises(UsageError, match=rf"no secret .*{TOKEN}; make it with: handover secrets make"):
-        wait_for_secrets(timeout_s=0)
+        wait_for_secrets(("glove_token",), timeout_s=0)
     monkeypatch.setenv(TOKEN, "chosen")
-    wait_for_secrets(timeout_s=0)
+    wait_for_secrets(("glove_token",), timeout_s=0)
     monkeypatch.delenv("HANDOVER_SECRETS_DIR")
     monkeypatch.delenv(TOKEN)
-    wait_for_secrets(timeout_s=0)
+    wait_for_secrets(("glove_token",), timeout_s=0)

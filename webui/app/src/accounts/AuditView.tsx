@@ -16,10 +16,11 @@ import { StatusBadge } from "~/design/StatusBadge";
 import type { Tone } from "~/design/StatusBadge";
 import { DataTable, type Column } from "~/design/table/DataTable";
 import { useSorting } from "~/design/table/useSorting";
+import { useTopicSelector } from "~/live/hooks";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
 import { resourceName, SERVICE, useUsers, type TokenView } from "./accounts";
-import { actionText, AUDITED, exported, OUTCOMES, useAudit, verified, type AuditFilter, type AuditView as Entry, type Verified } from "./audit";
+import { actionText, AUDITED, exported, OUTCOMES, servicesOf, useAudit, verified, type AuditFilter, type AuditView as Entry, type Failure, type Verified } from "./audit";
 
 const TONES: Record<string, Tone> = { done: "ok", refused: "attention", failed: "stop" };
 const FORMATS = ["csv", "json"] as const;
@@ -28,15 +29,19 @@ export function AuditLogView() {
   const { t } = useTranslation(["accounts", "common"]);
   const [filter, bar] = useFilter();
   const names = useNames();
-  const { records, failures, loadOlder } = useAudit(filter);
+  const running = useTopicSelector("services", (known) => (known ?? []).map(({ name }) => name).join());
+  const services = servicesOf(filter, running.split(","));
+  const { records, failures, loadOlder } = useAudit(filter, services);
   const [sorting, setSorting] = useSorting("-when", "auditSort");
   const columns = useColumns(names);
   const [fault, setFault] = useState<string | null>(null);
+  const [missing, setMissing] = useState<readonly Failure[]>([]);
   const [checks, setChecks] = useState<readonly Verified[] | null>(null);
   const [busy, setBusy] = useState(false);
   const perform = async (action: () => Promise<void>) => {
     setBusy(true);
     setFault(null);
+    setMissing([]);
     try {
       await action();
     } catch (error) {
@@ -56,16 +61,25 @@ export function AuditLogView() {
             key={format}
             icon={<Download aria-hidden size={18} />}
             isDisabled={busy}
-            onPress={() => void perform(async () => download(`audit.${format}`, format === "csv" ? "text/csv" : "application/json", await exported(filter, format, names)))}
+            onPress={() =>
+              void perform(async () => {
+                const file = await exported(filter, services, format, names);
+                download(file.name, format === "csv" ? "text/csv" : "application/json", file.text);
+                setMissing(file.missing);
+              })
+            }
           >
             {t("audit.export", { format: format.toUpperCase() })}
           </Button>
         ))}
-        <Button icon={<ShieldCheck aria-hidden size={18} />} isDisabled={busy} onPress={() => void perform(async () => setChecks(await verified(filter)))}>
+        <Button icon={<ShieldCheck aria-hidden size={18} />} isDisabled={busy} onPress={() => void perform(async () => setChecks(await verified(services)))}>
           {t("audit.verify")}
         </Button>
       </div>
       {fault !== null && <ErrorMessage>{fault}</ErrorMessage>}
+      {missing.length > 0 && (
+        <ErrorMessage>{t("audit.exportLacks", { services: missing.map(({ service, failure }) => t("audit.unread", { service: t(`common:services.${service}`), why: failure })).join(" ") })}</ErrorMessage>
+      )}
       {failures.length > 0 && (
         <ErrorMessage>{failures.map(({ service, failure }) => t("audit.unread", { service: t(`common:services.${service}`), why: failure })).join(" ")}</ErrorMessage>
       )}

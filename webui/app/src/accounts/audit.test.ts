@@ -1,6 +1,6 @@
 /** The audit logs of several services as one list, and the query of its filters. */
-import { expect, it } from "vitest";
-import { csvOf, merged, queryOf, routeOf, servicesOf, type AuditFilter, type AuditView, type Loaded } from "./audit";
+import { expect, it, vi } from "vitest";
+import { csvOf, exported, merged, queryOf, routeOf, servicesOf, type AuditFilter, type AuditView, type Loaded } from "./audit";
 
 const NO_FILTER: AuditFilter = { service: "", subject: "", action: "", resource: "", outcome: "", from: "", to: "" };
 
@@ -25,7 +25,7 @@ it("asks the chosen service for whole days of the reader", () => {
   const query = new URLSearchParams(queryOf({ ...NO_FILTER, resource: " ur10-1 ", outcome: "refused", from: "2026-05-04", to: "2026-05-04" }));
   expect([query.get("resource"), query.get("outcome")]).toEqual(["ur10-1", "refused"]);
   expect(Number(query.get("until")) - Number(query.get("since"))).toBe(86_400_000);
-  expect(servicesOf({ ...NO_FILTER, service: "study" })).toEqual(["study"]);
+  expect(servicesOf({ ...NO_FILTER, service: "study" }, [])).toEqual(["study"]);
 });
 
 it("reads method and words of a route, and leaves other actions as they are", () => {
@@ -38,4 +38,27 @@ it("writes a table that a spreadsheet reads and does not run", () => {
   const [head, line] = csvOf([{ ...record("study", 1, 1), text: '=1+1, "x"', subjectName: "Anna" }]).split("\r\n");
   expect(head?.startsWith("\uFEFFservice,seq,at,subject")).toBe(true);
   expect(line).toBe('study,1,2026-05-04T08:01:00.000Z,user-1,x,*,done,user,"\'=1+1, ""x""",,Anna,');
+});
+
+it("asks services that an installation may lack while they run, or by name", () => {
+  expect(servicesOf(NO_FILTER, ["accounts"])).not.toContain("human-state");
+  expect(servicesOf(NO_FILTER, ["human-state"])).toContain("human-state");
+  expect(servicesOf({ ...NO_FILTER, service: "ros-bridge" }, [])).toEqual(["ros-bridge"]);
+});
+
+it("exports what it can read, and names the services that are away", async () => {
+  const answers: Record<string, Response> = {
+    "/api/accounts/audit/export?format=json": Response.json([record("accounts", 2, 20), record("accounts", 1, 10)]),
+    "/api/study/audit/export?format=json": Response.json({ title: "Bad gateway", detail: "study does not answer", status: 502 }, { status: 502 }),
+  };
+  vi.stubGlobal("fetch", (path: string) => Promise.resolve(answers[path]?.clone()));
+  try {
+    const file = await exported(NO_FILTER, ["accounts", "study"], "json", new Map([["user-1", "Anna"]]));
+    expect(file.name).toBe("audit-without-study.json");
+    expect(file.missing).toEqual([{ service: "study", failure: "study does not answer" }]);
+    expect((JSON.parse(file.text) as AuditView[]).map(({ seq, subjectName }) => [seq, subjectName])).toEqual([[1, "Anna"], [2, "Anna"]]);
+    await expect(exported(NO_FILTER, ["study"], "csv", new Map())).rejects.toThrow("study does not answer");
+  } finally {
+    vi.unstubAllGlobals();
+  }
 });

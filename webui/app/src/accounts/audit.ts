@@ -7,8 +7,10 @@ import { queryClient } from "~/api/useServiceQuery";
 
 export type { AuditVerification, AuditView };
 
-export const AUDITED = ["accounts", "task-orchestrator", "gesture-controller", "trajectory-tool", "device-gateway", "alert-router", "study", "context-broker"] as const satisfies readonly Service[];
+export const AUDITED = ["accounts", "task-orchestrator", "gesture-controller", "trajectory-tool", "device-gateway", "alert-router", "study", "human-state", "assistive-devices", "ros-bridge", "context-broker", "webui"] as const satisfies readonly Service[];
 export type Audited = (typeof AUDITED)[number];
+/** Services that an installation may do without: they are read while they run, or if the filter names them. */
+const OPTIONAL: ReadonlySet<string> = new Set<Audited>(["human-state", "assistive-devices", "ros-bridge"]);
 export const OUTCOMES = ["done", "refused", "failed"] as const;
 const PAGE = 100;
 
@@ -33,8 +35,9 @@ export interface Loaded {
 
 type Cursor = Partial<Record<Audited, number>>;
 
-export function servicesOf({ service }: AuditFilter): readonly Audited[] {
-  return AUDITED.filter((one) => service === "" || service === one);
+/** The services that a filter chooses; `running` are the names of those that the page server sees. */
+export function servicesOf({ service }: AuditFilter, running: readonly string[]): readonly Audited[] {
+  return AUDITED.filter((one) => (service === "" ? !OPTIONAL.has(one) || running.includes(one) : service === one));
 }
 
 const ROUTE = /^(GET|HEAD|POST|PUT|PATCH|DELETE|WebSocket) \/?(.*)$/;
@@ -95,13 +98,13 @@ async function loadedFrom(service: Audited, query: string, before: number | unde
   }
 }
 
-export function useAudit(filter: AuditFilter) {
+export function useAudit(filter: AuditFilter, services: readonly Audited[]) {
   const query = queryOf(filter);
   const pages = useInfiniteQuery(
     {
-      queryKey: ["audit", filter.service, query],
+      queryKey: ["audit", services.join(), query],
       queryFn: ({ pageParam }) =>
-        Promise.all((pageParam === null ? servicesOf(filter) : AUDITED.filter((one) => one in pageParam)).map((service) => loadedFrom(service, query, pageParam?.[service]))),
+        Promise.all((pageParam === null ? services : AUDITED.filter((one) => one in pageParam)).map((service) => loadedFrom(service, query, pageParam?.[service]))),
       initialPageParam: null as Cursor | null,
       getNextPageParam: (page: readonly Loaded[]) => {
         const next = Object.fromEntries(page.flatMap(({ service, before }) => (before === null ? [] : [[service, before]]))) as Cursor;
@@ -120,17 +123,41 @@ export function useAudit(filter: AuditFilter) {
   };
 }
 
-/** The records of all chosen services in one file, by time, with the `names` of subjects that only accounts knows. */
-export async function exported(filter: AuditFilter, format: "csv" | "json", names: ReadonlyMap<string, string>): Promise<string> {
+export interface Failure {
+  service: Audited;
+  failure: string;
+}
+
+/** A file with audit records; `missing` are the services that could not be read, which its name lists. */
+export interface Exported {
+  name: string;
+  text: string;
+  missing: readonly Failure[];
+}
+
+/** The records of `services` in one file, by time, with the `names` of subjects that only accounts knows. Throws if none can be read. */
+export async function exported(filter: AuditFilter, services: readonly Audited[], format: "csv" | "json", names: ReadonlyMap<string, string>): Promise<Exported> {
   const query = queryOf(filter);
   const lists = await Promise.all(
-    servicesOf(filter).map((service) => requestService<AuditView[]>(service, `audit/export?format=json${query === "" ? "" : `&${query}`}`)),
+    services.map((service) =>
+      requestService<AuditView[]>(service, `audit/export?format=json${query === "" ? "" : `&${query}`}`).then(
+        (records) => ({ service, records, failure: null }),
+        (error: unknown) => ({ service, records: [], failure: errorText(error) }),
+      ),
+    ),
   );
+  const missing = lists.flatMap(({ service, failure }) => (failure === null ? [] : [{ service, failure }]));
+  const [first] = missing;
+  if (first !== undefined && missing.length === services.length) throw new Error(first.failure);
   const records = lists
-    .flat()
+    .flatMap((list) => list.records)
     .map((record) => ({ ...record, subjectName: record.subjectName ?? names.get(record.subject) ?? null, resourceName: record.resourceName ?? names.get(record.resource) ?? null }))
     .sort((a, b) => (a.at === b.at ? a.seq - b.seq : a.at < b.at ? -1 : 1));
-  return format === "json" ? JSON.stringify(records, null, 1) : csvOf(records);
+  return {
+    name: `${["audit", ...missing.map(({ service }) => `without-${service}`)].join("-")}.${format}`,
+    text: format === "json" ? JSON.stringify(records, null, 1) : csvOf(records),
+    missing,
+  };
 }
 
 const COLUMNS = ["service", "seq", "at", "subject", "action", "resource", "outcome", "method", "text", "hash", "subjectName", "resourceName"] as const satisfies readonly (keyof AuditView)[];
@@ -151,9 +178,9 @@ export interface Verified {
   failure: string | null;
 }
 
-export function verified(filter: AuditFilter): Promise<Verified[]> {
+export function verified(services: readonly Audited[]): Promise<Verified[]> {
   return Promise.all(
-    servicesOf(filter).map((service) =>
+    services.map((service) =>
       requestService<AuditVerification>(service, "audit/verification").then(
         (result) => ({ service, result, failure: null }),
         (error: unknown) => ({ service, result: null, failure: errorText(error) }),
