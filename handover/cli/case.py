@@ -2,7 +2,8 @@
 
 import asyncio
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -13,14 +14,19 @@ from handover.cli.launcher import Launcher
 from handover.cli.progress import Say
 from handover.cli.services import ASSISTIVE_DEVICES, HUMAN_STATE, service_named
 from handover.errors import UsageError
-from handover.extensions import Service
+from handover.extensions import ExtensionPoint, Service
 from handover.settings import Settings
 from handover.tls_trust import client_context
 from services.assistive_devices.machine import CASES, Case
+from services.assistive_devices.trial import Trial
 
 PURPOSES = ["live", "speedLimits", "history", "broker"]
 CONSENT = timedelta(days=1)
 QUERY_EVERY_S = 0.3
+CASE_STUDIES = ExtensionPoint(
+    "study of a case", "handover.case_studies", {"treadmill": "handover.cli.case_treadmill:perform_study"}
+)
+"""Each takes the seconds of a session, None for those of the paper, and says what happens."""
 COLUMNS = ("figure", "paper", "here", "")
 
 
@@ -31,6 +37,20 @@ def load_case(name: str) -> Case:
         os.environ.setdefault(variable, value)
     os.environ["HANDOVER_ASSISTIVE_MACHINES"] = name
     return case
+
+
+def study_of(name: str) -> Callable[[float | None, Say], Trial] | None:
+    """Return what performs the trial of a case on a clock of its own, faster than life; None without one."""
+    return CASE_STUDIES.load(name) if name in CASE_STUDIES.names() else None
+
+
+def print_study(name: str, trial: Trial, say: Say) -> None:
+    """Print the figures of a study. Raises `UsageError` if the machine did not do what it should."""
+    for line in table([asdict(one) for one in trial.figures]):
+        say(line)
+    if not trial.passed:
+        wrong = [one.name for one in trial.figures if one.passed is False]
+        raise UsageError(f"the case {name} failed: not as it should be: {', '.join(wrong)}")
 
 
 def known_cases() -> list[Case]:

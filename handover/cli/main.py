@@ -68,7 +68,7 @@ def demo(
 
 
 @app.command()
-def case(
+def case(  # noqa: PLR0917 - options of a command
     name: Annotated[str | None, typer.Argument(help="The case; without it the cases are listed.")] = None,
     once: Annotated[
         bool, typer.Option("--once", help="End after the trial, with exit code 0 if the machine did right.")
@@ -77,11 +77,21 @@ def case(
         float | None,
         typer.Option("--duration", min=5, help="Seconds of the trial, instead of the paper's."),
     ] = None,
+    live: Annotated[
+        bool,
+        typer.Option("--live", help="With --once: in real time, not on a faster clock of its own."),
+    ] = False,
     timeout_s: Annotated[float, typer.Option("--timeout", help="Maximum duration in seconds.")] = 1800.0,
     data_dir: DataDir = None,
 ) -> None:
     """Run a case study: a machine that adapts to the body of a simulated person, on the page Cases."""
-    from handover.cli.case import known_cases, load_case, run_case  # noqa: PLC0415 - only this command
+    from handover.cli.case import (  # noqa: PLC0415 - only this command
+        known_cases,
+        load_case,
+        print_study,
+        run_case,
+        study_of,
+    )
 
     if name is None:
         for each in known_cases():
@@ -89,6 +99,9 @@ def case(
         return
     chosen = load_case(name)
     say(f"{chosen.summary} Nothing here is a medical device or a safety function.")
+    if once and not live and (study := study_of(name)) is not None:
+        print_study(name, study(duration_s, say), say)
+        return
     _until_stopped(
         run_case(chosen, _settings(data_dir), once=once, duration_s=duration_s, timeout_s=timeout_s, say=say)
     )

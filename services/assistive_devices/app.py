@@ -16,7 +16,7 @@ from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.service import create_app
 from services.assistive_devices.body_link import BodyLink
-from services.assistive_devices.machine import CASES, Case
+from services.assistive_devices.machine import CASES, Case, MachineContext
 from services.assistive_devices.metrics import REJECTED
 from services.assistive_devices.routes import add_routes
 from services.assistive_devices.running.entities import MachineRecords
@@ -43,6 +43,7 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
             ca_files=settings.ca_files,
         )
         runners[name] = MachineRunner(case, link, tasks)
+        runners[name].machine.prepare(MachineContext(settings, engine))
     records = MachineRecords(settings, list(runners.values()), broker, writer)
 
     @asynccontextmanager

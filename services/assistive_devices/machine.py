@@ -15,9 +15,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from sqlalchemy import Engine
+
 from handover.control.speed_limits import Allowed
+from handover.errors import Problem
 from handover.extensions import ExtensionPoint
+from handover.messages import message
 from services.assistive_devices.model.body import Body
+from services.assistive_devices.settings import AssistiveSettings
 from services.assistive_devices.trial import Trial
 
 MAX_STEP_S: Final = 0.2
@@ -32,6 +37,14 @@ class Seen:
     dt_s: float
     body: Body
     allowed: Allowed
+
+
+@dataclass(frozen=True, slots=True)
+class MachineContext:
+    """What the service gives a machine once, before its first cycle: settings, and the database for a log."""
+
+    settings: AssistiveSettings
+    engine: Engine
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +63,25 @@ class MachineState:
 
 class Machine(ABC):
     """One machine of a case; its methods run on the event loop and never block."""
+
+    def prepare(self, context: MachineContext) -> None:  # noqa: B027 - for machines that need it
+        """Take what the service has. Raises `UsageError` for settings that cannot be."""
+
+    def configure(self, options: Mapping[str, Any]) -> None:
+        """Take what the person chooses before a start. Raises `Problem` for what cannot be chosen."""
+        if options:
+            raise Problem(
+                422,
+                "No options",
+                message(
+                    "case.no_options",
+                    "this machine has no options; start it without {names}",
+                    names=", ".join(options),
+                ),
+            )
+
+    async def saved(self) -> None:  # noqa: B027 - for machines that keep a log
+        """Return when everything until now is in the database."""
 
     @abstractmethod
     def start(self) -> None:
@@ -115,6 +147,7 @@ CASES: Final = ExtensionPoint(
     "case",
     "handover.cases",
     {
+        "treadmill": f"{_MACHINES}.treadmill.case:CASE",
         "wheelchair": f"{_MACHINES}.wheelchair.case:CASE",
     },
 )

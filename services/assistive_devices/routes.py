@@ -29,6 +29,12 @@ class TrialStart(Body):
     duration_s: Annotated[FiniteFloat, Field(ge=5, le=7200)] | None = None
 
 
+class MachineStart(Body):
+    """What the person chooses; which options there are depends on the machine."""
+
+    options: Annotated[dict[str, Any], Field(max_length=16)] = Field(default_factory=dict)
+
+
 class FigureView(Body):
     """A figure of the paper beside ours; `passed` is null where there is nothing to decide."""
 
@@ -149,10 +155,10 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
         )
 
     @app.post("/machines/{case}/start", tags=["machines"], dependencies=[require(Permission.PERFORM_TASKS)])
-    async def start(case: str) -> MachineView:
+    async def start(case: str, body: MachineStart | None = None) -> MachineView:
         """Let the machine move, by its person or by who is in charge."""
         runner = runner_of(case)
-        runner.start()
+        await runner.start({} if body is None else body.options)
         return _view(runner)
 
     @app.post("/machines/{case}/stop", tags=["machines"], dependencies=[require(Permission.PERFORM_TASKS)])

@@ -1,6 +1,6 @@
 """The settings of assistive devices, in addition to the common ones."""
 
-from pydantic import Field
+from pydantic import Field, SecretStr
 
 from handover.settings import Names, Settings
 
@@ -14,6 +14,19 @@ class AssistiveSettings(Settings):
     )
     assistive_machines: Names = Field(
         (), description="the machines that run, separated by commas: wheelchair, bed, treadmill, bin-picking"
+    )
+    trainer_model_url: str | None = Field(
+        None,
+        description="an OpenAI-compatible server that words the advice of the treadmill trainer for people "
+        "who consent, such as https://host/v1; absent: templates word it, and nothing leaves",
+    )
+    trainer_model_name: str = Field("", max_length=200, description="the name of the model on that server")
+    trainer_model_key: SecretStr | None = Field(None, description="the key for that server")
+    trainer_model_timeout_s: float = Field(
+        4.0, gt=0, le=20, description="after so many seconds a template words the advice instead of the model"
+    )
+    trainer_log_days: float = Field(
+        30.0, gt=0, description="trainings and what the trainer said are deleted after so many days"
     )
     human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
     human_state_url: str | None = Field(

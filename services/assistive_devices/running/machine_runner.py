@@ -3,9 +3,9 @@
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from handover.background_tasks import BackgroundTasks
 from handover.control.speed_limits import Allowed
@@ -71,9 +71,11 @@ class MachineRunner:
             self.points.append(Point(time.time(), dict(self.machine.state().chart)))
         self.on_cycle(self)
 
-    def start(self) -> None:
-        """Let the machine move."""
+    async def start(self, options: Mapping[str, Any]) -> None:
+        """Let the machine move as the person chooses. Raises `Problem` for options that it does not take."""
+        self.machine.configure(options)
         self.machine.start()
+        await self.machine.saved()
 
     def stop(self) -> None:
         """Stop the machine, and its trial."""

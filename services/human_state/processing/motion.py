@@ -68,9 +68,9 @@ def step_rate(size_g: Floats, rate_hz: float) -> float:
     if not len(peaks):
         return 0.0
     heights = correlation[peaks + first]
-    top = int(peaks[np.flatnonzero(heights >= 0.85 * heights.max())[0]]) + first
-    if correlation[top] < 0.4:
+    if heights.max() < 0.4:  # also where all are negative: a motion that repeats nothing
         return 0.0
+    top = int(peaks[np.flatnonzero(heights >= 0.85 * heights.max())[0]]) + first
     before, here, after = correlation[top - 1 : top + 2]
     curve = before - 2 * here + after
     shift = float(np.clip(0.5 * (before - after) / curve, -0.5, 0.5)) if curve < 0 else 0.0

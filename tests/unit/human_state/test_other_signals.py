@@ -8,6 +8,7 @@ import pytest
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
 from services.human_state.processing.events import PersonAnalysis
+from services.human_state.processing.motion import step_rate
 from services.human_state.processing.pipeline import pipeline_for, processors_for
 from services.human_state.processing.pulse import saturation_of
 from services.human_state.processing.synthesis import (
@@ -249,3 +250,12 @@ def test_a_fault_empties_the_window() -> None:
     assert not [
         f for packet in packets[30:40] for f in pipeline.feed(packet) if f.name is FeatureName.HEART_RATE
     ]
+
+
+def test_a_motion_that_repeats_nothing_has_no_steps() -> None:
+    """Swings whose phase jumps all the time: of some, every peak of the autocorrelation is negative."""
+    for seed in range(150):
+        random = np.random.default_rng(seed)
+        phase = np.repeat(random.uniform(0, 2 * np.pi, 16), 7)[:100]
+        swing = 1 + 0.2 * np.sin(2 * np.pi * 1.6 * np.arange(100) / 25 + phase)
+        assert 0.0 <= step_rate(swing, 25.0) < 5.0

@@ -18,9 +18,15 @@ NOISE_M: Final = 0.01
 STEP_SWAY_M: Final = 0.02
 MAX_PACE_MPS: Final = 2.0
 MAX_PACE_CHANGE: Final = 0.25
-"""How fast a walker changes the pace, in m/s²."""
+"""How fast a walker gains pace, in m/s²."""
+MAX_SLOWING: Final = 0.8
+"""How fast they slow down: they hold the rails when the belt stops."""
 WANDER_S: Final = 20.0
 SWAY_HZ: Final = 1.7
+PLACE_RATE: Final = 0.5
+"""How fast a walker comes back to the middle of a belt that stops, in 1/s."""
+END_RATE: Final = 3.0
+"""How much a walker beyond comfort adapts to the belt, in 1/s: nobody walks into the rail."""
 COMFORT_M: Final = 0.25
 """So far from the middle the walker does not mind."""
 
@@ -63,16 +69,18 @@ class SimulatedWalker:
         due_s = self.now_s + self._random.uniform(*self.habits.reaction_s)
         self._pending.append((due_s, change_mps * self._random.uniform(0.7, 1.3)))
 
-    def step(self, seconds: float, belt_mps: float) -> None:
-        """Walk for `seconds` on a belt of this speed."""
+    def step(self, seconds: float, belt_mps: float, *, is_walking: bool = True) -> None:
+        """Let `seconds` pass on a belt of this speed; without a training the walker stays in the middle."""
         self.now_s += seconds
         while self._pending and self._pending[0][0] <= self.now_s:
             self.pace_mps = min(max(self.pace_mps + self._pending.popleft()[1], 0.2), MAX_PACE_MPS)
         share = math.exp(-seconds / WANDER_S)
         noise = self.habits.wander_mps * math.sqrt(1 - share * share)
         self._wander_mps = share * self._wander_mps + self._random.gauss(0.0, noise)
-        wanted = self.pace_mps + self._wander_mps - 0.8 * self._beyond_comfort()
-        change = min(max(wanted - self.walk_mps, -MAX_PACE_CHANGE * seconds), MAX_PACE_CHANGE * seconds)
+        wanted = self.pace_mps + self._wander_mps - END_RATE * self._beyond_comfort()
+        if not is_walking:
+            wanted = max(belt_mps - PLACE_RATE * self.place_m, 0.0)
+        change = min(max(wanted - self.walk_mps, -MAX_SLOWING * seconds), MAX_PACE_CHANGE * seconds)
         self.walk_mps = max(self.walk_mps + change, 0.0)
         self.place_m += (self.walk_mps - belt_mps) * seconds
 

@@ -70,6 +70,8 @@ def template(decision: Decision, number: int) -> Message:
         )
     if reason is Reason.AT_LIMIT:
         return message("trainer.atLimit", "Keep this pace. The belt is at its highest speed for you.")
+    if decision.advice is Advice.KEEP and decision.reason is not Reason.INSIDE:
+        return message("trainer.keep.waiting", "Keep this pace. Your heart is still following it.")
     if decision.advice is Advice.FASTER:
         return (
             message("trainer.faster.first", "You can walk a little faster."),

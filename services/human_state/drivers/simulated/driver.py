@@ -17,6 +17,7 @@ from handover.messages import message
 from services.human_state.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
 from services.human_state.drivers.simulated.person import SimulatedPerson
 from services.human_state.drivers.simulated.waveforms import WAVES, Wave
+from services.human_state.model.cardiovascular import Physiology
 from services.human_state.model.signals import (
     ClockKind,
     LinkState,
@@ -91,6 +92,8 @@ class SimulatedSettings(DriverSettings):
     seed: int = Field(0, ge=0)
     rest_bpm: float = 65.0
     max_bpm: float = 185.0
+    vo2_max: float = Field(35.0, ge=7, le=100)
+    """The aerobic capacity in ml/kg/min: what a walk costs of it is the effort."""
     program: tuple[EffortStep, ...] = ()
     faults: tuple[SimulatedFault, ...] = ()
     packet_s: float = Field(0.25, gt=0, le=5)
@@ -123,7 +126,7 @@ class SimulatedDriver(SensorDriver):
     ) -> None:
         super().__init__(source, settings)
         self.person = person or SimulatedPerson(
-            settings.seed, rest_bpm=settings.rest_bpm, max_bpm=settings.max_bpm
+            settings.seed, body=Physiology(settings.rest_bpm, settings.max_bpm, settings.vo2_max)
         )
         self._has_program = bool(settings.program)
         self._tracks = [

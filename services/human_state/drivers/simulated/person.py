@@ -25,12 +25,15 @@ from typing import Final
 
 import numpy as np
 
-from services.human_state.model.cardiovascular import Heart, Physiology
+from services.human_state.model.cardiovascular import Heart, Physiology, cadence_hz
 
 KEEP_S: Final = 10.0
 AHEAD_S: Final = 1.0
 """Beats are decided this long before they happen, so that waves may begin before the R peak."""
 STEP_S: Final = 0.05
+MIN_WALK_MPS: Final = 0.1
+"""Slower is standing: no steps."""
+MIN_GAIT_EFFORT: Final = 0.1
 
 BREATHING_REST: Final = 14.0
 BREATHING_MAX: Final = 45.0
@@ -75,6 +78,8 @@ class SimulatedPerson:
         self._next_noise = 1.0
         self._decided_s = 0.0
         self._breaths: deque[tuple[float, float, float]] = deque()  # time, phase, depth
+        self._gait_phase = 0.0
+        self._gait: deque[tuple[float, float]] = deque()  # time, phase
 
     @property
     def heart_rate_bpm(self) -> float:
@@ -102,6 +107,7 @@ class SimulatedPerson:
             self.beats_s.popleft()
         while self._breaths and self._breaths[0][0] < self.now_s - KEEP_S:
             self._breaths.popleft()
+            self._gait.popleft()
 
     def breath_at(self, times_s: "np.ndarray") -> "np.ndarray":
         """Return the chest's expansion, -1 to 1, at `times_s` of the last `KEEP_S` or the next second."""
@@ -110,6 +116,19 @@ class SimulatedPerson:
         depth = np.interp(times_s, known[:, 0], known[:, 2])
         wave: np.ndarray = depth * np.sin(phase)
         return wave
+
+    @property
+    def steps_hz(self) -> float:
+        """Return the steps a second: those of the walk, or of an effort above 0.1; 0 without a gait."""
+        if self.walking_mps is None:
+            return 1.5 + 1.0 * self.effort if self.effort > MIN_GAIT_EFFORT else 0.0
+        return cadence_hz(self.walking_mps) if self.walking_mps > MIN_WALK_MPS else 0.0
+
+    def gait_at(self, times_s: "np.ndarray") -> "np.ndarray":
+        """Return the phase of the gait in rad, a step each turn: continuous, whatever the speed does."""
+        known = np.array(self._gait)
+        phase: np.ndarray = np.interp(times_s, known[:, 0], known[:, 1])
+        return phase
 
     def _step(self) -> None:
         self._heart = self._heart.step(self.effort, STEP_S, self.body)
@@ -127,6 +146,8 @@ class SimulatedPerson:
         before = self._breaths[-1][2] if self._breaths else depth
         depth = before + (depth - before) * STEP_S / 0.5
         self._breaths.append((self._decided_s, self._breath_phase, depth))
+        self._gait_phase += math.tau * self.steps_hz * STEP_S
+        self._gait.append((self._decided_s, self._gait_phase))
         modulation = (
             self._variability
             * calm

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.human_state.drivers.simulated.person import SimulatedPerson
-from services.human_state.model.cardiovascular import cadence_hz
 from services.human_state.model.signals import SignalInfo, SignalKind
 
 Floats = NDArray[np.float64]
@@ -22,8 +21,6 @@ Wave = Callable[[SimulatedPerson, Floats, np.random.Generator], Floats]
 GRAVITY: Final = 9.80665
 MAT_ROWS: Final = 3
 MAT_COLUMNS: Final = 4
-MIN_WALK_MPS: Final = 0.1
-"""Slower is standing: no steps."""
 
 # Amplitude in microvolt, offset from the R peak and width in s at 60 bpm. P and T move with the root of RR
 # (Bazett).
@@ -95,14 +92,10 @@ def acceleration(person: SimulatedPerson, times_s: Floats, random: np.random.Gen
     upright = np.array(_POSTURES.get(person.posture, _POSTURES["sitting"]))
     values = np.tile(GRAVITY * upright, (len(times_s), 1)) + random.normal(0, 0.05, (len(times_s), 3))
     speed_mps = person.walking_mps
-    if speed_mps is None and person.effort > 0.1:
-        steps_hz, size = 1.5 + 1.0 * person.effort, 1.0 + 5.0 * person.effort
-    elif speed_mps is not None and speed_mps > MIN_WALK_MPS:
-        steps_hz, size = cadence_hz(speed_mps), 0.6 + 1.4 * speed_mps
-    else:
-        return values
-    swing, sway = np.sin(2 * np.pi * steps_hz * times_s), np.sin(np.pi * steps_hz * times_s)
-    values += size * swing[:, None] * upright + np.outer(sway, [0.8, 0.5, 0.0])
+    if person.steps_hz > 0:
+        size = 1.0 + 5.0 * person.effort if speed_mps is None else 0.6 + 1.4 * speed_mps
+        phase = person.gait_at(times_s)
+        values += size * np.sin(phase)[:, None] * upright + np.outer(np.sin(phase / 2), [0.8, 0.5, 0.0])
     return values
 
 

@@ -39,6 +39,17 @@ def test_the_heart_rate_and_the_steps_of_a_walk_are_found_in_the_signals() -> No
     assert person.limit.fraction < 1.0
 
 
+def test_steps_are_counted_while_the_pace_changes_all_the_time() -> None:
+    person = live(sensed(), 5)
+    for number in range(4 * 40):
+        person.body.walk(0.8 + 0.1 * (number % 7) / 7)
+        person.step()
+    steps = person.value(FeatureName.STEPS)
+    assert steps is not None
+    assert steps.status is Status.VALID
+    assert float(steps.value) == pytest.approx(40 * 90 / 60, rel=0.15), "some 90 steps a minute"
+
+
 def test_a_seed_repeats_a_run() -> None:
     first, again, other = (live(sensed(seed), 30).heart_rate for seed in (4, 4, 5))
     assert first == again

@@ -25,6 +25,11 @@ export interface MachineLimitView {
   needsReset: boolean;
 }
 
+/** What the person chooses; which options there are depends on the machine. */
+export interface MachineStart {
+  options?: Record<string, unknown>;
+}
+
 /** A machine as it is now. `problem` says why nothing is received from human state, "" while it is. */
 export interface MachineView {
   case: string;
