@@ -33,8 +33,6 @@ COLUMNS = ("figure", "paper", "here", "")
 def load_case(name: str) -> Case:
     """Return the case `name` with its settings in the environment; raise `UsageError` with the known ones."""
     case: Case = CASES.load(name)
-    for variable, value in (case.environment or {}).items():
-        os.environ.setdefault(variable, value)
     os.environ["HANDOVER_ASSISTIVE_MACHINES"] = name
     return case
 
@@ -110,8 +108,9 @@ async def add_person(http: httpx.AsyncClient, case: Case) -> None:
         "givenBy": "a simulated person",
     }
     await _ask(http, "PUT", f"{base}/people/{person}/consent", consent)
-    sensor = {"person": person, "driver": "simulated", "settings": dict(case.sensor)}
-    await _ask(http, "PUT", f"{base}/sensors/{person}", sensor)
+    for one in case.sensors:
+        sensor = {"person": person, "driver": "simulated", "settings": dict(one.settings)}
+        await _ask(http, "PUT", f"{base}/sensors/{one.name}", sensor)
     await _ask(http, "PUT", f"{base}/people/{person}/robots/{case.robot}")
 
 

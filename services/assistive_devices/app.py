@@ -38,7 +38,7 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
             settings.human_state,
             person=case.person,
             robot=case.robot,
-            sensor=case.person,
+            sensors=case.sensors,
             headers=guard.access.headers,
             ca_files=settings.ca_files,
         )

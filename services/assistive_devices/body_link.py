@@ -9,6 +9,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -26,6 +27,7 @@ from handover.retry import Backoff
 from handover.telemetry import get_logger
 from handover.tls_trust import tls_of
 from services.assistive_devices.model.body import Body, read_body
+from services.assistive_devices.model.sensor import Sensor
 
 log = get_logger(__name__)
 
@@ -47,7 +49,7 @@ Serve = Callable[[ClientConnection], Awaitable[None]]
 class BodyLink:
     """The state of one person for one machine.
 
-    `robot` is the name to which the person is bound, `sensor` the simulated sensor that gets `acts`.
+    `robot` is the name to which the person is bound; `sensors`, simulated ones, receive what the person does.
     """
 
     def __init__(
@@ -56,7 +58,7 @@ class BodyLink:
         *,
         person: str,
         robot: str,
-        sensor: str,
+        sensors: Sequence[Sensor],
         headers: Headers,
         ca_files: Sequence[Path] = (),
     ) -> None:
@@ -65,7 +67,7 @@ class BodyLink:
         self._url = url
         self._base = url.replace("http", "ws", 1)
         self._http = BodyReadingHttpClient(ca_files=ca_files, max_response_bytes=64 * 1024)
-        self._person, self._robot, self._sensor = person, robot, sensor
+        self._person, self._robot, self._sensors = person, robot, sensors
         self._headers = headers
         self._ca_files = ca_files
         self._acts: Mapping[str, Any] = {}
@@ -122,7 +124,9 @@ class BodyLink:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._keep(limits, self._follow(self._take_limits)))
             group.create_task(self._keep(values, self._follow(self._take_values)))
-            group.create_task(self._keep(f"/sensors/{quote(self._sensor)}/simulation", self._send_acts))
+            for sensor in self._sensors:
+                path = f"/sensors/{quote(sensor.name)}/simulation"
+                group.create_task(self._keep(path, partial(self._send_acts, sensor)))
 
     def _follow(self, take: Callable[[dict[str, Any]], None]) -> Serve:
         async def follow(link: ClientConnection) -> None:
@@ -148,11 +152,11 @@ class BodyLink:
     def _take_values(self, document: dict[str, Any]) -> None:
         self.body = read_body(document["values"], time.monotonic())
 
-    async def _send_acts(self, link: ClientConnection) -> None:
+    async def _send_acts(self, sensor: Sensor, link: ClientConnection) -> None:
         sent: Mapping[str, Any] = {}
         sent_s = 0.0
         while True:
-            acts, now_s = self._acts, time.monotonic()
+            acts, now_s = sensor.taken(self._acts), time.monotonic()
             if acts and (acts != sent or now_s - sent_s > REPEAT_ACTS_S):
                 await link.send(orjson.dumps(acts).decode())
                 answer = orjson.loads(await link.recv())

@@ -22,6 +22,7 @@ from handover.errors import Problem
 from handover.extensions import ExtensionPoint
 from handover.messages import message
 from services.assistive_devices.model.body import Body
+from services.assistive_devices.model.sensor import Sensor
 from services.assistive_devices.settings import AssistiveSettings
 from services.assistive_devices.trial import Trial
 
@@ -120,7 +121,7 @@ class Machine(ABC):
 class Case:
     """A case: its machine, and the person that `handover case` adds to human state.
 
-    `sensor` are the settings of the simulated sensor; `limit` those of the person: the curve of the speed
+    `sensors` are simulated; `person_settings` has the curve of the speed
     limit (`freeBpm`, `strainedBpm`, `leastFraction`), rest and maximum. `services` are those that the case
     needs beside broker, human state, this service and the page.
     """
@@ -130,11 +131,11 @@ class Case:
     robot: str
     category: str
     make: type[Machine]
-    sensor: Mapping[str, Any]
+    sensors: tuple[Sensor, ...]
     person_settings: Mapping[str, Any]
     services: tuple[str, ...] = ()
-    environment: Mapping[str, str] | None = None
-    """Settings that the services get, where the user has set none."""
+    is_own_machine: bool = True
+    """False: another service moves the robot, and writes its entities."""
 
     @property
     def person(self) -> str:
@@ -149,5 +150,7 @@ CASES: Final = ExtensionPoint(
     {
         "treadmill": f"{_MACHINES}.treadmill.case:CASE",
         "wheelchair": f"{_MACHINES}.wheelchair.case:CASE",
+        "bed": f"{_MACHINES}.bed.case:CASE",
+        "bin-picking": f"{_MACHINES}.bin_picking.case:CASE",
     },
 )

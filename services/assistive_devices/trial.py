@@ -3,10 +3,14 @@
 import asyncio
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
+from handover.errors import Problem
+
 POLL_S: Final = 0.05
+RETRY_S: Final = 0.5
 
 
 class TrialFailed(Exception):
@@ -36,6 +40,22 @@ class Trial:
     is_running: bool = True
     on_reset: Callable[[], Awaitable[object]] | None = None
     """Releases a stop of the limit, as the person in charge does."""
+
+    is_permitted: Callable[[], bool] = lambda: True
+    """Whether the limit lets the machine move."""
+
+    async def permission(self, timeout_s: float) -> None:
+        """Wait until the limit lets the machine move; the person in charge releases a stop before the begin.
+
+        A limit is 0 until human state has received a heart rate, which may take long on a slow machine.
+        """
+        began_s = time.monotonic()
+        while not self.is_permitted():
+            if time.monotonic() - began_s > timeout_s:
+                raise TrialFailed(f"the limit lets the machine move: not within {timeout_s:.0f} s")
+            with suppress(Problem):
+                await self.reset()
+            await asyncio.sleep(RETRY_S)
 
     async def reset(self) -> None:
         """Let the person in charge release a stop of the limit."""

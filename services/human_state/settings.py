@@ -35,6 +35,12 @@ class HumanStateSettings(Settings):
     health_recording_days: float = Field(
         30.0, gt=0, description="a recording is deleted so many days after its end"
     )
+    health_strain_window_s: float = Field(
+        300.0,
+        ge=10,
+        le=3600,
+        description="the time constant of the mean exertion that proposes a break, in s",
+    )
     health_break_message: str = Field(
         "breakProposed",
         max_length=64,

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 VALID: Final = "valid"
+OF_SENSOR: Final = "@"
 MIN_QUALITY: Final = 0.5
 
 
@@ -53,23 +54,30 @@ class Body:
                 "age_s": max(now_s - one.at_s, 0.0),
             }
             for name, one in self.readings.items()
+            if OF_SENSOR not in name
         ]
 
 
 def read_body(values: list[Mapping[str, Any]], received_s: float) -> Body:
     """Return the values of a message of human state that arrived at `received_s`.
 
-    A value without a number is no value: it keeps its status, and no controller uses it.
+    A value without a number is implausible. The values of single sensors have names like `movement@radar`.
     """
     readings = {}
     for one in values:
-        value, age_s = one["value"], float(one["ageS"])
-        reading = Reading(
-            float("nan") if value is None else value if isinstance(value, str) else float(value),
-            received_s - max(age_s, 0.0),
-            float(one["quality"] or 0.0),
-            str(one["status"]),
-            bool(one.get("disagree", False)),
-        )
-        readings[str(one["name"])] = reading if value is not None else replace(reading, status="implausible")
+        name = str(one["name"])
+        readings[name] = _reading(one, received_s)
+        for each in one.get("sensors", ()):
+            readings[f"{name}{OF_SENSOR}{each['sensor']}"] = _reading(each, received_s)
     return Body(readings)
+
+
+def _reading(one: Mapping[str, Any], received_s: float) -> Reading:
+    value, age_s = one["value"], float(one["ageS"])
+    return Reading(
+        float("nan") if value is None else value if isinstance(value, str) else float(value),
+        received_s - max(age_s, 0.0),
+        float(one["quality"] or 0.0),
+        "implausible" if value is None else str(one["status"]),
+        bool(one.get("disagree", False)),
+    )

@@ -38,7 +38,7 @@ class MachineRecords:
     async def run(self) -> None:
         """Write until cancelled."""
         while True:
-            for runner in self._runners:
+            for runner in (one for one in self._runners if one.case.is_own_machine):
                 for entity in self._entities(runner):
                     self._writer.put(entity["id"], lambda entity=entity: self._broker.upsert([entity]))  # type: ignore[misc]
             await asyncio.sleep(WRITE_EVERY_S)

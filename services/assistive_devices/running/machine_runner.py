@@ -101,7 +101,11 @@ class MachineRunner:
                     "case.trial_runs", "a trial of {case} runs already; stop it first", case=self.case.name
                 ),
             )
-        self.trial = Trial(duration_s, on_reset=self.reset)
+        self.trial = Trial(
+            duration_s,
+            on_reset=self.reset,
+            is_permitted=lambda: self.link.allowed(time.monotonic()).fraction > 0,
+        )
         self._trial_task = self._tasks.start(self._perform, self.trial)
 
     async def _perform(self, trial: Trial) -> None:

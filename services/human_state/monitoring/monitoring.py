@@ -21,6 +21,7 @@ from handover.telemetry import get_logger
 from services.human_state.drivers.base import SENSOR_DRIVERS, SensorDriver
 from services.human_state.drivers.runner import SensorRunner
 from services.human_state.limits.robot_stream import RobotStream
+from services.human_state.limits.strain import Strain
 from services.human_state.metrics import SENSORS
 from services.human_state.model.signals import LinkState
 from services.human_state.monitoring.person_monitor import ClassifierOf, PersonMonitor, PipelineOf, SensorView
@@ -97,6 +98,7 @@ class Monitoring:
         monitor = self.monitors.get(name)
         if monitor is None:
             monitor = self.monitors[name] = PersonMonitor(person, self._pipeline_of, self._classifier_of)
+            monitor.strain = Strain(window_s=self._settings.health_strain_window_s)
         for gone in monitor.person.sensors.keys() - person.sensors.keys():
             self._stop_sensor(gone, name)
         monitor.change(person)

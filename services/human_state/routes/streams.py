@@ -109,6 +109,16 @@ def _value(value: FusedValue, now_s: float) -> dict[str, Any]:
         "status": value.status,
         "ageS": round(max(now_s - value.at_s, 0.0), 3),
         "disagree": value.disagree,
+        "sensors": [
+            {
+                "sensor": each.source,
+                "value": each.value,
+                "quality": round(each.quality, 3),
+                "status": each.status,
+                "ageS": round(max(now_s - each.at_s, 0.0), 3),
+            }
+            for each in value.sensors
+        ],
     }
 
 

@@ -28,6 +28,7 @@ from services.assistive_devices.machines.treadmill.training import (
     Training,
 )
 from services.assistive_devices.machines.treadmill.wording import ModelWording, Words, template
+from services.assistive_devices.model.sensor import Sensor
 from services.assistive_devices.trial import Trial, TrialFailed
 
 HEART_RATE_MAX_AGE_S: Final = 5.0
@@ -346,14 +347,19 @@ CASE: Final = Case(
     robot="treadmill-1",
     category="treadmill",
     make=TreadmillMachine,
-    sensor={
-        "signals": ["ecg", "acceleration", "respiration"],
-        "packet_s": 0.25,
-        "rest_bpm": REST_BPM,
-        "max_bpm": MAXIMUM_BPM,
-        "vo2_max": VO2_MAX,
-        "seed": 2,
-    },
+    sensors=(
+        Sensor(
+            "case-treadmill",
+            {
+                "signals": ["ecg", "acceleration", "respiration"],
+                "packet_s": 0.25,
+                "rest_bpm": REST_BPM,
+                "max_bpm": MAXIMUM_BPM,
+                "vo2_max": VO2_MAX,
+                "seed": 2,
+            },
+        ),
+    ),
     person_settings={
         "restBpm": REST_BPM,
         "maximumBpm": MAXIMUM_BPM,

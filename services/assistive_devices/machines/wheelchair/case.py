@@ -9,6 +9,7 @@ from typing import Any, Final
 from services.assistive_devices.machine import Case, Machine, MachineState, Seen
 from services.assistive_devices.machines.wheelchair.controller import Centre, Parameters, Wheelchair
 from services.assistive_devices.machines.wheelchair.simulation import Chair, Driver
+from services.assistive_devices.model.sensor import Sensor
 from services.assistive_devices.trial import Trial
 
 FREE_BPM: Final = 90.0
@@ -110,6 +111,7 @@ class WheelchairMachine(Machine):
         self.chair, self.driver = Chair(), Driver()
         self._rise_mps = 0.0
         await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        await trial.permission(PATIENCE_S)
         trial.say(f"heart rate {self.heart_rate_bpm or 0:.0f} bpm; the person sits upright")
         self.start()
         await trial.until("the upright posture", lambda: self.controller.is_calibrated, PATIENCE_S)
@@ -210,13 +212,18 @@ CASE: Final = Case(
     robot="wheelchair-1",
     category="wheelchair",
     make=WheelchairMachine,
-    sensor={
-        "signals": ["heartRate", "pressureMap"],
-        "rates_hz": {"pressureMap": 25.0},
-        "packet_s": 0.1,
-        "rest_bpm": 65.0,
-        "max_bpm": 185.0,
-    },
+    sensors=(
+        Sensor(
+            "case-wheelchair",
+            {
+                "signals": ["heartRate", "pressureMap"],
+                "rates_hz": {"pressureMap": 25.0},
+                "packet_s": 0.1,
+                "rest_bpm": 65.0,
+                "max_bpm": 185.0,
+            },
+        ),
+    ),
     person_settings={
         "restBpm": 65.0,
         "maximumBpm": 185.0,

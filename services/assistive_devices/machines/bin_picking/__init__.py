@@ -1,0 +1,1 @@
+"""The operator of the bin-picking cell: strain slows the robot, a lasting one proposes a break."""

@@ -1,0 +1,207 @@
+"""The case of the operator of the bin-picking cell: strain slows the UR10, a lasting one proposes a break.
+
+The robot and its limits are those of the trajectory tool, which gets the limit from human state directly.
+This machine moves nothing: it performs what the operator does, and reads what robot and process do.
+"""
+
+import asyncio
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import HandoverError
+from handover.http_client import BodyReadingHttpClient, SendError
+from handover.security.service_access import ServiceAccess
+from services.assistive_devices.machine import Case, Machine, MachineContext, MachineState, Seen
+from services.assistive_devices.model.sensor import Sensor
+from services.assistive_devices.trial import Trial, TrialFailed
+
+BPMN: Final = Path(__file__).parent / "operator_shift.bpmn"
+DEFINITION: Final = "operator-shift"
+ROBOT: Final = "ur10-1"
+POLL_S: Final = 0.5
+TIMEOUT_S: Final = 5.0
+STRAIN: Final = 0.85
+RECOVERED: Final = 0.9
+PATIENCE_S: Final = 900.0
+REST_BPM: Final = 65.0
+MAXIMUM_BPM: Final = 185.0
+LEAST: Final = 0.2
+
+
+class OperatorMachine(Machine):
+    """The simulated operator, with what the robot and the process do."""
+
+    def __init__(self) -> None:
+        self.effort = 0.0
+        self.heart_rate_bpm: float | None = None
+        self.pace: float | None = None
+        """The fraction of its speed at which the robot may move now, as the trajectory tool says."""
+        self.rule = ""
+        self.needs_reset = False
+        self.moves = 0
+        self.breaks = 0
+        self._process: str | None = None
+        self._fraction = 0.0
+        self._reason = ""
+
+    def prepare(self, context: MachineContext) -> None:
+        self.settings = context.settings
+        self._access = ServiceAccess(self.settings, "assistive-devices")
+        self._http = BodyReadingHttpClient(ca_files=self.settings.ca_files, max_response_bytes=1024 * 1024)
+
+    def start(self) -> None:
+        """The process moves the robot; nothing starts here."""
+
+    def stop(self) -> None:
+        self.effort = 0.0
+
+    def step(self, seen: Seen) -> None:
+        self.heart_rate_bpm = seen.body.number("heartRate", seen.now_s, 3.0)
+        self._fraction, self._reason = seen.allowed.fraction, str(seen.allowed.reason)
+
+    def acts(self) -> Mapping[str, Any]:
+        return {"effort": self.effort, "posture": "standing"}
+
+    def state(self) -> MachineState:
+        pace = self.pace
+        state = "break" if self.breaks else "working" if self._process else "idle"
+        values = {"moves": (float(self.moves), ""), "breaks": (float(self.breaks), "")}
+        chart = {"fraction": self._fraction}
+        if pace is not None:
+            values["robotFraction"] = (pace, "P1")
+            chart["robotFraction"] = pace
+        if self.heart_rate_bpm is not None:
+            chart["heartRate"] = self.heart_rate_bpm
+        return MachineState(state, self.rule or self._reason, values, chart, self._process is not None)
+
+    async def work(self) -> None:
+        while True:
+            try:
+                await self._look()
+            except (SendError, OSError, HandoverError, ValueError, KeyError):
+                self.pace = None  # unknown, while a service restarts
+            await asyncio.sleep(POLL_S)
+
+    async def _look(self) -> None:
+        limits = await self._ask("GET", f"{self.settings.trajectory_tool}/robots/{ROBOT}/limits")
+        self.pace, self.rule = float(limits["pace"]), str(limits["reason"] or "")
+        self.needs_reset = bool(limits["needsReset"])
+        if self._process is not None:
+            process = await self._ask("GET", f"{self.settings.orchestrator}/processes/{self._process}")
+            elements = process["elements"]
+            self.moves = sum(int(elements.get(name, {}).get("completed", 0)) for name in ("home", "reach"))
+            self.breaks = int(elements.get("take_break", {}).get("running", 0))
+
+    async def perform_trial(self, trial: Trial) -> None:
+        await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        await trial.permission(PATIENCE_S)
+        await self._begin_shift()
+        try:
+            await self._work_calmly(trial)
+            await self._work_hard(trial)
+            await self._recover(trial)
+        finally:
+            await self._end_shift()
+
+    async def _work_calmly(self, trial: Trial) -> None:
+        trial.say("the shift begins: the robot moves beside the operator")
+        if self.needs_reset:
+            trial.say("the person in charge releases the stop of the robot from before the first heart rate")
+            by = orjson.dumps({"name": "person in charge"})
+            await self._ask("POST", f"{self.settings.trajectory_tool}/robots/{ROBOT}/limits/reset", by)
+        await trial.until("full speed", lambda: (self.pace or 0) >= 0.95, PATIENCE_S)
+        trial.say(f"{self.heart_rate_bpm or 0:.0f} bpm: the robot moves at {100 * (self.pace or 0):.0f} %")
+
+    async def _work_hard(self, trial: Trial) -> None:
+        self.effort, began_s, calm = STRAIN, time.monotonic(), self.pace or 1.0
+        trial.say("the operator lifts boxes")
+        slowed_s = await trial.until("a slower robot", lambda: (self.pace or 1) <= 0.5, PATIENCE_S)
+        pace, bpm = self.pace or 0.0, self.heart_rate_bpm or 0.0
+        trial.say(f"{bpm:.0f} bpm: the robot moves at {100 * pace:.0f} %")
+        await trial.until("a proposed break", lambda: self.breaks >= 1, PATIENCE_S)
+        asked_s = time.monotonic() - began_s
+        trial.say(f"a break is proposed to the process after {asked_s:.0f} s")
+        trial.compare(
+            "strain slows the UR10",
+            "proposed (section 5.1, applicability)",
+            f"{100 * calm:.0f} % to {100 * pace:.0f} % in {slowed_s:.0f} s at {bpm:.0f} bpm",
+            pace < calm,
+        )
+        trial.compare(
+            "a lasting strain proposes a break to the process",
+            "(not in the paper)",
+            f"after {asked_s:.0f} s, {self.breaks} Task to take a break",
+            self.breaks == 1,
+        )
+        slowest = self.pace or 0.0
+        trial.compare(
+            "the robot does not stop for strain alone",
+            "(not in the paper)",
+            f"{100 * slowest:.0f} % at least",
+            slowest >= LEAST - 0.01,
+        )
+
+    async def _recover(self, trial: Trial) -> None:
+        slow = self.pace or 0.0
+        self.effort = 0.0
+        await trial.until("a faster robot", lambda: (self.pace or 0) > slow + 0.1, PATIENCE_S)
+        trial.say(f"the operator rests, {self.heart_rate_bpm or 0:.0f} bpm: {100 * (self.pace or 0):.0f} %")
+        trial.compare("moves of the robot", "", f"{self.moves}", self.moves >= 2)
+
+    async def _begin_shift(self) -> None:
+        """Deploy the process, and start it with the pseudonym of the operator as its key."""
+        orchestrator = self.settings.orchestrator
+        person = await self._ask("GET", f"{self.settings.human_state}/people/{CASE.person}")
+        await self._ask("POST", f"{orchestrator}/definitions", BPMN.read_bytes(), "application/xml")
+        order = orjson.dumps({"definition": DEFINITION, "key": person["pseudonym"]})
+        process = await self._ask("POST", f"{orchestrator}/processes", order)
+        self._process, self.moves, self.breaks = str(process["id"]), 0, 0
+
+    async def _end_shift(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            by = orjson.dumps({"by": "the case"})
+            await self._ask("POST", f"{self.settings.orchestrator}/processes/{process}/cancel", by)
+
+    async def _ask(
+        self, method: str, url: str, body: bytes = b"", media_type: str = "application/json"
+    ) -> dict[str, Any]:
+        headers = [("Content-Type", media_type), *(await self._access.headers()).items()]
+        answer = await self._http.request(method, url, headers, body, TIMEOUT_S)
+        if answer.status >= 300:
+            raise TrialFailed(f"{method} {url} answered {answer.status}: {answer.body[:200].decode()}")
+        document: dict[str, Any] = orjson.loads(answer.body)
+        return document
+
+
+CASE: Final = Case(
+    name="bin-picking",
+    summary="The operator of a robot: strain slows the UR10, a lasting one proposes a break.",
+    robot=ROBOT,
+    category="robot",
+    make=OperatorMachine,
+    sensors=(
+        Sensor(
+            "case-bin-picking",
+            {
+                "signals": ["heartRate"],
+                "packet_s": 0.25,
+                "rest_bpm": REST_BPM,
+                "max_bpm": MAXIMUM_BPM,
+            },
+        ),
+    ),
+    person_settings={
+        "restBpm": REST_BPM,
+        "maximumBpm": MAXIMUM_BPM,
+        "freeBpm": 90.0,
+        "strainedBpm": 125.0,
+        "leastFraction": LEAST,
+    },
+    services=("task-orchestrator", "trajectory-tool"),
+    is_own_machine=False,
+)
