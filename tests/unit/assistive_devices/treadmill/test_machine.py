@@ -190,6 +190,6 @@ def test_the_person_of_the_case_is_the_one_of_the_study() -> None:
     from services.human_state.model.cardiovascular import Physiology
 
     body = Physiology.of_age(55)
-    assert CASE.sensor["max_bpm"] == pytest.approx(body.max_bpm)
-    assert CASE.sensor["rest_bpm"] == body.rest_bpm
-    assert CASE.sensor["vo2_max"] == pytest.approx(body.vo2_max, abs=0.1)
+    assert CASE.sensors[0].settings["max_bpm"] == pytest.approx(body.max_bpm)
+    assert CASE.sensors[0].settings["rest_bpm"] == body.rest_bpm
+    assert CASE.sensors[0].settings["vo2_max"] == pytest.approx(body.vo2_max, abs=0.1)
