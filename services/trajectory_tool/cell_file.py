@@ -130,6 +130,8 @@ class CellPlan:
     folder: Path
     """Relative paths start here."""
     file: Path | None = None
+    scene_driver: str | None = None
+    """The driver that decides which scene of its model a robot has; by default its own."""
 
 
 def cell_plan(settings: TrajectorySettings) -> CellPlan:

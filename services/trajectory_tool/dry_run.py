@@ -97,7 +97,7 @@ class DryRun:
         self._workcell = Workcell(
             settings.model_copy(update=update),
             self._time.clock,
-            plan=replace(plan, robots=simulated),
+            plan=replace(plan, robots=simulated, scene_driver=next(iter(plan.robots.values())).driver),
             folder=folder,
         )
 

@@ -13,7 +13,7 @@ from handover.errors import UsageError
 from handover.telemetry import get_logger
 from services.trajectory_tool.camera import Camera
 from services.trajectory_tool.cell import Cell
-from services.trajectory_tool.cell_file import CellPlan, RobotEntry, cell_plan
+from services.trajectory_tool.cell_file import Base, CellPlan, RobotEntry, cell_plan
 from services.trajectory_tool.contents import Contents, initial
 from services.trajectory_tool.drivers import Clock, Peer
 from services.trajectory_tool.limits.store import LimitStore
@@ -219,9 +219,14 @@ def _model(plan: CellPlan, name: str, entry: RobotEntry, data_dir: Path) -> Robo
 
 
 def _scene_for(plan: CellPlan, model: RobotModel) -> Path | None:
-    """Return the scene that a model has for its driver, else its scene; None without one."""
-    driver = next(iter(plan.robots.values())).driver
-    return model.driver_scenes.get(driver, model.scene)
+    """Return the scene that a model has for its driver, else its scene; None without one.
+
+    That for a driver is around the origin, so a robot elsewhere has none.
+    """
+    entry = next(iter(plan.robots.values()))
+    is_at_origin = entry.base.pose == Base().pose
+    driver = plan.scene_driver or entry.driver
+    return model.driver_scenes.get(driver, model.scene) if is_at_origin else model.scene
 
 
 def _scene(plan: CellPlan, models: list[RobotModel]) -> Scene:

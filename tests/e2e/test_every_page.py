@@ -127,6 +127,13 @@ def nothing_is_cut_off(page: Page) -> None:
     assert wider_by <= 0, f"the page is {wider_by} px wider than the screen"
 
 
+def navigation_is_whole(page: Page) -> None:
+    """Check that every page of the navigation is visible without scrolling."""
+    nav = page.get_by_role("navigation", name="Handover")
+    wider_by = nav.evaluate("nav => nav.scrollWidth - nav.clientWidth")
+    assert wider_by <= 0, f"{wider_by} px of the navigation are cut off"
+
+
 @pytest.mark.usefixtures("screen")
 def test_pages_fit_and_are_accessible_in_all_themes_languages_and_sizes(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
@@ -138,6 +145,7 @@ def test_pages_fit_and_are_accessible_in_all_themes_languages_and_sizes(
             settled(page)
             assert page.locator("html").get_attribute("lang") == language
             nothing_is_cut_off(page)
+            navigation_is_whole(page)
             accessible(page)
             keep(page, f"{name}-{size}-{theme}-{language}")
         page.context.close()

@@ -21,6 +21,7 @@ def read(operation: str, /, **given: Any) -> Any:
         ("moveTo", {}, r'moveTo needs either "joints" .* or "pose"'),
         ("moveTo", {"joints": [0] * 6, "pose": {"position": [0, 0, 1]}}, "and not both"),
         ("moveTo", {"pose": {"position": [0, 1]}}, r'"pose\.position'),
+        ("moveTo", {"pose": {"position": [0, 0, math.nan]}}, r'"pose\.position\.2" of moveTo: .*finite'),
         ("moveTo", {"pose": {"position": [0, 0, 1], "orientation": [1, 1, 0, 0]}}, "of length 1; .* 1.414"),
         ("moveTo", {"joints": [0] * 6, "speed": 1.5}, r'"speed" of moveTo: .*less than or equal to 1'),
         ("home", {"speed": 0}, r'"speed" of home: .*greater than or equal to 0\.01'),

@@ -84,6 +84,31 @@ def test_the_process_of_the_demo_is_in_order_among_obstacles(check: Any, tmp_pat
     assert not (tmp_path / "data" / "trajectory_tool").exists()
 
 
+@pytest.mark.parametrize("driver", ["simulated", "physics"])
+@pytest.mark.parametrize("model", ["ur5e", "panda"])
+def test_the_process_of_the_demo_is_in_order_in_the_cell_of_each_robot(
+    check: Any, tmp_path: Path, model: str, driver: str
+) -> None:
+    cell = tmp_path / "cell.yaml"
+    cell.write_text(f"robots: {{arm-1: {{model: {model}, driver: {driver}}}}}")
+    done = check(BIN_PICKING, "--cell", str(cell), "--set", "robot=Device:arm-1", "--json")
+    assert done.exit_code == 0, done.output
+    steps = json.loads(done.output)
+    assert [one["operation"] for one in steps] == ["home", "scan", "pick", "place", "home"]
+    assert all(one["faults"] == [] and one["skipped"] is None for one in steps)
+
+
+def test_a_robot_away_from_the_origin_or_of_another_driver_has_no_scene_of_its_own(
+    check: Any, tmp_path: Path
+) -> None:
+    cell = tmp_path / "cell.yaml"
+    for entry in ("base: {position: [1, 0, 0]}", "driver: ur, settings: {host: 192.0.2.1}"):
+        cell.write_text(f"robots: {{arm-1: {{model: ur5e, {entry}}}}}")
+        done = check(BIN_PICKING, "--cell", str(cell), "--set", "robot=Device:arm-1")
+        assert done.exit_code == 1, done.output
+        assert 'there is no bin "bin-1"; the cell has none' in done.output
+
+
 @pytest.mark.parametrize(
     ("target", "fault"),
     [

@@ -1,4 +1,4 @@
-"""The Panda of Franka Emika (7 joints) with its hand.
+"""The Panda of Franka Emika (7 joints) with its hand, and its bin-picking cell in the simulations.
 
 Limits: Franka Control Interface, "Robot and interface specifications".
 """
@@ -17,7 +17,10 @@ ROBOT = read_model(
     flange="panda_link8",
     tip="panda_hand_tcp",
     srdf=FOLDER / "panda.srdf",
-    driver_scenes={"physics": FOLDER / "bin_picking_physics.yaml"},
+    driver_scenes={
+        "simulated": FOLDER / "bin_picking.yaml",
+        "physics": FOLDER / "bin_picking_physics.yaml",
+    },
     max_acceleration=dict(zip(JOINTS, (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0), strict=True)),
     max_jerk=dict(zip(JOINTS, (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0), strict=True)),
     labels={

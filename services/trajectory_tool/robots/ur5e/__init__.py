@@ -1,9 +1,18 @@
-"""The UR5e of Universal Robots with a parallel gripper."""
+"""The UR5e of Universal Robots with a parallel gripper, and its bin-picking cell in the simulations."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from services.trajectory_tool.robots.universal_robots import UrKinematics, read_ur
 
+FOLDER = Path(__file__).parent
+
 KINEMATICS = UrKinematics(d1=0.1625, a2=-0.425, a3=-0.3922, d4=0.1333, d5=0.0997, d6=0.0996)
 
-ROBOT = read_ur(Path(__file__).parent, "ur5e", name="UR5e", kinematics=KINEMATICS)
+ROBOT = replace(
+    read_ur(FOLDER, "ur5e", name="UR5e", kinematics=KINEMATICS),
+    driver_scenes={
+        "simulated": FOLDER / "bin_picking.yaml",
+        "physics": FOLDER / "bin_picking_physics.yaml",
+    },
+)
