@@ -75,6 +75,7 @@ class WalkingController:
         settings: WalkingSettings | None = None,
         limits: StepLimits | None = None,
     ) -> None:
+        self.humanoid = humanoid
         self.settings = settings or WalkingSettings()
         self._kinematics = Kinematics(humanoid)
         self.start = self._kinematics.standing(self.settings.pose)

@@ -1,0 +1,133 @@
+"""The loop of the control cycle: ports in, sensors, controller, command, ports out; no other I/O.
+
+The wish comes from a process that may stall or be killed. When it is older than `WISH_TIMEOUT_S`, or not
+finite, the robot is to stand still: the controller finishes its step and stands on both feet. A
+controller that raises an error, or has no valid sensors for `MAX_FAULTS` cycles, is stopped for good: the
+joints hold the last command.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from services.whole_body_control.components.robot import JointCommand, Robot, RobotSensors
+from services.whole_body_control.cycle.ports import PortReader, PortWriter
+from services.whole_body_control.cycle.timing import FIGURES, Timing
+from services.whole_body_control.model.kinematics import Array
+
+WISH_TIMEOUT_S = 0.3
+MAX_FAULTS = 25
+WISH = ("ahead_mps", "left_mps", "yaw_radps")
+STATUS = ("robot_time_s", "mode", "wish_age_s")
+
+
+class Mode(IntEnum):
+    """What the cycle does: follows the wish, stands since there is none, or holds the joints for good."""
+
+    FOLLOWING = 0
+    STANDING = 1
+    HOLDING = 2
+
+
+class Controller(Protocol):
+    """A real-time component that controls the robot."""
+
+    control_s: float
+    fields: Sequence[str]
+    """The names of its state."""
+
+    def follow(self, wish: Array) -> None:
+        """Accept a wish (3,) as `WISH` says."""
+        ...
+
+    def step(self, sensors: RobotSensors, command: JointCommand) -> str:
+        """Compute the next command; return what is wrong, or nothing."""
+        ...
+
+    def write_state(self, state: Array) -> None:
+        """Write the state, as `fields` says."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class CyclePorts:
+    """The ports of a cycle: the wish that it reads, and the state that it writes."""
+
+    wish: PortReader
+    state: PortWriter
+
+
+R = TypeVar("R", bound=Robot)
+C = TypeVar("C", bound=Controller)
+
+
+def state_fields(controller: Controller) -> tuple[str, ...]:
+    """Return the names of the values of the port for the state."""
+    return (*STATUS, *FIGURES, *controller.fields)
+
+
+class ControlLoop(Generic[R, C]):
+    """The loop; everything that it needs is allocated when it is made."""
+
+    def __init__(
+        self, robot: R, controller: C, ports: CyclePorts, start: Array, *, is_paced: bool = True
+    ) -> None:
+        self.robot, self.controller, self._ports = robot, controller, ports
+        self._sensors, self._command = RobotSensors(robot.humanoid), JointCommand(robot.humanoid)
+        self._command.positions[:] = start
+        self._periods = round(controller.control_s / robot.period_s)
+        self.timing, self._is_paced = Timing(controller.control_s), is_paced
+        self._still, self._faults = np.zeros(3), 0
+        self._state = np.zeros(len(state_fields(controller)))
+        self.mode, self.fault = Mode.STANDING, ""
+        self._is_ending = False
+
+    def stand(self) -> None:
+        """Follow no wish from now on."""
+        self._is_ending = True
+
+    def cycle(self) -> None:
+        """Run one cycle, and wait for the next."""
+        age_s = self._read_wish()
+        self.robot.read(self._sensors)
+        if self.mode is not Mode.HOLDING:
+            self._control()
+        for _ in range(self._periods):
+            self.robot.wait()
+        state, status = self._state, len(STATUS)
+        state[0], state[1], state[2] = self._sensors.time_s, self.mode, age_s
+        state[status : status + len(FIGURES)] = self.timing.figures()
+        self.controller.write_state(state[status + len(FIGURES) :])
+        self._ports.state.write(state)
+        if self._is_paced:
+            self.timing.wait()
+        else:
+            self.timing.cycles += 1
+
+    def _read_wish(self) -> float:
+        wish = self._ports.wish
+        is_read = wish.read()
+        age_s = wish.age_s()
+        is_valid = is_read and age_s < WISH_TIMEOUT_S and bool(np.isfinite(wish.values).all())
+        is_valid = is_valid and not self._is_ending
+        self.controller.follow(wish.values if is_valid else self._still)
+        if self.mode is not Mode.HOLDING:
+            self.mode = Mode.FOLLOWING if is_valid else Mode.STANDING
+        return age_s
+
+    def _control(self) -> None:
+        """Compute and send a command; after too many faults, or an error, hold the joints."""
+        try:
+            fault = self.controller.step(self._sensors, self._command)
+            if not fault:
+                self.robot.write(self._command)
+        except Exception as error:  # noqa: BLE001 - whatever is wrong, the joints must hold
+            fault, self._faults = f"the controller failed: {error!r}", MAX_FAULTS
+        self._faults = self._faults + 1 if fault else 0
+        if fault:
+            self.fault = fault
+        if self._faults >= MAX_FAULTS:
+            self.mode = Mode.HOLDING

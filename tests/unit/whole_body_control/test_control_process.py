@@ -1,0 +1,150 @@
+"""The control cycle is a process of its own: what commands it may be killed, and the robot stands."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover.errors import UsageError
+from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.control_process import WalkingComponent, control_loop
+from services.whole_body_control.cycle.deployment import Deployment, read_deployment
+from services.whole_body_control.cycle.loop import MAX_FAULTS, WISH, Mode
+from services.whole_body_control.cycle.ports import PortReader, PortWriter
+
+DEPLOYMENT = """
+folder: {folder}
+paced: false
+fifo: false
+components:
+  robot: {{kind: mujoco, realtime: true}}
+  walking: {{kind: walking, solver: daqp, realtime: true}}
+  page: {{kind: page, realtime: false}}
+"""
+COMMANDER = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from services.whole_body_control.cycle.loop import WISH
+from services.whole_body_control.cycle.ports import PortWriter
+port = PortWriter(Path(sys.argv[1]) / "wish", WISH)
+while True:
+    port.write(np.array([0.05, 0.0, 0.0]))
+    time.sleep(0.02)
+"""
+BOUND_S = 120.0
+
+
+def written(folder: Path, text: str = DEPLOYMENT) -> Path:
+    file = folder / "deployment.yaml"
+    file.write_text(text.format(folder=folder / "ports"), encoding="utf-8")
+    return file
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
+    until = time.monotonic() + BOUND_S
+    while not condition():
+        assert process.poll() is None, f"the process ended with {process.returncode}"
+        assert time.monotonic() < until, "the condition never came true"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def cycle(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Return a control process, which is stopped in the end."""
+    module = "services.whole_body_control.control_process"
+    with subprocess.Popen([sys.executable, "-m", module, str(written(tmp_path))], text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def test_the_cycle_outlives_the_process_that_commands_it(
+    cycle: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "ports"
+    wait_for((folder / "state").exists, cycle)
+    wait_for((folder / "wish").exists, cycle)
+    state: PortReader | None = None
+
+    def value(name: str) -> float:
+        nonlocal state
+        try:
+            state = state or PortReader(folder / "state")
+        except UsageError:  # it is just being made
+            return float("nan")
+        return state.value(name) if state.read() else float("nan")
+
+    wait_for(lambda: value("cycles") > 10, cycle)
+    assert value("mode") == Mode.STANDING
+    with subprocess.Popen([sys.executable, "-c", COMMANDER, str(folder)], text=True) as commander:
+        try:
+            wait_for(lambda: value("phase") == 2.0, cycle)
+        finally:
+            os.kill(commander.pid, signal.SIGKILL)
+    killed_at = value("cycles")
+    wait_for(lambda: value("mode") == Mode.STANDING, cycle)
+    wait_for(lambda: value("phase") == 0.0, cycle)
+    wait_for(lambda: value("cycles") > killed_at + 100, cycle)
+    assert value("base.z") > 0.4
+    assert abs(value("com.x") - value("reference.x")) < 0.02
+    cycle.send_signal(signal.SIGTERM)
+    assert cycle.wait(BOUND_S) == 0
+
+
+def test_a_controller_without_valid_values_is_stopped_and_the_joints_hold(tmp_path: Path) -> None:
+    deployment = read_deployment(written(tmp_path))
+    loop, state = control_loop(deployment)
+    wish = PortWriter(deployment.folder / "wish", WISH)
+    modes = []
+    for values in (np.array([np.nan, 0.0, 0.0]), np.zeros(3)):  # a wish that is not finite is none
+        wish.write(values)
+        loop.cycle()
+        modes.append(loop.mode)
+    assert modes == [Mode.STANDING, Mode.FOLLOWING]
+
+    class Broken(WalkingComponent):
+        def step(self, sensors: RobotSensors, command: JointCommand) -> str:
+            sensors.gyroscope[0] = np.nan
+            return super().step(sensors, command)
+
+    loop.controller = Broken(loop.controller.controller)
+    for _ in range(MAX_FAULTS):
+        assert loop.mode is not Mode.HOLDING
+        loop.cycle()
+    assert "not finite" in loop.fault
+    for _ in range(50):
+        loop.cycle()
+    assert state.read()
+    assert state.value("mode") == Mode.HOLDING
+    assert loop.robot.true_configuration()[2] > 0.4
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("kind: page, realtime: false", "kind: page, realtime: true", '"page" .* set realtime: false'),
+        ("solver: daqp, realtime: true", "solver: daqp, realtime: false", '"walking" .* set realtime: true'),
+        ("kind: mujoco", "kind: page", "0 robots"),
+        ("paced: false", "speed: 3", "speed"),
+        ("solver: daqp", "solver: magic", "solver"),
+    ],
+)
+def test_a_deployment_that_cannot_work_is_explained(
+    tmp_path: Path, before: str, after: str, says: str
+) -> None:
+    with pytest.raises(UsageError, match=f"deployment.yaml: (.|\n)*{says}"):
+        read_deployment(written(tmp_path, DEPLOYMENT.replace(before, after)))
+
+
+def test_a_deployment_is_read(tmp_path: Path) -> None:
+    deployment: Deployment = read_deployment(written(tmp_path))
+    assert deployment.robot.humanoid == "coman"
+    assert [name for name, each in deployment.components.items() if not each.realtime] == ["page"]
