@@ -23,7 +23,7 @@ Name = Annotated[str, typer.Argument(help="The name of the device.")]
 def add(
     name: Name,
     template: Annotated[
-        str | None, typer.Option("--template", help="A known robot: ur10, panda, mycobot280, nao.")
+        str | None, typer.Option("--template", help="ur10, panda, mycobot280, nao, or edge.")
     ] = None,
     file: Annotated[
         Path | None, typer.Option("--file", help="A YAML or JSON file with its description.")

@@ -15,6 +15,7 @@ from handover.cli import (
     bridge,
     broker,
     device,
+    edge,
     process,
     robot,
     secrets,
@@ -48,6 +49,7 @@ app.add_typer(robot.app, name="robot")
 app.add_typer(accounts.app, name="accounts")
 app.add_typer(audit.app, name="audit")
 app.add_typer(device.app, name="device")
+app.add_typer(edge.app, name="edge")
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 

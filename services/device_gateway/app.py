@@ -22,9 +22,11 @@ from services.device_gateway.commands.dispatcher import Dispatcher
 from services.device_gateway.connection.device_server import DeviceServer
 from services.device_gateway.device_inputs import DeviceInputs
 from services.device_gateway.device_tasks import DeviceTasks
+from services.device_gateway.edge.edge_app import make_edge_app
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.protocol.times import TimeRule
 from services.device_gateway.registry.device import Device
+from services.device_gateway.relaying import EdgeRelays
 from services.device_gateway.routes.adapter_routes import add_adapter_routes
 from services.device_gateway.routes.anomaly_routes import add_anomaly_routes
 from services.device_gateway.routes.command_routes import add_command_routes
@@ -35,12 +37,16 @@ from services.device_gateway.routes.history_routes import add_history_routes
 from services.device_gateway.settings import GatewaySettings
 from services.device_gateway.storage import schema
 from services.device_gateway.storage.history_writer import HistoryWriter
-from services.device_gateway.storage.retention import RetentionRule
+from services.device_gateway.storage.retention import rule_of
 from services.device_gateway.upkeep import RegistryEntities, keep_retention
 
 
 def make_app(settings: GatewaySettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
+    return _central_app(settings) if settings.edge_upstream is None else make_edge_app(settings)
+
+
+def _central_app(settings: GatewaySettings) -> FastAPI:
     engine = connect(settings.database("devices"))
     guard = Guard(settings, "device-gateway")
     broker = BrokerClient(settings, credentials=guard.access)
@@ -52,7 +58,9 @@ def make_app(settings: GatewaySettings) -> FastAPI:
     times = TimeRule(settings.device_max_age_h * 3600, settings.device_max_ahead_s)
     gateway = DeviceGateway(engine, history, dispatcher, reports, times)
     device_tasks = DeviceTasks(settings, broker, gateway)
-    server = DeviceServer(settings, gateway)
+    edge_times = TimeRule(settings.device_edge_max_age_h * 3600, settings.device_max_ahead_s)
+    relays = EdgeRelays(gateway, edge_times)
+    server = DeviceServer(settings, gateway, relays)
     adapters = configured(settings, gateway)
     anomalies = Anomalies(settings, engine, history, broker, guard.access)
     monitor = anomalies.monitor
@@ -72,6 +80,7 @@ def make_app(settings: GatewaySettings) -> FastAPI:
                 certificates=certificates,
                 monitor=monitor,
                 device_tasks=device_tasks,
+                relays=relays,
                 tasks=tasks,
             )
             gateway.on_values = monitor.observe
@@ -79,7 +88,7 @@ def make_app(settings: GatewaySettings) -> FastAPI:
             tasks.start_restarting(dispatcher.run)
             tasks.start_restarting(reports.run)
             tasks.start_restarting(certificates.run)
-            tasks.start_restarting(keep_retention, history, _rule_of(settings))
+            tasks.start_restarting(keep_retention, history, rule_of(settings))
             await anomalies.load()
             async with device_tasks:
                 for device in gateway.devices.values():
@@ -120,6 +129,7 @@ def _follow_changes(
     certificates: CertificateAlerts,
     monitor: Monitor,
     device_tasks: DeviceTasks,
+    relays: EdgeRelays,
     tasks: BackgroundTasks,
 ) -> Callable[[Device], None]:
     """Pass on which devices change; return the function to call with a device that was added or changed."""
@@ -128,6 +138,7 @@ def _follow_changes(
         entities.write(device)
         monitor.set_device(device.name, device.values)
         certificates.request()
+        relays.changed(device)
         tasks.start(device_tasks.follow, device.name)
 
     def removed(name: str) -> None:
@@ -135,6 +146,7 @@ def _follow_changes(
         entities.delete(name)
         monitor.set_device(name, None)
         certificates.request()
+        relays.removed(name)
 
     gateway.on_changed, gateway.on_removed = changed, removed
     return changed
@@ -143,13 +155,3 @@ def _follow_changes(
 def _add_routes_of_control(app: FastAPI, gateway: DeviceGateway, inputs: DeviceInputs) -> None:
     add_control_routes(app, gateway, inputs)
     add_drive_routes(app, gateway)
-
-
-def _rule_of(settings: GatewaySettings) -> RetentionRule:
-    return RetentionRule(
-        messages_h=settings.device_keep_messages_h,
-        telemetry_h=settings.device_keep_telemetry_h,
-        values_h=max(settings.device_keep_values_h, settings.device_max_age_h),
-        minutes_h=settings.device_keep_minutes_h,
-        hours_h=settings.device_keep_hours_h,
-    )

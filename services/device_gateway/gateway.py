@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hmac import compare_digest
 from secrets import token_hex
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import orjson
 from sqlalchemy import Engine
@@ -24,14 +24,15 @@ from handover.messages import message, text_of
 from handover.security.secret_tokens import is_token, new_token, token_hash
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
-from services.device_gateway.broker_reports import BrokerReports
 from services.device_gateway.commands.dispatcher import Dispatcher
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.protocol.messages import (
+    MAX_LINE_BYTES,
     BadMessage,
     CommandAnswer,
     DeviceEvent,
     Hello,
+    Message,
     StateReport,
     Telemetry,
     is_device_name,
@@ -39,9 +40,11 @@ from services.device_gateway.protocol.messages import (
 )
 from services.device_gateway.protocol.times import TimeRule
 from services.device_gateway.registry.device import Device, LatestValue, Link
+from services.device_gateway.registry.edge_marks import EdgeMarks
 from services.device_gateway.storage import device_store, history
 from services.device_gateway.storage.device_store import DeviceFile, StoredDevice
 from services.device_gateway.storage.history_writer import HistoryWriter, MessageRow
+from services.device_gateway.storage.outbox import RelayRow
 
 log = get_logger(__name__)
 
@@ -105,6 +108,16 @@ class NewToken:
     token: str
 
 
+class Reports(Protocol):
+    """Who learns of devices with news; at an edge nobody, since the centre writes to the broker."""
+
+    def put(self, device: Device) -> None:
+        """Report a device soon."""
+
+    def forget(self, name: str) -> None:
+        """Stop reporting a device that was deleted."""
+
+
 class Session:
     """A device over one connection, after its hello was accepted."""
 
@@ -130,7 +143,7 @@ class DeviceGateway:
         engine: Engine,
         writer: HistoryWriter,
         dispatcher: Dispatcher,
-        reports: BrokerReports,
+        reports: Reports,
         times: TimeRule,
         clock: Callable[[], float] = time.time,
     ) -> None:
@@ -145,6 +158,7 @@ class DeviceGateway:
         self.on_input: Callable[[str, bytes], None] = lambda *_: None
         """Called with each input of a person, which is neither stored nor acknowledged."""
         self.on_disconnected: Callable[[str], None] = lambda _: None
+        self.edge_marks = EdgeMarks({})
         self._engine = engine
         self._reports = reports
         self._times = times
@@ -161,6 +175,7 @@ class DeviceGateway:
                 if name in device.values
             }
             self.devices[stored.name] = device
+        self.edge_marks = EdgeMarks(await asyncio.to_thread(device_store.edge_marks, self._engine))
         await self.dispatcher.load()
 
     # Registration
@@ -253,9 +268,27 @@ class DeviceGateway:
         self.writer.forget(name)
         self._reports.forget(name)
         self.dispatcher.forget(name)
+        self.edge_marks.forget(name)
         self._end_link(device, "deleted", "this device was deleted; register it again")
         log.info("device deleted", device=name)
         self.on_removed(name)
+
+    async def mirror(self, stored: StoredDevice) -> None:
+        """Take over a device as the centre has it; its connection ends if its credentials have changed."""
+        device = self.devices.get(stored.name)
+        if device is None:
+            await self.writer.call(lambda connection: device_store.add(connection, stored))
+            self.devices[stored.name] = Device(stored)
+            return
+        before = device.stored
+        credentials = (stored.token_sha256, stored.certificate_sha256)
+        same = (before.description, before.token_sha256, before.certificate_sha256)
+        if same == (stored.description, *credentials):
+            return
+        await self._replace(device, stored)
+        if credentials != (before.token_sha256, before.certificate_sha256):
+            reason = "the token or the certificate of this device was replaced or revoked; use the new one"
+            self._end_link(device, "credentialsChanged", reason)
 
     async def save_file(self, name: str, kind: str, file: DeviceFile | None) -> None:
         """Store a file of a device; None deletes it."""
@@ -276,7 +309,8 @@ class DeviceGateway:
             else:
                 device = self.with_certificate(hello.device, certificate_sha256)
         except (WrongToken, WrongCertificate) as wrong:
-            raise Refused(wrong.code, str(wrong)) from None
+            # An edge may not know yet a device that was registered at the centre a moment ago.
+            raise Refused(wrong.code, str(wrong), retry=self.writer.outbox is not None) from None
         session = self._begin(device, hello.boot, link)
         device.drives = hello.drives
         return session
@@ -326,6 +360,12 @@ class DeviceGateway:
             self.on_disconnected(device.name)
             log.info("device disconnected", device=device.name)
 
+    def end(self, name: str, code: str, reason: str, *, retry: bool) -> None:
+        """End the connection of a device, if it has one."""
+        device = self.devices.get(name)
+        if device is not None:
+            self._end_link(device, code, reason, retry=retry)
+
     def authorized(self, name: str, token: str) -> Device:
         """Return the device with this token; raise `Problem` 401."""
         try:
@@ -356,19 +396,30 @@ class DeviceGateway:
 
         The future is done at the same time, also if there is no answer.
         """
+        stored, answers = self.store(device, lines, self._times)
+        if answers:
+            stored.add_done_callback(lambda _: respond(answers))
+        return stored
+
+    def store(
+        self, device: Device, lines: Sequence[bytes], times: TimeRule, max_bytes: int = MAX_LINE_BYTES
+    ) -> tuple["asyncio.Future[None]", list[Mapping[str, Any]]]:
+        """Process lines of a device; return the answers, and a future that is done when they may be sent."""
         now_s = self._clock()
         now_us = int(now_s * 1e6)
         device.seen_at = now_s
         answers: list[Mapping[str, Any]] = []
         messages: list[MessageRow] = []
         values: list[tuple[str, str, int, float]] = []
+        relays: list[RelayRow] = []
         for line in lines:
             if INPUT_MARK in line:
                 metrics.MESSAGES.labels("human_input").inc()
                 self.on_input(device.name, line)
                 continue
             try:
-                kind, answer = self._accept(device, line, now_s, values)
+                message = parse_message(line, max_bytes)
+                kind, answer = self._accept(device, message, times=times, now_s=now_s, values=values)
             except BadMessage as bad:
                 metrics.MESSAGES_REFUSED.labels(bad.code).inc()
                 answer = _with_seq({"type": "error", "code": bad.code, "reason": str(bad)}, bad.seq)
@@ -379,23 +430,27 @@ class DeviceGateway:
                 if answer is not None:
                     answers.append(answer)
                 messages.append(MessageRow(device.name, now_us, "in", kind, _text(line), None))
+                if self.writer.outbox is not None:
+                    relays.append(RelayRow(device.name, now_us, _with_time(line, message, now_s)))
         self._reports.put(device)
-        stored = self.writer.add(messages=messages, values=values)
-        if answers:
-            stored.add_done_callback(lambda _: respond(answers))
-        return stored
+        return self.writer.add(messages=messages, values=values, relays=relays), answers
 
     def _accept(
-        self, device: Device, line: bytes, now_s: float, values: list[tuple[str, str, int, float]]
+        self,
+        device: Device,
+        message: Message,
+        *,
+        times: TimeRule,
+        now_s: float,
+        values: list[tuple[str, str, int, float]],
     ) -> tuple[str, Mapping[str, Any] | None]:
         """Apply a message and return its type and the answer; raise `BadMessage`."""
-        message = parse_message(line)
         if isinstance(message, CommandAnswer):
             if not self.dispatcher.answer(device.name, message):
                 raise BadMessage("unknownCommand", f'{device.name} has no command with the id "{message.id}"')
             metrics.MESSAGES.labels("answer").inc()
             return "answer", None
-        t = self._times.time_of(message.t, now_s, message.seq)
+        t = times.time_of(message.t, now_s, message.seq)
         answer = _with_seq({"type": "ack"}, message.seq)
         if isinstance(message, Telemetry):
             outside = device.require_known(message)
@@ -421,11 +476,11 @@ class DeviceGateway:
             device.event = (message.name, message.data, t)
             device.has_news = True
 
-    def _end_link(self, device: Device, code: str, reason: str) -> None:
+    def _end_link(self, device: Device, code: str, reason: str, *, retry: bool = False) -> None:
         link = device.link
         if link is not None:
             self.disconnect(device, link)
-            link.end(code, reason, retry=False)
+            link.end(code, reason, retry=retry)
 
     async def _replace(self, device: Device, stored: StoredDevice) -> None:
         stored = replace(stored, updated_us=int(self._clock() * 1e6))
@@ -447,6 +502,16 @@ def _with_seq(answer: dict[str, Any], seq: int | None) -> dict[str, Any]:
 def _text(line: bytes) -> str:
     """Return a valid JSON line as text; PostgreSQL stores no NUL, which JSON can only have escaped."""
     return line.decode(errors="replace")
+
+
+def _with_time(line: bytes, message: Message, now_s: float) -> str:
+    """Return a valid message as one line for the centre: with the time of arrival if it has none."""
+    if (isinstance(message, CommandAnswer) or message.t is not None) and b"\n" not in line:
+        return _text(line)
+    given = orjson.loads(line)
+    if not isinstance(message, CommandAnswer) and message.t is None:
+        given["t"] = now_s
+    return orjson.dumps(given).decode()
 
 
 def encoded(answers: Sequence[Mapping[str, Any]]) -> bytes:

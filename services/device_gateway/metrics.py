@@ -10,6 +10,22 @@ MESSAGES = Counter("handover_device_messages_total", "Messages of devices that w
 MESSAGES_REFUSED = Counter(
     "handover_device_messages_refused_total", "Messages of devices that were refused", ["code"]
 )
+RELAYED = Counter(
+    "handover_device_relayed_total",
+    "Messages that edges have relayed: stored, repeated (known already), refused",
+    ["outcome"],
+)
+OUTBOX_BYTES = Gauge("handover_edge_outbox_bytes", "Bytes that wait at this edge for the centre")
+OUTBOX_ROWS = Gauge("handover_edge_outbox_messages", "Messages that wait at this edge for the centre")
+OUTBOX_DROPPED = Gauge(
+    "handover_edge_outbox_dropped", "Messages that this edge has dropped since its first start: it was full"
+)
+EDGE_COMMANDS = Counter(
+    "handover_edge_commands_total",
+    "Commands and velocities at this edge: passedOn, refused, velocityDropped, stopped, cancelled",
+    ["outcome"],
+)
+LINK_UP = Gauge("handover_edge_link_up", "Whether this edge is connected with the centre")
 VALUES = Counter("handover_device_values_total", "Values of devices that were stored")
 COMMIT = Histogram(
     "handover_device_commit_seconds",

@@ -72,6 +72,9 @@ class GatewaySettings(Settings):
     device_max_age_h: float = Field(
         48.0, gt=0, description="how old a message may be, for devices that buffer while they are away"
     )
+    device_edge_max_age_h: float = Field(
+        168.0, gt=0, description="how old a message may be that an edge has buffered"
+    )
     device_ack_timeout_s: float = Field(
         2.0, gt=0, description="a command without an answer for this time is sent again, where that is safe"
     )
@@ -98,6 +101,35 @@ class GatewaySettings(Settings):
     )
     device_keep_hours_h: float = Field(
         26280.0, gt=0, description="hours of values are kept for so many hours, then deleted"
+    )
+
+    edge_upstream: str | None = Field(
+        None,
+        pattern=r"^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(:[0-9]{1,5})?$",
+        description="host:port of the device port of the central gateway; with it this gateway is an edge, "
+        "which relays its devices over one TLS connection",
+    )
+    edge_name: str | None = Field(
+        None, description="the name of this edge at the centre, a device of kind edge"
+    )
+    edge_token: SecretStr | None = Field(None, description="the token of this edge at the centre")
+    edge_certificate: MaybePath = Field(
+        None, description="PEM file of the certificate of this edge, instead of its token"
+    )
+    edge_key: MaybePath = Field(None, description="PEM file of the private key of that certificate")
+    edge_buffer_mib: int = Field(
+        1024,
+        ge=1,
+        description="size of the messages that wait at this edge for the centre; when it is reached, the "
+        "oldest are dropped and counted",
+    )
+    edge_max_motion_delay_s: float = Field(
+        2.0, gt=0, description="a motion command that took longer from the centre to this edge is refused"
+    )
+    edge_cancel_motions_after_s: float = Field(
+        5.0,
+        gt=0,
+        description="when the centre is unreachable for so long, this edge cancels the motions that run",
     )
 
     @property

@@ -190,6 +190,9 @@ class Dispatcher:
             )
             if specification.kind is CommandKind.MOTION:
                 if link is None:
+                    edge = description.edge
+                    if edge is not None and edge not in self._links:
+                        raise _edge_away(device, name, edge)
                     raise Problem(
                         409,
                         "Device away",
@@ -402,6 +405,21 @@ def _require_valid(name: str, parameters: Mapping[str, Any], schema: Mapping[str
                 reason=fault.message[:300],
             ),
         )
+
+
+def _edge_away(device: str, command: str, edge: str) -> Problem:
+    return Problem(
+        409,
+        "Edge away",
+        message(
+            "device.motion_edge_away",
+            '{device} is reached through the edge {edge}, which is not connected, and "{command}" is a '
+            "motion, which is never queued; restore the connection of the edge and send the command again",
+            device=device,
+            command=command,
+            edge=edge,
+        ),
+    )
 
 
 def _no_command(device: str, identifier: str) -> Problem:

@@ -25,8 +25,10 @@ from handover.transport_security.tls_listener import Listener, listen
 from services.device_gateway import metrics
 from services.device_gateway.gateway import DeviceGateway, Refused, Session, encoded
 from services.device_gateway.protocol.lines import LineBuffer
-from services.device_gateway.protocol.messages import MAX_LINE_BYTES, BadMessage, encode, parse_hello
+from services.device_gateway.protocol.messages import BadMessage, Hello, encode, parse_hello
 from services.device_gateway.protocol.rates import DeviceRates
+from services.device_gateway.protocol.relaying import MAX_RELAYED_BYTES
+from services.device_gateway.relaying import SILENCE_S, EdgeRelays, RelaySession
 from services.device_gateway.settings import GatewaySettings
 
 log = get_logger(__name__)
@@ -41,10 +43,13 @@ KEEPALIVE: Final = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
 
 
 class DeviceServer:
-    """Listens for devices; an asynchronous context manager."""
+    """Listens for devices; an asynchronous context manager. Without `relays` no edge may connect."""
 
-    def __init__(self, settings: GatewaySettings, gateway: DeviceGateway) -> None:
+    def __init__(
+        self, settings: GatewaySettings, gateway: DeviceGateway, relays: EdgeRelays | None = None
+    ) -> None:
         self.gateway = gateway
+        self.relays = relays
         self.settings = settings
         self.waiting: dict[DeviceConnection, None] = {}
         self.open: set[DeviceConnection] = set()
@@ -125,7 +130,7 @@ class DeviceConnection(asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         self._transport: asyncio.Transport | None = None
         self._lines = LineBuffer()
-        self._session: Session | None = None
+        self._session: Session | RelaySession | None = None
         now_s = self._loop.time()
         self._rates = DeviceRates.of(server.settings.device_max_messages_per_s, now_s)
         self._active_s = now_s
@@ -163,12 +168,14 @@ class DeviceConnection(asyncio.Protocol):
         if messages and self._session is not None and not self._ended:
             wait_s = self._rates.messages.spend(len(messages), self._active_s)
             self._until_s = self._active_s + wait_s
-            self._session.receive(messages, self._respond)
+            is_edge = isinstance(self._session, RelaySession)
+            self._session.receive(messages, self._acknowledge if is_edge else self._respond)
             self._pause_if_needed(wait_s)
         if self._lines.has_overflowed:
             self.refuse(
                 "tooLong",
-                f"a line has at most {MAX_LINE_BYTES} bytes; end each with a newline and send less at once",
+                f"a line has at most {self._lines.max_line_bytes} bytes; end each with a newline and send "
+                "less at once",
                 retry=True,
             )
 
@@ -222,13 +229,16 @@ class DeviceConnection(asyncio.Protocol):
                 self.refuse("noHello", f"no hello within {settings.device_hello_timeout_s:g} s", retry=True)
         elif self._is_paused and not self._cannot_write:
             self._active_s = now_s  # it waits for us
-        elif now_s - self._active_s > settings.device_idle_timeout_s:
+        elif now_s - self._active_s > self._max_silence_s():
             self.refuse(
                 "idle",
-                f"nothing was received for {settings.device_idle_timeout_s:g} s; send a message or an empty "
+                f"nothing was received for {self._max_silence_s():g} s; send a message or an empty "
                 "line more often",
                 retry=True,
             )
+
+    def _max_silence_s(self) -> float:
+        return SILENCE_S if isinstance(self._session, RelaySession) else self._settings.device_idle_timeout_s
 
     def read_on(self) -> None:
         """Read again, if nothing speaks against it any more."""
@@ -254,7 +264,9 @@ class DeviceConnection(asyncio.Protocol):
         try:
             certificate = self._certificate_sha256()
             hello = parse_hello(line, needs_token=not certificate)
-            self._session = gateway.connect(hello, self, certificate)
+            session = gateway.connect(hello, self, certificate)
+            self._session = session
+            relay = None if hello.relay is None else self._begin_relay(session, hello)
         except BadMessage as bad:
             self.refuse(bad.code, str(bad), retry=False)
             return
@@ -262,7 +274,28 @@ class DeviceConnection(asyncio.Protocol):
             self.refuse(refused.code, str(refused), retry=refused.retry)
             return
         self._server.waiting.pop(self, None)
-        self.send(gateway.greeting(hello, self._session.device))
+        greeting = gateway.greeting(hello, session.device)
+        if relay is None:
+            self.send(greeting)
+            return
+        self.send({**greeting, "received": gateway.edge_marks.stored(relay.edge.name, relay.stream)})
+        relay.begin()
+
+    def _begin_relay(self, session: Session, hello: Hello) -> RelaySession:
+        relays = self._server.relays
+        if relays is None:
+            raise Refused("noEdge", "this gateway is an edge itself; connect this edge to the centre")
+        relay = relays.begin(session, self, hello)
+        self._session = relay
+        self._lines.max_line_bytes = MAX_RELAYED_BYTES
+        rate = self._settings.device_max_messages_per_s * relays.rate_factor(session.device)
+        self._rates = DeviceRates.of(rate, self._loop.time())
+        return relay
+
+    def _acknowledge(self, answers: Sequence[Mapping[str, Any]]) -> None:
+        """Answer an edge, which relays the mistakes of many devices."""
+        if self._transport is not None and not self._transport.is_closing() and not self._ended:
+            self._transport.write(encoded(answers))
 
     def _respond(self, answers: Sequence[Mapping[str, Any]]) -> None:
         if self._transport is None or self._transport.is_closing() or self._ended:

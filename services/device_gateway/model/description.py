@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from pydantic.alias_generators import to_camel
 
 from services.device_gateway.model.units import is_unit_code
-from services.device_gateway.protocol.messages import MAX_VALUES, is_value_name
+from services.device_gateway.protocol.messages import MAX_VALUES, is_device_name, is_value_name
 
 CANCEL = "cancel"
 """The command that ends another one; each device that takes commands knows it."""
@@ -44,6 +44,7 @@ class DeviceKind(StrEnum):
     ACTUATOR = "actuator"
     WEARABLE = "wearable"
     CAMERA = "camera"
+    EDGE = "edge"
     OTHER = "other"
 
 
@@ -186,6 +187,14 @@ class DeviceDescription(Part):
     commands: tuple[CommandSpecification, ...] = Field((), max_length=64)
     skills: tuple[str, ...] = Field((), max_length=64)
     placement: Placement = Placement()
+    edge: str | None = Field(None, description="the edge that may relay this device")
+
+    @field_validator("edge")
+    @classmethod
+    def _is_edge(cls, edge: str | None) -> str | None:
+        if edge is not None and not is_device_name(edge):
+            raise ValueError("edge must be the name of a device of kind edge")
+        return edge
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
@@ -194,6 +203,8 @@ class DeviceDescription(Part):
             raise ValueError(f"a device has at most {MAX_VALUES} joints and sensors")
         _require_unique("joint or sensor", names)
         _require_unique("command", [command.name for command in self.commands])
+        if self.kind is DeviceKind.EDGE and (self.edge is not None or self.commands):
+            raise ValueError("an edge takes no commands, and is not relayed by another edge")
         if self.joints and self.kind not in ROBOTS | {DeviceKind.GRIPPER}:
             raise ValueError(f'a device of kind "{self.kind}" has no joints; a robot or gripper has')
         return self

@@ -11,7 +11,7 @@ class LineBuffer:
 
     def __init__(self, max_line_bytes: int = MAX_LINE_BYTES) -> None:
         self.has_overflowed = False
-        self._max = max_line_bytes
+        self.max_line_bytes = max_line_bytes
         self._rest = bytearray()
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -29,9 +29,9 @@ class LineBuffer:
             lines = (bytes(self._rest) + data[:end]).split(b"\n")
             self._rest = bytearray(data[end + 1 :])
         for number, line in enumerate(lines):
-            if len(line) > self._max:
+            if len(line) > self.max_line_bytes:
                 return self._overflow(lines[:number])
-        return lines if len(self._rest) <= self._max else self._overflow(lines)
+        return lines if len(self._rest) <= self.max_line_bytes else self._overflow(lines)
 
     def _overflow(self, lines: list[bytes]) -> list[bytes]:
         self.has_overflowed = True

@@ -64,6 +64,14 @@ class AnswerState(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class RelayHello:
+    """What an edge adds to its hello: the stream of its numbers, and its time in seconds since 1970."""
+
+    stream: str
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
 class Hello:
     """The first message of a connection; `boot` differs after each start of the device's program."""
 
@@ -74,6 +82,8 @@ class Hello:
     takes: tuple[str, ...] = ()
     drives: bool = False
     """Whether the program follows the velocities of `drive` messages."""
+    relay: RelayHello | None = None
+    """Given by an edge, which relays other devices (`protocol.relaying`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +139,11 @@ def is_value_name(name: str) -> bool:
     return _NAME.fullmatch(name) is not None
 
 
+def is_boot(boot: str) -> bool:
+    """Return whether `boot` can identify a run of a program."""
+    return _BOOT.fullmatch(boot) is not None
+
+
 def encode(message: Mapping[str, Any]) -> bytes:
     """Return `message` as a line."""
     return orjson.dumps(message) + b"\n"
@@ -151,17 +166,18 @@ def parse_hello(line: bytes, *, needs_token: bool = True) -> Hello:
             "token must be the token of the device, which was shown when it was added, or the device "
             "must show its certificate",
         )
-    if not isinstance(boot, str) or not _BOOT.fullmatch(boot):
+    if not isinstance(boot, str) or not is_boot(boot):
         raise BadMessage("badHello", "boot must be up to 64 letters, digits, '_', '.' or '-'")
     drives = given.get("drives", False)
     if not isinstance(drives, bool):
         raise BadMessage("badHello", "drives must be true or false")
-    return Hello(device, token, boot, _names(given, "measures"), _names(given, "takes"), drives)
+    measures, takes = _names(given, "measures"), _names(given, "takes")
+    return Hello(device, token, boot, measures, takes, drives, _relay(given))
 
 
-def parse_message(line: bytes) -> Message:
+def parse_message(line: bytes, max_bytes: int = MAX_LINE_BYTES) -> Message:
     """Return a message after the hello."""
-    given = _object(line)
+    given = _object(line, max_bytes)
     kind = given.get("type")
     if kind == "telemetry":
         return _telemetry(given)
@@ -178,8 +194,20 @@ def parse_message(line: bytes) -> Message:
     raise BadMessage("unknownType", f"type is {shown}; it must be telemetry, state, event, ack or error", seq)
 
 
-def _object(line: bytes) -> dict[str, Any]:
-    if len(line) > MAX_LINE_BYTES:
+def _relay(given: Mapping[str, Any]) -> RelayHello | None:
+    relay = given.get("relay")
+    if relay is None:
+        return None
+    stream, at = (
+        (relay.get("stream"), _number(relay.get("time"))) if isinstance(relay, dict) else (None, None)
+    )
+    if not isinstance(stream, str) or not stream or not is_boot(stream) or at is None:
+        raise BadMessage("badHello", "relay must have the stream of the edge and its time")
+    return RelayHello(stream, at)
+
+
+def _object(line: bytes, max_bytes: int = MAX_LINE_BYTES) -> dict[str, Any]:
+    if len(line) > max_bytes:
         raise BadMessage("tooLong", f"a line has at most {MAX_LINE_BYTES} bytes; send less at once")
     try:
         given = orjson.loads(line)

@@ -73,36 +73,19 @@ def add_device_routes(
     """Add the routes of the registry."""
     _add_catalogues(app)
     _add_credentials(app, settings, gateway)
-
-    def entity_of(name: str) -> str:
-        return device_id(settings, name)
+    add_reading_routes(app, settings, gateway, engine)
 
     async def details(device: Device) -> DeviceDetails:
-        files = await asyncio.to_thread(device_store.files_of, engine, device.name)
-        return device_details(device, entity_of(device.name), time.time(), files)
-
-    @app.get("/devices", tags=["devices"], dependencies=[require(Permission.READ)])
-    async def devices(
-        limit: Annotated[int, Query(ge=1, le=1000)] = 1000, after: str = ""
-    ) -> list[DeviceView]:
-        """List the devices with their latest values, by name; `after` is the last name of the page before."""
-        names = sorted(name for name in gateway.devices if name > after)[:limit]
-        now_s = time.time()
-        return [device_view(gateway.devices[name], entity_of(name), now_s) for name in names]
+        return await _details(settings, engine, device)
 
     @app.post("/devices", status_code=201, tags=["devices"], dependencies=[require(Permission.CONFIGURE)])
     @max_body(MAX_DESCRIPTION_BYTES)
     async def add(new: NewDevice) -> TokenView:
         """Register a device; its token is shown only once. Its entities are written to the broker."""
         description = new.described()
-        await _require_free(broker, entity_of(new.name))
+        await _require_free(broker, device_id(settings, new.name))
         made = await gateway.add(new.name, description)
         return token_view(new.name, made.token, settings)
-
-    @app.get("/devices/{device}", tags=["devices"], dependencies=[CAN_READ])
-    async def one(device: str) -> DeviceDetails:
-        """Return a device with its description."""
-        return await details(gateway.device(device))
 
     @app.put("/devices/{device}", tags=["devices"], dependencies=[CAN_CONFIGURE])
     @max_body(MAX_DESCRIPTION_BYTES)
@@ -168,6 +151,31 @@ def add_device_routes(
         return Response(
             found.content, media_type=found.media_type, headers={"X-Content-Type-Options": "nosniff"}
         )
+
+
+def add_reading_routes(
+    app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway, engine: Engine
+) -> None:
+    """Add the routes that list devices; an edge has no others of the registry."""
+
+    @app.get("/devices", tags=["devices"], dependencies=[require(Permission.READ)])
+    async def devices(
+        limit: Annotated[int, Query(ge=1, le=1000)] = 1000, after: str = ""
+    ) -> list[DeviceView]:
+        """List the devices with their latest values, by name; `after` is the last name of the page before."""
+        names = sorted(name for name in gateway.devices if name > after)[:limit]
+        now_s = time.time()
+        return [device_view(gateway.devices[name], device_id(settings, name), now_s) for name in names]
+
+    @app.get("/devices/{device}", tags=["devices"], dependencies=[CAN_READ])
+    async def one(device: str) -> DeviceDetails:
+        """Return a device with its description."""
+        return await _details(settings, engine, gateway.device(device))
+
+
+async def _details(settings: GatewaySettings, engine: Engine, device: Device) -> DeviceDetails:
+    files = await asyncio.to_thread(device_store.files_of, engine, device.name)
+    return device_details(device, device_id(settings, device.name), time.time(), files)
 
 
 def _add_credentials(app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway) -> None:

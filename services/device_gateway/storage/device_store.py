@@ -56,6 +56,8 @@ def add(connection: Connection, device: StoredDevice) -> None:
             name=device.name,
             description=device.description.model_dump_json(by_alias=True, exclude_defaults=True),
             token_sha256=device.token_sha256,
+            certificate_sha256=device.certificate_sha256,
+            certificate_end_us=device.certificate_end_us,
             created_us=device.created_us,
             updated_us=device.updated_us,
         )
@@ -80,6 +82,7 @@ def replace(connection: Connection, device: StoredDevice) -> None:
 def remove(connection: Connection, name: str) -> None:
     """Delete a device with all of its history."""
     delete_history(connection, name)
+    connection.execute(delete(tables.edge_marks).where(tables.edge_marks.c.edge == name))
     connection.execute(delete(tables.devices).where(tables.devices.c.name == name))
 
 
@@ -108,6 +111,12 @@ def files_of(engine: Engine, device: str) -> list[str]:
     query = select(tables.files.c.kind).where(tables.files.c.device == device).order_by(tables.files.c.kind)
     with engine.connect() as connection:
         return list(connection.execute(query).scalars())
+
+
+def edge_marks(engine: Engine) -> dict[str, tuple[str, int]]:
+    """Return the stream of each edge and its last number that is stored."""
+    with engine.connect() as connection:
+        return {row.edge: (row.stream, row.seq) for row in connection.execute(select(tables.edge_marks))}
 
 
 def commands(engine: Engine, states: Iterable[str]) -> list[CommandRow]:

@@ -29,6 +29,7 @@ from handover.security.audit_trail import current_request, record_request
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
 from services.device_gateway.storage import partitions, tables
+from services.device_gateway.storage.outbox import Outbox, RelayRow
 from services.device_gateway.storage.partitions import DAY_US
 
 log = get_logger(__name__)
@@ -69,22 +70,39 @@ class CommandRow(NamedTuple):
     boot: str | None
 
 
+class EdgeMark(NamedTuple):
+    """The last number that was received in the stream of an edge."""
+
+    edge: str
+    stream: str
+    seq: int
+
+
 @dataclass(slots=True)
 class _Group:
     messages: list[Row] = field(default_factory=list)
     values: list[tuple[str, str, int, float]] = field(default_factory=list)
     commands: dict[tuple[str, str], Row] = field(default_factory=dict)
+    relays: list[RelayRow] = field(default_factory=list)
+    marks: dict[str, EdgeMark] = field(default_factory=dict)
     done: "asyncio.Future[None] | None" = None
 
     def __len__(self) -> int:
-        return len(self.messages) + len(self.values) + len(self.commands)
+        return len(self.messages) + len(self.values) + len(self.commands) + len(self.relays)
 
 
 class HistoryWriter:
-    """Writes rows in groups; run `run` as a task. `on_room` is called when it is no longer full."""
+    """Writes rows in groups; run `run` as a task. `on_room` is called when it is no longer full.
 
-    def __init__(self, engine: Engine, on_room: Callable[[], None] = lambda: None) -> None:
+    `on_relays` is called when messages of the outbox of an edge were written.
+    """
+
+    def __init__(
+        self, engine: Engine, on_room: Callable[[], None] = lambda: None, outbox: Outbox | None = None
+    ) -> None:
         self.on_room = on_room
+        self.on_relays: Callable[[], None] = lambda: None
+        self.outbox = outbox
         self._engine = engine
         self._thread = ThreadPoolExecutor(1, "device-writer")
         self._waiting = _Group()
@@ -100,6 +118,11 @@ class HistoryWriter:
             f"{name} = excluded.{name}"
             for name in ("deadline_us", "state", "progress", "result", "reason", "boot")
         )
+        self._write_mark = self._insert(
+            tables.edge_marks,
+            EdgeMark._fields,
+            "(edge) DO UPDATE SET stream = excluded.stream, seq = excluded.seq",
+        )
         self._write_command = self._insert(
             tables.commands, CommandRow._fields, f"(device, id) DO UPDATE SET {changing}"
         )
@@ -114,6 +137,8 @@ class HistoryWriter:
         messages: Sequence[MessageRow] = (),
         values: Sequence[tuple[str, str, int, float]] = (),
         commands: Sequence[CommandRow] = (),
+        relays: Sequence[RelayRow] = (),
+        marks: Sequence[EdgeMark] = (),
     ) -> "asyncio.Future[None]":
         """Write rows soon; the future is done when they are durable. Values: device, name, t_us, value."""
         group = self._waiting
@@ -121,6 +146,8 @@ class HistoryWriter:
         group.values.extend(values)
         for command in commands:
             group.commands[command.device, command.id] = command
+        group.relays.extend(relays)
+        group.marks.update((mark.edge, mark) for mark in marks)
         if group.done is None:
             group.done = asyncio.get_running_loop().create_future()
         self._has_waiting.set()
@@ -198,6 +225,8 @@ class HistoryWriter:
         metrics.VALUES.inc(len(group.values))
         self._writing = 0
         self._finish(group)
+        if group.relays:
+            self.on_relays()
         if was_full:
             self.on_room()
 
@@ -225,12 +254,18 @@ class HistoryWriter:
                     connection.exec_driver_sql(self._insert_value, rows)
                 if group.commands:
                     connection.exec_driver_sql(self._write_command, list(group.commands.values()))
+                if group.marks:
+                    connection.exec_driver_sql(self._write_mark, list(group.marks.values()))
+                if group.relays and self.outbox is not None:
+                    self.outbox.append(connection, group.relays)
         except BaseException:
             for key in new:
                 self._series.pop(key, None)
             self._days.clear()  # the retention may have dropped one of them
             raise
         self._days |= days
+        if group.relays and self.outbox is not None:
+            self.outbox.committed()
 
     def _number(self, connection: Connection, names: set[tuple[str, str]]) -> None:
         """Read or create the numbers of series."""

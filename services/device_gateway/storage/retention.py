@@ -13,6 +13,7 @@ from typing import Any, Final
 from sqlalchemy import Connection, Table, delete, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
+from services.device_gateway.settings import GatewaySettings
 from services.device_gateway.storage import partitions, tables
 from services.device_gateway.storage.partitions import MINUTE_US, Partition
 
@@ -30,6 +31,19 @@ class RetentionRule:
     values_h: float
     minutes_h: float
     hours_h: float
+
+
+def rule_of(settings: GatewaySettings) -> RetentionRule:
+    """Return the rule of the settings; values are kept for as long as a device may send them late."""
+    return RetentionRule(
+        messages_h=settings.device_keep_messages_h,
+        telemetry_h=settings.device_keep_telemetry_h,
+        values_h=max(
+            settings.device_keep_values_h, settings.device_max_age_h, settings.device_edge_max_age_h
+        ),
+        minutes_h=settings.device_keep_minutes_h,
+        hours_h=settings.device_keep_hours_h,
+    )
 
 
 def all_series(connection: Connection) -> list[int]:

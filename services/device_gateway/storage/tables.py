@@ -124,3 +124,28 @@ watches = Table(
     Column("process_us", BigInteger),
     Column("learned", Text),
 )
+edge_marks = Table(  # at the centre: what was stored of each edge
+    "device_edge_mark",
+    meta,
+    Column("edge", String(64), primary_key=True),
+    Column("stream", String(64), nullable=False),
+    Column("seq", BigInteger, nullable=False),
+)
+outbox = Table(  # at an edge: what the centre has not acknowledged
+    "device_outbox",
+    meta,
+    Column("seq", _NUMBER, primary_key=True, autoincrement=True),
+    Column("device", String(64), nullable=False),
+    Column("at_us", BigInteger, nullable=False),
+    Column("body", Text, nullable=False),
+    Column("size", Integer, nullable=False),
+    sqlite_autoincrement=True,  # a number is never used twice
+)
+outbox_state = Table(
+    "device_outbox_state",
+    meta,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("stream", String(64), nullable=False),
+    Column("dropped", BigInteger, nullable=False),
+    Column("refused", BigInteger, nullable=False),
+)

@@ -1,5 +1,5 @@
 /** The icon of the kind of a device. */
-import { Bot, BotMessageSquare, Box, Camera, Car, HandGrab, Thermometer, ToggleRight, Watch } from "lucide-react";
+import { Bot, BotMessageSquare, Box, Camera, Car, HandGrab, Router, Thermometer, ToggleRight, Watch } from "lucide-react";
 import { createElement } from "react";
 
 const icons: Record<string, typeof Bot> = {
@@ -11,6 +11,7 @@ const icons: Record<string, typeof Bot> = {
   actuator: ToggleRight,
   wearable: Watch,
   camera: Camera,
+  edge: Router,
 };
 
 export function KindIcon({ kind, size = 20 }: { kind: string; size?: number }) {

@@ -124,6 +124,7 @@ export interface DeviceDescription {
   commands?: CommandSpecification[];
   skills?: string[];
   placement?: Placement;
+  edge?: string | null;
 }
 
 /** A device with its whole description, and the files it has: `urdf`, `picture`. */
@@ -148,7 +149,7 @@ export interface DeviceDetails {
 }
 
 /** What a device is. */
-export type DeviceKind = "robotArm" | "mobileRobot" | "humanoid" | "gripper" | "sensor" | "actuator" | "wearable" | "camera" | "other";
+export type DeviceKind = "robotArm" | "mobileRobot" | "humanoid" | "gripper" | "sensor" | "actuator" | "wearable" | "camera" | "edge" | "other";
 
 /**
  * A device: what is registered, whether it is connected, and its latest values.

@@ -4,7 +4,7 @@ import type { FormField } from "~/api/generated/task-orchestrator";
 import { field } from "~/tasks/field";
 import { draftOf, entered, type Draft, type Entered } from "~/tasks/form";
 
-export const KINDS: readonly DeviceKind[] = ["robotArm", "mobileRobot", "humanoid", "gripper", "sensor", "actuator", "wearable", "camera", "other"];
+export const KINDS: readonly DeviceKind[] = ["robotArm", "mobileRobot", "humanoid", "gripper", "sensor", "actuator", "wearable", "camera", "edge", "other"];
 const WITH_JOINTS: readonly DeviceKind[] = ["robotArm", "mobileRobot", "humanoid", "gripper"];
 const GRIPPERS = ["parallel", "vacuum", "magnetic", "hand", "other"] as const;
 const JOINTS = ["revolute", "continuous", "prismatic"] as const;
@@ -39,6 +39,7 @@ export function fieldsOf(t: Translate, units: Readonly<Record<string, string>>, 
     ...AXES.map((axis) => field({ path: `placement.${axis}`, kind: "number", label: axis, unit: "m" })),
     number("placement.longitude", "°", "longitude"),
     number("placement.latitude", "°", "latitude"),
+    ...(kind === "edge" ? [] : [text("edge", "edge", { hint: t("form.edgeHint") })]),
   ];
   const sensor = [
     text("name", "valueName", { isRequired: true }),

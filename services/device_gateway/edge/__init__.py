@@ -1,0 +1,1 @@
+"""A gateway on site that relays its devices to a central gateway over one TLS connection."""

@@ -1,0 +1,362 @@
+"""The connection of an edge with the centre: outbound, with TLS, opened again whenever it ends.
+
+Messages of devices are read from the outbox in the order of their numbers and sent while at most
+`MAX_UNACKNOWLEDGED_BYTES` wait for an acknowledgement; acknowledged ones are deleted. After a broken
+connection the greeting of the centre says which number it has stored, and sending continues behind it.
+
+The connection counts as lost when nothing arrives for `SILENCE_S`: the centre answers a ping each second.
+"""
+
+import asyncio
+import ssl
+import time
+from collections import deque
+from collections.abc import Mapping
+from functools import partial
+from secrets import token_hex
+from typing import Any, Final
+
+import orjson
+from pydantic import ValidationError
+
+from handover.errors import HandoverError, Problem, UsageError
+from handover.retry import Backoff
+from handover.telemetry import get_logger
+from handover.tls_trust import client_context, handshake_fault
+from services.device_gateway import metrics
+from services.device_gateway.edge.commands import EdgeCommands, EdgeDispatcher
+from services.device_gateway.gateway import DeviceGateway
+from services.device_gateway.model.description import DeviceDescription
+from services.device_gateway.protocol.messages import VERSION, encode
+from services.device_gateway.protocol.relaying import MAX_DELIVERED_BYTES
+from services.device_gateway.settings import GatewaySettings
+from services.device_gateway.storage.device_store import StoredDevice
+from services.device_gateway.storage.outbox import Outbox, StoredRow
+
+log = get_logger(__name__)
+
+DEFAULT_PORT: Final = 54010
+CONNECT_TIMEOUT_S: Final = 10.0
+PING_S: Final = 1.0
+SILENCE_S: Final = 5.0
+MAX_RETRY_S: Final = 10.0
+PAGE_ROWS: Final = 200
+MAX_UNACKNOWLEDGED_BYTES: Final = 512 * 1024
+MAX_PINGS: Final = 64
+DELETE_S: Final = 0.25
+"""Acknowledged messages are deleted at most this often."""
+
+
+class LinkLost(HandoverError):
+    """The connection with the centre has ended; the text says why."""
+
+
+class Uplink:
+    """Relays to the centre; run `run` as a task."""
+
+    def __init__(
+        self,
+        settings: GatewaySettings,
+        gateway: DeviceGateway,
+        dispatcher: EdgeDispatcher,
+        commands: EdgeCommands,
+        outbox: Outbox,
+    ) -> None:
+        self.host, self.port = _address(settings)
+        self.name = settings.edge_name or ""
+        self.is_connected = False
+        self.since_s: float | None = None
+        """When the present state, connected or not, began; seconds since 1970."""
+        self.fault: str | None = "not connected yet"
+        self.round_trip_s: float | None = None
+        self._token = settings.edge_token.get_secret_value() if settings.edge_token else ""
+        self._tls = _tls_context(settings)
+        self._cancel_after_s = settings.edge_cancel_motions_after_s
+        self._gateway, self._commands, self._outbox = gateway, commands, outbox
+        self._boot = token_hex(8)
+        self._writer: asyncio.StreamWriter | None = None
+        self._news = asyncio.Event()
+        self._room = asyncio.Event()
+        self._unacknowledged: deque[tuple[int, int]] = deque()
+        self._unacknowledged_bytes = 0
+        self._acknowledged = 0
+        self._has_acknowledged = asyncio.Event()
+        self._changes: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
+        self._pings: dict[int, float] = {}
+        self._ping = 0
+        self._received_s = 0.0
+        self._canceller: asyncio.TimerHandle | None = None
+        gateway.writer.on_relays = self._news.set
+        dispatcher.on_presence = self._presence_changed
+        dispatcher.on_answer = commands.note_answer
+
+    async def run(self) -> None:
+        """Stay connected until cancelled."""
+        backoff = Backoff(max_s=MAX_RETRY_S)
+        while True:
+            try:
+                await self._serve(backoff)
+            except* (OSError, TimeoutError, asyncio.IncompleteReadError, ValueError, HandoverError) as errors:
+                self._note_fault(errors)
+            finally:
+                self._disconnected()
+            await backoff.wait()
+
+    async def _serve(self, backoff: Backoff) -> None:
+        async with asyncio.timeout(CONNECT_TIMEOUT_S):
+            reader, writer = await asyncio.open_connection(
+                self.host, self.port, ssl=self._tls, limit=MAX_DELIVERED_BYTES
+            )
+        try:
+            async with asyncio.timeout(CONNECT_TIMEOUT_S):
+                sent = await self._greet(reader, writer)
+            self._connected(writer)
+            backoff.reset()
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._read(reader))
+                group.create_task(self._follow_registry())
+                group.create_task(self._send(writer, sent))
+                group.create_task(self._keep_alive(writer))
+                group.create_task(self._delete())
+        finally:
+            writer.transport.abort()
+
+    async def _greet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> int:
+        """Send the hello; return the number up to which the centre has stored everything."""
+        outbox = self._outbox
+        hello = {"type": "hello", "version": VERSION, "device": self.name, "boot": self._boot}
+        relay = {"stream": outbox.stream, "time": time.time()}
+        writer.write(encode({**hello, "token": self._token, "relay": relay}))
+        line = await reader.readline()
+        greeting = orjson.loads(line) if line else {}
+        if greeting.get("type") != "ack" or "received" not in greeting:
+            raise LinkLost(str(greeting.get("reason") or "the other side is no gateway that takes edges"))
+        received = int(greeting["received"])
+        if received > await asyncio.to_thread(outbox.last):
+            log.warning("the centre knows later messages than this edge: another stream begins")
+            await self._gateway.writer.call(outbox.begin_stream)
+            raise LinkLost("the database of this edge is older than what the centre has; connecting again")
+        self._acknowledge(received)
+        return received
+
+    # What the centre sends
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        while line := await reader.readline():
+            self._received_s = time.monotonic()
+            await self._process(orjson.loads(line))
+        raise LinkLost("the centre has closed the connection")
+
+    async def _process(self, given: Mapping[str, Any]) -> None:
+        kind = given.get("type")
+        if kind == "ack" and "seq" in given:
+            self._acknowledge(int(given["seq"]))
+        elif kind == "pong":
+            sent_s = self._pings.get(given["n"])
+            self.round_trip_s = None if sent_s is None else time.monotonic() - sent_s
+        elif kind == "deliver":
+            self._commands.deliver(given["device"], given["message"], self._age_s(given.get("after")))
+        elif kind in {"device", "devices", "removed", "end"}:
+            self._changes.put_nowait(given)
+        elif kind == "error":
+            await self._refused(given)
+
+    async def _follow_registry(self) -> None:
+        """Take over what the centre has registered; commands do not wait for it."""
+        gateway = self._gateway
+        while True:
+            given = await self._changes.get()
+            kind = given["type"]
+            if kind == "device":
+                await self._mirror(given)
+            elif kind == "devices":
+                names = set(given["names"])
+                for name in [one for one in gateway.devices if one not in names]:
+                    await gateway.remove(name)
+            elif kind == "removed" and given["name"] in gateway.devices:
+                await gateway.remove(given["name"])
+            elif kind == "end":
+                gateway.end(given["device"], given["code"], given["reason"], retry=bool(given["retry"]))
+
+    async def _mirror(self, given: Mapping[str, Any]) -> None:
+        try:
+            description = DeviceDescription.model_validate(given["description"])
+        except ValidationError as error:
+            log.warning("device of the centre not understood", device=given["name"], error=str(error)[:300])
+            return
+        now_us = int(time.time() * 1e6)
+        stored = StoredDevice(
+            given["name"],
+            description,
+            given["tokenSha256"],
+            now_us,
+            now_us,
+            given["certificateSha256"],
+            given["certificateEndUs"],
+        )
+        await self._gateway.mirror(stored)
+
+    async def _refused(self, given: Mapping[str, Any]) -> None:
+        if "retry" in given:
+            raise LinkLost(str(given.get("reason")))
+        log.warning(
+            "refused by the centre", **{name: given.get(name) for name in ("device", "code", "reason")}
+        )
+        if given.get("seq") is not None:
+            await self._gateway.writer.call(lambda connection: self._outbox.note_refused(connection, 1))
+
+    def _age_s(self, after: Any) -> float | None:
+        """Return a bound of the age of a message; None if there is none."""
+        if not after:
+            return None
+        number, held_s = after
+        sent_s = self._pings.get(number)
+        return None if sent_s is None else max(time.monotonic() - sent_s - float(held_s), 0.0)
+
+    # What is sent to the centre
+
+    async def _send(self, writer: asyncio.StreamWriter, sent: int) -> None:
+        while True:
+            self._news.clear()
+            rows = await asyncio.to_thread(self._outbox.read, sent, PAGE_ROWS)
+            if not rows:
+                await self._news.wait()
+                continue
+            for row in rows:
+                while self._unacknowledged_bytes >= MAX_UNACKNOWLEDGED_BYTES:
+                    self._room.clear()
+                    await self._room.wait()
+                line = _relayed(row)
+                self._unacknowledged.append((row.seq, len(line)))
+                self._unacknowledged_bytes += len(line)
+                writer.write(line)
+                sent = row.seq
+            await writer.drain()
+
+    def _acknowledge(self, seq: int) -> None:
+        """Everything up to a number is stored at the centre."""
+        while self._unacknowledged and self._unacknowledged[0][0] <= seq:
+            self._unacknowledged_bytes -= self._unacknowledged.popleft()[1]
+        self._room.set()
+        self._acknowledged = max(self._acknowledged, seq)
+        self._has_acknowledged.set()
+
+    async def _delete(self) -> None:
+        while True:
+            await self._has_acknowledged.wait()
+            self._has_acknowledged.clear()
+            seq = self._acknowledged
+            try:
+                await self._gateway.writer.call(partial(self._outbox.acknowledge, seq=seq))
+            except Problem:
+                await self._gateway.writer.call(self._outbox.count)
+                raise
+            await asyncio.sleep(DELETE_S)
+
+    async def _keep_alive(self, writer: asyncio.StreamWriter) -> None:
+        while True:
+            self._ping += 1
+            self._pings[self._ping] = time.monotonic()
+            self._pings.pop(self._ping - MAX_PINGS, None)
+            writer.write(encode({"type": "ping", "n": self._ping}))
+            await asyncio.sleep(PING_S)
+            if time.monotonic() - self._received_s > SILENCE_S:
+                raise LinkLost(f"nothing arrived from the centre for {SILENCE_S:g} s")
+
+    def _presence_changed(self, name: str) -> None:
+        asyncio.get_running_loop().call_soon(self._send_presence, name)
+
+    def _send_presence(self, name: str) -> None:
+        """Send whether a device is connected now, if the centre can be reached."""
+        if self._writer is None or name == self.name:
+            return
+        device = self._gateway.devices.get(name)
+        if device is None or device.link is None:
+            self._writer.write(encode({"type": "offline", "device": name}))
+            return
+        online = {"type": "online", "device": name, "boot": device.link.boot, "drives": device.drives}
+        self._writer.write(encode(online))
+
+    # The state of the connection
+
+    def _connected(self, writer: asyncio.StreamWriter) -> None:
+        self._writer, self._received_s = writer, time.monotonic()
+        self._changes = asyncio.Queue()  # the centre sends all again
+        self.is_connected, self.since_s, self.fault = True, time.time(), None
+        if self._canceller is not None:
+            self._canceller.cancel()
+            self._canceller = None
+        metrics.LINK_UP.set(1)
+        log.info("connected with the centre", host=self.host, port=self.port, waiting=self._outbox.rows)
+        for device in tuple(self._gateway.devices.values()):
+            if device.link is not None:
+                self._send_presence(device.name)
+
+    def _disconnected(self) -> None:
+        self._writer = None
+        self._unacknowledged.clear()
+        self._unacknowledged_bytes = 0
+        self._pings.clear()
+        self.round_trip_s = None
+        self._commands.stop_driven()
+        if self.is_connected:
+            self.is_connected, self.since_s = False, time.time()
+            metrics.LINK_UP.set(0)
+            loop = asyncio.get_running_loop()
+            self._canceller = loop.call_later(self._cancel_after_s, self._cancel_motions)
+
+    def _cancel_motions(self) -> None:
+        self._canceller = None
+        if count := self._commands.cancel_motions():
+            log.warning("motions cancelled: the centre is unreachable", motions=count)
+
+    def _note_fault(self, errors: BaseExceptionGroup[Exception]) -> None:
+        error: BaseException = errors
+        while isinstance(error, BaseExceptionGroup):
+            error = error.exceptions[0]
+        where = f"{self.host}:{self.port}"
+        fault = handshake_fault(error, where) or str(error) or type(error).__name__
+        if fault != self.fault:
+            log.warning("no connection with the centre", centre=where, reason=fault)
+        self.fault = fault
+
+
+def _relayed(row: StoredRow) -> bytes:
+    """Return a line for a message of the outbox, which is JSON already."""
+    head = orjson.dumps({"type": "relay", "seq": row.seq, "device": row.device})
+    return head[:-1] + b',"message":' + row.body.encode() + b"}\n"
+
+
+def _address(settings: GatewaySettings) -> tuple[str, int]:
+    host, _, port = (settings.edge_upstream or "").rpartition(":")
+    if not host or host.endswith(":") or not port.isdigit():
+        host, port = settings.edge_upstream or "", str(DEFAULT_PORT)
+    if not settings.edge_name:
+        raise UsageError(
+            "an edge needs its name at the centre: add it there with `handover device add NAME --template "
+            "edge`, and set HANDOVER_EDGE_NAME and HANDOVER_EDGE_TOKEN here"
+        )
+    if settings.edge_token is None and settings.edge_certificate is None:
+        raise UsageError(
+            "an edge needs HANDOVER_EDGE_TOKEN, which `handover device add` has shown at the centre, or "
+            "HANDOVER_EDGE_CERTIFICATE and HANDOVER_EDGE_KEY"
+        )
+    return host.strip("[]"), int(port)
+
+
+def _tls_context(settings: GatewaySettings) -> ssl.SSLContext:
+    """Return the context that verifies the centre, with the certificate of this edge; raise `UsageError`."""
+    if settings.edge_certificate is None:
+        return client_context(*settings.ca_files)
+    context = ssl.create_default_context()
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        for file in settings.ca_files:
+            context.load_verify_locations(file)
+        context.load_cert_chain(settings.edge_certificate, settings.edge_key)
+    except OSError as error:
+        raise UsageError(
+            f"the certificate of this edge cannot be used: {error}; set HANDOVER_EDGE_CERTIFICATE, "
+            "HANDOVER_EDGE_KEY and HANDOVER_TLS_AUTHORITY to readable PEM files"
+        ) from None
+    return context

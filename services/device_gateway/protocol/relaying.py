@@ -1,0 +1,101 @@
+"""Messages between an edge and the central gateway: JSON lines over one TLS connection.
+
+An edge is a device of kind `edge`. Its hello has `relay`, and other messages than those of a device follow:
+
+    {"type":"hello","version":1,"device":"site-1","token":"…","boot":"…","relay":{"stream":"…","time":1712345678.9}}
+    {"type":"relay","seq":812,"device":"hall-1","message":{"type":"telemetry","t":1712345670.1,"values":{…}}}
+    {"type":"online","device":"hall-1","boot":"7f3a","drives":false}
+    {"type":"offline","device":"hall-1"}
+    {"type":"ping","n":17}
+
+To the edge, after the acknowledged hello, which has the last stored `seq` of the stream as `received`:
+
+    {"type":"device","name":"hall-1","description":{…},"tokenSha256":"…","certificateSha256":null}
+    {"type":"devices","names":["hall-1"]}       all that the edge may relay; the others are removed
+    {"type":"removed","name":"hall-1"}
+    {"type":"ack","seq":812}                    everything up to this number is stored
+    {"type":"error","seq":811,"device":"hall-1","code":"…","reason":"…"}
+    {"type":"deliver","device":"hall-1","message":{"type":"command",…},"after":[17,0.02]}
+    {"type":"end","device":"hall-1","code":"tokenChanged","reason":"…","retry":false}
+    {"type":"pong","n":17}
+
+Numbers of a stream grow, and may have gaps where a full buffer was shortened. `after` bounds the age of a
+message without comparing clocks: the gateway sent it so many seconds after it had received that ping, so it
+is not older than the time since the edge sent the ping, less these seconds.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import orjson
+
+from services.device_gateway.protocol.messages import (
+    MAX_LINE_BYTES,
+    MAX_SEQ,
+    BadMessage,
+    is_boot,
+    is_device_name,
+)
+
+MAX_RELAYED_BYTES: Final = MAX_LINE_BYTES + 1024
+"""A line of an edge: a message of a device, with its number and the name of the device."""
+MAX_DELIVERED_BYTES: Final = 1024 * 1024
+"""A line to an edge: the description of a device may be long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relayed:
+    """A message of a device, with its number in the stream of the edge."""
+
+    seq: int
+    device: str
+    line: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Presence:
+    """A device has connected to the edge, or (`boot` is None) has disconnected."""
+
+    device: str
+    boot: str | None
+    drives: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Ping:
+    """The number of a ping, which the answer repeats."""
+
+    n: int
+
+
+def parse_relayed(line: bytes) -> Relayed | Presence | Ping:
+    """Return a message of an edge; raise `BadMessage`."""
+    try:
+        given: Any = orjson.loads(line)
+    except orjson.JSONDecodeError as error:
+        raise BadMessage("notJson", f"the line is no JSON: {str(error)[:200]}") from None
+    kind = given.get("type") if isinstance(given, dict) else None
+    if kind == "ping":
+        return Ping(_number(given.get("n"), "n"))
+    if kind not in {"relay", "online", "offline"}:
+        raise BadMessage("unknownType", "type must be relay, online, offline or ping")
+    device = given.get("device")
+    if not isinstance(device, str) or not is_device_name(device):
+        raise BadMessage("badRelay", "device must be the name of a device")
+    if kind == "relay":
+        seq, message = _number(given.get("seq"), "seq"), given.get("message")
+        if not isinstance(message, dict):
+            raise BadMessage("badRelay", "message must be a message of the device", seq)
+        return Relayed(seq, device, orjson.dumps(message))
+    if kind == "offline":
+        return Presence(device, None)
+    boot, drives = given.get("boot"), given.get("drives", False)
+    if not isinstance(boot, str) or not is_boot(boot) or not isinstance(drives, bool):
+        raise BadMessage("badRelay", "boot must be that of the hello of the device, drives true or false")
+    return Presence(device, boot, drives)
+
+
+def _number(value: Any, name: str) -> int:
+    if type(value) is not int or not 0 <= value <= MAX_SEQ:
+        raise BadMessage("badSeq", f"{name} must be a whole number from 0 to {MAX_SEQ}")
+    return value

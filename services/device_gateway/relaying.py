@@ -1,0 +1,272 @@
+"""Edges at the centre: one connection relays many devices, each of which appears as a device of its own.
+
+An edge is a device of kind `edge` with its own token or certificate. It may relay the devices whose
+description names it as their `edge`; of others nothing is accepted. What it may relay is sent to it with the
+hashes of their credentials, so that it can check them on its own while the connection is broken.
+
+Numbers of the stream make repetitions harmless: the last number is stored in the transaction of the messages,
+and smaller ones are acknowledged without being stored again. Buffered messages may be older than those of a
+device that is connected directly (`device_edge_max_age_h`).
+
+Commands use the connection only while it exists: with it each relayed device is disconnected, and what
+happens to a command then depends on its kind, as for every device (`commands.command`).
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+from handover.telemetry import get_logger
+from services.device_gateway.gateway import DeviceGateway, Refused, Respond, Session
+from services.device_gateway.metrics import RELAYED
+from services.device_gateway.model.description import DeviceKind
+from services.device_gateway.protocol.messages import BadMessage, Hello, RelayHello
+from services.device_gateway.protocol.relaying import (
+    MAX_RELAYED_BYTES,
+    Ping,
+    Presence,
+    Relayed,
+    parse_relayed,
+)
+from services.device_gateway.protocol.times import TimeRule
+from services.device_gateway.registry.device import Device, Link
+from services.device_gateway.storage.history_writer import EdgeMark
+
+log = get_logger(__name__)
+
+SILENCE_S: Final = 5.0
+"""An edge that sends nothing for this time is disconnected: it sends a ping each second."""
+
+
+class RelayedLink:
+    """The connection of a device through an edge."""
+
+    def __init__(self, relay: "RelaySession", name: str) -> None:
+        self.boot = ""
+        self._relay = relay
+        self._name = name
+
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send a message to the device, with a bound of its age."""
+        self._relay.deliver(self._name, message)
+
+    def send_latest(self, message: Mapping[str, Any]) -> bool:
+        """Send a message that must not wait; return False, without sending it, if it would."""
+        return self._relay.deliver_latest(self._name, message)
+
+    def end(self, code: str, reason: str, *, retry: bool) -> None:
+        """Let the edge end the connection of the device."""
+        self._relay.end_device(self._name, self, code, reason, retry=retry)
+
+
+class RelaySession:
+    """An edge over one connection, after its hello was accepted."""
+
+    def __init__(self, relays: "EdgeRelays", session: Session, link: Link, hello: RelayHello) -> None:
+        self.edge = session.device
+        self.stream = hello.stream
+        self._relays = relays
+        self._gateway = relays.gateway
+        self._session = session
+        self._link = link
+        self._granted: set[str] = set()
+        self._devices: dict[str, tuple[Session, RelayedLink]] = {}
+        self._ping: tuple[int, float] | None = None
+        self._is_ended = False
+
+    def may_relay(self, device: Device) -> bool:
+        """Return whether a device was granted to this edge."""
+        return self.edge.name in {device.stored.description.edge, device.name}
+
+    def begin(self) -> None:
+        """Send what the edge may relay."""
+        granted = [device for device in self._gateway.devices.values() if self.may_relay(device)]
+        for device in granted:
+            self.send_device(device)
+        self._link.send({"type": "devices", "names": [device.name for device in granted]})
+
+    def send_device(self, device: Device) -> None:
+        """Send a device that the edge may relay."""
+        stored = device.stored
+        self._granted.add(device.name)
+        self._link.send(
+            {
+                "type": "device",
+                "name": device.name,
+                "description": stored.description.model_dump(
+                    mode="json", by_alias=True, exclude_defaults=True
+                ),
+                "tokenSha256": stored.token_sha256,
+                "certificateSha256": stored.certificate_sha256,
+                "certificateEndUs": stored.certificate_end_us,
+            }
+        )
+
+    def withdraw(self, name: str) -> None:
+        """Take a device from the edge, if it had it: it was deleted, or granted to another edge."""
+        if name not in self._granted:
+            return
+        self._granted.remove(name)
+        found = self._devices.pop(name, None)
+        if found is not None:
+            found[0].end()
+        self._link.send({"type": "removed", "name": name})
+
+    def receive(self, lines: Sequence[bytes], respond: Respond) -> None:
+        """Process lines of the edge; `respond` is called once the messages are durable."""
+        marks = self._gateway.edge_marks
+        answers: list[Mapping[str, Any]] = []
+        before = last = marks.received(self.edge.name, self.stream)
+        is_relayed = False
+        for line in lines:
+            try:
+                given = parse_relayed(line)
+            except BadMessage as bad:
+                answers.append({"type": "error", "seq": bad.seq, "code": bad.code, "reason": str(bad)})
+                continue
+            if isinstance(given, Ping):
+                self._ping = given.n, time.monotonic()
+                self._link.send({"type": "pong", "n": given.n})
+            elif isinstance(given, Presence):
+                answers += self._note_presence(given)
+            else:
+                is_relayed = True
+                if given.seq > last:
+                    last = given.seq
+                    answers += self._store(given)
+                else:
+                    RELAYED.labels("repeated").inc()
+        if answers or is_relayed:
+            self._answer(answers, last if is_relayed else None, last > before, respond)
+
+    def deliver(self, name: str, message: Mapping[str, Any]) -> None:
+        """Send a message to a device."""
+        self._link.send(self._delivery(name, message))
+
+    def deliver_latest(self, name: str, message: Mapping[str, Any]) -> bool:
+        """Send a message to a device unless it would wait."""
+        return self._link.send_latest(self._delivery(name, message))
+
+    def end_device(self, name: str, link: RelayedLink, code: str, reason: str, *, retry: bool) -> None:
+        """Let the edge end the connection of a device."""
+        found = self._devices.get(name)
+        if found is not None and found[1] is link:
+            del self._devices[name]
+        end = {"type": "end", "device": name, "code": code, "reason": reason, "retry": retry}
+        self._link.send(end)
+
+    def end(self) -> None:
+        """The connection has ended, and with it those of all its devices."""
+        if self._is_ended:
+            return
+        self._is_ended = True
+        if self._relays.sessions.get(self.edge.name) is self:
+            del self._relays.sessions[self.edge.name]
+        for session, _ in tuple(self._devices.values()):
+            session.end()
+        self._devices.clear()
+        self._session.end()
+
+    def _delivery(self, name: str, message: Mapping[str, Any]) -> dict[str, Any]:
+        delivery: dict[str, Any] = {"type": "deliver", "device": name, "message": message}
+        if self._ping is not None:
+            number, at_s = self._ping
+            delivery["after"] = [number, round(time.monotonic() - at_s, 4)]
+        return delivery
+
+    def _note_presence(self, given: Presence) -> list[Mapping[str, Any]]:
+        device = self._gateway.devices.get(given.device)
+        found = self._devices.get(given.device)
+        if given.boot is None:
+            if found is not None:
+                del self._devices[given.device]
+                found[0].end()
+            return []
+        if device is None or device is self.edge or not self.may_relay(device):
+            return [{**self._not_granted(given.device), "seq": None}]
+        if found is None or found[1].boot != given.boot or device.link is not found[1]:
+            link = RelayedLink(self, device.name)
+            session = self._gateway.attach(device.name, link, given.boot)
+            self._devices[device.name] = session, link
+        device.drives = given.drives
+        return []
+
+    def _store(self, given: Relayed) -> list[Mapping[str, Any]]:
+        device = self._gateway.devices.get(given.device)
+        if device is None or not self.may_relay(device):
+            RELAYED.labels("refused").inc()
+            return [{**self._not_granted(given.device), "seq": given.seq}]
+        _, answers = self._gateway.store(device, [given.line], self._relays.times, MAX_RELAYED_BYTES)
+        errors = [answer for answer in answers if answer["type"] == "error"]
+        RELAYED.labels("refused" if errors else "stored").inc()
+        return [{**error, "seq": given.seq, "device": given.device} for error in errors]
+
+    def _answer(
+        self, answers: list[Mapping[str, Any]], last: int | None, is_new: bool, respond: Respond
+    ) -> None:
+        """Respond once what was received, now and before, is durable."""
+        mark = None if last is None else EdgeMark(self.edge.name, self.stream, last)
+        stored = self._gateway.writer.add(marks=[mark] if mark is not None and is_new else [])
+        if mark is not None:
+            self._gateway.edge_marks.note_received(mark)
+            answers.append({"type": "ack", "seq": mark.seq})
+
+        def is_stored(_: object) -> None:
+            if mark is not None:
+                self._gateway.edge_marks.note_stored(mark)
+            respond(answers)
+
+        stored.add_done_callback(is_stored)
+
+    def _not_granted(self, name: str) -> dict[str, Any]:
+        reason = f'{name} was not granted to {self.edge.name}; set "edge" in its description to this edge'
+        return {"type": "error", "device": name, "code": "notGranted", "reason": reason}
+
+
+class EdgeRelays:
+    """The connected edges, by name."""
+
+    def __init__(
+        self, gateway: DeviceGateway, times: TimeRule, clock: Callable[[], float] = time.time
+    ) -> None:
+        self.gateway = gateway
+        self.times = times
+        self.sessions: dict[str, RelaySession] = {}
+        self._clock = clock
+
+    def begin(self, session: Session, link: Link, hello: Hello) -> RelaySession:
+        """Begin the session of an edge; raise `Refused`."""
+        edge, relay = session.device, hello.relay
+        assert relay is not None  # noqa: S101 - the caller has looked
+        if edge.stored.description.kind is not DeviceKind.EDGE:
+            raise Refused("noEdge", f"{edge.name} is registered as no edge; register a device of kind edge")
+        ahead_s = relay.time - self._clock()
+        if abs(ahead_s) > self.times.max_ahead_s:
+            raise Refused(
+                "clock",
+                f"the clock of {edge.name} differs from that of the centre by {ahead_s:.0f} s, and at most "
+                f"{self.times.max_ahead_s:g} s are allowed; set it (NTP). What is buffered waits",
+                retry=True,
+            )
+        made = RelaySession(self, session, link, relay)
+        self.sessions[edge.name] = made
+        log.info("edge connected", edge=edge.name, stream=relay.stream)
+        return made
+
+    def rate_factor(self, edge: Device) -> int:
+        """Return how many devices an edge may relay, at least 1: its rate of messages is that of all."""
+        devices = self.gateway.devices.values()
+        return max(sum(device.stored.description.edge == edge.name for device in devices), 1)
+
+    def changed(self, device: Device) -> None:
+        """A device was added or changed: its edge gets it, and one that had it before loses it."""
+        for relay in tuple(self.sessions.values()):
+            if relay.may_relay(device):
+                relay.send_device(device)
+            else:
+                relay.withdraw(device.name)
+
+    def removed(self, name: str) -> None:
+        """A device was deleted."""
+        for relay in tuple(self.sessions.values()):
+            relay.withdraw(name)
