@@ -30,7 +30,7 @@ def run(
 
     Devices connect to it as to any gateway (HANDOVER_DEVICE_HOST, HANDOVER_DEVICE_PORT).
     """
-    secrets.wait_for_secrets()
+    secrets.wait_for_secrets(GatewaySettings.model_fields)
     secure.wait_for_security("HANDOVER_TLS_KEY", "HANDOVER_TLS_CERTIFICATE")
     os.environ["HANDOVER_EDGE_UPSTREAM"], os.environ["HANDOVER_EDGE_NAME"] = centre, name
     if buffer_mib is not None:
