@@ -19,6 +19,8 @@ from services.human_state.model.features import Feature, FeatureName, Status
 MIN_QUALITY: Final = 0.5
 STALE_S: Final = 3.0
 STALE_PERIODS: Final = 3.0
+EVENTS: Final = frozenset({FeatureName.APNOEA_EVENT})
+"""Features that say that something happened; they feed no limit."""
 MAX_PERIOD_S: Final = 60.0
 """A sensor cannot extend its own staleness beyond three of these."""
 
@@ -72,7 +74,8 @@ class Series:
         if not _is_acceptable(feature):
             return Series(), replace(feature, status=Status.IMPLAUSIBLE)
         if last is None or feature.at_s - last.at_s > stale_after_s(last.period_s):
-            return Series(feature, 1), None
+            # an event happens once: no second one agrees with it
+            return Series(feature, 1), feature if feature.name in EVENTS else None
         if not _is_reachable(last, feature):
             return Series(feature, 1), replace(feature, status=Status.IMPLAUSIBLE)
         return Series(feature, self.agreeing + 1), feature

@@ -185,3 +185,30 @@ async def test_at_its_pace_the_device_stamps_and_the_times_are_ours() -> None:
 def test_a_signal_that_cannot_be_simulated_is_refused_with_those_that_can() -> None:
     with pytest.raises(ValidationError, match="choose from ecg"):
         SimulatedSettings(signals=(SignalKind.MOOD,))
+
+
+async def test_a_simulated_person_acts_while_the_sensor_runs() -> None:
+    driver = SimulatedDriver("person", SimulatedSettings(signals=(SignalKind.PRESSURE_MAP,)))
+    driver.simulate({"effort": 0.4, "lean": [0.0, 1.0], "isBreathing": False, "movement": 30})
+    person = driver.person
+    assert (person.effort, person.lean, person.is_breathing, person.movement) == (0.4, (0.0, 1.0), False, 30)
+    driver.simulate({"lean": [0.5, 0.0]})
+    assert (person.effort, person.lean) == (0.4, (0.5, 0.0)), "what is absent stays"
+
+
+@pytest.mark.parametrize("given", [{"effort": 2}, {"lean": [0]}, {"height": 1}, [], "{}", None])
+async def test_acts_that_cannot_be_are_refused(given: object) -> None:
+    driver = SimulatedDriver("person", SimulatedSettings())
+    with pytest.raises(ValidationError):
+        driver.simulate(given)
+    assert driver.person.effort == 0.0
+
+
+async def test_a_strap_that_slips_off_has_no_contact() -> None:
+    driver = SimulatedDriver("person", SimulatedSettings(pace=0, start_s=START_S))
+    driver.simulate({"contact": False})
+    off = {one.info.kind: one.has_contact for one in driver.next_packets()}
+    assert off[SignalKind.ECG] is False
+    assert off[SignalKind.ACCELERATION] is None
+    driver.simulate({"contact": True})
+    assert all(one.has_contact is not False for one in driver.next_packets())

@@ -164,3 +164,10 @@ def test_whatever_is_sent_only_plausible_fresh_calibrated_values_feed_limits(
             assert each.at_s <= now_s
         usable = state.for_limits(HEART, now_s)
         assert usable is None or usable.is_calibrated
+
+
+def test_an_event_counts_at_once() -> None:
+    event = Feature(FeatureName.APNOEA_EVENT, "analysis", "cyclicHeartRate", 10.0, 0.6, method="apnoea-1")
+    found = seen(event).value(FeatureName.APNOEA_EVENT, 10.0)
+    assert found is not None
+    assert (found.value, found.status) == ("cyclicHeartRate", Status.VALID)
