@@ -15,7 +15,7 @@ from handover.security.permissions import OWNER_GRANTS, Grant, Role
 from handover.security.secret_tokens import new_token, token_hash
 from services.accounts.changes import Change
 from services.accounts.grants import add_grant, checked_grant
-from services.accounts.tables import audit, links
+from services.accounts.tables import audit, links, row_of_token
 from services.accounts.users import add_user, find, set_password
 
 OWNER, INVITATION, PASSWORD = "owner", "invitation", "password"
@@ -68,7 +68,7 @@ def make_owner_link(change: Change) -> str:
 
 def find_link(connection: Connection, secret: str) -> dict[str, Any]:
     """Return an open link; raise `Problem` 404."""
-    row = connection.execute(select(links).where(links.c.token_hash == token_hash(secret))).mappings().first()
+    row = row_of_token(connection, links, secret)
     if row is None or row["expires_s"] <= time.time():
         raise Problem(
             404, "Invalid link", "the link was used already, has expired, or was replaced; ask for another"

@@ -9,10 +9,10 @@ from sqlalchemy import Connection, delete, func, insert, select
 from handover.errors import Problem
 from handover.security.caller import CallerKind
 from handover.security.permissions import Grant, Role
-from handover.security.secret_tokens import is_secret_token, new_token, token_hash
+from handover.security.secret_tokens import new_token, token_hash
 from services.accounts.changes import Change, revision_of
 from services.accounts.grants import add_grant, grants_of
-from services.accounts.tables import grants, tokens
+from services.accounts.tables import grants, row_of_token, tokens
 
 MAX_TOKENS: Final = 10_000
 ISSUED_KINDS: Final = (CallerKind.SCRIPT, CallerKind.DEVICE)
@@ -64,10 +64,7 @@ def revoke_token(change: Change, subject: str) -> None:
 
 def find_token(connection: Connection, token: str) -> dict[str, Any] | None:
     """Return an active token; None if it is unknown or expired."""
-    if not is_secret_token(token):
-        return None
-    query = select(tokens).where(tokens.c.token_hash == token_hash(token))
-    row = connection.execute(query).mappings().first()
+    row = row_of_token(connection, tokens, token)
     if row is None or (row["expires_s"] is not None and row["expires_s"] <= time.time()):
         return None
     return dict(row)

@@ -13,7 +13,14 @@ from sqlalchemy import Connection, delete, func, insert, select, update
 from handover.errors import Problem
 from handover.security.secret_tokens import new_token, token_hash
 from services.accounts.changes import Change
-from services.accounts.tables import grants, places, provider_grants, provider_sessions, sessions
+from services.accounts.tables import (
+    grants,
+    places,
+    provider_grants,
+    provider_sessions,
+    row_of_token,
+    sessions,
+)
 
 MAX_SESSIONS: Final = 50
 """Of one user; a further sign-in ends the oldest."""
@@ -87,11 +94,7 @@ def is_known_place(connection: Connection, subject: str, address: str) -> bool:
 
 def find_session(connection: Connection, token: str, limits: SessionLimits) -> dict[str, Any] | None:
     """Return the session of a token; None if it has ended."""
-    row = (
-        connection.execute(select(sessions).where(sessions.c.token_hash == token_hash(token)))
-        .mappings()
-        .first()
-    )
+    row = row_of_token(connection, sessions, token)
     return None if row is None or limits.ends_s(row) <= time.time() else dict(row)
 
 

@@ -5,16 +5,20 @@ from typing import Final
 from sqlalchemy import (
     BigInteger,
     Column,
+    Connection,
     Float,
     Integer,
     MetaData,
+    RowMapping,
     String,
     Table,
     Text,
     UniqueConstraint,
+    select,
 )
 
 from handover.security.audit import AuditTables
+from handover.security.secret_tokens import is_secret_token, token_hash
 
 VERSION: Final = 3
 
@@ -175,3 +179,11 @@ revocations = Table(
     Column("at_s", Float, nullable=False),
 )
 audit = AuditTables(metadata, "accounts")
+
+
+def row_of_token(connection: Connection, table: Table, token: str) -> RowMapping | None:
+    """Return the row of `table` that has the hash of a secret token; it may have expired."""
+    if not is_secret_token(token):
+        return None
+    query = select(table).where(table.c.token_hash == token_hash(token))
+    return connection.execute(query).mappings().first()

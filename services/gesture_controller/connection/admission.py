@@ -5,21 +5,18 @@ if one is set. Without a site token, no token is needed on loopback, and gloves 
 address. New gloves that nobody declared are admitted up to a limit, so that invented names cannot block
 gloves in use.
 
-A token has 256 random bits. It is shown once, when it is made; the database has only its SHA-256.
+A token is shown once, when it is made; the database has only its hash (`handover.security.secret_tokens`).
 """
 
-import hashlib
 import hmac
-import secrets
 
 from sqlalchemy import Engine, delete, insert, select
 
+from handover.security.secret_tokens import is_token
 from services.gesture_controller import tables
 from services.gesture_controller.gloves.connection_state import ConnectionRefused
 from services.gesture_controller.recognition.frames import Hello
 from services.gesture_controller.settings import ControllerSettings
-
-TOKEN_BYTES = 32
 
 
 class TokenStore:
@@ -65,7 +62,7 @@ class Admission:
         """Raise `ConnectionRefused` unless `hello` has the required token; compares in constant time."""
         own, command = self._hashes.get(hello.glove), f"`handover glove token {hello.glove}`"
         if own is not None:
-            if not hmac.compare_digest(own, hash_of(hello.token)):
+            if not is_token(hello.token, own):
                 raise ConnectionRefused(
                     "wrong token",
                     f"the token is wrong; {hello.glove} has a token of its own, so give it that one, or make "
@@ -94,13 +91,3 @@ class Admission:
                 f"`handover glove token {glove}`, or raise HANDOVER_MAX_UNDECLARED_GLOVES",
                 retry=True,
             )
-
-
-def new_token() -> str:
-    """Return a random token."""
-    return secrets.token_urlsafe(TOKEN_BYTES)
-
-
-def hash_of(token: str) -> str:
-    """Return the SHA-256 of `token` as hexadecimal digits."""
-    return hashlib.sha256(token.encode()).hexdigest()

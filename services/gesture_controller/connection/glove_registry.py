@@ -9,13 +9,14 @@ from dataclasses import replace
 
 from handover.errors import Problem
 from handover.messages import message, text_of
+from handover.security.secret_tokens import new_token, token_hash
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
 from services.gesture_controller.calibration.glove_fits import GloveFits
 from services.gesture_controller.calibration.glove_records import GloveRecords
 from services.gesture_controller.calibration.glove_store import GloveStore, StoredGlove
 from services.gesture_controller.configuration.gestures_file import GloveConfiguration
-from services.gesture_controller.connection.admission import Admission, TokenStore, hash_of, new_token
+from services.gesture_controller.connection.admission import Admission, TokenStore
 from services.gesture_controller.gloves.connection_state import ConnectionRefused
 from services.gesture_controller.gloves.gesture_responder import GestureResponder
 from services.gesture_controller.gloves.glove import Glove
@@ -108,9 +109,9 @@ class GloveRegistry:
         """Return a new token for the glove called `name`; this declares the glove, which may be new."""
         if self.known.get(name) is None:
             await self.declare(name, None, None)
-        glove, token = self.known.named(name), new_token()
+        glove, token = self.known.named(name), new_token("glove")
         await self.records.save(replace(self.records.of(glove), declared=True))
-        await self._change_token(glove, hash_of(token), "give the glove the new one")
+        await self._change_token(glove, token_hash(token), "give the glove the new one")
         return token
 
     async def remove_token(self, glove: Glove) -> None:

@@ -4,7 +4,7 @@ The services are those that `handover up` can start; a new one is included witho
 """
 
 import re
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Iterable, Iterator, MutableMapping
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,9 @@ def test_the_documentation_names_what_each_route_asks(app: FastAPI) -> None:
         )
 
 
-async def open_stream(app: FastAPI, path: str) -> list[MutableMapping[str, Any]]:
+async def open_stream(
+    app: FastAPI, path: str, headers: Iterable[tuple[bytes, bytes]] = ()
+) -> list[MutableMapping[str, Any]]:
     """Return what the application answers to a client that connects and leaves."""
     received: Iterator[MutableMapping[str, Any]] = iter(
         [{"type": "websocket.connect"}, {"type": "websocket.disconnect", "code": 1000}]
@@ -118,7 +120,7 @@ async def open_stream(app: FastAPI, path: str) -> list[MutableMapping[str, Any]]
         "path": path,
         "raw_path": path.encode(),
         "query_string": b"",
-        "headers": [(b"host", b"localhost")],
+        "headers": [(b"host", b"localhost"), *headers],
         "client": ("127.0.0.1", 40000),
         "server": ("127.0.0.1", 80),
         "subprotocols": [],
