@@ -1,13 +1,17 @@
 """`handover bridge`: check a mapping, see what is on the ROS graph, write a mapping for a topic."""
 
 import asyncio
+import os
 import sys
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import httpx
 import typer
+import yaml
+from pydantic import ValidationError
 
 from handover.cli.access import access_headers, cli_access
 from handover.cli.services import ROS_BRIDGE
@@ -137,6 +141,41 @@ def definitions(
     definition_retrieval.write(retrieved, to)
     for name in sorted(retrieved):
         print(to / name)
+
+
+@app.command()
+def device(
+    name: Annotated[str, typer.Argument(help="The name of the robot, registered at the gateway.")],
+    file: Annotated[Path, typer.Option("--file", help="What of the graph makes the device, in YAML.")],
+    host: Annotated[str, typer.Option("--host", help="The gateway or edge.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", help="Its port for devices.")] = 54010,
+    tls: Annotated[bool, typer.Option("--tls", help="Connect with TLS.")] = False,
+) -> None:
+    """Connect a robot of the ROS graph with a device gateway or edge; HANDOVER_DEVICE_TOKEN has its token."""
+    from handover.cli.ros_device import RosDevice, RosDeviceFile  # noqa: PLC0415
+    from ros_fiware_bridge.types.type_store import TypeStore  # noqa: PLC0415
+    from services.device_gateway.device_client import DeviceClient  # noqa: PLC0415
+
+    settings = BridgeSettings.load()
+    try:
+        described = RosDeviceFile.model_validate(yaml.safe_load(file.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, ValidationError, UnicodeDecodeError) as error:
+        raise UsageError(f"{file} does not describe a ROS device: {error}") from None
+    token = os.environ.get("HANDOVER_DEVICE_TOKEN", "")
+    if not token:
+        raise UsageError("set HANDOVER_DEVICE_TOKEN to the token of the device (handover device token NAME)")
+    context = client_context(*settings.ca_files) if tls else None
+    client = DeviceClient(host, port, name, token, tls=context)
+
+    async def relay(graph: Any) -> None:
+        await RosDevice(graph, client, described).run()
+
+    with suppress(KeyboardInterrupt):
+        asyncio.run(_on_the_graph(settings, TypeStore(), 0.0, relay))
+    if client.refused is not None:
+        raise UsageError(f"{name} was refused: {client.refused}")
 
 
 async def _on_the_graph(

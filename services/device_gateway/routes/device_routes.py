@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Engine
 
 from handover.body_limit import max_body
-from handover.broker import BrokerClient, NotFound
+from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.guard import in_path, require, require_by_handler, require_somewhere
@@ -20,7 +20,8 @@ from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.model.units import SYMBOLS
 from services.device_gateway.registry.certificates import new_certificate
 from services.device_gateway.registry.device import Device
-from services.device_gateway.registry.entities import SOURCE, device_id
+from services.device_gateway.registry.entities import device_id
+from services.device_gateway.registry.free_names import FreeNames
 from services.device_gateway.registry.pictures import MAX_PICTURE_BYTES, PICTURE_TYPES, media_type_of
 from services.device_gateway.registry.templates import template, templates
 from services.device_gateway.registry.urdf import MAX_URDF_BYTES, joints_in
@@ -74,6 +75,7 @@ def add_device_routes(
     _add_catalogues(app)
     _add_credentials(app, settings, gateway)
     add_reading_routes(app, settings, gateway, engine)
+    names = FreeNames(broker)
 
     async def details(device: Device) -> DeviceDetails:
         return await _details(settings, engine, device)
@@ -83,7 +85,7 @@ def add_device_routes(
     async def add(new: NewDevice) -> TokenView:
         """Register a device; its token is shown only once. Its entities are written to the broker."""
         description = new.described()
-        await _require_free(broker, device_id(settings, new.name))
+        await names.require_free(device_id(settings, new.name))
         made = await gateway.add(new.name, description)
         return token_view(new.name, made.token, settings)
 
@@ -225,24 +227,3 @@ def _add_catalogues(app: FastAPI) -> None:
     async def list_units() -> dict[str, str]:
         """Return the symbols of units by their UN/CEFACT codes; other codes are accepted as well."""
         return dict(SYMBOLS)
-
-
-async def _require_free(broker: BrokerClient, entity: str) -> None:
-    """Raise `Problem` 409 if another component performs the Tasks of the Device."""
-    try:
-        found = await broker.retrieve(entity)
-    except NotFound:
-        return
-    performer = found.get("performer", {}).get("value")
-    if performer not in {None, SOURCE}:
-        raise Problem(
-            409,
-            "Name taken",
-            message(
-                "device.entity_taken",
-                "{entity} belongs to {performer}, which performs its Tasks; choose another name for this "
-                "device",
-                entity=entity,
-                performer=str(performer)[:100],
-            ),
-        )

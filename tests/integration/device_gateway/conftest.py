@@ -37,10 +37,10 @@ SENSOR = {
 class TcpDevice:
     """A device as a TCP client."""
 
-    def __init__(self, port: int, name: str, token: str, boot: str = "b1") -> None:
+    def __init__(self, port: int, name: str, token: str, boot: str = "b1", **hello: Any) -> None:
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=scaled(30))
         self.lines = self.socket.makefile("rb")
-        self.say(type="hello", version=1, device=name, token=token, boot=boot)
+        self.say(type="hello", version=1, device=name, token=token, boot=boot, **hello)
         self.greeting = self.receive()
 
     def __enter__(self) -> Self:

@@ -32,12 +32,12 @@ def robots(bench: Bench) -> Iterator[Bench]:
         playing.wait()
 
 
-def address(bench: Bench, robot: str) -> str:
+def address(bench: Any, robot: str) -> str:
     return f"{bench.cell.url('device_gateway').replace('http', 'ws')}/robots/{robot}/control"
 
 
 @asynccontextmanager
-async def driver(bench: Bench, robot: str) -> AsyncIterator[Person]:
+async def driver(bench: Any, robot: str) -> AsyncIterator[Person]:
     async with connect(address(bench, robot), proxy=None) as socket:
         person = Person(socket)
         tasks = [asyncio.create_task(person.send()), asyncio.create_task(person.receive())]

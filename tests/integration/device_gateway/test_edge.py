@@ -1,7 +1,9 @@
 """An edge relays devices to a central gateway over one TLS connection, which is cut, frozen and mended."""
 
+import asyncio
 import json
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -12,11 +14,14 @@ import httpx
 import pytest
 
 from services.device_gateway.device_client import DeviceClient, Run, tls_context
-from tests.integration.device_gateway.conftest import SENSOR
+from tests.integration.device_gateway.conftest import SENSOR, TcpDevice
+from tests.integration.device_gateway.test_driving import driver
+from tests.kit import processes
 from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import Certificates
 from tests.kit.cut_link import CutLink, cut_link
-from tests.kit.waiting import scaled, wait_for
+from tests.kit.ros_domains import ros_domain
+from tests.kit.waiting import scaled, until, wait_for
 
 pytestmark = pytest.mark.slow
 
@@ -28,6 +33,7 @@ class Site:
 
     def __init__(self, centre: Cell, edge: Cell, link: CutLink, authority: Path, stack: ExitStack) -> None:
         self.centre, self.edge, self.link, self.authority = centre, edge, link, authority
+        self.cell = centre
         self.rest = stack.enter_context(_client(centre))
         self.site = stack.enter_context(_client(edge))
         self._stack = stack
@@ -293,6 +299,29 @@ def test_robots_stop_at_the_edge_when_the_link_is_lost(new_site: Callable[..., S
     assert site.command("rover-1", made["id"])["reason"] == "stopped"
 
 
+async def test_the_edge_stops_a_driven_robot_when_the_link_is_cut(new_site: Callable[..., Site]) -> None:
+    site = new_site()
+    token = site.add("rover-1", kind="mobileRobot", edge=EDGE)
+    site.edge.start("device_gateway")
+    wait_for(lambda: site.site.get("/devices/rover-1").is_success)
+
+    def until_held(rover: TcpDevice, held: bool) -> dict[str, Any]:
+        while (message := rover.receive()) is not None:
+            if message["type"] == "drive" and message["held"] is held:
+                return message
+        raise AssertionError("the edge has closed the connection")
+
+    with TcpDevice(site.edge.ports["devices"], "rover-1", token, drives=True) as rover:
+        wait_for(lambda: site.device("rover-1")["connected"])
+        async with driver(site, "rover-1") as anna:
+            await anna.hold(linear=[0.1, 0.0, 0.0])
+            moving = await asyncio.to_thread(until_held, rover, True)
+            assert moving["base"] == [0.1, 0.0, 0.0]
+            site.link.cut()
+            stop = await asyncio.to_thread(until_held, rover, False)
+            assert stop["validS"] == 0.0  # of the edge; the centre cannot send one any more
+
+
 _ROVER = {"commands": [{"name": "driveTo", "kind": "motion"}]}
 
 
@@ -344,3 +373,57 @@ def test_the_centre_takes_from_an_edge_what_was_granted_to_it_and_each_number_on
     site.rest.delete(f"/devices/{EDGE}/token").raise_for_status()
     assert edge.until("error")["code"] == "tokenRevoked"
     assert edge.until("error") == {}
+
+
+async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
+    new_site: Callable[..., Site], tmp_path: Path
+) -> None:
+    pytest.importorskip("cyclonedds", reason="the extra [ros] is not installed")
+    from ros_fiware_bridge.graph.joining import JoinSettings, join
+    from ros_fiware_bridge.types.type_store import TypeStore
+
+    site, domain = new_site(), ros_domain()
+    description = {
+        "kind": "mobileRobot",
+        "edge": EDGE,
+        "sensors": [{"name": "battery"}],
+        "commands": [{"name": "dock", "kind": "motion"}],
+    }
+    body = {"name": "rover-1", "description": description}
+    token = site.rest.post("/devices", json=body).raise_for_status().json()["token"]
+    site.edge.start("device_gateway")
+    (tmp_path / "rover.yaml").write_text(
+        "values:\n  battery: {topic: /battery, type: sensor_msgs/msg/BatteryState, field: percentage}\n"
+        "commands:\n  dock: {service: /dock, type: std_srvs/srv/Trigger}\nperiodS: 0.1\n"
+    )
+    ros = {"HANDOVER_ROS_DOMAIN_ID": str(domain), "HANDOVER_ROS_INTERFACES": '["127.0.0.1"]'}
+    arguments = ("bridge", "device", "rover-1", "--file", str(tmp_path / "rover.yaml"))
+    process = processes.spawn(
+        [sys.executable, "-m", "handover.cli", *arguments, "--port", str(site.edge.ports["devices"])],
+        {**site.edge.environment, **ros, "HANDOVER_DEVICE_TOKEN": token},
+        tmp_path / "rover.log",
+        tmp_path,
+    )
+    robot = await join(TypeStore(), JoinSettings(node="rover", domain_id=domain, interfaces=("127.0.0.1",)))
+    docked = []
+
+    async def dock(_: dict[str, Any]) -> dict[str, Any]:
+        docked.append(True)
+        return {"success": True, "message": "docked"}
+
+    try:
+        battery = await robot.publisher("/battery", "sensor_msgs/msg/BatteryState")
+        await robot.serve("/dock", "std_srvs/srv/Trigger", dock)
+
+        async def measured() -> bool:
+            battery.publish({"percentage": 0.75})
+            found = await asyncio.to_thread(site.device, "rover-1")
+            return bool(found["connected"] and found["values"].get("battery", {}).get("value") == 0.75)
+
+        await until(measured)
+        made = (await asyncio.to_thread(site.order, "rover-1", "dock", timeoutS=600)).json()
+        ended = await asyncio.to_thread(site.command, "rover-1", made["id"])
+        assert (ended["state"], ended["result"]["message"], docked) == ("done", "docked", [True])
+    finally:
+        processes.kill(process)
+        await robot.close()

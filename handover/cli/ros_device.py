@@ -1,0 +1,151 @@
+"""`handover bridge device`: a robot of the ROS graph as a device of a gateway or an edge.
+
+A file says which fields of topics are its values, which services its commands call, and on which topic it
+takes velocities:
+
+    values:
+      battery: {topic: /battery_state, type: sensor_msgs/msg/BatteryState, field: percentage}
+      elbow: {topic: /joint_states, type: sensor_msgs/msg/JointState, field: position, joint: elbow}
+    commands:
+      dock: {service: /dock, type: std_srvs/srv/Trigger, timeoutS: 30}
+    drive: {topic: /cmd_vel}
+    periodS: 1.0
+
+The newest value of each topic is sent once a period. A person who drives moves the base by a Twist; when a
+velocity is no longer valid, or the connection has ended, zero is published.
+"""
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic.alias_generators import to_camel
+
+from handover.telemetry import get_logger
+from ros_fiware_bridge.graph.port import Publisher, Received, RosGraph
+from services.device_gateway.device_client import DeviceClient, Run
+
+log = get_logger(__name__)
+
+TWIST: Final = "geometry_msgs/msg/Twist"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", alias_generator=to_camel, populate_by_name=True)
+
+
+class TopicValue(_Part):
+    """A field of a topic; with `joint` the element at the place of that name in the field `name`."""
+
+    topic: str
+    type: str
+    field: str
+    joint: str | None = None
+
+    def of(self, message: Mapping[str, Any]) -> float | None:
+        """Return the value in a message; None if it has none."""
+        found: Any = message
+        for part in self.field.split("."):
+            found = found[part]
+        if self.joint is not None:
+            names = list(message["name"])
+            if self.joint not in names or len(found) <= names.index(self.joint):
+                return None
+            found = found[names.index(self.joint)]
+        return float(found)
+
+
+class ServiceCommand(_Part):
+    """A service that a command calls, with the parameters of the command as request."""
+
+    service: str
+    type: str
+    timeout_s: FiniteFloat = Field(10.0, gt=0)
+
+
+class DriveTopic(_Part):
+    """A topic of geometry_msgs/Twist that moves the base."""
+
+    topic: str
+
+
+class RosDeviceFile(_Part):
+    """What of a ROS graph makes the device."""
+
+    values: dict[str, TopicValue] = Field(default_factory=dict)
+    commands: dict[str, ServiceCommand] = Field(default_factory=dict)
+    drive: DriveTopic | None = None
+    period_s: FiniteFloat = Field(1.0, ge=0.02)
+
+
+class RosDevice:
+    """Sends values, and carries out commands and velocities; run `run` until cancelled."""
+
+    def __init__(self, graph: RosGraph, client: DeviceClient, file: RosDeviceFile) -> None:
+        self._graph, self._client, self._file = graph, client, file
+        self._latest: dict[str, Received] = {}
+        self._loop = asyncio.get_running_loop()
+
+    async def run(self) -> None:
+        """Stay connected until cancelled, or until the gateway refuses the device."""
+        for topic, type_name in {(one.topic, one.type) for one in self._file.values.values()}:
+
+            def received(message: Received, topic: str = topic) -> None:
+                self._latest[topic] = message
+
+            await self._graph.subscribe(topic, type_name, received)
+        for name, command in self._file.commands.items():
+            self._client.command(name)(self._calling(command))
+        if self._file.drive is not None:
+            await self._follow_velocities(self._file.drive)
+        self._client.start()
+        try:
+            while self._client.refused is None:
+                await asyncio.sleep(self._file.period_s)
+                await self._send_values()
+        finally:
+            await asyncio.to_thread(self._client.stop)
+
+    async def _send_values(self) -> None:
+        latest, self._latest = self._latest, {}
+        for topic, received in latest.items():
+            values = {}
+            for name, one in self._file.values.items():
+                if one.topic == topic:
+                    try:
+                        value = one.of(received.message)
+                    except (KeyError, IndexError, TypeError, ValueError) as error:
+                        log.warning("no value in a message", value=name, topic=topic, error=repr(error))
+                        continue
+                    if value is not None:
+                        values[name] = value
+            if values:
+                try:
+                    await asyncio.to_thread(self._client.send, values, received.received_at_s)
+                except ValueError as error:  # NaN is how ROS says that a value is not known
+                    log.warning("values not sent", topic=topic, error=str(error))
+
+    def _calling(self, command: ServiceCommand) -> Any:
+        def call(parameters: Mapping[str, Any], _: Run) -> Mapping[str, Any]:
+            calling = self._graph.call(command.service, command.type, dict(parameters), command.timeout_s)
+            response = asyncio.run_coroutine_threadsafe(calling, self._loop).result()
+            if response.get("success") is False:
+                raise RuntimeError(response.get("message") or "the service reports no success")
+            return {name: value for name, value in response.items() if isinstance(value, str | int | float)}
+
+        return call
+
+    async def _follow_velocities(self, drive: DriveTopic) -> None:
+        publisher = await self._graph.publisher(drive.topic, TWIST)
+
+        @self._client.drive
+        def follow(motion: Mapping[str, Any] | None) -> None:
+            self._loop.call_soon_threadsafe(
+                _publish, publisher, None if motion is None else motion.get("base")
+            )
+
+
+def _publish(publisher: Publisher, base: Any) -> None:
+    x, y, rz = base or (0.0, 0.0, 0.0)
+    publisher.publish({"linear": {"x": x, "y": y, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": rz}})
