@@ -12,7 +12,7 @@ from handover.messages import with_code
 from services.trajectory_tool.limits.contact_table import ContactSpeed
 from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.limits.store import Mode
-from services.trajectory_tool.robot import Robot
+from services.trajectory_tool.robot import Robot, SafetyStatus
 
 NOTICE = "These limits are not a safety-rated function. They are advisory and only lower the speed."
 SHOWN_DECISIONS = 20
@@ -85,7 +85,10 @@ class StoppingView(_View):
 
 
 class SafetyStatusView(_View):
-    """The safety functions of a real robot as its controller reports them; `speed` is a fraction."""
+    """The safety functions of a real robot as its controller reports them; `speed` is a fraction.
+
+    `detail` says why the arm cannot move, with the code and the parameters of the message.
+    """
 
     emergency_stop: bool
     protective_stop: bool
@@ -93,6 +96,8 @@ class SafetyStatusView(_View):
     mode: str
     speed: float | None
     detail: str
+    detail_code: str | None
+    detail_parameters: dict[str, Any] | None
 
 
 class DecisionView(_View):
@@ -175,8 +180,22 @@ def view_of(limits: RobotLimits, driver: Robot) -> RobotLimitsView:
             deceleration=rule.stopping.deceleration_mps2,
             measured_at=rule.stopping.measured_at,
         ),
-        safety_status=None if status is None else SafetyStatusView.model_validate(status),
+        safety_status=None if status is None else _safety_status(status),
         decisions=[DecisionView.model_validate(each) for each in record.decisions[-SHOWN_DECISIONS:]],
+    )
+
+
+def _safety_status(status: SafetyStatus) -> SafetyStatusView:
+    said = with_code("detail", status.detail)
+    return SafetyStatusView(
+        emergency_stop=status.emergency_stop,
+        protective_stop=status.protective_stop,
+        safeguard_stop=status.safeguard_stop,
+        mode=status.mode,
+        speed=status.speed,
+        detail=said["detail"],
+        detail_code=said.get("detailCode"),
+        detail_parameters=said.get("detailParameters"),
     )
 
 

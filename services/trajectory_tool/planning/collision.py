@@ -61,6 +61,10 @@ class _Checks:
         self.callback = pin.CollisionCallBackDefault(geometry, self.data, True)
 
 
+MANY_SHARE = 0.2
+"""From this fraction of the pairs on, it costs less to compute all distances in one call."""
+
+
 class Collisions:
     """The robot in a world. Not thread-safe. Raises `UsageError` for a mesh that cannot be used."""
 
@@ -138,6 +142,27 @@ class Collisions:
         ]
         return found or [NOTHING_NEAR]
 
+    def within(self, joints: Array, horizon_m: float) -> list[Clearance]:
+        """Return the exact distances of the pairs that are nearer than `horizon_m`, at least 0, in any order.
+
+        The other pairs are farther apart by their lower bounds, which cost a tenth of the distances.
+        """
+        if not self.pairs:
+            return []
+        self._place(joints)
+        near = np.flatnonzero(self._lower_bounds() < horizon_m).tolist()
+        if len(near) > MANY_SHARE * self.pairs:
+            self.closest_index(joints)
+            results = self._distance_data().distanceResults
+            distances_m = [float(results[number].min_distance) for number in near]
+        else:
+            distances_m = [self._distance_m(number) for number in near]
+        return [
+            self._clearance(number, distance_m)
+            for number, distance_m in zip(near, distances_m, strict=True)
+            if distance_m < horizon_m
+        ]
+
     def closest_index(self, joints: Array) -> int:
         """Compute the distances of all pairs, and return the number of the closest."""
         data = self._distance_data()
@@ -158,9 +183,9 @@ class Collisions:
     def contacts(self, joints: Array, margin_m: float = 0.0) -> list[Clearance]:
         """Return the pairs within `margin_m`, the closest first, one for each two things."""
         near: dict[tuple[str, str], Clearance] = {}
-        for one in sorted(self.distances(joints), key=lambda one: one.distance_m):
-            if one.distance_m <= margin_m:
-                near.setdefault((one.first, one.second), one)
+        beyond_m = math.nextafter(margin_m, math.inf)
+        for one in sorted(self.within(joints, beyond_m), key=lambda one: one.distance_m):
+            near.setdefault((one.first, one.second), one)
         return list(near.values())
 
     def _pair_shares(self, reaches: Array) -> Array:

@@ -26,9 +26,17 @@ def fault_of(report: Report, now_s: float, silence_s: float, host: str) -> Messa
             "the controller {host} is not connected: {reason}; check its power, the network and the "
             "setting host",
             host=host,
-            reason=report.reason or f"its last report is {now_s - report.stamp_s:.1f} s old",
+            reason=report.reason or _silence(report, now_s),
         )
     return _safety_fault(safety_status(report.safety_status)) or _mode_fault(report)
+
+
+def _silence(report: Report, now_s: float) -> Message:
+    if report.stamp_s == 0:
+        return message("robot.ur_no_report", "it has not reported yet")
+    return message(
+        "robot.ur_old_report", "its last report is {age} s old", age=round(now_s - report.stamp_s, 1)
+    )
 
 
 def _safety_fault(status: SafetyStatus) -> Message | None:

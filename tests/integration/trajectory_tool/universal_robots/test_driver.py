@@ -110,6 +110,7 @@ async def test_without_reports_the_inputs_and_the_force_are_unknown(new_robot: N
         assert robot.wrist_force_n() is None
         status = robot.safety_status()
         assert "is not connected" in status.detail
+        assert "s old" not in status.detail, "a controller that never reported has no last report"
         assert (status.mode, status.speed) == ("", None)
 
 

@@ -99,6 +99,10 @@ async def test_a_task_fails_with_the_state_of_the_controller(
     controller.do(lambda each: each.protective_stop("collision"))
     failed = await shop.comes_to(task, TaskStatus.FAILED)
     assert "protective stop; remove the cause, then unlock the arm" in failed["reason"]
+    async with httpx.AsyncClient(base_url=shop.cell.url("trajectory_tool"), timeout=120) as api:
+        shown = (await api.get("/robots/ur10-1/limits")).json()["safetyStatus"]
+    assert shown["protectiveStop"], shown
+    assert shown["detailCode"] == "robot.ur_protective_stop", shown
 
 
 async def test_the_arm_stops_when_the_tool_is_killed_and_continues_when_it_is_back(

@@ -86,6 +86,22 @@ def test_the_closest_pair_is_that_of_all_distances(
         assert collisions.closest(joints).distance_m == pytest.approx(expected_m, abs=GJK_TOLERANCE_M)
 
 
+@given(st.lists(obstacles, max_size=4), st.lists(held, max_size=1), st.floats(0.0, 0.5))
+def test_the_distances_below_a_horizon_are_exact(
+    arm: Arm, world: list[Obstacle], carried: list[Attached], horizon_m: float
+) -> None:
+    collisions = Collisions(arm, World(tuple(world), tuple(carried)))
+    for joints in samples(arm, 5):
+        expected = [one for one in collisions.distances(joints) if one.distance_m < horizon_m]
+        found = collisions.within(joints, horizon_m)
+        assert sorted((one.first, one.second) for one in found) == sorted(
+            (one.first, one.second) for one in expected
+        )
+        assert sorted(one.distance_m for one in found) == pytest.approx(
+            sorted(one.distance_m for one in expected), abs=GJK_TOLERANCE_M
+        )
+
+
 @pytest.mark.parametrize("kept", ["", "forearm_tube|wrist_3", "foot"])
 @pytest.mark.parametrize(
     "around", [World(), World((Obstacle("ball", Sphere(0.1), Pose((0.9, 0.0, 0.5), STRAIGHT)),))]

@@ -99,7 +99,11 @@ export interface SafeSpeedView {
   validatedAt: string;
 }
 
-/** The safety functions of a real robot as its controller reports them; `speed` is a fraction. */
+/**
+ * The safety functions of a real robot as its controller reports them; `speed` is a fraction.
+ *
+ * `detail` says why the arm cannot move, with the code and the parameters of the message.
+ */
 export interface SafetyStatusView {
   emergencyStop: boolean;
   protectiveStop: boolean;
@@ -107,6 +111,8 @@ export interface SafetyStatusView {
   mode: string;
   speed: number | null;
   detail: string;
+  detailCode: string | null;
+  detailParameters: Record<string, unknown> | null;
 }
 
 /** The distance of the nearest person in m, null without sensors, and the people who vanished. */

@@ -59,11 +59,16 @@ export function Limits({ robot }: { robot: string }) {
 /** The safety functions of the real robot, as its controller reports them. */
 function Controller({ status }: { status: SafetyStatusView }) {
   const { t, i18n } = useTranslation("system");
-  const { mode, speed, detail } = status;
+  const { speed } = status;
+  const detail = localizedText(status, "detail") ?? "";
+  const mode = status.mode
+    .split(", ")
+    .map((name) => t(`limit.state.${name}`, { defaultValue: name }))
+    .join(", ");
   return (
     <>
       <p>
-        {mode === "" || speed === null ? t("limit.controllerUnknown", { detail }) : t("limit.controller", { mode, percent: percent(speed, i18n.language) })}
+        {status.mode === "" || speed === null ? t("limit.controllerUnknown", { detail }) : t("limit.controller", { mode, percent: percent(speed, i18n.language) })}
       </p>
       {status.emergencyStop && <p data-stopped>{t("limit.emergencyStop")}</p>}
       {status.protectiveStop && <p data-stopped>{t("limit.protectiveStop", { detail })}</p>}
