@@ -37,6 +37,9 @@ log = get_logger(__name__)
 SILENCE_S: Final = 5.0
 """An edge that sends nothing for this time is disconnected: it sends a ping each second."""
 
+MIN_MESSAGES_PER_S: Final = 5_000.0
+"""Buffered messages arrive at once. An edge whose pings wait behind a lower rate would count as lost."""
+
 
 class RelayedLink:
     """The connection of a device through an edge."""
@@ -253,10 +256,11 @@ class EdgeRelays:
         log.info("edge connected", edge=edge.name, stream=relay.stream)
         return made
 
-    def rate_factor(self, edge: Device) -> int:
-        """Return how many devices an edge may relay, at least 1: its rate of messages is that of all."""
+    def messages_per_s(self, edge: Device, of_device: float) -> float:
+        """Return the rate of an edge: that of all its devices, and enough to catch up after an outage."""
         devices = self.gateway.devices.values()
-        return max(sum(device.stored.description.edge == edge.name for device in devices), 1)
+        count = sum(device.stored.description.edge == edge.name for device in devices)
+        return max(count * of_device, MIN_MESSAGES_PER_S)
 
     def changed(self, device: Device) -> None:
         """A device was added or changed: its edge gets it, and one that had it before loses it."""

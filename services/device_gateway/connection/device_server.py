@@ -288,7 +288,7 @@ class DeviceConnection(asyncio.Protocol):
         relay = relays.begin(session, self, hello)
         self._session = relay
         self._lines.max_line_bytes = MAX_RELAYED_BYTES
-        rate = self._settings.device_max_messages_per_s * relays.rate_factor(session.device)
+        rate = relays.messages_per_s(session.device, self._settings.device_max_messages_per_s)
         self._rates = DeviceRates.of(rate, self._loop.time())
         return relay
 
