@@ -109,6 +109,7 @@ def run(deployment: Deployment) -> None:
         signal.signal(number, end)
     granted = use_real_time(fifo=deployment.fifo)
     log.info("control cycle started", folder=str(deployment.folder), **granted)
+    loop.warm_up()
     stop_collecting()
     is_reported = False
     while not end.is_wanted:

@@ -34,6 +34,8 @@ from services.whole_body_control.tasks.tasks import CentreOfMassTask, Orientatio
 
 ACCELERATION_SHARE, MAX_ACCELERATION = 0.3, 60.0
 """Of the newest difference of velocities in their moving mean; in rad/s² or m/s²."""
+ZMP_MARGIN_M = 0.01
+"""How far inside of the soles the ZMP is planned."""
 FOOT_GAIN, MAX_OFFSET_M = 10.0, 0.02
 """How fast the target of a foot in the air makes up for what it missed, in 1/s, and by how much at most."""
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -91,7 +93,9 @@ class WalkingController:
         stance = Stance(self._footprint("left"), self._footprint("right"))
         width = float(np.linalg.norm(stance.left.place - stance.right.place))
         limits = limits or StepLimits(width, 0.85 * width, 1.5 * width, 0.1)
-        self._pattern = WalkingPattern(ZmpControl(self._pendulum), limits, self._sole, stance)
+        self._pattern = WalkingPattern(
+            ZmpControl(self._pendulum, margin_m=ZMP_MARGIN_M), limits, self._sole, stance
+        )
         self._limits = limits
         self._next = self._pattern.step(Wish(np.zeros(2)))
         first = self._next.plan.states[0]

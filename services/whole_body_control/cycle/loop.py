@@ -20,6 +20,7 @@ from services.whole_body_control.model.kinematics import Array
 
 WISH_TIMEOUT_S = 0.3
 MAX_FAULTS = 25
+WARM_UP_CYCLES = 50
 WISH = ("ahead_mps", "left_mps", "yaw_radps")
 STATUS = ("robot_time_s", "mode", "wish_age_s")
 
@@ -84,6 +85,13 @@ class ControlLoop(Generic[R, C]):
         self._state = np.zeros(len(state_fields(controller)))
         self.mode, self.fault = Mode.STANDING, ""
         self._is_ending = False
+
+    def warm_up(self) -> None:
+        """Run the first cycles, which load what is loaded once, and begin the schedule after them."""
+        is_paced, self._is_paced = self._is_paced, False
+        for _ in range(WARM_UP_CYCLES):
+            self.cycle()
+        self.timing, self._is_paced = Timing(self.controller.control_s), is_paced
 
     def stand(self) -> None:
         """Follow no wish from now on."""
