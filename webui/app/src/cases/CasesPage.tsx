@@ -93,7 +93,8 @@ function Machine({ machine, onChange }: { machine: MachineView; onChange: () => 
 
 function Reason({ reason: text }: { reason: string }) {
   const { t } = useTranslation("health");
-  const reason = reasonOf({ reason: text });
+  // The machine names its own stop around that of human state.
+  const reason = reasonOf({ reason: reasonOf({ reason: text }).text });
   return <p>{reason.key === "other" ? reason.text : t(`limit.reason.${reason.key}`, { seconds: reason.seconds })}</p>;
 }
 

@@ -82,5 +82,6 @@ export function limitTone({ fraction, needsReset }: MachineView["limit"]): Tone 
 }
 
 export function valueText(value: number, unit: string, language: string): string {
-  return unit === "P1" ? percent(value, language) : `${number(value, language)} ${SYMBOLS[unit] ?? unit}`.trim();
+  const rounded = Math.round(value * 100) / 100 || 0; // no -0
+  return unit === "P1" ? percent(value, language) : `${number(rounded, language)} ${SYMBOLS[unit] ?? unit}`.trim();
 }

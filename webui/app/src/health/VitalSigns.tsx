@@ -39,7 +39,7 @@ function VitalSign({ value, silentS }: { value: ValueView; silentS: number }) {
   return (
     <li className="vital-sign" data-trust={trust}>
       <span className="vital-sign__name">{name}</span>
-      <span className="vital-sign__number">
+      <span className="vital-sign__number" data-word={typeof value.value === "string" || undefined}>
         <output aria-label={name}>{typeof value.value === "number" ? numberText(value.name, value.value, i18n.language) : t(`text.${value.value}`, { defaultValue: value.value })}</output>
         {symbol !== "" && <span className="vital-sign__unit"> {symbol}</span>}
       </span>
