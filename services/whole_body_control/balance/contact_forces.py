@@ -63,6 +63,7 @@ class FeedForward:
     def __init__(self, kinematics: Kinematics) -> None:
         self._kinematics = kinematics
         self._damping = kinematics.joint_damping()
+        self._drive_inertia = kinematics.humanoid.drive_inertia
 
     def needed(self, velocity: Array, acceleration: Array, shift: Array) -> Needed:
         """Return what a velocity and an acceleration (n_velocities,) of the reference need.
@@ -77,7 +78,8 @@ class FeedForward:
         moment = base.rotation @ forces[3:BASE_VELOCITIES] + cross(base.translation, force)
         zmp = np.array([-moment[1], moment[0]]) / max(force[2], 1.0)
         yaw_moment = moment[2] - (zmp[0] * force[1] - zmp[1] * force[0])
-        return Needed(forces[BASE_VELOCITIES:], force, zmp, float(yaw_moment))
+        torques = forces[BASE_VELOCITIES:] + self._drive_inertia * acceleration[BASE_VELOCITIES:]
+        return Needed(torques, force, zmp, float(yaw_moment))
 
     def torques(self, needed: Needed, forces: Mapping[str, tuple[float, Array]], velocity: Array) -> Array:
         """Return the torques of the joints in N m.

@@ -5,7 +5,7 @@ After CoSiMA (Figure 2): the URDF gives the tree, the SRDF groups, chains and po
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from handover.errors import UsageError
@@ -55,6 +55,16 @@ class ContactSurface:
 
 
 @dataclass(frozen=True, slots=True)
+class Grip:
+    """Where a hand holds a ball: `point` (3,) in m in the frame of `link`, moved by the chain `arm`."""
+
+    name: str
+    arm: str
+    link: str
+    point: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Sensors:
     """The links of inertial sensors, and the joints of force-torque sensors with the link below each."""
 
@@ -85,6 +95,10 @@ class Humanoid:
     mass_kg: float
     urdf: str
     srdf: str
+    drive_inertia: float = 0.0
+    """The inertia of a drive behind its gear, seen from its joint, in kg m²; the same for all joints."""
+    grips: Mapping[str, Grip] = field(default_factory=dict)
+    """The hands that can hold and throw a ball, by name."""
     notes: tuple[str, ...] = ()
     """What a reader should know, such as limits that are placeholders."""
 

@@ -96,6 +96,18 @@ class Kinematics:
         )
         return np.asarray(full)[:, self._columns]
 
+    def point(self, q: Array, link: str, point: Array) -> tuple[Array, Array]:
+        """Return a point (3,) of a link in the world at `q`, and its Jacobian (3, n_velocities).
+
+        Without `update`, of which it needs a part; what `update` computed is lost.
+        """
+        self._q[:BASE_POSITIONS], self._q[self._q_of] = q[:BASE_POSITIONS], q[BASE_POSITIONS:]
+        pin.computeJointJacobians(self.pin_model, self.data, self._q)
+        pose = pin.updateFramePlacement(self.pin_model, self.data, self._frame(link))
+        offset = pose.rotation @ point
+        jacobian = self.jacobian(link)
+        return pose.translation + offset, jacobian[:3] - pin.skew(offset) @ jacobian[3:]
+
     def velocity(self, link: str) -> Array:
         """Return the velocity of a link: linear and angular, at the link in axes of the world."""
         motion = pin.getFrameVelocity(

@@ -5,6 +5,8 @@ srdf: coman.srdf
 gains: {default: {stiffness: 300, damping: 6}, left_arm: {stiffness: 60, damping: 3}}
 contacts:
   left_sole: {link: l_sole, corners: [[0.13, 0.05, 0], …], friction: 0.7}
+drive_inertia: 0.05              # of a drive behind its gear, seen from its joint, in kg m²
+grips: {right_hand: {arm: right_arm, link: RSoftHand, point: [0, 0.03, 0]}}   # where a hand holds a ball
 notes: [The velocity limits are placeholders.]
 """
 
@@ -20,6 +22,7 @@ from services.whole_body_control.model.humanoid import (
     Chain,
     ContactSurface,
     Gains,
+    Grip,
     Humanoid,
     Joint,
     LinkPair,
@@ -51,12 +54,20 @@ class _Contact(_Strict):
     friction: Positive = 0.7
 
 
+class _Grip(_Strict):
+    arm: str
+    link: str
+    point: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+
+
 class _RobotFile(_Strict):
     name: Annotated[str, Field(min_length=1)]
     urdf: Path
     srdf: Path
     gains: dict[str, _Gains]
     contacts: dict[str, _Contact]
+    drive_inertia: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+    grips: dict[str, _Grip] = Field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
@@ -95,6 +106,8 @@ def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
         mass_kg=tree.mass_kg,
         urdf=urdf,
         srdf=srdf,
+        drive_inertia=entry.drive_inertia,
+        grips={name: Grip(name, grip.arm, grip.link, grip.point) for name, grip in entry.grips.items()},
         notes=entry.notes,
     )
 
@@ -219,6 +232,11 @@ def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Itera
     for name, contact in entry.contacts.items():
         if contact.link not in tree.links:
             yield f'the contact "{name}" is on the link "{contact.link}", which the URDF does not have'
+    for name, grip in entry.grips.items():
+        if grip.link not in tree.links:
+            yield f'the grip "{name}" is on the link "{grip.link}", which the URDF does not have'
+        if grip.arm not in semantics.chains:
+            yield f'the grip "{name}" is moved by "{grip.arm}", which is no chain of the SRDF'
     if not entry.contacts:
         yield f"{FILE} names no contact; a humanoid needs the soles that it stands on"
 

@@ -4,6 +4,7 @@ The shapes of the URDF touch the ground, but not each other: self-collision is a
 capsules overlap at the joints. Meshes are left out; the soles are boxes below the corners of the contacts.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -16,23 +17,22 @@ from services.whole_body_control.model.urdf import parsed
 
 STEP_S = 0.002
 GRAVITY_MPS2 = 9.81
-JOINT_ARMATURE_KG_M2 = 0.05
-"""Inertia of a drive behind its gear, seen from the joint."""
-
 SOLE_THICKNESS_M = 0.02
 STIFF = (2 * STEP_S, 1.0)
 """Time constant in s and damping ratio of contacts, as stiff as the step allows."""
 
-_GROUND, _ROBOT = 1, 2
+GROUND, ROBOT = 1, 2
+"""The kinds of shapes: those of the robot, and what else has its kind, touch the ground."""
 FREE_JOINT = "floating base"
 INERTIAL_SITE = "inertial:"
 WRENCH_SITE = "wrench:"
 
 
-def build(humanoid: Humanoid, ground_friction: float = 1.0) -> Any:
+def build(humanoid: Humanoid, ground_friction: float = 1.0, add: Callable[[Any], None] | None = None) -> Any:
     """Return a compiled MuJoCo model. Raises `UsageError` for what MuJoCo cannot use.
 
     The drives are those of the joints, in the order of the model: servos of position with a limited force.
+    `add` may add more to the world of the specification.
     """
     root, capsules = _without_meshes(humanoid)
     try:
@@ -45,6 +45,8 @@ def build(humanoid: Humanoid, ground_friction: float = 1.0) -> Any:
             _add_sole(spec, contact)
         _add_drives(spec, humanoid)
         _add_sensors(spec, humanoid)
+        if add is not None:
+            add(spec)
         return spec.compile()
     except (ValueError, AttributeError) as error:
         raise UsageError(f"MuJoCo cannot simulate {humanoid.name}: {error}") from None
@@ -80,8 +82,8 @@ def _add_ground(spec: Any, friction: float) -> None:
         name="ground",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 1.0],
-        contype=_GROUND,
-        conaffinity=_ROBOT,
+        contype=GROUND,
+        conaffinity=ROBOT,
         condim=3,
         friction=[friction, 0.005, 0.0001],
         solref=list(STIFF),
@@ -98,7 +100,7 @@ def _change_shapes(spec: Any, humanoid: Humanoid, capsules: set[str]) -> None:
         if geom.name in capsules:
             geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
         is_foot = geom.parent.name in feet
-        geom.contype, geom.conaffinity = 0 if is_foot else _ROBOT, 0
+        geom.contype, geom.conaffinity = 0 if is_foot else ROBOT, 0
         geom.solref = list(STIFF)
 
 
@@ -118,7 +120,7 @@ def _add_sole(spec: Any, contact: ContactSurface) -> None:
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=[*middle[:2], middle[2] + SOLE_THICKNESS_M / 2],
         size=[*half[:2], SOLE_THICKNESS_M / 2],
-        contype=_ROBOT,
+        contype=ROBOT,
         conaffinity=0,
         friction=[contact.friction, 0.005, 0.0001],
         solref=list(STIFF),
@@ -129,7 +131,7 @@ def _add_sole(spec: Any, contact: ContactSurface) -> None:
 
 def _add_drives(spec: Any, humanoid: Humanoid) -> None:
     for joint in humanoid.joints:
-        spec.joint(joint.name).armature = JOINT_ARMATURE_KG_M2
+        spec.joint(joint.name).armature = humanoid.drive_inertia
         drive = spec.add_actuator(
             name=joint.name,
             target=joint.name,

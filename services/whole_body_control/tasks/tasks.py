@@ -54,6 +54,26 @@ class PoseTask(Task):
         return Rows(kinematics.jacobian(self.link)[self.axes], self.velocity[self.axes] + of_error)
 
 
+class PointTask(Task):
+    """A point of a link follows `target` (3,) in m, moving with `velocity` (3,) in m/s; turns are free."""
+
+    def __init__(self, label: str, link: str, point: Array, target: Array, gain: float = 10.0) -> None:
+        super().__init__(label, gain)
+        self.link, self.point = link, np.asarray(point, dtype=np.float64)
+        self.target, self.velocity = target, np.zeros(3)
+
+    def error(self, kinematics: Kinematics) -> Array:
+        """Return the distance to the target in m."""
+        return np.asarray(self.target - kinematics.pose(self.link).act(self.point))
+
+    def rows(self, kinematics: Kinematics) -> Rows:
+        """Return the three rows."""
+        jacobian, offset = kinematics.jacobian(self.link), kinematics.pose(self.link).rotation @ self.point
+        return Rows(
+            jacobian[:3] - pin.skew(offset) @ jacobian[3:], self.velocity + self.gain * self.error(kinematics)
+        )
+
+
 class OrientationTask(PoseTask):
     """A link stays upright: roll and pitch are held, the yaw is free, as the waist of CoSiMA."""
 

@@ -1,0 +1,310 @@
+"""Throwing a ball while standing: swing, release, follow-through and return, by the whole body.
+
+The stack is that of CoSiMA for juggling: the soles first, then the centre of mass, the throwing hand, the
+waist and the posture. The hand follows the place of the grip in the plan, the posture its joints. The hand
+opens at the time of the plan. Where the ball lands by the measured state at this moment shows what the next
+throw must change (`Practice`).
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from services.whole_body_control.balance.contact_forces import FeedForward, shares
+from services.whole_body_control.balance.estimation import StateEstimator
+from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.engines.stack_engine import StackEngine
+from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
+from services.whole_body_control.patterns.ballistics import landing_point
+from services.whole_body_control.patterns.pendulum import Pendulum
+from services.whole_body_control.patterns.regions import Footprint, Side, turn
+from services.whole_body_control.patterns.throwing import Throw
+from services.whole_body_control.solvers.problem import Solver
+from services.whole_body_control.tasks.base import Level
+from services.whole_body_control.tasks.constraints import JointLimits
+from services.whole_body_control.tasks.tasks import (
+    CentreOfMassTask,
+    JointTask,
+    PointTask,
+    PoseTask,
+    posture,
+)
+
+SMOOTHED = 5
+"""The landing place at the release is that of a line through the last so many predictions."""
+TURNS = (False, False, False, True, True, True)
+SIDES: tuple[Side, Side] = ("left", "right")
+
+
+class Phase(StrEnum):
+    """What the robot does with the ball."""
+
+    STANDING = "standing"
+    REACHING = "reaching back"
+    SWINGING = "swinging"
+    FOLLOWING = "following through"
+    RETURNING = "returning"
+
+
+@dataclass(frozen=True, slots=True)
+class ThrowingState:
+    """What one control period found: `opens` is true in the period in which the hand is to open.
+
+    `predicted` (3,) is where a ball that is released now would land, NaN outside of the swing.
+    """
+
+    phase: Phase
+    opens: bool
+    predicted: Array
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ThrowingSettings:
+    """The parameters of throwing; `reach_s` is the time for reaching back and for returning."""
+
+    pose: str = "stand"
+    control_s: float = 0.004
+    reach_s: float = 1.2
+    capture_gain: float = 1.5
+    sole_margin_m: float = 0.015
+    stiffer: float = 3.0
+    """The joints are as stiff as this many times the gains of the model."""
+
+
+class Practice:
+    """Learns from throws by how much each hand misses: too far or short, and to the side.
+
+    Both are lines over the direction and distance of the throw, by least squares over the last `KEPT` throws
+    with a small cost of the slopes. It needs no camera: where a ball lands follows from the measured state at
+    the release.
+    """
+
+    KEPT = 50
+    PRIOR = np.array([0.3, 0.05, 0.05])
+    """Costs of offset and slopes: one throw alone corrects three quarters of its offset."""
+
+    def __init__(self) -> None:
+        self._throws: dict[str, deque[tuple[Array, Array]]] = {}
+
+    def aim(self, grip: str, base: Array, target: Array) -> Array:
+        """Return where to throw so that the ball lands at `target` (3,), from above `base` (2,)."""
+        throws = self._throws.get(grip)
+        if not throws:
+            return target
+        features = np.array([feature for feature, _ in throws])
+        missed = np.array([miss for _, miss in throws])
+        lines = np.linalg.solve(features.T @ features + np.diag(self.PRIOR), features.T @ missed)
+        aimed = target.copy()
+        aimed[:2] -= _axes(base, target) @ (_features(base, target) @ lines)
+        return aimed
+
+    def learn(self, grip: str, base: Array, aimed: Array, landed: Array) -> None:
+        """Remember where a throw aimed at `aimed` (3,) has `landed` (3,); NaN is left out."""
+        missed = _axes(base, aimed).T @ (landed - aimed)[:2]
+        if np.isfinite(missed).all():
+            self._throws.setdefault(grip, deque(maxlen=self.KEPT)).append((_features(base, aimed), missed))
+
+
+def _features(base: Array, target: Array) -> Array:
+    """Return 1, the distance from 0.8 m in m, and the direction in rad."""
+    way = target[:2] - base[:2]
+    return np.array([1.0, float(np.linalg.norm(way)) - 0.8, float(np.arctan2(way[1], way[0]))])
+
+
+def _axes(base: Array, target: Array) -> Array:
+    """Return the directions (2, 2) away from the base and to the left of it, as columns."""
+    ahead = target[:2] - base[:2]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    return np.array([[ahead[0], -ahead[1]], [ahead[1], ahead[0]]])
+
+
+class ThrowingController:
+    """Stands, and throws when it is asked to. Not thread-safe; `step` performs no I/O."""
+
+    def __init__(
+        self, humanoid: Humanoid, solver: Solver | None = None, settings: ThrowingSettings | None = None
+    ) -> None:
+        self.settings = settings or ThrowingSettings()
+        self._humanoid = humanoid
+        self._kinematics = Kinematics(humanoid)
+        self.start = self._kinematics.standing(self.settings.pose)
+        self._q = self.start.copy()
+        self._velocity = np.zeros(self._kinematics.n_velocities)
+        self._acceleration = np.zeros(self._kinematics.n_velocities)
+        self._kinematics.update(self._q)
+        self.estimator = StateEstimator(Kinematics(humanoid), self.start)
+        self._start_soles = [self.estimator.sole(name)[:2] for name in humanoid.contacts]
+        self._feed_forward = FeedForward(self._kinematics)
+        self._solver = solver
+        gains = JointCommand(humanoid)
+        self._stiffness = gains.stiffness * self.settings.stiffer
+        self._damping = gains.damping * self.settings.stiffer**0.5
+        self._centre = self._kinematics.centre_of_mass()
+        self._pendulum = Pendulum(float(self._centre[2]))
+        self._feet, self._sole = self._footprints()
+        self._throw: Throw | None = None
+        self._time_s, self._has_opened = 0.0, False
+        self._stand()
+
+    @property
+    def is_busy(self) -> bool:
+        """Return whether a throw is under way."""
+        return self._throw is not None
+
+    def throw(self, throw: Throw) -> None:
+        """Begin a throw; the hand has the ball. Raises `ValueError` while another one is under way."""
+        if self._throw is not None:
+            raise ValueError("a throw is under way; wait until the robot stands again")
+        self._throw, self._time_s, self._has_opened = throw, 0.0, False
+        self._predictions: deque[Array] = deque(maxlen=SMOOTHED)
+        self._arm = np.array(self._humanoid.indices(throw.grip.arm))
+        self._home = self._q[BASE_POSITIONS + self._arm].copy()
+        self._plan = Kinematics(self._humanoid)
+        place = self._plan.point(self.start, throw.grip.link, np.array(throw.grip.point))[0]
+        self._hand = PointTask("hand", throw.grip.link, np.array(throw.grip.point), place, gain=20.0)
+        self._swing = JointTask("arm", self._arm, self._home, gain=10.0)
+        stack = self._soles() / self._com / self._hand / self._waist
+        stack = stack / self._swing / self._posture << self._limits
+        self._engine = StackEngine(self._kinematics, stack, self._solver)
+
+    def step(self, sensors: RobotSensors, command: JointCommand) -> ThrowingState:
+        """Compute the command of the next `control_s`; holds the last one for values that are not finite."""
+        dt_s = self.settings.control_s
+        self.estimator.update(sensors, dt_s)
+        self._time_s += dt_s
+        phase = self._follow()
+        predicted, opens = self._release(phase)
+        step = self._engine.step(self._q, dt_s)
+        self._acceleration = (step.velocity - self._velocity) / dt_s
+        self._q, self._velocity = step.q, step.velocity
+        self._send(command)
+        if phase is Phase.STANDING and self._throw is not None:
+            self._throw = None
+            self._stand()
+        return ThrowingState(phase, opens, predicted, step.fault)
+
+    def _soles(self) -> Level:
+        self._kinematics.update(self.start)
+        links = [contact.link for contact in self._humanoid.contacts.values()]
+        first, *others = (PoseTask(link, link, self._kinematics.pose(link).copy()) for link in links)
+        level: Level = first
+        for other in others:
+            level = level & other
+        return level
+
+    def _stand(self) -> None:
+        self._com = CentreOfMassTask("com", self._centre)
+        upright = self._kinematics.pose(self._humanoid.root).copy()
+        self._waist = PoseTask("waist", self._humanoid.root, upright, axes=TURNS)
+        self._posture = posture(self._kinematics, self.settings.pose)
+        self._limits = JointLimits(self._kinematics)
+        stack = self._soles() / self._com / self._waist / self._posture << self._limits
+        self._engine = StackEngine(self._kinematics, stack, self._solver)
+
+    def _follow(self) -> Phase:
+        """Set the targets of hand and arm for the end of this period, and return the phase."""
+        throw = self._throw
+        if throw is None:
+            return Phase.STANDING
+        (joints, velocity), phase = self._arm_at(throw, self._time_s)
+        self._swing.target, self._swing.velocity = joints, velocity
+        q = self.start.copy()
+        q[BASE_POSITIONS + self._arm] = joints
+        v = np.zeros(self._plan.n_velocities)
+        v[BASE_VELOCITIES + self._arm] = velocity
+        place, jacobian = self._plan.point(q, throw.grip.link, self._hand.point)
+        self._hand.target, self._hand.velocity = place, jacobian @ v
+        self._plan.update(q)
+        self._com.target = self._plan.centre_of_mass()
+        self._com.velocity = self._plan.centre_of_mass_jacobian() @ v
+        return phase
+
+    def _arm_at(self, throw: Throw, time_s: float) -> tuple[tuple[Array, Array], Phase]:
+        reach_s = self.settings.reach_s
+        if time_s < reach_s:
+            return _between(self._home, throw.start, time_s / reach_s, reach_s), Phase.REACHING
+        time_s -= reach_s
+        if time_s < throw.duration_s:
+            is_late = time_s > throw.swing_s and self._has_opened
+            return throw.joints(time_s), Phase.FOLLOWING if is_late else Phase.SWINGING
+        time_s -= throw.duration_s
+        if time_s < reach_s:
+            return _between(throw.end, self._home, time_s / reach_s, reach_s), Phase.RETURNING
+        return (self._home, np.zeros(len(self._arm))), Phase.STANDING
+
+    def _release(self, phase: Phase) -> tuple[Array, bool]:
+        """Return where the ball would land if it were released now, and whether it is."""
+        throw = self._throw
+        if throw is None or phase is not Phase.SWINGING or self._has_opened:
+            return np.full(3, np.nan), False
+        late_s = self._time_s - self.settings.reach_s - throw.swing_s
+        estimate = self.estimator.kinematics
+        soles = [self.estimator.sole(name)[:2] for name in self._humanoid.contacts]
+        place, jacobian = estimate.point(self.estimator.q, throw.grip.link, self._hand.point)
+        place, velocity = self._on_feet(soles, place, jacobian @ self.estimator.v)
+        predicted = landing_point(place, velocity, float(throw.landing[2]))
+        self._predictions.append(predicted)
+        if late_s < -self.settings.control_s / 2:
+            return predicted, False
+        self._has_opened = True
+        return _at_the_end(np.array(self._predictions)), True
+
+    def _on_feet(self, soles: list[Array], place: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return a place and a velocity (3,) of the estimate where the feet have stood since the start.
+
+        Nothing that the estimator measures holds its place on the ground and its yaw.
+        """
+        now, then = soles[1] - soles[0], self._start_soles[1] - self._start_soles[0]
+        yaw = float(np.arctan2(then[1], then[0]) - np.arctan2(now[1], now[0]))
+        turned = turn(yaw)
+        place, velocity = place.copy(), velocity.copy()
+        place[:2] = turned @ (place[:2] - (soles[0] + soles[1]) / 2)
+        place[:2] += (self._start_soles[0] + self._start_soles[1]) / 2
+        velocity[:2] = turned @ velocity[:2]
+        return place, velocity
+
+    def _send(self, command: JointCommand) -> None:
+        estimator, omega = self.estimator, self._pendulum.omega
+        reference = self._com.target + self._com.velocity / omega
+        error = (estimator.com + estimator.com_velocity / omega - reference)[:2]
+        self._kinematics.update(self._q)
+        needed = self._feed_forward.needed(self._velocity, self._acceleration, np.zeros(3))
+        wanted = needed.zmp + self.settings.capture_gain * error
+        forces = shares(self._feet, self._sole, wanted, self.settings.sole_margin_m)
+        wanted = sum((share * point for share, point in forces.values()), np.zeros(2))
+        shift = np.array([*(omega**2 * (needed.zmp - wanted)), 0.0])
+        needed = self._feed_forward.needed(self._velocity, self._acceleration, shift)
+        forces = shares(self._feet, self._sole, needed.zmp, self.settings.sole_margin_m)
+        links = {self._links[side]: force for side, force in forces.items()}
+        command.stiffness[:] = self._stiffness
+        command.damping[:] = self._damping
+        command.positions[:] = self._q[BASE_POSITIONS:]
+        command.velocities[:] = self._velocity[BASE_VELOCITIES:]
+        command.torques[:] = self._feed_forward.torques(needed, links, self._velocity)
+
+    def _footprints(self) -> tuple[dict[Side, Footprint], Array]:
+        contacts = {side: self._humanoid.contacts[f"{side}_sole"] for side in SIDES}
+        self._links = {side: contact.link for side, contact in contacts.items()}
+        feet = {}
+        for side, link in self._links.items():
+            pose = self._kinematics.pose(link)
+            feet[side] = Footprint(side, float(pose.translation[0]), float(pose.translation[1]))
+        return feet, np.array(contacts["left"].corners)[:, :2]
+
+
+def _at_the_end(samples: Array) -> Array:
+    """Return the last value of the lines through samples (n, 3)."""
+    times = np.arange(len(samples)) - (len(samples) - 1) / 2
+    slope = times @ samples / max(float(times @ times), 1.0)
+    return np.asarray(samples.mean(axis=0) + slope * times[-1])
+
+
+def _between(start: Array, end: Array, share: float, duration_s: float) -> tuple[Array, Array]:
+    """Return place and velocity on the way of minimum jerk from rest to rest."""
+    moved = share**3 * (10.0 + share * (6.0 * share - 15.0))
+    rate = 30.0 * share**2 * (1.0 - share) ** 2 / duration_s
+    return start + moved * (end - start), rate * (end - start)

@@ -1,0 +1,193 @@
+"""Throws of a ball: planned within the limits of the arm, out of the simulated hand, and learned from."""
+
+import numpy as np
+import pytest
+from hypothesis import Phase as Phases
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from handover.errors import UsageError
+from services.whole_body_control.behaviours.throwing import Phase, Practice, ThrowingController
+from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Kinematics
+from services.whole_body_control.patterns import ballistics
+from services.whole_body_control.patterns.throwing import OutOfReach, Throw, ThrowPlanner
+from services.whole_body_control.robots import humanoid
+from services.whole_body_control.simulation.ball import RADIUS_M, RobotWithBall, build_with_ball
+from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE
+from services.whole_body_control.tasks.constraints import SelfCollision
+
+COMAN = humanoid("coman")
+KINEMATICS = Kinematics(COMAN)
+STANDING = KINEMATICS.standing("stand")
+TARGET = np.array([0.8, 0.1, 0.5])
+
+coordinates = st.floats(-2.0, 2.0, width=32)
+points = st.tuples(coordinates, coordinates, coordinates).map(np.array)
+
+
+def planner(hand: str) -> ThrowPlanner:
+    return ThrowPlanner(KINEMATICS, STANDING, COMAN.grips[hand])
+
+
+@given(points, points, st.floats(0.05, 3.0))
+def test_a_ball_lands_where_its_release_velocity_sends_it(
+    start: np.ndarray, landing: np.ndarray, flight_s: float
+) -> None:
+    velocity = ballistics.release_velocity(start, landing, flight_s)
+    assert ballistics.position_after(start, velocity, flight_s) == pytest.approx(landing, abs=1e-9)
+    peak = ballistics.peak_height(start, velocity)
+    assert peak >= max(start[2], landing[2]) - 1e-9
+    arrives = ballistics.time_to_fall(start, velocity, float(landing[2]))
+    if velocity[2] - 9.81 * flight_s <= -1e-3:  # it comes down at the landing place
+        assert arrives == pytest.approx(flight_s, abs=1e-6)
+    assert np.isnan(ballistics.landing_point(start, velocity, peak + 0.01)).all()
+
+
+@settings(max_examples=5, phases=[Phases.explicit, Phases.reuse, Phases.generate])
+@given(
+    st.sampled_from(["left_hand", "right_hand"]),
+    st.floats(0.6, 0.9),
+    st.floats(-0.2, 0.2),
+    st.floats(0.4, 0.6),
+    st.one_of(st.none(), st.floats(0.35, 0.5)),
+)
+def test_a_planned_throw_obeys_every_limit_and_lands(
+    hand: str, distance_m: float, direction_rad: float, height_m: float, flight_s: float | None
+) -> None:
+    target = np.array([distance_m * np.cos(direction_rad), distance_m * np.sin(direction_rad), height_m])
+    try:
+        throw = planner(hand).plan(target, flight_s)
+    except OutOfReach:
+        assume(False)
+    joints = [COMAN.joints[index] for index in COMAN.indices(throw.grip.arm)]
+    for time_s in np.linspace(0.0, throw.duration_s, 100):
+        positions, velocities = throw.joints(time_s)
+        for joint, position, velocity in zip(joints, positions, velocities, strict=True):
+            assert joint.lower <= position <= joint.upper
+            assert abs(velocity) <= joint.max_velocity
+    released, velocity = throw.joints(throw.swing_s)
+    q, v = STANDING.copy(), np.zeros(KINEMATICS.n_velocities)
+    arm = np.array(COMAN.indices(throw.grip.arm))
+    q[BASE_POSITIONS + arm], v[BASE_VELOCITIES + arm] = released, velocity
+    place, jacobian = KINEMATICS.point(q, throw.grip.link, np.array(throw.grip.point))
+    assert ballistics.position_after(place, jacobian @ v, throw.flight_s) == pytest.approx(target, abs=2e-3)
+    assert flight_s is None or throw.flight_s == flight_s
+    require_clear(throw)
+
+
+def require_clear(throw: Throw) -> None:
+    """The arm touches nothing of the robot on its way."""
+    collision, arm = SelfCollision(KINEMATICS), np.array(COMAN.indices(throw.grip.arm))
+    q = STANDING.copy()
+    for time_s in np.linspace(0.0, throw.duration_s, 8):
+        q[BASE_POSITIONS + arm] = throw.joints(time_s)[0]
+        KINEMATICS.update(q)
+        nearest, distance_m = min(collision.distances(KINEMATICS).items(), key=lambda item: item[1])
+        assert distance_m > 0, nearest
+
+
+def test_the_motion_is_continuous_and_at_rest_at_its_ends() -> None:
+    throw = planner("right_hand").plan(TARGET)
+    times = np.arange(0.0, throw.duration_s, 1e-4)
+    positions = np.array([throw.joints(time_s)[0] for time_s in times])
+    velocities = np.array([throw.joints(time_s)[1] for time_s in times])
+    assert np.gradient(positions, 1e-4, axis=0)[1:-1] == pytest.approx(velocities[1:-1], abs=1e-3)
+    assert np.abs(np.diff(velocities, axis=0)).max() < 0.01
+    for end in (0.0, throw.duration_s):
+        assert np.abs(throw.joints(end)[1]).max() == 0
+
+
+def test_a_place_beyond_reach_is_refused_with_the_nearest_one_that_is_not() -> None:
+    with pytest.raises(
+        OutOfReach, match=r"cannot throw to \(3\.00, 0\.00, 0\.50\) m: .* 95\.0% is allowed"
+    ) as far:
+        planner("right_hand").plan(np.array([3.0, 0.0, 0.5]))
+    assert far.value.nearest is not None
+    assert planner("right_hand").plan(far.value.nearest).usage <= 0.95
+    assert 0.9 < far.value.nearest[0] < 1.4
+
+
+@pytest.mark.parametrize(
+    ("landing", "flight_s", "said"),
+    [
+        ([np.nan, 0.0, 0.5], None, "three finite numbers"),
+        ([0.8, 0.0], None, "three finite numbers"),
+        ([0.1, 0.0, 0.5], None, "0.3 m or more in front"),
+        ([-0.8, 0.0, 0.5], None, "0.3 m or more in front"),
+        ([0.8, 0.0, 0.5], 3.0, "choose one from 0.2 to 0.8 s"),
+    ],
+)
+def test_what_cannot_be_thrown_is_named(landing: list[float], flight_s: float | None, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        planner("left_hand").plan(np.array(landing), flight_s)
+
+
+def test_practice_removes_a_miss_that_grows_to_the_side() -> None:
+    practice, base = Practice(), np.zeros(2)
+    assert (practice.aim("hand", base, TARGET) == TARGET).all()
+    for direction in (-0.3, 0.2, 0.0, 0.3, -0.1, 0.1, -0.2):
+        aimed = np.array([0.8 * np.cos(direction), 0.8 * np.sin(direction), 0.5])
+        practice.learn("hand", base, aimed, missed_by(aimed))
+    practice.learn("hand", base, TARGET, np.full(3, np.nan))
+    for direction in (-0.25, 0.15):
+        target = np.array([0.8 * np.cos(direction), 0.8 * np.sin(direction), 0.5])
+        landed = missed_by(practice.aim("hand", base, target))
+        assert np.linalg.norm(landed - target) < 0.008
+    assert (practice.aim("other hand", base, TARGET) == TARGET).all()
+
+
+def missed_by(aimed: np.ndarray) -> np.ndarray:
+    """Where a hand throws that throws 5 % too far, and turned a little."""
+    return aimed * [1.05, 1.05, 1.0] + [0.0, 0.03 + 0.05 * aimed[1], 0.0]
+
+
+@pytest.mark.slow
+def test_coman_throws_and_the_second_throw_lands_nearer() -> None:
+    controller = ThrowingController(COMAN)
+    robot = RobotWithBall(COMAN, controller.start, TYPICAL_NOISE, 1, build_with_ball(COMAN))
+    plans, practice = planner("right_hand"), Practice()
+    base, missed = controller.start[:2], []
+    for _ in range(2):
+        throw = plans.plan(practice.aim("right_hand", base, TARGET))
+        landed, predicted = thrown(robot, controller, throw)
+        practice.learn("right_hand", base, throw.landing, predicted)
+        missed.append(float(np.linalg.norm(landed - TARGET)))
+        assert np.linalg.norm(landed - predicted) < 0.03
+    assert missed[0] < 0.1
+    assert missed[1] < 0.03
+    rotation = robot.true_configuration()[3:7]
+    assert 2 * np.hypot(rotation[0], rotation[1]) < 0.05, "the robot stands"
+
+
+def thrown(
+    robot: RobotWithBall, controller: ThrowingController, throw: Throw
+) -> tuple[np.ndarray, np.ndarray]:
+    """Throw once; return where the ball came down, and where it should by the state at the release."""
+    sensors, command = RobotSensors(COMAN), JointCommand(COMAN)
+    robot.hold(throw.grip)
+    controller.throw(throw)
+    with pytest.raises(ValueError, match="under way"):
+        controller.throw(throw)
+    predicted, landed = np.full(3, np.nan), None
+    phases = [Phase.REACHING]
+    while controller.is_busy:
+        robot.read(sensors)
+        state = controller.step(sensors, command)
+        if state.phase is not phases[-1]:
+            phases.append(state.phase)
+        robot.write(command)
+        if state.opens:
+            predicted = state.predicted
+            robot.release()
+        for _ in range(round(controller.settings.control_s / robot.period_s)):
+            before = robot.ball
+            robot.wait()
+            now = robot.ball
+            if not now.held_by and landed is None and before.position[2] > TARGET[2] >= now.position[2]:
+                share = (before.position[2] - TARGET[2]) / (before.position[2] - now.position[2])
+                landed = before.position + share * (now.position - before.position)
+    assert phases == [Phase.REACHING, Phase.SWINGING, Phase.FOLLOWING, Phase.RETURNING, Phase.STANDING]
+    assert landed is not None
+    assert robot.ball.position[2] < 3 * RADIUS_M, "the ball lies on the ground"
+    return landed, predicted
