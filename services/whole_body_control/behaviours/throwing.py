@@ -166,7 +166,7 @@ class ThrowingController:
         self._plan = Kinematics(self._humanoid)
         place = self._plan.point(self.start, throw.grip.link, np.array(throw.grip.point))[0]
         self._hand = PointTask("hand", throw.grip.link, np.array(throw.grip.point), place, gain=20.0)
-        self._swing = JointTask("arm", self._arm, self._home, gain=10.0)
+        self._swing = JointTask("arm", self._arm.tolist(), self._home, gain=10.0)
         stack = self._soles() / self._com / self._hand / self._waist
         stack = stack / self._swing / self._posture << self._limits
         self._engine = StackEngine(self._kinematics, stack, self._solver)
