@@ -239,8 +239,8 @@ class TreadmillMachine(Machine):
             "speed": (belt.speed_mps, "MTS"),
             "allowed": (allowed_mps, "MTS"),
             "distance": (belt.distance_m, "MTR"),
-            "place": (belt.place_m, "MTR"),
-            "timeLeft": (left_s, "SEC"),
+            "place": (round(belt.place_m, 2) + 0.0, "MTR"),  # no -0
+            "timeLeft": (float(round(left_s)), "SEC"),
         }
         chart = {
             "speed": belt.speed_mps,
@@ -250,7 +250,7 @@ class TreadmillMachine(Machine):
         }
         if self.heart is not None:
             chart["heartRate"] = self.heart[0]
-        is_limited = belt.state is BeltState.FOLLOWING or belt.reason is StopReason.LIMIT
+        is_limited = belt.state is BeltState.FOLLOWING or self._needs_reset
         reason = self._allowed_reason if is_limited else REASONS[belt.reason]
         return MachineState(belt.state.value, reason, values, chart, belt.speed_mps > 0)
 
@@ -265,6 +265,7 @@ class TreadmillMachine(Machine):
                 "consentsToModel": plan.consents_to_model,
                 "hasModel": self._model is not None,
                 "zone": {"lowBpm": plan.zone.low_bpm, "highBpm": plan.zone.high_bpm},
+                **with_code("reason", REASONS[self.training.belt.reason]),
                 "interventions": [one.shown() for one in self._interventions],
             }
         }

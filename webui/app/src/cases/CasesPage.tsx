@@ -18,6 +18,8 @@ import { useQueryParameter } from "~/route/queryParameter";
 import "~/health/HealthPage.css";
 import { CaseChart } from "./CaseChart";
 import { limitTone, pathOf, SERVICE, stateOf, valueText } from "./cases";
+import { trainerOf } from "./trainer";
+import { TrainerCard } from "./TrainerCard";
 import "./CasesPage.css";
 
 const EVERY_MS = 500;
@@ -53,6 +55,8 @@ function Machine({ machine, onChange }: { machine: MachineView; onChange: () => 
       .catch((error: unknown) => setFailure(errorText(error)));
   };
   const { limit, trial } = machine;
+  const trainer = trainerOf(machine);
+  const heartRate = machine.vitals.find(({ name, status }) => name === "heartRate" && status === "valid")?.value;
   return (
     <div className="health__body">
       <Card title={t(`name.${machine.case}`, { defaultValue: machine.case })} className="cases__machine" aside={<StatusBadge tone={machine.isMoving ? "accent" : "neutral"}>{t(`state.${machine.state}`, { defaultValue: machine.state })}</StatusBadge>}>
@@ -68,7 +72,7 @@ function Machine({ machine, onChange }: { machine: MachineView; onChange: () => 
         </dl>
         <div className="cases__acts">
           <Button kind="stop" size="large" icon={<OctagonX aria-hidden size={22} />} onPress={() => act("stop")}>{t("stop")}</Button>
-          <Button icon={<Play aria-hidden size={18} />} onPress={() => act("start")}>{t("start")}</Button>
+          {trainer === null && <Button icon={<Play aria-hidden size={18} />} onPress={() => act("start")}>{t("start")}</Button>}
           <Button icon={<TestTubeDiagonal aria-hidden size={18} />} isDisabled={trial?.isRunning === true} onPress={() => act("trial", {})}>{t("trial.begin")}</Button>
         </div>
         {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
@@ -80,6 +84,11 @@ function Machine({ machine, onChange }: { machine: MachineView; onChange: () => 
         <Reason reason={limit.reason} />
         {limit.needsReset && <Button kind="main" icon={<RotateCcw aria-hidden size={18} />} onPress={() => act("reset")}>{t("health:limit.reset")}</Button>}
       </Card>
+      {trainer !== null && (
+        <div className="health__wide">
+          <TrainerCard trainer={trainer} isMoving={machine.isMoving || machine.state === "following"} heartRateBpm={typeof heartRate === "number" ? heartRate : null} onStart={(options) => act("start", { options })} />
+        </div>
+      )}
       <VitalSigns state={stateOf(machine)} silentS={0} isOld={machine.problem !== ""} />
       {history !== null && history.atS.length > 1 && (
         <div className="health__wide">

@@ -7,10 +7,10 @@ import type { Tone } from "~/design/StatusBadge";
 export const SERVICE = "assistive-devices";
 
 /** Curves in one panel, since they have one unit. */
-const TOGETHER: readonly (readonly string[])[] = [["speed", "vmax", "intent"]];
+const TOGETHER: readonly (readonly string[])[] = [["speed", "vmax", "intent"], ["heartRate", "zoneLow", "zoneHigh"]];
 const UNITS: Record<string, string> = { heartRate: "BPM", breathingRate: "C94", hrvRmssd: "C26", spo2: "P1", skinTemperature: "CEL" };
 const SYMBOLS: Record<string, string> = { MTS: "m/s", MTR: "m", "2A": "rad/s", SEC: "s", DD: "°", BPM: "bpm", C94: "/min", P1: "%" };
-const SPEED_SYMBOLS: Record<string, string> = { speed: "m/s", vmax: "m/s", intent: "m/s", heartRate: "bpm", period: "s", backrest: "°" };
+const SPEED_SYMBOLS: Record<string, string> = { speed: "m/s", vmax: "m/s", intent: "m/s", heartRate: "bpm", zoneLow: "bpm", period: "s", backrest: "°" };
 
 export const pathOf = (machine: string) => `machines/${encodeURIComponent(machine)}`;
 
