@@ -172,11 +172,18 @@ class Uplink:
             elif kind == "devices":
                 names = set(given["names"])
                 for name in [one for one in gateway.devices if one not in names]:
-                    await gateway.remove(name)
+                    await self._remove(name)
             elif kind == "removed" and given["name"] in gateway.devices:
-                await gateway.remove(given["name"])
+                await self._remove(given["name"])
             elif kind == "end":
                 gateway.end(given["device"], given["code"], given["reason"], retry=bool(given["retry"]))
+
+    async def _remove(self, name: str) -> None:
+        reason = (
+            f"the centre no longer lets {self.name} relay this device; grant it again, or connect elsewhere"
+        )
+        self._gateway.end(name, "notGranted", reason, retry=True)
+        await self._gateway.remove(name)
 
     async def _mirror(self, given: Mapping[str, Any]) -> None:
         try:
@@ -315,7 +322,11 @@ class Uplink:
         while isinstance(error, BaseExceptionGroup):
             error = error.exceptions[0]
         where = f"{self.host}:{self.port}"
-        fault = handshake_fault(error, where) or str(error) or type(error).__name__
+        fault = handshake_fault(error, where)
+        reason = str(error) or type(error).__name__
+        if fault is None:
+            is_network = isinstance(error, OSError)  # a timeout is one
+            fault = f"{where} does not answer ({reason}); check address and network" if is_network else reason
         if fault != self.fault:
             log.warning("no connection with the centre", centre=where, reason=fault)
         self.fault = fault

@@ -236,6 +236,12 @@ def test_devices_are_relayed_and_nothing_acknowledged_is_lost_or_doubled(
     made = site.order("hall-1", "turn", parameters={"rad": 3.0}).json()
     assert site.command("hall-1", made["id"])["state"] == "done"
     assert turned == [1.0, 3.0]
+    description = site.device("hall-1")["description"]
+    site.rest.put("/devices/hall-1", json={**description, "edge": None}).raise_for_status()
+    wait_for(lambda: site.site.get("/devices/hall-1").status_code == 404)
+    assert client.refused is None  # it tries again, for when it is granted again
+    site.rest.put("/devices/hall-1", json=description).raise_for_status()
+    wait_for(lambda: site.device("hall-1")["connected"])
 
 
 def test_an_edge_connects_with_its_certificate_and_to_the_right_centre_only(
