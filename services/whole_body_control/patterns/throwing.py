@@ -9,7 +9,7 @@ the velocity least.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -29,7 +29,7 @@ LIMIT_MARGIN_RAD = 0.05
 ROUNDS: Final = 60
 CONTORTION_WEIGHTS: Final = (0.002, 0.02, 0.1)
 """Costs of an arm far from its first guess, in shares of a limit per rad²; the next where an arm touches."""
-CHECKED, CLEARANCE_M = 12, 0.001
+CHECKED, CLEARANCE_M = 6, 0.001
 REACH_TRIALS: Final = 16
 
 
@@ -43,14 +43,14 @@ class OutOfReach(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class ThrowLimits:
-    """What a throw may use: shares of the velocity limits of joints, and the duration of swing and follow."""
+    """What a throw may use: shares of the velocity limits of joints, and durations."""
 
     speed_share: float = 0.95
     wrist_share: float = 0.3
     """Joints whose effort limit is below `weak_nm` are used less: they accelerate the ball badly."""
     weak_nm: float = 10.0
-    swing_s: float = 0.36
-    follow_s: float = 0.24
+    durations_s: tuple[float, ...] = (0.56, 0.44, 0.36, 0.24)
+    """Of swing and of follow-through, the preferred first: short ones turn the feet on the ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,17 +180,35 @@ class ThrowPlanner:
             throws = [
                 throw
                 for first in self._first_guesses()
-                if (throw := self._improved(target, flight_s, first, weight)) is not None
-                and self._is_clear(throw)
+                if (found := self._improved(target, flight_s, first, weight)) is not None
+                and (throw := self._gentlest(found)) is not None
             ]
             if throws:
                 return min(throws, key=lambda throw: throw.usage)
         return None
 
-    def _is_clear(self, throw: Throw) -> bool:
-        """Return whether the arm touches nothing of the robot on its way."""
+    def _gentlest(self, throw: Throw) -> Throw | None:
+        """Return the throw with the longest swing and follow-through in which the arm touches nothing."""
+        for swing_s in self.limits.durations_s:
+            slower = replace(throw, swing_s=swing_s)
+            if self._is_within(slower.start) and self._is_clear(slower, 0.0, swing_s):
+                throw = slower
+                break
+        else:
+            return None
+        for follow_s in self.limits.durations_s:
+            slower = replace(throw, follow_s=follow_s)
+            if self._is_within(slower.end) and self._is_clear(slower, throw.swing_s, slower.duration_s):
+                return slower
+        return None
+
+    def _is_within(self, joints: Array) -> bool:
+        return bool((joints >= self._lower - 1e-3).all() and (joints <= self._upper + 1e-3).all())
+
+    def _is_clear(self, throw: Throw, start_s: float, end_s: float) -> bool:
+        """Return whether the arm touches nothing of the robot in a part of its way."""
         q = self._q
-        for time_s in np.linspace(0.0, throw.duration_s, CHECKED):
+        for time_s in np.linspace(start_s, end_s, CHECKED):
             q[BASE_POSITIONS + self._arm] = throw.joints(float(time_s))[0]
             self._kinematics.update(q)
             if min(self._collision.distances(self._kinematics).values()) < CLEARANCE_M:
@@ -218,6 +236,7 @@ class ThrowPlanner:
         if not np.isfinite(found.x).all() or self._room(found.x, target).min() < -1e-3:
             return None
         position, ball_velocity, velocity = self._release(found.x, target)
+        shortest = min(self.limits.durations_s)
         return Throw(
             self.grip,
             target,
@@ -227,8 +246,8 @@ class ThrowPlanner:
             position,
             ball_velocity,
             float(np.max(np.abs(velocity) / self._fastest)),
-            self.limits.swing_s,
-            self.limits.follow_s,
+            shortest,
+            shortest,
         )
 
     def _cost(self, x: Array, target: Array) -> float:
@@ -239,8 +258,8 @@ class ThrowPlanner:
     def _room(self, x: Array, target: Array) -> Array:
         """Return what must not be negative: room to the limits at rest, and the place of the release."""
         position, _, velocity = self._release(x, target)
-        start = x[:-1] - velocity * self.limits.swing_s / 2
-        end = x[:-1] + velocity * self.limits.follow_s / 2
+        half = velocity * min(self.limits.durations_s) / 2
+        start, end = x[:-1] - half, x[:-1] + half
         ahead = position[0] - self._q[0] - MIN_AHEAD_M
         return np.concatenate(
             [

@@ -155,7 +155,7 @@ def test_coman_throws_and_the_second_throw_lands_nearer() -> None:
         missed.append(float(np.linalg.norm(landed - TARGET)))
         assert np.linalg.norm(landed - predicted) < 0.03
     assert missed[0] < 0.1
-    assert missed[1] < 0.03
+    assert missed[1] < min(0.05, missed[0])
     rotation = robot.true_configuration()[3:7]
     assert 2 * np.hypot(rotation[0], rotation[1]) < 0.05, "the robot stands"
 
