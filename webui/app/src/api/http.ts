@@ -76,6 +76,20 @@ export function requestService<T>(service: Service, path: string, options?: Requ
   return request<T>(`${service}/${path.replace(/^\//, "")}`, options);
 }
 
+/** Request a file (`path` below `/api/`), which a link cannot do where the server may refuse it with a reason. */
+export async function requestFile(path: string): Promise<Blob> {
+  let answer: Response;
+  try {
+    answer = await fetch(`/api/${path}`);
+  } catch {
+    throw new NetworkError();
+  }
+  if (answer.ok) return answer.blob();
+  const text = await answer.text();
+  const isJson = (answer.headers.get("Content-Type") ?? "").includes("json");
+  throw new ApiError(problemOf(answer, isJson ? (JSON.parse(text) as unknown) : text));
+}
+
 function problemOf(answer: Response, body: unknown): ProblemDetails {
   const received = typeof body === "object" && body !== null ? (body as Partial<ProblemDetails>) : {};
   const title = received.title ?? answer.statusText;

@@ -2,7 +2,7 @@
 import { ArrowLeft } from "lucide-react";
 import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
-import type { DeviceDetails, TokenView } from "~/api/generated/device-gateway";
+import type { CertificateView, DeviceDetails, TokenView } from "~/api/generated/device-gateway";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
@@ -31,10 +31,11 @@ export interface DevicePanelProps {
   units: Readonly<Record<string, string>>;
   symbolOf: SymbolOf;
   onToken: (made: TokenView) => void;
+  onCertificate: (made: CertificateView) => void;
   onClose: () => void;
 }
 
-export function DevicePanel({ device, units, symbolOf, onToken, onClose }: DevicePanelProps) {
+export function DevicePanel({ device, units, symbolOf, onToken, onCertificate, onClose }: DevicePanelProps) {
   const { t } = useTranslation("devices");
   const [wanted, setPart] = useQueryParameter("part", "overview");
   const [changes, setChanges] = useState(0);
@@ -59,7 +60,7 @@ export function DevicePanel({ device, units, symbolOf, onToken, onClose }: Devic
       case "model":
         return <ModelPart device={device} details={full} onChanged={changed} />;
       case "settings":
-        return <EditDevice key={full.updatedAt} device={device} details={full} units={units} onChanged={changed} onToken={onToken} onDeleted={onClose} />;
+        return <EditDevice key={full.updatedAt} device={device} details={full} units={units} onChanged={changed} onToken={onToken} onCertificate={onCertificate} onDeleted={onClose} />;
     }
   };
   return (

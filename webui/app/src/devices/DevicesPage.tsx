@@ -3,7 +3,7 @@ import { Cpu, Plus, SearchX } from "lucide-react";
 import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
-import type { TokenView } from "~/api/generated/device-gateway";
+import type { CertificateView, TokenView } from "~/api/generated/device-gateway";
 import { Button } from "~/design/Button";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
@@ -17,6 +17,7 @@ import { matching } from "~/sensors/rooms";
 import { mayDo } from "~/session/session";
 import { useKeys } from "~/shell/keys";
 import { ConditionBadge } from "./ConditionBadge";
+import { CertificateDialog } from "./CertificateDialog";
 import { DevicePanel } from "./DevicePanel";
 import { AddDevice } from "./form/DeviceForm";
 import { useUnits } from "./gateway";
@@ -34,6 +35,7 @@ export default function DevicesPage() {
   const [adding] = useQueryParameter("add");
   const change = useQueryChange();
   const [token, setToken] = useState<TokenView | null>(null);
+  const [certificate, setCertificate] = useState<CertificateView | null>(null);
   const mayConfigure = mayDo("configure");
   const isAdding = adding === "yes" && mayConfigure;
   const device = devices?.find(({ name }) => name === chosen) ?? null;
@@ -72,7 +74,7 @@ export default function DevicesPage() {
             }}
           />
         ) : device !== null ? (
-          <DevicePanel key={device.name} device={device} units={units} symbolOf={symbolOf} onToken={setToken} onClose={() => open("")} />
+          <DevicePanel key={device.name} device={device} units={units} symbolOf={symbolOf} onToken={setToken} onCertificate={setCertificate} onClose={() => open("")} />
         ) : devices?.length === 0 && isCurrent ? (
           <EmptyState
             icon={<Cpu aria-hidden size={32} />}
@@ -92,6 +94,7 @@ export default function DevicesPage() {
         )}
       </div>
       <TokenDialog made={token} onClose={() => setToken(null)} />
+      <CertificateDialog made={certificate} onClose={() => setCertificate(null)} />
     </div>
   );
 }

@@ -17,7 +17,6 @@ import { faultText } from "~/tasks/faults";
 import type { Draft } from "~/tasks/form";
 import { FormFields } from "~/tasks/FormFields";
 import { addDevice, deleteDevice, describeDevice, newCertificate, newToken, revokeCertificate, revokeToken, SERVICE } from "../gateway";
-import { CertificateDialog } from "../CertificateDialog";
 import { isoOf, titleOf } from "../values";
 import { draftOfDescription, enteredDescription, fieldsOf, KINDS } from "./description";
 
@@ -120,22 +119,23 @@ interface EditDeviceProps {
   units: Units;
   onChanged: () => void;
   onToken: (made: TokenView) => void;
+  /** Takes the key, which is shown only once: this form starts again when the device has changed. */
+  onCertificate: (made: CertificateView) => void;
   onDeleted: () => void;
 }
 
 type Asked = "token" | "revoke" | "certificate" | "revokeCertificate" | "delete";
 
-export function EditDevice({ device, details, units, onChanged, onToken, onDeleted }: EditDeviceProps) {
+export function EditDevice({ device, details, units, onChanged, onToken, onCertificate, onDeleted }: EditDeviceProps) {
   const { t, i18n } = useTranslation("devices");
   const [asked, ask] = useState<Asked | null>(null);
-  const [files, setFiles] = useState<CertificateView | null>(null);
   const { name } = device;
   const ends = details.certificateEndsAt;
   const acts: Record<Asked, () => Promise<unknown>> = {
     token: () => newToken(name).then(onToken),
     revoke: () => revokeToken(name).then(onChanged),
     certificate: () => newCertificate(name).then((made) => {
-      setFiles(made);
+      onCertificate(made);
       onChanged();
     }),
     revokeCertificate: () => revokeCertificate(name).then(onChanged),
@@ -171,7 +171,6 @@ export function EditDevice({ device, details, units, onChanged, onToken, onDelet
       <Card title={t("form.heading")}>
         <DescriptionForm initial={details.description} units={units} act={t("form.save")} onSave={(description) => describeDevice(name, description).then(onChanged)} />
       </Card>
-      <CertificateDialog made={files} onClose={() => setFiles(null)} />
       {asked !== null && (
         <ConfirmDialog isOpen onClose={() => ask(null)} title={t(`ask.${asked}.title`, { name: titleOf(device) })} act={t(`ask.${asked}.act`)} kind="stop" onAct={acts[asked]}>
           <p>{t(`ask.${asked}.means`)}</p>

@@ -1,9 +1,11 @@
 /** Charts of the values of a device, each with its own scale, over the same time; and their download. */
 import { ChevronLeft, ChevronRight, Download, RotateCcw, TrendingUp, ZoomIn, ZoomOut } from "lucide-react";
-import { useMemo } from "react";
+import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { ToggleButton, ToggleButtonGroup } from "react-aria-components";
 import type { ForecastView, SeriesView } from "~/api/generated/device-gateway";
+import { save } from "~/api/download";
+import { errorText, requestFile } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
@@ -32,6 +34,8 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
   const [zoom, setZoom] = useQueryParameter("time");
   const [ahead, setAhead] = useQueryParameter("forecast");
   const hasForecast = ahead === "on";
+  const [fault, setFault] = useState<string | null>(null);
+  const [isSaving, setSaving] = useState(false);
   const span: Span = isSpan(spanText) ? spanText : "hour";
   const fixed = useMemo(() => intervalIn(zoom), [zoom]);
   const last = lastInterval(span, useNow() / 1000);
@@ -46,6 +50,18 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
   const { value, failure } = useSeries(path, query);
   const set = (next: Interval) => setZoom(intervalText(next));
   const title = (name: string) => t(`value.${name}`, { defaultValue: spaced(name) });
+  // Not a link: without pyarrow the gateway refuses it, and the browser would hide the reason.
+  const saveParquet = async () => {
+    setSaving(true);
+    setFault(null);
+    try {
+      save(`${device.name}.parquet`, await requestFile(`${SERVICE}/${pathOf(device.name)}/values.parquet?${query}`));
+    } catch (error) {
+      setFault(errorText(error));
+    } finally {
+      setSaving(false);
+    }
+  };
   const at = (seconds: number) => exactTime(isoOf(seconds), i18n.language);
   if (names.length === 0) return <p className="quiet">{t("history.none")}</p>;
   return (
@@ -75,10 +91,9 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
           <Download aria-hidden size={18} />
           {t("history.csv")}
         </a>
-        <a className="button button--plain button--normal" href={`/api/${SERVICE}/${pathOf(device.name)}/values.parquet?${query}`} download={`${device.name}.parquet`}>
-          <Download aria-hidden size={18} />
+        <Button icon={<Download aria-hidden size={18} />} isDisabled={isSaving} onPress={() => void saveParquet()}>
           {t("history.parquet")}
-        </a>
+        </Button>
       </div>
       <ToggleButtonGroup className="device-history__values" aria-label={t("history.values")} selectionMode="multiple" selectedKeys={chosen} onSelectionChange={(keys) => setWanted(names.filter((name) => keys.has(name)).join(",") || (names[0] ?? ""))}>
         {names.map((name) => (
@@ -91,6 +106,7 @@ export function HistoryPart({ device, symbolOf }: { device: RegisteredDeviceView
         {at(shown.begin)} – {at(shown.end)} · {t("history.hint")}
       </p>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+      {fault !== null && <ErrorMessage>{fault}</ErrorMessage>}
       {chosen.map((name) => {
         const series = value.find((each) => each.name === name);
         const symbol = symbolOf(series?.unit ?? device.values[name]?.unit);
