@@ -57,6 +57,19 @@ class Trial:
                 await self.reset()
             await asyncio.sleep(RETRY_S)
 
+    async def calm(self, what: str, condition: Callable[[], bool], timeout_s: float) -> None:
+        """Wait as `until` does, for what a calm body allows; the person in charge releases stops meanwhile.
+
+        On a machine that stands still for seconds, the limit ages and stops: that is right, and no failure.
+        """
+        began_s = time.monotonic()
+        while not condition():
+            left_s = timeout_s - (time.monotonic() - began_s)
+            if left_s <= 0:
+                raise TrialFailed(f"{what}: not within {timeout_s:.0f} s")
+            await self.permission(left_s)
+            await asyncio.sleep(RETRY_S)
+
     async def reset(self) -> None:
         """Let the person in charge release a stop of the limit."""
         if self.on_reset is not None:

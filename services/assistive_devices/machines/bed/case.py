@@ -130,7 +130,7 @@ class BedMachine(Machine):
         await trial.until("somebody lies", lambda: self.is_lying, PATIENCE_S)
         trial.say(f"somebody lies ({self.position}), {self.heart_rate_bpm or 0:.0f} bpm; the bed begins")
         self.start()
-        await trial.until("the bed rocks", lambda: self.frame.amplitude > 0.2, PATIENCE_S)
+        await trial.calm("the bed rocks", lambda: self.frame.amplitude > 0.2, PATIENCE_S)
         await self._excite(trial)
         if duration_s >= SHORT_S:
             await self._breathe_not(trial)
@@ -205,9 +205,7 @@ class BedMachine(Machine):
             lifted < 1.0,
         )
         await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
-        if self._fraction == 0.0:
-            await trial.reset()
-        await trial.until("the bed rocks again", lambda: self.frame.amplitude > MIN_AMPLITUDE, PATIENCE_S)
+        await trial.calm("the bed rocks again", lambda: self.frame.amplitude > MIN_AMPLITUDE, PATIENCE_S)
 
     async def _be_restless(self, trial: Trial) -> None:
         trial.say("the sleeper becomes restless")

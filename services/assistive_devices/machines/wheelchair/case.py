@@ -117,9 +117,9 @@ class WheelchairMachine(Machine):
         await trial.until("the upright posture", lambda: self.controller.is_calibrated, PATIENCE_S)
         driven_s = time.monotonic()
         self._wants_to_drive = True
-        await trial.until("the chair drives", lambda: self.chair.linear_mps > 0.2, PATIENCE_S)
+        await trial.calm("the chair drives", lambda: self.chair.linear_mps > 0.2, PATIENCE_S)
         trial.say("the person leans forwards and drives along the course")
-        await trial.until("the limit of a calm body", lambda: self.fraction >= 0.99, PATIENCE_S)
+        await trial.calm("the limit of a calm body", lambda: self.fraction >= 0.99, PATIENCE_S)
         calm = Parameters().max_speed_mps * 0.75
         await trial.until("the speed of a calm body", lambda: self.chair.linear_mps >= calm, PATIENCE_S)
         fastest = self.chair.linear_mps
@@ -187,7 +187,7 @@ class WheelchairMachine(Machine):
         await trial.until("the rest of the person", lambda: (self.heart_rate_bpm or 200) < 105, PATIENCE_S)
         trial.say("rested; the person resets the stop")
         await trial.reset()
-        await trial.until("the chair drives again", lambda: self.fraction >= 0.4, PATIENCE_S)
+        await trial.calm("the chair drives again", lambda: self.fraction >= 0.4, PATIENCE_S)
 
     async def _lose_strap(self, trial: Trial) -> None:
         trial.say("the strap slips off")
@@ -204,7 +204,7 @@ class WheelchairMachine(Machine):
         trial.say("the strap is on again")
         await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
         await trial.reset()
-        await trial.until("the chair drives again", lambda: self.chair.linear_mps > 0.1, PATIENCE_S)
+        await trial.calm("the chair drives again", lambda: self.chair.linear_mps > 0.1, PATIENCE_S)
 
 
 CASE: Final = Case(
