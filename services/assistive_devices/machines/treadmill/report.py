@@ -47,12 +47,14 @@ def compare(
         f"{figures.interventions}: {faster} faster, {keep} keep, {slower} slower",
         figures.interventions == expected,
     )
-    is_judged = plan.duration_s >= MIN_JUDGED_S
+    is_limited = figures.at_limit > MOST
+    is_judged = plan.duration_s >= MIN_JUDGED_S and not is_limited
+    why = "; the belt was at its limit" if is_limited else ""
     to.compare(
         f"{of}time within {zone.low_bpm:.0f} to {zone.high_bpm:.0f} bpm",
         '"most of the session"',
-        f"{figures.in_zone:.0%}, {figures.in_zone_after_first:.0%} once reached ({_reached(figures)})",
-        max(figures.in_zone, figures.at_limit) > MOST if is_judged else None,
+        f"{figures.in_zone:.0%}, {figures.in_zone_after_first:.0%} once reached ({_reached(figures)}){why}",
+        figures.in_zone > MOST if is_judged else None,
     )
     to.compare(
         f"{of}mean heart rate", "(curves only)", f"{figures.mean_bpm:.1f} bpm, valid {figures.valid:.0%}"

@@ -124,6 +124,17 @@ def test_a_session_that_missed_the_zone_or_an_intervention_is_no_success() -> No
     ]
 
 
+def test_a_belt_at_its_limit_decides_nothing_about_the_zone() -> None:
+    """In the paper too the limit of 1.3 m/s kept people below the zone."""
+    training = trained(begun(Plan(300.0), pace_mps=1.4), 305, bpm=80.0)
+    trial = Trial(300.0)
+    compare(trial, training.figures(), training.plan, training.belt.reason)
+    zone = next(one for one in trial.figures if one.name.startswith("time within"))
+    assert zone.passed is None
+    assert "0%" in zone.ours
+    assert "the belt was at its limit" in zone.ours
+
+
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [({"duration_s": 5.0}, "must be 30 to 3600"), ({"language": "xx"}, "there are en, de, fi")],
