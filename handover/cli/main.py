@@ -12,6 +12,7 @@ import typer
 from handover.cli import (
     accounts,
     audit,
+    body,
     bridge,
     broker,
     device,
@@ -50,6 +51,7 @@ app.add_typer(accounts.app, name="accounts")
 app.add_typer(audit.app, name="audit")
 app.add_typer(device.app, name="device")
 app.add_typer(edge.app, name="edge")
+app.add_typer(body.app, name="body")
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 

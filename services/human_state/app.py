@@ -21,6 +21,7 @@ from services.human_state.metrics import REJECTED
 from services.human_state.monitoring.activities import ActivityModel
 from services.human_state.monitoring.breaks import BreakProposals
 from services.human_state.monitoring.entities import HumanStates
+from services.human_state.monitoring.foxglove_feed import FoxgloveFeed
 from services.human_state.monitoring.history import HistoryWriter
 from services.human_state.monitoring.monitoring import Monitoring
 from services.human_state.monitoring.person_monitor import PersonMonitor
@@ -71,7 +72,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         tasks.start(breaks.propose, monitor)
 
     @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         await asyncio.to_thread(tables.prepare, engine)
         await people.load()
         async with broker, writer, tasks:
@@ -84,8 +85,15 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
             tasks.start_restarting(history.run)
             tasks.start_restarting(entities.run)
             writer.put("orphans", lambda: entities.delete_orphans(people))
+            port = settings.health_foxglove_port
+            feed = None if port is None else FoxgloveFeed(monitoring, port)
+            if feed is not None:
+                app.state.foxglove_port = feed.port
+                tasks.start_restarting(feed.run)
             await recording.open()
             yield
+            if feed is not None:
+                feed.close()
             await recording.close()
             people.on_changed = lambda _: None
         breaks.close()

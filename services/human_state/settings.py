@@ -41,6 +41,13 @@ class HumanStateSettings(Settings):
         le=3600,
         description="the time constant of the mean exertion that proposes a break, in s",
     )
+    health_foxglove_port: int | None = Field(
+        None,
+        ge=0,
+        le=65535,
+        description="the port on loopback of a WebSocket for the Foxglove app with the live signals of "
+        "persons who consent; it has no access control; none if absent",
+    )
     health_break_message: str = Field(
         "breakProposed",
         max_length=64,

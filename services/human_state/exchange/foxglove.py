@@ -73,10 +73,11 @@ class FoxgloveServer:
         """Return the port on which it listens."""
         return int(self._server.port)
 
-    def publish(self, item: Recorded) -> None:
+    def publish(self, item: Recorded, subject: str | None = None) -> None:
         """Send an item to all clients; nothing waits for them. Raises `ExchangeError` beyond `MAX_TOPICS`."""
         channel = self._channel(topic_of(item), SCHEMAS[schema_name(item)], schema_name(item))
-        channel.log(to_json(item, self._subject), log_time=round(time_of(item) * 1e9))
+        content = to_json(item, self._subject if subject is None else subject)
+        channel.log(content, log_time=round(time_of(item) * 1e9))
         if isinstance(item, Samples) and item.info.rate_hz and item.info.rate_hz <= MAX_WAVE_HZ:
             self._publish_wave(item)
 

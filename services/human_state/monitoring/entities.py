@@ -4,6 +4,7 @@ import asyncio
 import time
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 from datamodels import HumanState
@@ -21,6 +22,8 @@ from services.human_state.people.people import People
 log = get_logger(__name__)
 
 CHECK_EVERY_S: Final = 0.25
+FORGET_EVERY_S: Final = 60.0
+"""The broker keeps the history of a person who does not allow it for no longer than this."""
 
 
 def entity_id(settings: Settings, monitor: PersonMonitor) -> str:
@@ -42,13 +45,25 @@ class HumanStates:
 
     async def run(self) -> None:
         """Write until cancelled."""
+        forgot_s = 0.0
         while True:
+            if time.monotonic() - forgot_s >= FORGET_EVERY_S:
+                forgot_s = time.monotonic()
+                self._forget_histories()
             for monitor in list(self._monitoring.monitors.values()):
                 if Purpose.BROKER in monitor.person.purposes():
                     self._write(monitor)
                 elif entity_id(self._settings, monitor) in self._throttles:
                     self.ended(monitor)
             await asyncio.sleep(CHECK_EVERY_S)
+
+    def _forget_histories(self) -> None:
+        """Delete the history of those who allow entities in the broker, but no history of them."""
+        for monitor in self._monitoring.monitors.values():
+            purposes = monitor.person.purposes()
+            if Purpose.BROKER in purposes and Purpose.BROKER_HISTORY not in purposes:
+                identifier = entity_id(self._settings, monitor)
+                self._writer.put(f"{identifier} history", partial(forget_history, self._broker, identifier))
 
     def _write(self, monitor: PersonMonitor) -> None:
         now_s = time.monotonic()
@@ -98,6 +113,11 @@ async def delete_everywhere(broker: BrokerClient, identifier: str) -> None:
     """Delete an entity with its history. Raises `BrokerError`, unless the broker has no history."""
     with suppress(NotFound):
         await broker.delete(identifier)
+    await forget_history(broker, identifier)
+
+
+async def forget_history(broker: BrokerClient, identifier: str) -> None:
+    """Delete the history of an entity. Raises `BrokerUnavailable`."""
     try:
         await broker.delete_evolution(identifier)
     except BrokerUnavailable:

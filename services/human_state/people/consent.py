@@ -24,6 +24,8 @@ class Purpose(StrEnum):
     """Values are kept in the database of this service for the time of retention."""
     BROKER = "broker"
     """HumanState entities are written to the context broker."""
+    BROKER_HISTORY = "brokerHistory"
+    """The broker keeps the history of these entities, if it keeps any; else it is deleted again and again."""
     RECORDING = "recording"
     """Signals may be recorded in recordings that somebody starts and stops."""
 

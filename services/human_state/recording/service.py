@@ -8,7 +8,7 @@ from handover.latest_value_writer import LatestValueWriter
 from services.human_state.monitoring.monitoring import Monitoring
 from services.human_state.people.people import People
 from services.human_state.recording.archive import Archive
-from services.human_state.recording.export import BundleExport
+from services.human_state.recording.export import RecordingExport
 from services.human_state.recording.recordings import Recordings
 from services.human_state.recording.session_entities import SessionEntities
 from services.human_state.recording.task_markers import TaskMarkers
@@ -35,7 +35,7 @@ class RecordingService:
             Archive(folder, key), store, people, monitoring, tasks, settings.health_recording_days
         )
         self.entities = SessionEntities(settings, people, self.recordings, broker, writer)
-        self.export = BundleExport(folder, key)
+        self.export = RecordingExport(folder, key)
         self._markers = TaskMarkers(settings, self.recordings, broker, writer)
         self._tasks = tasks
         self._writer = writer

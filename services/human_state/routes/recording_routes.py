@@ -27,8 +27,9 @@ RecordingId = Annotated[str, Path(pattern=r"^R-[0-9a-f]{16}$")]
 
 def add_recording_routes(app: FastAPI, people: People, recording_service: RecordingService) -> None:
     """Add the routes."""
-    recordings, entities = recording_service.recordings, recording_service.entities
+    recordings = recording_service.recordings
     recording_service.mount(app)
+    _add_files(app, people, recording_service)
 
     def found(person: str, recording: str) -> RecordingRow:
         return recordings.recording(recording, people.person(person).pseudonym)
@@ -64,6 +65,20 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
         at_s = time.time() if body.at is None else body.at.timestamp()
         recordings.mark(found(person, recording), Marker(at_s, body.name, body.text))
         return Response(status_code=204)
+
+    @app.delete("/people/{person}/recordings/{recording}", tags=["recordings"], status_code=204)
+    async def delete(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
+        """Delete a recording with its file; one that runs is ended."""
+        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
+        await recordings.delete(found(person, recording))
+        return Response(status_code=204)
+
+
+def _add_files(app: FastAPI, people: People, recording_service: RecordingService) -> None:
+    recordings, entities = recording_service.recordings, recording_service.entities
+
+    def found(person: str, recording: str) -> RecordingRow:
+        return recordings.recording(recording, people.person(person).pseudonym)
 
     @app.get(
         "/people/{person}/recordings/{recording}/file", tags=["recordings"], response_class=StreamingResponse
@@ -104,15 +119,25 @@ def add_recording_routes(app: FastAPI, people: People, recording_service: Record
         if not recordings.archive.has_key:
             raise no_key()
         content = await recording_service.export.bundle(row, entities.id_of(row.id), time.time())
-        headers = {"Cache-Control": "no-store"}
+        headers = {
+            "Content-Disposition": f'attachment; filename="{row.id}.fhir.json"',
+            "Cache-Control": "no-store",
+        }
         return Response(content, media_type="application/fhir+json", headers=headers)
 
-    @app.delete("/people/{person}/recordings/{recording}", tags=["recordings"], status_code=204)
-    async def delete(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
-        """Delete a recording with its file; one that runs is ended."""
-        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
-        await recordings.delete(found(person, recording))
-        return Response(status_code=204)
+    @app.get("/people/{person}/recordings/{recording}/xdf", tags=["recordings"], response_class=Response)
+    async def xdf(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
+        """Return signals, values and markers as XDF 1.0; 413 for a long recording."""
+        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
+        row = _ended(found(person, recording))
+        if not recordings.archive.has_key:
+            raise no_key()
+        headers = {
+            "Content-Disposition": f'attachment; filename="{row.id}.xdf"',
+            "Cache-Control": "no-store",
+        }
+        content = await recording_service.export.xdf(row)
+        return Response(content, media_type="application/octet-stream", headers=headers)
 
 
 def _ended(row: RecordingRow) -> RecordingRow:

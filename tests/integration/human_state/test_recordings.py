@@ -24,6 +24,7 @@ from tests.integration.human_state.conftest import Running, add_person, consent
 from tests.kit.cell import Cell
 from tests.kit.waiting import until
 
+pyxdf = pytest.importorskip("pyxdf", reason="the extra [human-state] is not installed")
 pytest.importorskip("mcap", reason="the extra [human-state] is not installed")
 
 KEY = base64.b64encode(os.urandom(32)).decode()
@@ -117,6 +118,15 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
         stored = (tmp_path / "recordings" / f"{made['id']}{SUFFIX}").read_bytes()
         assert b"heartRate" not in stored
         assert person["pseudonym"].encode() not in stored
+
+        exported = await rest.get(f"{this}/xdf")
+        assert exported.headers["content-disposition"].endswith('.xdf"')
+        (tmp_path / "session.xdf").write_bytes(exported.content)
+        streams, header = pyxdf.load_xdf(str(tmp_path / "session.xdf"))
+        markers = next(each for each in streams if each["info"]["type"][0] == "Markers")
+        assert any("the box" in text for row in markers["time_series"] for text in row)
+        assert any(len(each["time_stamps"]) for each in streams if each is not markers)
+        assert header["info"]["version"] == ["1.0"]
 
         bundle = (await rest.get(f"{this}/bundle")).raise_for_status().json()
         identifier = f"urn:ngsi-ld:PhysiologicalSession:demo:{made['id']}"

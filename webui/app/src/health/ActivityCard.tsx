@@ -1,13 +1,12 @@
 /** Activity, posture and sleep position: now, and how long each held over the last day. */
 import { useTranslation } from "react-i18next";
-import type { HistoryValue, PersonView, StateView } from "~/api/generated/human-state";
+import type { HistoryDuration, PersonView, StateView } from "~/api/generated/human-state";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Card } from "~/design/Card";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { duration, span } from "~/design/times";
-import { useCoarseNow } from "~/live/clock";
-import { durations, pathOf, POSITIONS, SERVICE, trustOf, trustTone } from "./health";
+import { pathOf, POSITIONS, SERVICE, trustOf, trustTone } from "./health";
 
 const REFRESH_MS = 60_000;
 
@@ -34,6 +33,7 @@ export function ActivityCard({ person, state, silentS }: { person: PersonView; s
       {person.purposes.includes("history") ? (
         <>
           <Durations person={person.person} feature="activity" />
+          <Durations person={person.person} feature="dailyActivity" />
           <Durations person={person.person} feature="sleepPosition" />
         </>
       ) : (
@@ -43,10 +43,10 @@ export function ActivityCard({ person, state, silentS }: { person: PersonView; s
   );
 }
 
-function Durations({ person, feature }: { person: string; feature: "activity" | "sleepPosition" }) {
+function Durations({ person, feature }: { person: string; feature: "activity" | "dailyActivity" | "sleepPosition" }) {
   const { t, i18n } = useTranslation("health");
-  const { value, failure } = useServiceQuery<HistoryValue[]>(SERVICE, `${pathOf(person)}/history/${feature}`, { intervalMs: REFRESH_MS });
-  const rows = durations(value ?? [], useCoarseNow(REFRESH_MS));
+  const { value, failure } = useServiceQuery<HistoryDuration[]>(SERVICE, `${pathOf(person)}/history/${feature}/durations`, { intervalMs: REFRESH_MS });
+  const rows = value ?? [];
   const most = rows[0]?.seconds ?? 0;
   if (failure !== null) return <ErrorMessage>{failure}</ErrorMessage>;
   if (rows.length === 0) return null;

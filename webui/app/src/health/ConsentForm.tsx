@@ -11,7 +11,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
 import { useNow } from "~/live/clock";
 import { userName } from "~/shell/userName";
-import { consentFaults, consentState, dateText, DAY_MS, DEFAULT_CONSENT_DAYS, endOfDay, MAX_CONSENT_DAYS, pathOf, PURPOSES, SERVICE } from "./health";
+import { consentFaults, consents, consentState, dateText, DAY_MS, DEFAULT_CONSENT_DAYS, endOfDay, MAX_CONSENT_DAYS, pathOf, PURPOSES, SERVICE } from "./health";
 
 interface ConsentFormProps {
   /** Null for a new person. */
@@ -26,7 +26,7 @@ export function ConsentForm({ person, name = "", onDone, onCancel }: ConsentForm
   const { t } = useTranslation(["health", "common"]);
   const now = useNow();
   const [fields, setFields] = useState(() => ({ name: person?.person ?? name, age: "", ends: dateText(now + DEFAULT_CONSENT_DAYS * DAY_MS), givenBy: userName() }));
-  const [purposes, setPurposes] = useState<readonly Purpose[]>(["live"]);
+  const [purposes, setPurposes] = useState<readonly Purpose[]>(person !== null && consents(person) ? person.purposes : ["live"]);
   const [showsFaults, setShowsFaults] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const [isBusy, setBusy] = useState(false);

@@ -14,6 +14,7 @@ import { shortName } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
 import { ActivityCard } from "./ActivityCard";
+import { BaselineCard } from "./BaselineCard";
 import { ConsentForm } from "./ConsentForm";
 import { consents, SERVICE, SILENT_S } from "./health";
 import { HistoryCard } from "./HistoryCard";
@@ -21,6 +22,7 @@ import { LimitCard } from "./LimitCard";
 import { LiveSignals } from "./liveSignals";
 import { PressureCard } from "./PressureCard";
 import { RecordedCard } from "./RecordedCard";
+import { RecordingsCard } from "./RecordingsCard";
 import { SensorsCard } from "./SensorsCard";
 import { VitalSigns } from "./VitalSigns";
 import { Waveforms } from "./Waveforms";
@@ -86,10 +88,16 @@ export default function HealthPage() {
 
 /** Without consent there is the form of the consent, and nothing of the body. */
 function Person({ person, onChange }: { person: PersonView; onChange: () => void }) {
+  const [isChanging, setChanging] = useState(false);
+  const done = () => {
+    setChanging(false);
+    onChange();
+  };
   return (
     <>
-      <RecordedCard person={person} onChange={onChange} />
-      {consents(person) ? <Body person={person} onChange={onChange} /> : <ConsentForm person={person} onDone={onChange} />}
+      <RecordedCard person={person} onChange={onChange} onChangeConsent={() => setChanging(true)} />
+      {(isChanging || !consents(person)) && <ConsentForm person={person} onDone={done} {...(isChanging ? { onCancel: () => setChanging(false) } : {})} />}
+      {consents(person) && <Body person={person} onChange={onChange} />}
     </>
   );
 }
@@ -107,6 +115,7 @@ function Body({ person, onChange }: { person: PersonView; onChange: () => void }
       <div className="health__side">
         {limit === null ? <p className="health__note quiet small">{t("limit.noConsent")}</p> : <LimitCard person={person} limit={limit} onChange={onChange} />}
         <SensorsCard person={person} onChange={onChange} />
+        <BaselineCard person={person} onChange={onChange} />
       </div>
       <div className="health__wide">
         <Waveforms signals={signals} waves={live.waves} />
@@ -117,6 +126,9 @@ function Body({ person, onChange }: { person: PersonView; onChange: () => void }
       ))}
       <div className="health__wide">
         <HistoryCard person={person} />
+      </div>
+      <div className="health__wide">
+        <RecordingsCard person={person} onChange={onChange} />
       </div>
     </div>
   );

@@ -1,7 +1,7 @@
 /** The history of one value; what was not valid is missing in it. */
 import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
-import type { HistoryValue, PersonView } from "~/api/generated/human-state";
+import type { HistoryPoint, PersonView } from "~/api/generated/human-state";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
@@ -15,9 +15,8 @@ import { useQueryParameter } from "~/route/queryParameter";
 import { DRAWN, numberText, pathOf, pointsOf, SERVICE, symbolOf } from "./health";
 
 const REFRESH_MS = 30_000;
-/** The service returns so many values at most, the newest. */
-const MAX_VALUES = 20_000;
-const SPANS = ["hour", "day", "week"] as const;
+const POINTS = 720;
+const SPANS = ["hour", "day", "week", "month"] as const;
 const UNITS: Record<string, string> = { heartRate: "BPM", breathingRate: "C94", hrvRmssd: "C26", spo2: "P1", skinTemperature: "CEL" };
 
 export function HistoryCard({ person }: { person: PersonView }) {
@@ -39,10 +38,11 @@ function History({ person }: { person: string }) {
   const last = lastInterval(chosen, useCoarseNow(REFRESH_MS) / 1000);
   const interval = useMemo(() => zoom ?? { begin: last.begin, end: last.end }, [zoom, last.begin, last.end]);
   const iso = (seconds: number) => encodeURIComponent(new Date(seconds * 1000).toISOString());
-  const path = `${pathOf(person)}/history/${feature}?start=${iso(last.begin)}&end=${iso(last.end)}`;
-  const { value, failure } = useServiceQuery<HistoryValue[]>(SERVICE, path, { keepsPrevious: true });
+  // The service thins what it stores: so many points, of the part that is shown.
+  const path = `${pathOf(person)}/history/${feature}/points?start=${iso(interval.begin)}&end=${iso(interval.end)}&count=${POINTS}`;
+  const { value, failure } = useServiceQuery<HistoryPoint[]>(SERVICE, path, { keepsPrevious: true });
   const points = useMemo(() => pointsOf(value ?? []), [value]);
-  const data = useMemo(() => columnsOf(points, 2), [points]);
+  const data = useMemo(() => columnsOf(points, Math.max(2, (interval.end - interval.begin) / POINTS)), [points, interval]);
   const summary = summaryOf(points);
   const name = t(`feature.${feature}`);
   const symbol = symbolOf(feature, UNITS[feature] ?? null);
@@ -65,7 +65,7 @@ function History({ person }: { person: string }) {
       </div>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       <p className="quiet small">
-        {said} {(value?.length ?? 0) >= MAX_VALUES && t("history.newest")}
+        {said}
       </p>
       <HistoryChart data={data} interval={interval} symbol={symbol} language={i18n.language} label={`${name}: ${said}`} onZoom={setZoom} />
     </>

@@ -10,8 +10,10 @@ import { Card } from "~/design/Card";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { number, percent } from "~/design/numbers";
 import { StatusBadge } from "~/design/StatusBadge";
+import { mayDo } from "~/session/session";
 import { useWithName } from "~/shell/userName";
 import { limitTone, pathOf, reasonOf, SERVICE } from "./health";
+import { BindRobot, UnbindRobot } from "./RobotBinding";
 
 export function LimitCard({ person, limit, onChange }: { person: PersonView; limit: LimitView; onChange: () => void }) {
   const { t, i18n } = useTranslation("health");
@@ -29,6 +31,7 @@ export function LimitCard({ person, limit, onChange }: { person: PersonView; lim
         <output>{percent(limit.fraction, i18n.language)}</output> <span className="quiet small">{t("limit.ofSpeed")}</span>
       </p>
       <p>{reason.key === "other" ? reason.text : t(`limit.reason.${reason.key}`, { seconds: reason.seconds })}</p>
+      {limit.heldBy.length > 0 && <p>{t("limit.heldBy", { sensors: limit.heldBy.join(", ") })}</p>}
       <p className="quiet small">{t("limit.curve", { free: bpm(limit.freeBpm), strained: bpm(limit.strainedBpm), least: percent(limit.leastFraction, i18n.language) })}</p>
       {limit.robots.length === 0 ? (
         <p className="quiet small">{t("limit.noRobot")}</p>
@@ -38,10 +41,12 @@ export function LimitCard({ person, limit, onChange }: { person: PersonView; lim
             <li key={robot}>
               <Link href={`/control?robot=${encodeURIComponent(robot)}`}>{robot}</Link>
               <StatusBadge tone={problem === "" ? "ok" : "attention"}>{problem === "" ? t("limit.received") : t("limit.notReceived", { problem })}</StatusBadge>
+              {mayDo("moveRobots") && <UnbindRobot person={person} robot={robot} onChange={onChange} />}
             </li>
           ))}
         </ul>
       )}
+      {mayDo("moveRobots") && <BindRobot person={person} bound={limit.robots.map(({ robot }) => robot)} onChange={onChange} />}
       {limit.isStopped && (
         <>
           <p className="small">{t("limit.resetMeans")}</p>

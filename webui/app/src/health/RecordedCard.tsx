@@ -1,5 +1,5 @@
 /** What is processed and kept of a person, always in view; withdrawing the consent, and deletion. */
-import { Circle, CircleDot, EyeOff, Trash2 } from "lucide-react";
+import { Circle, CircleDot, EyeOff, ShieldCheck, Trash2 } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import type { PersonView } from "~/api/generated/human-state";
@@ -16,7 +16,7 @@ const ACTS = {
 } as const;
 type Act = keyof typeof ACTS;
 
-export function RecordedCard({ person, onChange }: { person: PersonView; onChange: () => void }) {
+export function RecordedCard({ person, onChange, onChangeConsent }: { person: PersonView; onChange: () => void; onChangeConsent: () => void }) {
   const { t, i18n } = useTranslation("health");
   const [asked, setAsked] = useState<Act | null>(null);
   const isOn = person.purposes.length > 0;
@@ -41,6 +41,11 @@ export function RecordedCard({ person, onChange }: { person: PersonView; onChang
         })}
       </ul>
       <div className="health__acts">
+        {isOn && (
+          <Button icon={<ShieldCheck aria-hidden size={18} />} onPress={onChangeConsent}>
+            {t("act.change")}
+          </Button>
+        )}
         {offered.map((act) => {
           const Icon = ACTS[act].icon;
           return (

@@ -8,6 +8,7 @@ import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
+import { localizedText } from "~/i18n/server";
 import { mayDo } from "~/session/session";
 import { Battery } from "~/system/Battery";
 import { SERVICE, sensorFault } from "./health";
@@ -63,7 +64,7 @@ function Sensor({ sensor }: { sensor: SensorStateView }) {
         )}
         {sensor.battery !== null && <Battery level={sensor.battery} />}
       </span>
-      {sensor.problem !== "" && <span className="quiet small health__problem">{sensor.problem}</span>}
+      {sensor.problem !== "" && <span className="quiet small health__problem">{localizedText(sensor, "problem")}</span>}
     </li>
   );
 }

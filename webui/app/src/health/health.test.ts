@@ -1,11 +1,10 @@
 import { describe, expect, it, test } from "vitest";
-import type { HistoryValue, PersonView, ValueView } from "~/api/generated/human-state";
-import { consentFaults, consentState, dateText, durations, endOfDay, numberText, pointsOf, pressureGrid, reasonOf, sensorFault, trustOf, vitalSigns } from "./health";
+import type { PersonView, ValueView } from "~/api/generated/human-state";
+import { consentFaults, consentState, dateText, endOfDay, numberText, pointsOf, pressureGrid, reasonOf, sensorFault, trustOf, vitalSigns } from "./health";
 
 const value = (over: Partial<ValueView> = {}): ValueView => ({
   name: "heartRate", value: 72, unit: "BPM", quality: 0.9, status: "valid", ageS: 0.4, method: "ecg", isCalibrated: true, disagree: false, sensors: [], ...over,
 });
-const entry = (second: number, text: string | number, status = "valid"): HistoryValue => ({ at: new Date(1e12 + second * 1000).toISOString(), value: text, quality: 1, status });
 
 test("a value is trusted while it is valid, good and new", () => {
   expect(trustOf(value(), 0.5)).toBe("valid");
@@ -73,14 +72,9 @@ describe("a consent", () => {
   });
 });
 
-test("an activity lasts until the next value, and not while the sensor was off", () => {
-  const history = [entry(0, "rest"), entry(5, "light"), entry(8, "rest"), entry(9, "light", "stale"), entry(3600, "rest")];
-  expect(durations(history, 1e12 + 3_602_000)).toEqual([{ value: "rest", seconds: 8 }, { value: "light", seconds: 3 }]);
-  expect(durations([], 0)).toEqual([]);
-});
-
-test("values that were not valid are missing in a chart", () => {
-  expect(pointsOf([entry(0, 70), entry(1, 200, "implausible"), entry(2, "rest"), entry(3, 71)]).map(({ mean }) => mean)).toEqual([70, 71]);
+test("a chart has the least, the mean and the most of each part", () => {
+  const point = { at: "2026-05-04T08:00:00Z", least: 60, mean: 70, most: 90, values: 12 };
+  expect(pointsOf([point])).toEqual([{ t: Date.parse(point.at) / 1000, mean: 70, min: 60, max: 90, n: 12 }]);
 });
 
 test("a pressure map is placed by the names of its cells", () => {

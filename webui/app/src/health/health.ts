@@ -1,10 +1,10 @@
 /** The state of a person: how its values are shown, and which of them may be trusted. */
-import type { HistoryValue, LimitView, PersonView, Purpose, SensorStateView, StateView, ValueView } from "~/api/generated/human-state";
+import type { HistoryPoint, LimitView, PersonView, Purpose, SensorStateView, StateView, ValueView } from "~/api/generated/human-state";
 import { number, percent } from "~/design/numbers";
 import type { Tone } from "~/design/StatusBadge";
 
 export const SERVICE = "human-state";
-export const PURPOSES: readonly Purpose[] = ["live", "speedLimits", "history", "broker", "recording"];
+export const PURPOSES: readonly Purpose[] = ["live", "speedLimits", "history", "broker", "brokerHistory", "recording"];
 export const DAY_MS = 86_400_000;
 export const DEFAULT_CONSENT_DAYS = 30;
 export const MAX_CONSENT_DAYS = 365;
@@ -115,25 +115,10 @@ export function consentFaults(fields: { name: string; age: string; ends: string;
   };
 }
 
-/** A value lasts until the next one, but no longer than this: then the sensor was off. */
-const MAX_LASTING_MS = 10_000;
 
-/** How long each text of a history held, in s, the longest first. */
-export function durations(history: readonly HistoryValue[], nowMs: number): { value: string; seconds: number }[] {
-  const sums = new Map<string, number>();
-  history.forEach(({ at, value, status }, index) => {
-    if (typeof value !== "string" || status !== "valid") return;
-    const begin = Date.parse(at);
-    const next = history[index + 1];
-    const end = next === undefined ? nowMs : Date.parse(next.at);
-    sums.set(value, (sums.get(value) ?? 0) + Math.max(0, Math.min(end - begin, MAX_LASTING_MS)) / 1000);
-  });
-  return [...sums].map(([value, seconds]) => ({ value, seconds })).sort((a, b) => b.seconds - a.seconds);
-}
-
-/** The points of a chart; a value that was not valid is missing, so that the line breaks. */
-export function pointsOf(history: readonly HistoryValue[]): { t: number; mean: number; min: number; max: number; n: number }[] {
-  return history.flatMap(({ at, value, status }) => (typeof value === "number" && status === "valid" ? [{ t: Date.parse(at) / 1000, mean: value, min: value, max: value, n: 1 }] : []));
+/** The points of a chart: the least, the mean and the most of each part of the time. */
+export function pointsOf(history: readonly HistoryPoint[]): { t: number; mean: number; min: number; max: number; n: number }[] {
+  return history.map(({ at, least, mean, most, values }) => ({ t: Date.parse(at) / 1000, mean, min: least, max: most, n: values }));
 }
 
 export interface PressureGrid {

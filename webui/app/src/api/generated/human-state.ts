@@ -106,7 +106,7 @@ export interface PersonView {
 }
 
 /** What a consent is for. */
-export type Purpose = "live" | "speedLimits" | "history" | "broker" | "recording";
+export type Purpose = "live" | "speedLimits" | "history" | "broker" | "brokerHistory" | "recording";
 
 /** What is recorded, and who started it; with accounts that is the caller. */
 export interface RecordingStart {
