@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from handover.messages import message
 from services.human_state.drivers.continuity import Continuity
-from services.human_state.drivers.timing import ClockMap
+from services.human_state.drivers.timing import WINDOW_S, ClockMap
 from services.human_state.drivers.value_checks import Runs, Units
 from services.human_state.model.signals import (
     ClockKind,
@@ -97,6 +97,8 @@ class SignalMonitor:
         self._is_draining = False
         """Whether packets come faster than they were measured: those that had to wait."""
         self._late_until_s = -math.inf
+        self._busy_until_s = -math.inf
+        """Until then the mapped clock may know only packets that had to wait."""
 
     def restart(self) -> None:
         """Forget the times: the device was connected again. What was sent stays in the order of time."""
@@ -112,6 +114,7 @@ class SignalMonitor:
             self._arrival_s = min(self._arrival_s + late_s, at_s)
         self._late_s = max(late_s, self._late_s if at_s <= self._late_until_s else 0.0)
         self._late_until_s = at_s + late_s + EXCUSED_S
+        self._busy_until_s = at_s + late_s + WINDOW_S
 
     def silence(self, at_s: float) -> SensorReport | None:
         """Return a report once when nothing has arrived for too long."""
@@ -257,7 +260,7 @@ class SignalMonitor:
 
     def _is_late(self, arrival_s: float, clock: ClockKind) -> bool:
         """Return whether this machine or the link was busy just now."""
-        return clock is not ClockKind.RECORDING and (self._is_draining or arrival_s <= self._late_until_s)
+        return clock is not ClockKind.RECORDING and (self._is_draining or arrival_s <= self._busy_until_s)
 
     def _max_residual_s(self, residual_s: float, arrival_s: float, clock: ClockKind) -> float:
         """Return how far times may be off: packets that come later than before only raise the uncertainty."""

@@ -94,6 +94,15 @@ def test_packets_of_a_busy_machine_are_joined_and_only_the_uncertainty_grows() -
     assert np.diff(times_s) == pytest.approx(1 / 130, abs=0.8 / 130), "no sample is missing"
 
 
+def test_relief_after_load_is_late_and_no_clock_jump() -> None:
+    feed = Feed()
+    for number in range(80):  # each packet waits a little less than the one before
+        feed.monitor.delayed(feed.our_s, 0.3)
+        feed.packet(delay_s=2.0 - number / 40)
+    assert SensorFault.LATE in feed.faults
+    assert SensorFault.CLOCK_JUMP not in feed.faults
+
+
 def test_a_pause_of_this_machine_is_no_silence_and_no_gap_of_what_is_stamped_at_its_arrival() -> None:
     feed = Feed(clock=ClockKind.ARRIVAL)
     feed.run(10)
