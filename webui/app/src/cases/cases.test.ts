@@ -1,8 +1,13 @@
 import { describe, expect, it } from "vitest";
 import type { HistoryView } from "~/api/generated/assistive-devices";
-import { limitTone, linePath, panelsOf, stateOf, valueText } from "./cases";
+import { limitTone, linePath, panelsOf, stateOf, valueText, type Panel } from "./cases";
 
 const history: HistoryView = { atS: [100, 101, 102], columns: { speed: [0, 0.5, 1], heartRate: [60, null, 80], vmax: [1.2, 1.2, 0.6] } };
+
+function firstPath(panel: Panel | undefined, fromS: number, toS: number): string | null {
+  const curve = panel?.curves[0];
+  return panel === undefined || curve === undefined ? null : linePath(curve, panel, fromS, toS, 200, 100);
+}
 
 describe("the chart of a machine", () => {
   it("has speeds together, and the heart rate in a panel of its own that does not begin at 0", () => {
@@ -13,13 +18,11 @@ describe("the chart of a machine", () => {
   });
 
   it("begins a new line after a gap", () => {
-    const heart = panelsOf(history)[1];
-    expect(linePath(heart!.curves[0]!, heart!, 100, 102, 200, 100)).toBe("M0.0 100.0M200.0 0.0");
+    expect(firstPath(panelsOf(history)[1], 100, 102)).toBe("M0.0 100.0M200.0 0.0");
   });
 
   it("draws a curve without values as nothing", () => {
-    const [panel] = panelsOf({ atS: [1], columns: { period: [null] } });
-    expect(linePath(panel!.curves[0]!, panel!, 1, 1, 200, 100)).toBe("");
+    expect(firstPath(panelsOf({ atS: [1], columns: { period: [null] } })[0], 1, 1)).toBe("");
   });
 });
 
