@@ -148,7 +148,7 @@ class WheelchairMachine(Machine):
         def has_risen() -> bool:
             nonlocal worst
             rate = self.heart_rate_bpm
-            if rate is not None and rate > FREE_BPM:
+            if rate is not None and rate > FREE_BPM and self.fraction > 0:
                 vmax = self.controller.vmax.value
                 worst = max(worst, abs(vmax - vmax_of(rate, maximum)))
                 checked.update(
