@@ -108,6 +108,7 @@ class DeviceClient:
         self._answers: OrderedDict[str, Message] = OrderedDict()
         self._waiting: OrderedDict[int, Message] = OrderedDict()
         self._seq = 0
+        self._inputs = 0
         self._connection: _Connection | None = None
         self._lock = threading.RLock()
         self._stopped = threading.Event()
@@ -168,6 +169,19 @@ class DeviceClient:
     def event(self, name: str, data: Any = None) -> None:
         """Send an event."""
         self._post({"type": "event", "t": time.time(), "name": name, "data": data})
+
+    def human_input(self, axes: Mapping[str, float], held: bool, gripper: str | None = None) -> None:
+        """Send what a person does with an input device: its axes by name, and whether the dead-man is held.
+
+        Send it 20 times a second or more: without it the robot stops after 0.1 s. It is neither acknowledged
+        nor sent again; while the device is away it is dropped. `gripper` is open or close.
+        """
+        with self._lock:
+            self._inputs += 1
+            message: Message = {"type": "human_input", "seq": self._inputs, "held": held, "axes": dict(axes)}
+            if gripper is not None:
+                message["gripper"] = gripper
+            self._write(message)
 
     def waiting(self) -> int:
         """Return how many messages have not been acknowledged."""

@@ -9,7 +9,7 @@ here and are not stored: the newest one counts, and the service of the robot sto
 import asyncio
 import time
 from collections.abc import Mapping
-from functools import partial
+from contextlib import suppress
 from typing import Any, Final
 from urllib.parse import quote, urlencode
 
@@ -29,6 +29,8 @@ from services.device_gateway.settings import GatewaySettings
 log = get_logger(__name__)
 
 MAX_INPUT_BYTES: Final = 4096
+LOOK_EVERY_S: Final = 1.0
+"""How often the names of the axes of a device are read that drives no robot."""
 
 
 class DeviceControl:
@@ -85,8 +87,9 @@ class DeviceInputs:
         self._gateway = gateway
         self._ca_files = settings.ca_files
         gateway.on_input = self.receive
-        gateway.on_disconnected = partial(self.end, reason="the device has disconnected")
+        gateway.on_disconnected = self._disconnected
         self._controls: dict[str, tuple[DeviceControl, asyncio.Task[None]]] = {}
+        self._seen: dict[str, tuple[float, tuple[str, ...]]] = {}
         self._tasks = BackgroundTasks("device inputs")
 
     async def __aenter__(self) -> "DeviceInputs":
@@ -135,10 +138,32 @@ class DeviceInputs:
         return control
 
     def receive(self, device: str, line: bytes) -> None:
-        """Pass on an input; without a control it has no effect."""
+        """Pass on an input; without a control it moves nothing, and only the names of its axes are kept."""
+        self._look(device, line)
         found = self._controls.get(device)
         if found is not None and found[0].ended is None:
             found[0].put(line)
+
+    def axes(self) -> dict[str, tuple[str, ...]]:
+        """Return the axes of each connected device that sends inputs; none for one that sends velocities."""
+        return {name: axes for name, (_, axes) in self._seen.items()}
+
+    def _look(self, device: str, line: bytes) -> None:
+        now_s = time.monotonic()
+        before = self._seen.get(device)
+        if len(line) > MAX_INPUT_BYTES or (before is not None and now_s - before[0] < LOOK_EVERY_S):
+            return
+        with suppress(ValidationError):
+            if b'"axes"' in line:
+                axes = tuple(sorted(AxisInput.model_validate_json(line).axes))
+            else:
+                HumanInput.model_validate_json(line)
+                axes = ()
+            self._seen[device] = now_s, axes
+
+    def _disconnected(self, device: str) -> None:
+        self._seen.pop(device, None)
+        self.end(device, "the device has disconnected")
 
     def end(self, device: str, reason: str) -> None:
         """End the control with a device; the robot stops."""

@@ -22,6 +22,10 @@ STAND_S: Final = 0.3
 """How long a walking robot takes to its stand."""
 DRIVEN_PERIOD_S: Final = 0.1
 """Between values while a person drives the device."""
+INPUT_PERIOD_S: Final = 0.02
+INPUT_CYCLE_S: Final = 6.0
+INPUT_HELD_S: Final = 5.0
+"""The part of a cycle in which the dead-man control is held; the hand moves in a circle then."""
 DEFAULT_RANGE: Final = (0.0, 100.0)
 
 
@@ -42,6 +46,7 @@ class SimulatedDevice:
         self._driven_s = 0.0
         self._velocities: dict[str, float] = {}
         self._base = (0.0, 0.0, 0.0)
+        self._is_input = description.kind is DeviceKind.INPUT_DEVICE
         self._walks = description.kind is DeviceKind.HUMANOID
         self.place = [0.0, 0.0, 0.0]
         """Of the base: x and y in m, and its direction in rad."""
@@ -55,6 +60,8 @@ class SimulatedDevice:
         """Connect and send."""
         self.client.start()
         threading.Thread(target=self._send_values, daemon=True).start()
+        if self._is_input:
+            threading.Thread(target=self._send_inputs, daemon=True).start()
 
     def stop(self) -> None:
         """Disconnect."""
@@ -134,6 +141,12 @@ class SimulatedDevice:
             if values:
                 self.client.send(values, now_s)
 
+    def _send_inputs(self) -> None:
+        begun_s = time.monotonic()
+        while not self._stopped.wait(INPUT_PERIOD_S):
+            axes, held = input_at(time.monotonic() - begun_s)
+            self.client.human_input(axes, held)
+
     def _move(self, parameters: Mapping[str, Any], run: Run) -> dict[str, Any]:
         if not self._moving.acquire(blocking=False):
             raise RuntimeError("the device is moving already")
@@ -169,6 +182,15 @@ class SimulatedDevice:
         for _fraction in _fractions(run):
             pass
         return {}
+
+
+def input_at(passed_s: float) -> tuple[dict[str, float], bool]:
+    """Return the axes of a simulated stylus, from -1 to 1, and whether the dead-man control is held."""
+    in_cycle_s = passed_s % INPUT_CYCLE_S
+    if in_cycle_s >= INPUT_HELD_S:
+        return {"stickX": 0.0, "stickY": 0.0, "stickZ": 0.0}, False
+    angle = 2 * math.pi * in_cycle_s / INPUT_HELD_S
+    return {"stickX": math.sin(angle), "stickY": math.cos(angle), "stickZ": 0.3 * math.sin(2 * angle)}, True
 
 
 def _fractions(run: Run) -> Iterator[float]:
@@ -225,5 +247,6 @@ def examples() -> dict[str, DeviceDescription]:
         sensors=[{"name": "framesPerSecond", "unit": "HTZ", "minimum": 0, "maximum": 60, "deadBand": 1}],
         commands=[{"name": "takePicture", "kind": "action"}],
     )
+    found["sim-stylus"] = described(DeviceKind.INPUT_DEVICE)
     found["sim-other"] = described(DeviceKind.OTHER, sensors=[{"name": "level", "unit": "LTR"}])
     return found

@@ -43,6 +43,7 @@ class DeviceKind(StrEnum):
     SENSOR = "sensor"
     ACTUATOR = "actuator"
     WEARABLE = "wearable"
+    INPUT_DEVICE = "inputDevice"
     CAMERA = "camera"
     EDGE = "edge"
     OTHER = "other"

@@ -14,6 +14,7 @@ from handover.security.permissions import Permission
 from services.device_gateway.device_inputs import DeviceControl, DeviceInputs
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.input_mapping import InputMapping
+from services.device_gateway.model.description import DeviceKind
 
 OF_DEVICE = in_path("Device", "device")
 Driver = Annotated[Caller, require_by_handler(Permission.MOVE_ROBOTS)]
@@ -45,8 +46,37 @@ class ControlView(_Body):
     ended: str | None
 
 
+class InputDeviceView(_Body):
+    """A connected device that sends inputs of a person: the names of its axes, and its present control.
+
+    One without axes sends velocities of the tool, which need no mapping. Before the first input `axes` is
+    null.
+    """
+
+    device: str
+    title: str
+    axes: tuple[str, ...] | None
+    control: ControlView | None
+
+
 def add_control_routes(app: FastAPI, gateway: DeviceGateway, inputs: DeviceInputs) -> None:
     """Add the routes of control with input devices."""
+
+    @app.get("/input-devices", tags=["control"], dependencies=[require(Permission.READ)])
+    async def input_devices() -> list[InputDeviceView]:
+        """List the connected devices of the kind `inputDevice`, and those that send inputs."""
+        seen = inputs.axes()
+        found = []
+        for name, device in sorted(gateway.devices.items()):
+            description = device.stored.description
+            is_one = name in seen or description.kind is DeviceKind.INPUT_DEVICE
+            if is_one and device.link is not None:
+                control = inputs.of(name)
+                view = None if control is None else _view(control)
+                found.append(
+                    InputDeviceView(device=name, title=description.title, axes=seen.get(name), control=view)
+                )
+        return found
 
     @app.get(
         "/devices/{device}/control", tags=["control"], dependencies=[require(Permission.READ, OF_DEVICE)]

@@ -72,6 +72,10 @@ async def test_a_haptic_device_moves_the_robot_until_it_is_released_or_lost(cell
     assert orjson.loads(await reader.readline())["type"] == "ack"
     stylus = Stylus(writer)
     sending = asyncio.create_task(stylus.run())
+    async with asyncio.timeout(90):
+        while not (listed := (await cell.gateway.get("/input-devices")).json()):
+            await asyncio.sleep(0.05)
+    assert listed == [{"device": "stylus-1", "title": "", "axes": ["lift"], "control": None}]
     begun = await cell.gateway.post("/devices/stylus-1/control", json=drive)
     assert begun.status_code == 201, begun.text
     again = await cell.gateway.post("/devices/stylus-1/control", json=drive)
@@ -101,6 +105,7 @@ async def test_a_haptic_device_moves_the_robot_until_it_is_released_or_lost(cell
             await asyncio.sleep(0.02)
         while (await cell.tool.get("/robots/ur10-1")).json()["controlledBy"] is not None:
             await asyncio.sleep(0.02)
+    assert (await cell.gateway.get("/input-devices")).json() == [], "it is not connected"
     ended = await cell.control()
     assert ended["ended"] == "the device has disconnected"
     assert ended["inputs"] > 0

@@ -86,7 +86,7 @@ function ControlOf({ robot }: { robot: string }) {
         joints: <JointsPanel driver={driver} isOn={isOn} joints={joints ?? []} position={position ?? []} />,
         shared: <SharedPanel driver={driver} state={now.state} />,
         presets: <PresetsPanel robot={robot} driver={driver} isOn={isOn} home={query.description?.home ?? null} position={position ?? []} />,
-        devices: <DevicesPanel driver={driver} />,
+        devices: <DevicesPanel robot={robot} control={control} />,
         latency: <LatencyPanel now={now} />,
       }}
     />
@@ -111,7 +111,7 @@ function ControlRegistered({ robot }: { robot: string }) {
       panels={{
         ...(walks ? { jog: <JogPanel driver={driver} isOn={isOn} isBase /> } : {}),
         joints: joints.length === 0 ? <p className="quiet">{t("joints.none")}</p> : <JointsPanel driver={driver} isOn={isOn} joints={joints} position={position ?? []} />,
-        devices: <DevicesPanel driver={driver} />,
+        devices: <DevicesPanel robot={robot} control={control} />,
         latency: <LatencyPanel now={now} />,
       }}
     />

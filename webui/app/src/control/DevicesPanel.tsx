@@ -4,25 +4,44 @@ import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { SegmentedControl } from "~/design/SegmentedControl";
 import { Select } from "~/design/Select";
-import type { DeviceName, Driver } from "./driver";
+import type { DeviceName } from "./driver";
+import { InputDevicePanel } from "./InputDevicePanel";
 import { keyName } from "./keyName";
 import { BUTTONS, DIRECTIONS, GAMEPAD, isLike, KEYBOARD, MAX_GAMMA, MIN_GAMMA, type ButtonUse, type Direction, type GamepadMapping, type KeyboardMapping } from "./mapping";
 import { Slider } from "./Slider";
+import type { Control } from "./useControl";
 import { useUserSetting } from "./useUserSetting";
 
 const SCREEN = { gamma: 1 };
 const AXES = 6;
 const PAD_BUTTONS = 17;
 
-export function DevicesPanel({ driver }: { driver: Driver }) {
+export function DevicesPanel({ robot, control }: { robot: string; control: Control }) {
+  const { driver } = control;
   const { t, i18n } = useTranslation("control");
-  const [device, setDevice] = useState<DeviceName>("keyboard");
+  const [device, setDevice] = useState<DeviceName | "other">("keyboard");
   const [keyboard, setKeyboard] = useUserSetting("control.keyboard", KEYBOARD, (value): value is KeyboardMapping => isLike(value, KEYBOARD));
   const [gamepad, setGamepad] = useUserSetting("control.gamepad", GAMEPAD, (value): value is GamepadMapping => isLike(value, GAMEPAD));
   const [screen, setScreen] = useUserSetting("control.screen", SCREEN, (value): value is typeof SCREEN => isLike(value, SCREEN));
   useEffect(() => {
     driver.set({ keyboard, gamepad, screenGamma: screen.gamma });
   }, [driver, keyboard, gamepad, screen]);
+  const choice = (
+    <SegmentedControl
+      label={t("devices.device")}
+      value={device}
+      options={(["keyboard", "gamepad", "screen", "other"] as const).map((value) => ({ value, name: t(`devices.${value}`) }))}
+      onChange={setDevice}
+    />
+  );
+  if (device === "other") {
+    return (
+      <div className="input-devices">
+        {choice}
+        <InputDevicePanel robot={robot} control={control} />
+      </div>
+    );
+  }
   const gamma = { keyboard, gamepad, screen }[device].gamma;
   const setGamma = (value: number) => {
     if (device === "keyboard") setKeyboard({ ...keyboard, gamma: value });
@@ -31,12 +50,7 @@ export function DevicesPanel({ driver }: { driver: Driver }) {
   };
   return (
     <div className="input-devices">
-      <SegmentedControl
-        label={t("devices.device")}
-        value={device}
-        options={(["keyboard", "gamepad", "screen"] as const).map((value) => ({ value, name: t(`devices.${value}`) }))}
-        onChange={setDevice}
-      />
+      {choice}
       <Slider
         label={t("devices.gamma")}
         value={gamma}

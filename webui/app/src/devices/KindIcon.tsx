@@ -1,5 +1,5 @@
 /** The icon of the kind of a device. */
-import { Bot, BotMessageSquare, Box, Camera, Car, HandGrab, Router, Thermometer, ToggleRight, Watch } from "lucide-react";
+import { Bot, BotMessageSquare, Box, Camera, Car, Gamepad2, HandGrab, Router, Thermometer, ToggleRight, Watch } from "lucide-react";
 import { createElement } from "react";
 
 const icons: Record<string, typeof Bot> = {
@@ -10,6 +10,7 @@ const icons: Record<string, typeof Bot> = {
   sensor: Thermometer,
   actuator: ToggleRight,
   wearable: Watch,
+  inputDevice: Gamepad2,
   camera: Camera,
   edge: Router,
 };

@@ -149,7 +149,7 @@ export interface DeviceDetails {
 }
 
 /** What a device is. */
-export type DeviceKind = "robotArm" | "mobileRobot" | "humanoid" | "gripper" | "sensor" | "actuator" | "wearable" | "camera" | "edge" | "other";
+export type DeviceKind = "robotArm" | "mobileRobot" | "humanoid" | "gripper" | "sensor" | "actuator" | "wearable" | "inputDevice" | "camera" | "edge" | "other";
 
 /**
  * A device: what is registered, whether it is connected, and its latest values.
@@ -215,6 +215,19 @@ export interface Gripper {
 /** The session that gets the control: the id of one that waits. */
 export interface HandOver {
   to: string;
+}
+
+/**
+ * A connected device that sends inputs of a person: the names of its axes, and its present control.
+ *
+ * One without axes sends velocities of the tool, which need no mapping. Before the first input `axes` is
+ * null.
+ */
+export interface InputDeviceView {
+  device: string;
+  title: string;
+  axes: string[] | null;
+  control: ControlView | null;
 }
 
 /** The axes of a device by the component of the velocity that they move. */

@@ -4,7 +4,7 @@ import type { FormField } from "~/api/generated/task-orchestrator";
 import { field } from "~/tasks/field";
 import { draftOf, entered, type Draft, type Entered } from "~/tasks/form";
 
-export const KINDS: readonly DeviceKind[] = ["robotArm", "mobileRobot", "humanoid", "gripper", "sensor", "actuator", "wearable", "camera", "edge", "other"];
+export const KINDS: readonly DeviceKind[] = ["robotArm", "mobileRobot", "humanoid", "gripper", "sensor", "actuator", "wearable", "inputDevice", "camera", "edge", "other"];
 const WITH_JOINTS: readonly DeviceKind[] = ["robotArm", "mobileRobot", "humanoid", "gripper"];
 const GRIPPERS = ["parallel", "vacuum", "magnetic", "hand", "other"] as const;
 const JOINTS = ["revolute", "continuous", "prismatic"] as const;
