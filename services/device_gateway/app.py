@@ -17,6 +17,7 @@ from services.device_gateway.adapters.base import configured
 from services.device_gateway.anomalies.anomalies import Anomalies
 from services.device_gateway.anomalies.monitor import Monitor
 from services.device_gateway.broker_reports import BrokerReports
+from services.device_gateway.camera_images import CameraImages
 from services.device_gateway.certificate_alerts import CertificateAlerts
 from services.device_gateway.commands.dispatcher import Dispatcher
 from services.device_gateway.connection.device_server import DeviceServer
@@ -29,6 +30,7 @@ from services.device_gateway.registry.device import Device
 from services.device_gateway.relaying import EdgeRelays
 from services.device_gateway.routes.adapter_routes import add_adapter_routes
 from services.device_gateway.routes.anomaly_routes import add_anomaly_routes
+from services.device_gateway.routes.camera_routes import add_camera_routes
 from services.device_gateway.routes.command_routes import add_command_routes
 from services.device_gateway.routes.control_routes import add_control_routes
 from services.device_gateway.routes.device_routes import add_device_routes
@@ -65,7 +67,7 @@ def _central_app(settings: GatewaySettings) -> FastAPI:
     anomalies = Anomalies(settings, engine, history, broker, guard.access)
     monitor = anomalies.monitor
 
-    inputs = DeviceInputs(settings, gateway)
+    inputs, images = DeviceInputs(settings, gateway), CameraImages()
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -81,6 +83,7 @@ def _central_app(settings: GatewaySettings) -> FastAPI:
                 monitor=monitor,
                 device_tasks=device_tasks,
                 relays=relays,
+                images=images,
                 tasks=tasks,
             )
             gateway.on_values = monitor.observe
@@ -118,6 +121,7 @@ def _central_app(settings: GatewaySettings) -> FastAPI:
     add_command_routes(app, gateway, engine)
     _add_routes_of_control(app, gateway, inputs)
     add_history_routes(app, gateway, engine)
+    add_camera_routes(app, gateway, images)
     add_anomaly_routes(app, settings, gateway, engine, anomalies)
     return app
 
@@ -130,6 +134,7 @@ def _follow_changes(
     monitor: Monitor,
     device_tasks: DeviceTasks,
     relays: EdgeRelays,
+    images: CameraImages,
     tasks: BackgroundTasks,
 ) -> Callable[[Device], None]:
     """Pass on which devices change; return the function to call with a device that was added or changed."""
@@ -147,6 +152,7 @@ def _follow_changes(
         monitor.set_device(name, None)
         certificates.request()
         relays.removed(name)
+        images.delete(name)
 
     gateway.on_changed, gateway.on_removed = changed, removed
     return changed

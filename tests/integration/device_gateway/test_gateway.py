@@ -10,6 +10,8 @@ import httpx
 import pytest
 
 from handover.broker import BrokerClient
+from handover.errors import Problem
+from services.device_gateway.camera_images import MAX_IMAGE_BYTES, MIN_INTERVAL_S, CameraImages
 from services.device_gateway.device_client import DeviceClient
 from services.device_gateway.simulation import SimulatedDevice, examples
 from tests.integration.device_gateway.conftest import Bench, TcpDevice, now_s
@@ -133,6 +135,40 @@ def test_a_device_sends_by_http_with_its_token(bench: Bench) -> None:
     bad = bench.rest.post("/ingest/hall-5", json={"type": "telemetry", "values": {}}, headers=header)
     assert (bad.status_code, bad.json()["code"]) == (422, "badValues")
     assert bench.rest.get("/devices/hall-5").json()["values"]["temperature"]["value"] == 4.5
+
+
+def test_the_newest_image_of_a_camera_is_shown_and_never_stored(bench: Bench) -> None:
+    token = bench.add("camera-9")
+    header = {"Authorization": f"Bearer {token}", "Content-Type": "image/jpeg"}
+    jpeg = b"\xff\xd8\xff" + b"1" * 1000
+    assert bench.rest.get("/devices/camera-9/image").status_code == 404
+    assert "camera-9" not in bench.rest.get("/cameras").text
+    url = "/ingest/camera-9/image"
+    wrong = bench.rest.post(url, content=jpeg, headers={**header, "Authorization": "Bearer no"})
+    none = bench.rest.post(url, content=b"<svg/>", headers=header)
+    large = bench.rest.post(url, content=jpeg + bytes(MAX_IMAGE_BYTES), headers=header)
+    assert (wrong.status_code, none.status_code, large.status_code) == (401, 422, 413)
+    assert bench.rest.post(url, content=jpeg, headers=header).status_code == 204
+    shown = bench.rest.get("/devices/camera-9/image")
+    assert (shown.content, shown.headers["content-type"]) == (jpeg, "image/jpeg")
+    (listed,) = bench.rest.get("/cameras").json()
+    assert listed["device"] == "camera-9"
+    assert listed["ageS"] >= 0
+    assert bench.rest.get("/devices/camera-9/messages").json() == []
+    bench.rest.delete("/devices/camera-9")
+    assert bench.rest.get("/cameras").json() == []
+
+
+def test_images_that_come_too_fast_are_refused() -> None:
+    now = [100.0]
+    images = CameraImages(lambda: now[0])
+    first = images.put("camera-1", b"\xff\xd8\xff1")
+    with pytest.raises(Problem) as refused:
+        images.put("camera-1", b"\xff\xd8\xff2")
+    assert refused.value.status == 429
+    assert images.of("camera-1") == first
+    now[0] += 2 * MIN_INTERVAL_S
+    assert images.put("camera-1", b"\xff\xd8\xff3").number > first.number
 
 
 def test_a_command_is_acknowledged_and_the_same_id_is_not_sent_twice(bench: Bench) -> None:

@@ -109,6 +109,7 @@ function ControlRegistered({ robot }: { robot: string }) {
       lease={lease}
       control={control}
       panels={{
+        view: <ViewPanel robot={robot} query={null} />,
         ...(walks ? { jog: <JogPanel driver={driver} isOn={isOn} isBase /> } : {}),
         joints: joints.length === 0 ? <p className="quiet">{t("joints.none")}</p> : <JointsPanel driver={driver} isOn={isOn} joints={joints} position={position ?? []} />,
         devices: <DevicesPanel robot={robot} control={control} />,

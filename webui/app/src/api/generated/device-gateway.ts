@@ -55,6 +55,14 @@ export interface AxisMapping {
   kind?: "rate" | "position";
 }
 
+/** A device that has sent images since the gateway started: the number of the newest one, and its age. */
+export interface CameraView {
+  device: string;
+  title: string;
+  number: number;
+  ageS: number;
+}
+
 /**
  * The certificate of a device and its private key, which is shown only once, in PEM.
  *

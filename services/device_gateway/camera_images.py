@@ -1,0 +1,78 @@
+"""The newest image of each camera, in memory only: what the person who drives sees.
+
+A device sends images with its token over HTTP; each replaces the one before. Nothing is stored, and nothing
+queues: an image that comes too soon after the last one is refused. The number of cameras and the size of an
+image are bounded, so that images take at most `MAX_CAMERAS * MAX_IMAGE_BYTES`.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from handover.errors import Problem
+from handover.messages import message
+from services.device_gateway.registry.pictures import media_type_of
+
+MAX_IMAGE_BYTES: Final = 512 * 1024
+MAX_CAMERAS: Final = 64
+MIN_INTERVAL_S: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class CameraImage:
+    """One image: its number counts up with each image of the gateway; `at_s` is Unix time."""
+
+    number: int
+    at_s: float
+    media_type: str
+    content: bytes
+
+
+class CameraImages:
+    """The newest images by the name of the device."""
+
+    def __init__(self, now: Callable[[], float] = time.time) -> None:
+        self._images: dict[str, CameraImage] = {}
+        self._number = 0
+        self._now = now
+
+    def put(self, device: str, content: bytes) -> CameraImage:
+        """Replace the image of a device.
+
+        Raises `Problem`: 422 for content that is no picture, 429 too soon after the last one, 409 for too
+        many cameras.
+        """
+        media_type, now_s, before = media_type_of(content), self._now(), self._images.get(device)
+        if before is not None and 0 <= now_s - before.at_s < MIN_INTERVAL_S:
+            raise Problem(
+                429,
+                "Too many images",
+                message(
+                    "device.images_too_fast",
+                    "{device} may send {rate} images a second; wait before the next one",
+                    device=device,
+                    rate=round(1 / MIN_INTERVAL_S),
+                ),
+            )
+        if before is None and len(self._images) >= MAX_CAMERAS:
+            raise Problem(
+                409,
+                "Too many cameras",
+                message(
+                    "device.too_many_cameras",
+                    "{count} devices send images already; stop one and delete it",
+                    count=MAX_CAMERAS,
+                ),
+            )
+        self._number += 1
+        image = self._images[device] = CameraImage(self._number, now_s, media_type, content)
+        return image
+
+    def of(self, device: str) -> CameraImage | None:
+        """Return the newest image of a device."""
+        return self._images.get(device)
+
+    def delete(self, device: str) -> None:
+        """Forget a device that was deleted."""
+        self._images.pop(device, None)
