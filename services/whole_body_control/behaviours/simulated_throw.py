@@ -31,7 +31,7 @@ class ThrowRecord:
 class SimulatedThrow:
     """A standing robot that throws. Targets are in the frame of the robot as it stood before the throw.
 
-    Each throw turns the feet on the ground by some milliradians, which the robot does not see. Whoever sees
+    Each throw turns the feet on the ground by some milliradians, which the robot does not see. What sees
     the robot, such as the tracking of a headset, gives it targets in its own frame.
     """
 
