@@ -11,8 +11,9 @@ const STALE_S = 2;
 
 /** The cameras that have sent images; asked often while one is shown. */
 export function useCameras(isShown: boolean): readonly CameraView[] {
-  const { value } = useServiceQuery<CameraView[]>("device-gateway", "cameras", { intervalMs: isShown ? LOOK_EVERY_MS : LIST_EVERY_MS });
-  return value ?? [];
+  const { value, failure } = useServiceQuery<CameraView[]>("device-gateway", "cameras", { intervalMs: isShown ? LOOK_EVERY_MS : LIST_EVERY_MS });
+  // While the gateway does not answer, an old age must not be shown as the present one.
+  return failure === null ? (value ?? []) : [];
 }
 
 export function CameraImage({ camera: { device, title, number, ageS } }: { camera: CameraView }) {
