@@ -21,20 +21,24 @@ export function Limits({ robot }: { robot: string }) {
   const { distance, required, lost } = limits.separation;
   // At rest there is no motion to slow down, yet the tool may not be faster.
   const isSpeed = limits.maxSpeed !== null && limits.pace > 0;
+  const { safetyStatus } = limits;
+  const isStoppedByController = safetyStatus !== null && (safetyStatus.emergencyStop || safetyStatus.protectiveStop || safetyStatus.safeguardStop);
   const whole = (force: number) => force.toLocaleString(i18n.language, { maximumFractionDigits: 0 });
   return (
     <section className="limits">
       <h3>{t("limit.title")}</h3>
-      <p data-stopped={limits.pace === 0 || undefined}>
-        {limits.rule === null
-          ? t("limit.none")
-          : t(isSpeed ? "limit.holdsSpeed" : "limit.holds", {
-              percent: percent(limits.pace, i18n.language),
-              speed: whole((limits.maxSpeed ?? 0) * 1000),
-              rule: t(`limit.rule.${limits.rule}`, { defaultValue: limits.rule }),
-              reason: localizedText(limits, "reason") ?? "",
-            })}
-      </p>
+      {!(limits.rule === null && isStoppedByController) && (
+        <p data-stopped={limits.pace === 0 || undefined}>
+          {limits.rule === null
+            ? t("limit.none")
+            : t(isSpeed ? "limit.holdsSpeed" : "limit.holds", {
+                percent: percent(limits.pace, i18n.language),
+                speed: whole((limits.maxSpeed ?? 0) * 1000),
+                rule: t(`limit.rule.${limits.rule}`, { defaultValue: limits.rule }),
+                reason: localizedText(limits, "reason") ?? "",
+              })}
+        </p>
+      )}
       {distance !== null && required !== null && (
         <p>{t("limit.distance", { distance: metres(distance, i18n.language), required: metres(required, i18n.language) })}</p>
       )}
@@ -46,7 +50,7 @@ export function Limits({ robot }: { robot: string }) {
       {limits.contact.force !== null && (
         <p>{t(limits.contact.limit === null ? "limit.force" : "limit.forceWithLimit", { force: whole(limits.contact.force), limit: whole(limits.contact.limit ?? 0) })}</p>
       )}
-      {limits.safetyStatus !== null && <Controller status={limits.safetyStatus} />}
+      {safetyStatus !== null && <Controller status={safetyStatus} />}
       {limits.needsReset && <ByPerson path={`${path}/reset`} label={t("limit.reset")} means={t("limit.resetMeans")} onDone={reload} />}
       {lost.length > 0 && (
         <ByPerson path={`${path}/confirm-clear`} label={t("limit.clear")} means={t("limit.clearMeans", { people: lost.join(", ") })} onDone={reload} />
