@@ -17,6 +17,7 @@ from handover.cli import (
     broker,
     device,
     edge,
+    humanoid,
     process,
     robot,
     secrets,
@@ -52,6 +53,7 @@ app.add_typer(audit.app, name="audit")
 app.add_typer(device.app, name="device")
 app.add_typer(edge.app, name="edge")
 app.add_typer(body.app, name="body")
+app.add_typer(humanoid.app, name="humanoid")
 
 DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 

@@ -1,0 +1,116 @@
+"""`handover humanoid`: humanoids by name, and what they do in simulation.
+
+Nothing here drives a physical robot: assisted walking with one is not offered.
+"""
+
+from typing import Annotated, Any
+
+import typer
+
+from handover.errors import UsageError
+
+app = typer.Typer(help="Humanoids: their models, walking and throwing in simulation.", no_args_is_help=True)
+
+Name = Annotated[str, typer.Option("--robot", help="The humanoid; see `handover humanoid list`.")]
+
+
+@app.command("list")
+def list_humanoids() -> None:
+    """List the humanoids, ours and those of other packages."""
+    robots = _imported()
+    for name in robots.HUMANOIDS.names():
+        humanoid = robots.humanoid(name)
+        print(
+            f"{name:<12} {len(humanoid.joints)} joints, {humanoid.mass_kg:.1f} kg; "
+            f"chains: {', '.join(humanoid.chains)}; hands: {', '.join(humanoid.grips) or 'none'}"
+        )
+
+
+@app.command()
+def walk(
+    robot: Name = "coman",
+    speed: Annotated[float, typer.Option("--speed", min=-0.2, max=0.2, help="Ahead, in m/s.")] = 0.1,
+    turn: Annotated[float, typer.Option("--turn", min=-0.3, max=0.3, help="To the left, in rad/s.")] = 0.0,
+    seconds: Annotated[float, typer.Option("--seconds", min=1, max=600, help="Simulated time.")] = 10.0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the sensor noise.")] = 1,
+) -> None:
+    """Walk in simulated physics with noisy sensors, and print how well; exit with 1 after a fall."""
+    import numpy as np  # noqa: PLC0415 - only this command needs them
+
+    robots = _imported()
+    from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk  # noqa: PLC0415
+    from services.whole_body_control.behaviours.walking import WalkingController  # noqa: PLC0415
+    from services.whole_body_control.patterns.footsteps import Wish  # noqa: PLC0415
+    from services.whole_body_control.simulation.simulated_robot import (  # noqa: PLC0415
+        TYPICAL_NOISE,
+        SimulatedRobot,
+    )
+    from services.whole_body_control.solvers.compiled import fastest_solver  # noqa: PLC0415
+
+    humanoid = robots.humanoid(robot)
+    controller = WalkingController(humanoid, fastest_solver())
+    simulated = SimulatedRobot(humanoid, controller.start, TYPICAL_NOISE, seed)
+    record = SimulatedWalk(controller, simulated).run(seconds, lambda _: Wish(np.array([speed, 0.0]), turn))
+    way = simulated.true_configuration()[:2] - controller.start[:2]
+    print(f"{record.time_s[-1]:.1f} s simulated, {np.linalg.norm(way):.2f} m from the start")
+    print(f"centre of mass: {1e3 * record.tracking_rms_m():.1f} mm RMS from the plan")
+    print(
+        f"centre of pressure 1 cm inside of the standing sole: {record.share_inside():.1%} of single support"
+    )
+    if record.has_fallen:
+        raise UsageError(f"{robot} fell after {record.time_s[-1]:.1f} s; try a smaller --speed or --turn")
+
+
+@app.command()
+def throw(  # noqa: PLR0917 - options of a command
+    x: Annotated[float, typer.Argument(help="Where the ball is to land, ahead of the robot in m.")] = 0.8,
+    y: Annotated[float, typer.Argument(help="To its left in m.")] = 0.0,
+    z: Annotated[float, typer.Argument(help="Above the ground in m.")] = 0.5,
+    robot: Name = "coman",
+    hand: Annotated[str, typer.Option("--hand", help="left_hand or right_hand.")] = "right_hand",
+    throws: Annotated[int, typer.Option("--throws", min=1, max=1000)] = 3,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the sensor noise.")] = 1,
+) -> None:
+    """Throw a ball in simulated physics, each time corrected by what was measured at the last release."""
+    import numpy as np  # noqa: PLC0415 - only this command needs them
+
+    robots = _imported()
+    from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow  # noqa: PLC0415
+    from services.whole_body_control.behaviours.throwing import Practice  # noqa: PLC0415
+    from services.whole_body_control.model.kinematics import Kinematics  # noqa: PLC0415
+    from services.whole_body_control.patterns.throwing import ThrowPlanner  # noqa: PLC0415
+    from services.whole_body_control.simulation.ball import build_with_ball  # noqa: PLC0415
+    from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE  # noqa: PLC0415
+    from services.whole_body_control.solvers.compiled import fastest_solver  # noqa: PLC0415
+
+    humanoid = robots.humanoid(robot)
+    if hand not in humanoid.grips:
+        raise UsageError(f'{robot} has no hand "{hand}"; it has: {", ".join(humanoid.grips) or "none"}')
+    game = SimulatedThrow(humanoid, build_with_ball(humanoid), fastest_solver(), TYPICAL_NOISE, seed)
+    start, practice, target = game.controller.start, Practice(), np.array([x, y, z])
+    planner = ThrowPlanner(Kinematics(humanoid), start, humanoid.grips[hand])
+    for number in range(1, throws + 1):
+        planned = planner.plan(practice.aim(hand, start[:2], target))
+        record = game.throw(planned)
+        practice.learn(hand, start[:2], planned.landing, record.predicted)
+        missed = 1e3 * float(np.linalg.norm(record.landed - target))
+        place = ", ".join(f"{value:.3f}" for value in record.landed)
+        print(
+            f"throw {number}: flight {planned.flight_s:.2f} s, {planned.usage:.0%} of a joint speed; "
+            f"landed at ({place}) m, {missed:.0f} mm off",
+            flush=True,
+        )
+
+
+def _imported() -> Any:
+    """Return the module of the humanoids. Raises `UsageError` without the libraries it needs."""
+    try:
+        import daqp  # noqa: F401, PLC0415
+        import mujoco  # noqa: F401, PLC0415
+
+        from services.whole_body_control import robots  # noqa: PLC0415
+    except ImportError as error:
+        raise UsageError(
+            f'this needs whole-body control ({error}): pip install "handover[whole-body]"'
+        ) from None
+    return robots
