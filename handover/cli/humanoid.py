@@ -3,6 +3,7 @@
 Nothing here drives a physical robot: assisted walking with one is not offered.
 """
 
+from importlib.util import find_spec
 from typing import Annotated, Any
 
 import typer
@@ -104,13 +105,9 @@ def throw(  # noqa: PLR0917 - options of a command
 
 def _imported() -> Any:
     """Return the module of the humanoids. Raises `UsageError` without the libraries it needs."""
-    try:
-        import daqp  # noqa: F401, PLC0415
-        import mujoco  # noqa: F401, PLC0415
+    missing = [name for name in ("daqp", "mujoco", "pinocchio") if find_spec(name) is None]
+    if missing:
+        raise UsageError(f"this needs {', '.join(missing)}: pip install 'handover[whole-body]'")
+    from services.whole_body_control import robots  # noqa: PLC0415 - only these commands need it
 
-        from services.whole_body_control import robots  # noqa: PLC0415
-    except ImportError as error:
-        raise UsageError(
-            f'this needs whole-body control ({error}): pip install "handover[whole-body]"'
-        ) from None
     return robots
