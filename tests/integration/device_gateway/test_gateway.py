@@ -419,7 +419,12 @@ def test_simulated_devices_of_every_kind_send_and_move(bench: Bench) -> None:
         played[name] = SimulatedDevice(client, description, period_s=0.2)
         played[name].start()
     try:
-        wait_for(lambda: all(one["connected"] and one["values"] for one in _simulated(bench)))
+        wait_for(
+            lambda: all(
+                one["connected"] and (one["values"] or one["kind"] == "inputDevice")
+                for one in _simulated(bench)
+            )
+        )
         moved = bench.order("sim-panda", "moveTo", parameters={"joints": [0, 0.5, 0, -1, 0, 1, 0]}, id="m-1")
         assert moved.status_code == 202
         done = bench.command("sim-panda", "m-1", wait_s=30)

@@ -123,7 +123,7 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
         assert exported.headers["content-disposition"].endswith('.xdf"')
         (tmp_path / "session.xdf").write_bytes(exported.content)
         streams, header = pyxdf.load_xdf(str(tmp_path / "session.xdf"))
-        markers = next(each for each in streams if each["info"]["type"][0] == "Markers")
+        markers = next(each for each in streams if each["info"]["name"][0] == "markers")
         assert any("the box" in text for row in markers["time_series"] for text in row)
         assert any(len(each["time_stamps"]) for each in streams if each is not markers)
         assert header["info"]["version"] == ["1.0"]

@@ -72,7 +72,7 @@ async def test_a_token_is_made_on_the_command_line_and_shown_once(
     made = await asyncio.to_thread(handover, bench.cell, "glove", "token", "glove-7")
     assert made.returncode == 0, made.stderr
     token = made.stdout.splitlines()[1]
-    assert re.fullmatch(r"[A-Za-z0-9_-]{43}", token)
+    assert re.fullmatch(r"hnd_glove_[A-Za-z0-9_-]{43}", token)
     refused = put_on("glove-7")
     assert "glove-7 has a token of its own" in refused.answer["reason"]
     glove = put_on("glove-7", token=token)

@@ -65,9 +65,9 @@ async def require_ended(process: int) -> None:
             await asyncio.sleep(0.01)
 
 
-def server_of(starter: ProcessStarter) -> int:
-    children = psutil.Process().children()
-    return next(one.pid for one in children if "handover.cli.fork_server" in one.cmdline())
+def fork_servers() -> set[int]:
+    """The fork servers of this process: that of the launcher under test, and that of the tests."""
+    return {one.pid for one in psutil.Process().children() if "handover.cli.fork_server" in one.cmdline()}
 
 
 def shown(process: Process) -> Sequence[str]:
@@ -99,17 +99,21 @@ async def test_the_exit_status_is_that_of_the_module(starter: ProcessStarter, fo
 
 
 async def test_a_killed_server_ends_its_processes_and_later_ones_are_programs(
-    starter: ProcessStarter, folder: Path
+    folder: Path,
 ) -> None:
+    before, starter = fork_servers(), ProcessStarter()
+    starter.open()
+    (server,) = fork_servers() - before
     first = await start(starter, "stay", folder=folder)
     await wait_for_words(folder / "log", "__main__")
-    os.kill(server_of(starter), signal.SIGKILL)
+    os.kill(server, signal.SIGKILL)
     assert await wait(first) == -signal.SIGTERM
     await require_ended(first.pid)
     second = await start(starter, "again", folder=folder)
     assert not isinstance(second, ForkedProcess)
     assert await wait(second) == 7
     assert "['again'] a setting True __main__" in (folder / "log").read_text()
+    await starter.close()
 
 
 async def test_another_program_is_started_as_it_is(starter: ProcessStarter, folder: Path) -> None:
