@@ -21,6 +21,7 @@ import selectors
 import signal
 import socket
 import sys
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -61,9 +62,20 @@ THREADED = 3
 """The exit code when a library has started a thread."""
 
 
-def limits() -> list[tuple[int, int]]:
-    """Return the resource limits of this process, for a request."""
-    return [resource.getrlimit(limit) for limit in LIMITS]
+def request(
+    module: str, arguments: Sequence[str], environment: Mapping[str, str], folder: Path, *, session: bool
+) -> bytes:
+    """Return a request to run a module with the resource limits of this process."""
+    return json.dumps(
+        {
+            "module": module,
+            "arguments": list(arguments),
+            "environment": dict(environment),
+            "folder": str(folder.absolute()),
+            "session": session,
+            "limits": [resource.getrlimit(limit) for limit in LIMITS],
+        }
+    ).encode()
 
 
 def serve(requests: socket.socket) -> dict[str, Any] | None:
@@ -110,31 +122,33 @@ def _report_ended(statuses: dict[int, int]) -> None:
         os.close(pipe)
 
 
-def _prepare(request: dict[str, Any], standard_input: int, output: int, _status: int) -> dict[str, Any]:
+def _prepare(accepted: dict[str, Any], standard_input: int, output: int, _status: int) -> dict[str, Any]:
     """Give this process what the request asks for, and nothing of the server."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    if request["session"]:
+    if accepted["session"]:
         os.setsid()
     for descriptor, source in enumerate((standard_input, output, output)):
         os.dup2(source, descriptor)
     os.closerange(3, MAX_DESCRIPTORS)
-    for limit, value in zip(LIMITS, request["limits"], strict=True):
+    for limit, value in zip(LIMITS, accepted["limits"], strict=True):
         resource.setrlimit(limit, tuple(value))
     os.environ.clear()
-    os.environ.update(request["environment"])
-    os.chdir(request["folder"])
-    return request
+    os.environ.update(accepted["environment"])
+    os.chdir(accepted["folder"])
+    return accepted
 
 
-def _name(request: dict[str, Any]) -> None:
+def _name(accepted: dict[str, Any]) -> None:
     """Show the module in `ps` and `top` in place of this server."""
     with suppress(ModuleNotFoundError):
         import setproctitle  # noqa: PLC0415 - not on other systems
 
-        setproctitle.setproctitle(" ".join((sys.executable, "-m", request["module"], *request["arguments"])))
-    Path("/proc/self/comm").write_text(request["module"].rpartition(".")[2])
+        setproctitle.setproctitle(
+            " ".join((sys.executable, "-m", accepted["module"], *accepted["arguments"]))
+        )
+    Path("/proc/self/comm").write_text(accepted["module"].rpartition(".")[2])
 
 
 def _prepare_names() -> None:
@@ -156,15 +170,15 @@ def main() -> None:
     gc.collect()
     gc.freeze()  # otherwise each process would copy all memory that it shares with the server
     requests = socket.socket(fileno=int(sys.argv[1]))
-    request = serve(requests)
-    if request is None:
+    accepted = serve(requests)
+    if accepted is None:
         return
     requests.detach()  # it is closed already
-    _name(request)
-    added = request["environment"].get("PYTHONPATH", "")
-    sys.path[:1] = [request["folder"], *filter(None, added.split(os.pathsep))]
-    sys.argv = [request["module"], *request["arguments"]]
-    runpy.run_module(request["module"], run_name="__main__", alter_sys=True)
+    _name(accepted)
+    added = accepted["environment"].get("PYTHONPATH", "")
+    sys.path[:1] = [accepted["folder"], *filter(None, added.split(os.pathsep))]
+    sys.argv = [accepted["module"], *accepted["arguments"]]
+    runpy.run_module(accepted["module"], run_name="__main__", alter_sys=True)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import json
 import os
 import signal
 import socket
@@ -168,14 +167,7 @@ class ProcessStarter:
     ) -> ForkedProcess:
         """Raise `OSError` if the server does not start a process."""
         assert sys.platform == "linux"  # noqa: S101 - there is a server
-        request = {
-            "module": words[0],
-            "arguments": list(words[1:]),
-            "environment": dict(environment),
-            "folder": str(Path.cwd()),
-            "session": True,
-            "limits": fork_server.limits(),
-        }
+        request = fork_server.request(words[0], words[1:], environment, Path.cwd(), session=True)
         connection, reported = socket.socketpair()
         standard_input, lifeline = os.pipe()
         reports, writer = await asyncio.open_connection(sock=connection)
@@ -187,7 +179,7 @@ class ProcessStarter:
         try:
             socket.send_fds(
                 requests,
-                [json.dumps(request).encode()],
+                [request],
                 [standard_input, output.fileno(), reported.fileno()],
             )
         except OSError:

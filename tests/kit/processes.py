@@ -2,7 +2,6 @@
 
 import atexit
 import functools
-import json
 import os
 import select
 import signal
@@ -129,20 +128,12 @@ def spawn_module(module: str, environment: Mapping[str, str], log: Path, folder:
     """Run a module as `spawn` does, in less time: forked from a process that has imported the libraries."""
     if sys.platform != "linux":
         return spawn(module_command(module), environment, log, folder)
-    request = {
-        "module": module,
-        "arguments": [],
-        "session": False,
-        "environment": {**environment, **lifeline.ENVIRONMENT},
-        "folder": str(folder.absolute()),
-        "limits": fork_server.limits(),
-    }
+    variables = {**environment, **lifeline.ENVIRONMENT}
+    request = fork_server.request(module, [], variables, folder, session=False)
     reader, writer = os.pipe()
     try:
         with log.open("ab") as output:
-            socket.send_fds(
-                _fork_server(), [json.dumps(request).encode()], [lifeline.STDIN, output.fileno(), writer]
-            )
+            socket.send_fds(_fork_server(), [request], [lifeline.STDIN, output.fileno(), writer])
     finally:
         os.close(writer)
     return ForkedProcess(module, reader)

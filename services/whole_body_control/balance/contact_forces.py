@@ -10,10 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.whole_body_control.model.kinematics import BASE_VELOCITIES, Array, Kinematics, cross
+from services.whole_body_control.components.robot import JointCommand
+from services.whole_body_control.model.kinematics import (
+    BASE_POSITIONS,
+    BASE_VELOCITIES,
+    GRAVITY_MPS2,
+    Array,
+    Kinematics,
+    cross,
+)
 from services.whole_body_control.patterns.regions import Footprint, Side, turn
 
-GRAVITY_MPS2 = 9.81
 UPWARDS = np.array([0.0, 0.0, GRAVITY_MPS2])
 
 
@@ -96,3 +103,16 @@ class FeedForward:
             wrench[5] += share * needed.yaw_moment
             found = found - kinematics.jacobian(link)[:, BASE_VELOCITIES:].T @ wrench
         return np.asarray(found + self._damping * velocity[BASE_VELOCITIES:])
+
+    def write(
+        self,
+        command: JointCommand,
+        q: Array,
+        velocity: Array,
+        needed: Needed,
+        forces: Mapping[str, tuple[float, Array]],
+    ) -> None:
+        """Write positions and velocities of the reference, and the torques for it, into a command."""
+        command.positions[:] = q[BASE_POSITIONS:]
+        command.velocities[:] = velocity[BASE_VELOCITIES:]
+        command.torques[:] = self.torques(needed, forces, velocity)

@@ -14,9 +14,14 @@ import pinocchio as pin
 
 from handover.errors import UsageError
 from services.whole_body_control.components.robot import RobotSensors
-from services.whole_body_control.model.kinematics import BASE_VELOCITIES, Array, Kinematics, cross
+from services.whole_body_control.model.kinematics import (
+    BASE_VELOCITIES,
+    GRAVITY_MPS2,
+    Array,
+    Kinematics,
+    cross,
+)
 
-GRAVITY_MPS2 = 9.81
 TILT_GAIN, BIAS_GAIN = 0.4, 0.02
 """How fast the tilt follows the accelerometer in 1/s, and the bias of the gyroscope in 1/s²."""
 ANCHOR_GAIN = 10.0

@@ -19,6 +19,7 @@ from services.whole_body_control.engines.stack_engine import StackEngine
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
 from services.whole_body_control.patterns.ballistics import landing_point
+from services.whole_body_control.patterns.minimum_jerk import moved, rate
 from services.whole_body_control.patterns.pendulum import Pendulum
 from services.whole_body_control.patterns.regions import Footprint, Side, turn
 from services.whole_body_control.patterns.throwing import Throw
@@ -233,8 +234,7 @@ class ThrowingController:
             return _between(self._home, throw.start, time_s / reach_s, reach_s), Phase.REACHING
         time_s -= reach_s
         if time_s < throw.duration_s:
-            is_late = time_s > throw.swing_s and self._has_opened
-            return throw.joints(time_s), Phase.FOLLOWING if is_late else Phase.SWINGING
+            return throw.joints(time_s), Phase.FOLLOWING if self._has_opened else Phase.SWINGING
         time_s -= throw.duration_s
         if time_s < reach_s:
             return _between(throw.end, self._home, time_s / reach_s, reach_s), Phase.RETURNING
@@ -243,7 +243,7 @@ class ThrowingController:
     def _release(self, phase: Phase) -> tuple[Array, bool]:
         """Return where the ball would land if it were released now, and whether it is."""
         throw = self._throw
-        if throw is None or phase is not Phase.SWINGING or self._has_opened:
+        if throw is None or phase is not Phase.SWINGING:
             return np.full(3, np.nan), False
         late_s = self._time_s - self.settings.reach_s - throw.swing_s
         estimate = self.estimator.kinematics
@@ -286,17 +286,14 @@ class ThrowingController:
         links = {self._links[side]: force for side, force in forces.items()}
         command.stiffness[:] = self._stiffness
         command.damping[:] = self._damping
-        command.positions[:] = self._q[BASE_POSITIONS:]
-        command.velocities[:] = self._velocity[BASE_VELOCITIES:]
-        command.torques[:] = self._feed_forward.torques(needed, links, self._velocity)
+        self._feed_forward.write(command, self._q, self._velocity, needed, links)
 
     def _footprints(self) -> tuple[dict[Side, Footprint], Array]:
         contacts = {side: self._humanoid.contacts[f"{side}_sole"] for side in SIDES}
         self._links = {side: contact.link for side, contact in contacts.items()}
-        feet = {}
-        for side, link in self._links.items():
-            pose = self._kinematics.pose(link)
-            feet[side] = Footprint(side, float(pose.translation[0]), float(pose.translation[1]))
+        feet = {
+            side: Footprint.below(side, self._kinematics.pose(link)) for side, link in self._links.items()
+        }
         return feet, np.array(contacts["left"].corners)[:, :2]
 
 
@@ -309,6 +306,4 @@ def _at_the_end(samples: Array) -> Array:
 
 def _between(start: Array, end: Array, share: float, duration_s: float) -> tuple[Array, Array]:
     """Return place and velocity on the way of minimum jerk from rest to rest."""
-    moved = share**3 * (10.0 + share * (6.0 * share - 15.0))
-    rate = 30.0 * share**2 * (1.0 - share) ** 2 / duration_s
-    return start + moved * (end - start), rate * (end - start)
+    return start + moved(share) * (end - start), rate(share) / duration_s * (end - start)

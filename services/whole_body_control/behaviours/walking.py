@@ -21,8 +21,9 @@ from services.whole_body_control.balance.estimation import StateEstimator
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.engines.stack_engine import StackEngine
 from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
+from services.whole_body_control.model.kinematics import Array, Kinematics
 from services.whole_body_control.patterns.footsteps import Stance, StepLimits, Wish, swing_position
+from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
 from services.whole_body_control.patterns.regions import Footprint, Side
 from services.whole_body_control.patterns.walking import Pattern, WalkingPattern
@@ -189,9 +190,7 @@ class WalkingController:
             swing_position(start, landing, time_s / whole, self.settings.lift_m)
             for time_s in (now, now + dt_s)
         ]
-        share = min(max(now / whole, 0.0), 1.0)
-        smooth = share**3 * (10 - 15 * share + 6 * share**2)
-        yaw = start.yaw + smooth * (landing.yaw - start.yaw)
+        yaw = start.yaw + moved(min(max(now / whole, 0.0), 1.0)) * (landing.yaw - start.yaw)
         task = self._swing[stance.swing]
         foot = self.estimator.sole(self.settings.contacts[stance.swing])
         foot[:2] += self._shift
@@ -210,9 +209,7 @@ class WalkingController:
         needed = self._feed_forward.needed(self._velocity, self._acceleration, np.array([*shift, 0.0]))
         forces = shares(feet, self._sole, needed.zmp, self.settings.sole_margin_m)
         links = {self._links[side]: force for side, force in forces.items()}
-        command.positions[:] = self._q[BASE_POSITIONS:]
-        command.velocities[:] = self._velocity[BASE_VELOCITIES:]
-        command.torques[:] = self._feed_forward.torques(needed, links, self._velocity)
+        self._feed_forward.write(command, self._q, self._velocity, needed, links)
 
     def _standing(self, stance: Stance) -> dict[Side, Footprint]:
         """Return the feet that stand by the plan."""
@@ -237,9 +234,7 @@ class WalkingController:
         return com, estimator.com_velocity, estimator.centre_of_pressure + shift
 
     def _footprint(self, side: Side) -> Footprint:
-        pose = self._start_feet[side]
-        yaw = float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
-        return Footprint(side, float(pose.translation[0]), float(pose.translation[1]), yaw)
+        return Footprint.below(side, self._start_feet[side])
 
     def _on_ground(self, foot: Footprint, height_m: float) -> pin.SE3:
         start = self._start_feet[foot.side]

@@ -17,6 +17,7 @@ from services.whole_body_control.model.humanoid import Humanoid
 Array = NDArray[np.float64]
 
 BASE_POSITIONS, BASE_VELOCITIES = 7, 6
+GRAVITY_MPS2 = 9.81
 
 
 def cross(first: Array, second: Array) -> Array:

@@ -5,9 +5,9 @@ Drag is left out: a ball of 60 g and 5 cm at 3 m/s loses 1 mm on a metre.
 
 import numpy as np
 
-from services.whole_body_control.model.kinematics import Array
+from services.whole_body_control.model.kinematics import GRAVITY_MPS2, Array
 
-GRAVITY = np.array([0.0, 0.0, -9.81])
+GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 GRAVITY.flags.writeable = False
 
 

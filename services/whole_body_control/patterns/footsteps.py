@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from services.whole_body_control.model.kinematics import Array
+from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.regions import Footprint, Region, Side, turn
 
 OTHER: dict[Side, Side] = {"left": "right", "right": "left"}
@@ -147,7 +148,6 @@ class Footsteps:
 def swing_position(start: Footprint, landing: Footprint, share: float, height_m: float) -> Array:
     """Return the place (3,) of a sole after a share of its swing, which starts and ends at rest."""
     share = min(max(share, 0.0), 1.0)
-    smooth = share**3 * (10 - 15 * share + 6 * share**2)
-    place = start.place + smooth * (landing.place - start.place)
+    place = start.place + moved(share) * (landing.place - start.place)
     lift = 64 * height_m * share**3 * (1 - share) ** 3
     return np.array([*place, lift])

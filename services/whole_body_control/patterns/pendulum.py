@@ -10,9 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from services.whole_body_control.model.kinematics import Array
-
-GRAVITY_MPS2 = 9.81
+from services.whole_body_control.model.kinematics import GRAVITY_MPS2, Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial import ConvexHull
 
 from services.whole_body_control.model.kinematics import Array
@@ -20,6 +21,12 @@ class Footprint:
     x: float
     y: float
     yaw: float = 0.0
+
+    @classmethod
+    def below(cls, side: Side, pose: pin.SE3) -> Self:
+        """Return the footprint of a sole at a pose."""
+        x, y, _ = pose.translation.tolist()
+        return cls(side, x, y, float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0])))
 
     @property
     def place(self) -> Array:

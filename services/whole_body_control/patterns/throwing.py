@@ -19,6 +19,7 @@ from handover.errors import UsageError
 from services.whole_body_control.model.humanoid import Grip
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
 from services.whole_body_control.patterns.ballistics import release_velocity
+from services.whole_body_control.patterns.minimum_jerk import moved, moved_integral
 from services.whole_body_control.tasks.constraints import SelfCollision
 
 MIN_FLIGHT_S, MAX_FLIGHT_S = 0.2, 0.8
@@ -90,16 +91,12 @@ class Throw:
     def joints(self, time_s: float) -> tuple[Array, Array]:
         """Return the positions and velocities of the arm `time_s` after the start of the swing."""
         if time_s <= self.swing_s:
-            bell, area = _bell(max(time_s, 0.0) / self.swing_s)
-            return self.start + self.velocity * (area * self.swing_s), self.velocity * bell
-        bell, area = _bell(max(self.duration_s - time_s, 0.0) / self.follow_s)
-        return self.end - self.velocity * (area * self.follow_s), self.velocity * bell
-
-
-def _bell(share: float) -> tuple[float, float]:
-    """Return the rise of minimum jerk from 0 to 1, and its integral from 0 to 1/2."""
-    bell = share**3 * (10.0 + share * (6.0 * share - 15.0))
-    return bell, share**4 * (2.5 + share * (share - 3.0))
+            share = max(time_s, 0.0) / self.swing_s
+            way = self.velocity * (moved_integral(share) * self.swing_s)
+            return self.start + way, self.velocity * moved(share)
+        share = max(self.duration_s - time_s, 0.0) / self.follow_s
+        way = self.velocity * (moved_integral(share) * self.follow_s)
+        return self.end - way, self.velocity * moved(share)
 
 
 class ThrowPlanner:

@@ -13,10 +13,10 @@ from lxml import etree
 
 from handover.errors import UsageError
 from services.whole_body_control.model.humanoid import ContactSurface, Humanoid
+from services.whole_body_control.model.kinematics import GRAVITY_MPS2
 from services.whole_body_control.model.urdf import parsed
 
 STEP_S = 0.002
-GRAVITY_MPS2 = 9.81
 SOLE_THICKNESS_M = 0.02
 STIFF = (2 * STEP_S, 1.0)
 """Time constant in s and damping ratio of contacts, as stiff as the step allows."""

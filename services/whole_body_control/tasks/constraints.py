@@ -8,10 +8,15 @@ import pinocchio as pin
 from scipy.spatial import ConvexHull
 
 from handover.errors import UsageError
-from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
+from services.whole_body_control.model.kinematics import (
+    BASE_POSITIONS,
+    BASE_VELOCITIES,
+    GRAVITY_MPS2,
+    Array,
+    Kinematics,
+)
 from services.whole_body_control.tasks.base import NO_BOUND, Bounds, Constraint
 
-GRAVITY_MPS2 = 9.81
 ROW_BLOCK = 8
 """Rows of near pairs come in multiples of this, so that the shape of the problem seldom changes."""
 

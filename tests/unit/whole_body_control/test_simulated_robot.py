@@ -8,9 +8,9 @@ import pytest
 from handover.errors import UsageError
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.engines.stack_engine import StackEngine
-from services.whole_body_control.model.kinematics import Array, Kinematics
+from services.whole_body_control.model.kinematics import GRAVITY_MPS2, Array, Kinematics
 from services.whole_body_control.robots import humanoid
-from services.whole_body_control.simulation.body_model import GRAVITY_MPS2, STEP_S, build
+from services.whole_body_control.simulation.body_model import STEP_S, build
 from services.whole_body_control.simulation.simulated_robot import QUIET, TYPICAL_NOISE, SimulatedRobot
 from services.whole_body_control.solvers.cascade import Cascade
 from services.whole_body_control.tasks.constraints import JointLimits
