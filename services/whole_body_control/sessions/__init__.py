@@ -1,0 +1,1 @@
+"""Exercises of a patient with a humanoid: catches, difficulty, sessions and reports; no I/O, no clock."""
