@@ -1,7 +1,8 @@
 """Keeps running what the persons allow, and nothing else.
 
 `apply` compares a person with what runs: without a valid consent nothing runs and nothing is known. The
-limits of all persons are computed `TICK_S` apart; the end of a consent is looked for every second.
+limits of all persons are computed `TICK_S` apart; one that a heart rate lowers is sent at once. The end of a
+consent is looked for every second.
 """
 
 import asyncio
@@ -85,6 +86,8 @@ class Monitoring:
         self._pipeline_of = pipeline_of
         self._classifier_of = classifier_of
         self._running: dict[str, _Running] = {}
+        self._is_publishing = False
+        """Whether the readers get the limits in this turn of the event loop."""
         self._ticked = asyncio.Event()
         self._limits: dict[str, Any] = {"sequence": 0, "stamp": 0.0, "limits": []}
 
@@ -99,6 +102,7 @@ class Monitoring:
         if monitor is None:
             monitor = self.monitors[name] = PersonMonitor(person, self._pipeline_of, self._classifier_of)
             monitor.strain = Strain(window_s=self._settings.health_strain_window_s)
+            monitor.on_lowered = self._lowered
         for gone in monitor.person.sensors.keys() - person.sensors.keys():
             self._stop_sensor(gone, name)
         monitor.change(person)
@@ -190,17 +194,37 @@ class Monitoring:
 
     def _tick(self) -> None:
         now_s, wall_s = time.monotonic(), time.time()
-        self.sequence += 1
-        limits = []
-        for name, monitor in self.monitors.items():
+        for monitor in self.monitors.values():
             monitor.step(now_s)
-            if Purpose.SPEED_LIMITS not in monitor.person.purposes():
-                continue
-            limits.append(_limit_view(monitor, now_s, wall_s))
-            for robot in monitor.person.robots:
-                link = self.links.get((robot, name))
-                if link is not None:
-                    self._send(link, monitor, now_s, wall_s)
+            if Purpose.SPEED_LIMITS in monitor.person.purposes():
+                self._send_to_robots(monitor, now_s, wall_s)
+        self._publish()
+
+    def _lowered(self, monitor: PersonMonitor) -> None:
+        """Send a limit that fell; readers get the falls of one turn of the event loop together."""
+        if Purpose.SPEED_LIMITS not in monitor.person.purposes():
+            return
+        self._send_to_robots(monitor, time.monotonic(), time.time())
+        if not self._is_publishing:
+            self._is_publishing = True
+            asyncio.get_running_loop().call_soon(self._publish)
+
+    def _send_to_robots(self, monitor: PersonMonitor, now_s: float, wall_s: float) -> None:
+        for robot in monitor.person.robots:
+            link = self.links.get((robot, monitor.person.name))
+            if link is not None:
+                self._send(link, monitor, now_s, wall_s)
+
+    def _publish(self) -> None:
+        """Give the readers the limits of all persons as they are now."""
+        now_s, wall_s = time.monotonic(), time.time()
+        self._is_publishing = False
+        self.sequence += 1
+        limits = [
+            _limit_view(monitor, now_s, wall_s)
+            for monitor in self.monitors.values()
+            if Purpose.SPEED_LIMITS in monitor.person.purposes()
+        ]
         self._limits = {"sequence": self.sequence, "stamp": wall_s, "limits": limits}
         self._ticked.set()
         self._ticked = asyncio.Event()
@@ -225,9 +249,13 @@ class Monitoring:
             )
         )
 
-    async def next_limits(self, robot: str | None = None) -> bytes:
-        """Wait for the next limits, of all persons or of one robot: JSON with sequence, stamp and limits."""
-        await self._ticked.wait()
+    async def next_limits(self, after: int, robot: str | None = None) -> bytes:
+        """Wait for limits after the sequence `after`, of all persons or of one robot.
+
+        They are JSON with sequence, stamp and limits: the newest, so that a slow reader is never behind.
+        """
+        while self.sequence <= after:
+            await self._ticked.wait()
         if robot is None:
             return orjson.dumps(self._limits)
         limits = [one for one in self._limits["limits"] if robot in one["robots"]]

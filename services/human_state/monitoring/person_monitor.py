@@ -93,6 +93,8 @@ class PersonMonitor:
         """Heart rates of the last minutes, for measured baselines."""
         self.taps: set[Callable[[Samples | Feature | SensorReport], None]] = set()
         """Called with all samples, reports and values of sensors, with times in s since 1970."""
+        self.on_lowered: Callable[[PersonMonitor], None] = lambda _: None
+        """Called as soon as a heart rate has lowered the limit: that waits for no tick."""
         self.recording: str | None = None
         """The recording that runs."""
         self.was_lasting = False
@@ -198,7 +200,10 @@ class PersonMonitor:
             if given.name is FeatureName.HEART_RATE and given.status is Status.VALID:
                 self.recent.append(given)
                 DELAY.observe(age_s)
+                before = self.limit.fraction
                 self.step(now_s)
+                if self.limit.fraction < before:
+                    self.on_lowered(self)
 
     def _tap(self, item: Samples | Feature | SensorReport) -> None:
         for tap in tuple(self.taps):

@@ -31,7 +31,7 @@ def add_streams(app: FastAPI, monitoring: Monitoring) -> None:
 
     @app.websocket("/limits", dependencies=[require(Permission.READ_HEALTH_DATA)])
     async def limits(socket: WebSocket) -> None:
-        """Send the limits 20 times a second; a reader that is slow misses some, see `sequence`.
+        """Send the limits 20 times a second, a fall at once; a slow reader misses some, see `sequence`.
 
         With `?robot=` only those of one robot, whose controller follows them by itself.
         """
@@ -89,13 +89,18 @@ async def _read(socket: WebSocket) -> None:
 
 
 async def _send_limits(socket: WebSocket, monitoring: Monitoring, robot: str | None) -> None:
+    sent = monitoring.sequence
     while True:
-        await socket.send_text((await monitoring.next_limits(robot)).decode())
+        limits = await monitoring.next_limits(sent, robot)
+        sent = monitoring.sequence
+        await socket.send_text(limits.decode())
 
 
 async def _send_values(socket: WebSocket, monitoring: Monitoring, person: str) -> None:
+    sent = monitoring.sequence
     while True:
-        await monitoring.next_limits()
+        await monitoring.next_limits(sent)
+        sent = monitoring.sequence
         monitor, now_s = monitoring.monitors.get(person), time.monotonic()
         shown = [] if monitor is None else [_value(one, now_s) for one in monitor.values(now_s)]
         await socket.send_text(orjson.dumps({"sequence": monitoring.sequence, "values": shown}).decode())
