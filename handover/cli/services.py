@@ -18,6 +18,7 @@ from services.human_state.settings import HumanStateSettings
 from services.study.settings import StudySettings
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.trajectory_tool.settings import TrajectorySettings
+from services.whole_body_control.settings import WholeBodySettings
 from webui.settings import WebuiSettings
 
 if TYPE_CHECKING:
@@ -52,20 +53,25 @@ HUMAN_STATE_NEEDS = ("numpy", "scipy", "neurokit2")
 ASSISTIVE_DEVICES = Service(
     "assistive-devices", "services.assistive_devices", AssistiveSettings, "assistive_port"
 )
+WHOLE_BODY_CONTROL = Service(
+    "whole-body-control", "services.whole_body_control", WholeBodySettings, "whole_body_port"
+)
 ROS_BRIDGE = Service("ros-bridge", "ros_fiware_bridge", BridgeSettings, "bridge_port")
-OPTIONAL_SERVICES = (HUMAN_STATE, ASSISTIVE_DEVICES, ROS_BRIDGE)
+OPTIONAL_SERVICES = (HUMAN_STATE, ASSISTIVE_DEVICES, WHOLE_BODY_CONTROL, ROS_BRIDGE)
 """Services that start only with an extra or a setting."""
 
 
 def wanted() -> tuple[Service, ...]:
     """Return the services of the cell.
 
-    Human state runs with its extra, assistive devices with a machine, the bridge with a mapping.
+    Human state runs with its extra, assistive devices with a machine, whole-body control with a
+    humanoid, the bridge with a mapping.
     """
     body = (HUMAN_STATE,) if all(map(find_spec, HUMAN_STATE_NEEDS)) else ()
     bridge = (ROS_BRIDGE,) if BridgeSettings.load().ros_mapping is not None else ()
     devices = (ASSISTIVE_DEVICES,) if AssistiveSettings.load().assistive_machines else ()
-    return (*SERVICES, *body, *devices, *bridge, *map(_extra, Settings.load().extra_services))
+    humanoid = (WHOLE_BODY_CONTROL,) if WholeBodySettings.load().humanoid_model else ()
+    return (*SERVICES, *body, *devices, *humanoid, *bridge, *map(_extra, Settings.load().extra_services))
 
 
 def all_services() -> tuple[Service, ...]:

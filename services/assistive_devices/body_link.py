@@ -7,43 +7,33 @@ machine, without a message.
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
 import orjson
-from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+from websockets.asyncio.client import ClientConnection
 
-from datamodels.streams import SpeedLimitReport
-from handover.control.speed_limits import Allowed, RefusedReport, SpeedLimits
-from handover.errors import HandoverError, Problem
+from handover.control.limit_link import REPORT_PERIOD_S, Headers, LimitLink, Serve, keep_connected
+from handover.control.speed_limits import Allowed, SpeedLimits
+from handover.errors import Problem
 from handover.http_client import BodyReadingHttpClient, SendError
 from handover.messages import message
-from handover.retry import Backoff
 from handover.telemetry import get_logger
-from handover.tls_trust import tls_of
 from services.assistive_devices.model.body import Body, read_body
 from services.assistive_devices.model.sensor import Sensor
 
 log = get_logger(__name__)
 
-OPEN_TIMEOUT_S: Final = 3.0
 ACTS_EVERY_S: Final = 0.1
 REPEAT_ACTS_S: Final = 1.0
-REPORT_PERIOD_S: Final = 0.25
-"""Limits come 20 times a second; they are stale after 3 s, the least that a limit may have."""
 NO_LIMIT: Final = "no limit received from human state yet"
 
 RESET: Final = b'{"name":"person in charge"}'
 RESET_TIMEOUT_S: Final = 5.0
 RESET_ATTEMPTS: Final = 20
-
-Headers = Callable[[], Awaitable[Mapping[str, str]]]
-Serve = Callable[[ClientConnection], Awaitable[None]]
 
 
 class BodyLink:
@@ -63,7 +53,7 @@ class BodyLink:
         ca_files: Sequence[Path] = (),
     ) -> None:
         self.body = Body()
-        self.problem = "not connected to human state yet"
+        self._problem = "not connected to human state yet"
         self._url = url
         self._base = url.replace("http", "ws", 1)
         self._http = BodyReadingHttpClient(ca_files=ca_files, max_response_bytes=64 * 1024)
@@ -71,14 +61,21 @@ class BodyLink:
         self._headers = headers
         self._ca_files = ca_files
         self._acts: Mapping[str, Any] = {}
-        self.limits = SpeedLimits((), time.monotonic())
+        self._limit_link = LimitLink(url, robot, headers=headers, ca_files=ca_files)
+
+    @property
+    def limits(self) -> SpeedLimits:
+        """The limits by source."""
+        return self._limit_link.limits
+
+    @property
+    def problem(self) -> str:
+        """Why nothing is received from human state, "" while it is."""
+        return self._problem or self._limit_link.problem
 
     def allowed(self, now_s: float) -> Allowed:
         """Return the limit at `now_s`: the least of all persons who are bound; 0 before the first one."""
-        allowed = self.limits.allowed(now_s)
-        return (
-            min(allowed, key=lambda one: one.fraction) if allowed else Allowed("body", 0.0, reason=NO_LIMIT)
-        )
+        return self._limit_link.allowed(now_s) or Allowed("body", 0.0, reason=NO_LIMIT)
 
     def do(self, acts: Mapping[str, Any]) -> None:
         """Let the simulated person do this from now on."""
@@ -119,38 +116,18 @@ class BodyLink:
 
     async def run(self) -> None:
         """Keep the three connections until cancelled."""
-        limits = f"/limits?robot={quote(self._robot)}"
         values = f"/people/{quote(self._person)}/values"
         async with asyncio.TaskGroup() as group:
-            group.create_task(self._keep(limits, self._follow(self._take_limits)))
-            group.create_task(self._keep(values, self._follow(self._take_values)))
+            group.create_task(self._limit_link.run())
+            group.create_task(self._keep(values, self._follow_values))
             for sensor in self._sensors:
                 path = f"/sensors/{quote(sensor.name)}/simulation"
                 group.create_task(self._keep(path, partial(self._send_acts, sensor)))
 
-    def _follow(self, take: Callable[[dict[str, Any]], None]) -> Serve:
-        async def follow(link: ClientConnection) -> None:
-            async for text in link:
-                self.problem = ""
-                take(orjson.loads(text))
-
-        return follow
-
-    def _take_limits(self, document: dict[str, Any]) -> None:
-        now_s = time.monotonic()
-        for one in document["limits"]:
-            report = SpeedLimitReport(
-                source=one["source"],
-                stamp=document["stamp"],
-                fraction=one["fraction"],
-                reason=one["reason"],
-                period=REPORT_PERIOD_S,
-            )
-            with suppress(RefusedReport):  # a stamp that does not advance: the limit ages
-                self.limits.receive(report, now_s, time.time())
-
-    def _take_values(self, document: dict[str, Any]) -> None:
-        self.body = read_body(document["values"], time.monotonic())
+    async def _follow_values(self, link: ClientConnection) -> None:
+        async for text in link:
+            self._problem = ""
+            self.body = read_body(orjson.loads(text)["values"], time.monotonic())
 
     async def _send_acts(self, sensor: Sensor, link: ClientConnection) -> None:
         sent: Mapping[str, Any] = {}
@@ -166,29 +143,16 @@ class BodyLink:
             await asyncio.sleep(ACTS_EVERY_S)
 
     async def _keep(self, path: str, serve: Serve) -> None:
-        """Serve connection after connection; one that ends is opened again after a pause."""
-        backoff, url = Backoff(), f"{self._base}{path}"
-        while True:
-            try:
-                async with connect(
-                    url,
-                    additional_headers=dict(await self._headers()),
-                    ssl=tls_of(url, self._ca_files),
-                    proxy=None,
-                    compression=None,
-                    open_timeout=OPEN_TIMEOUT_S,
-                ) as link:
-                    backoff.reset()
-                    await serve(link)
-                    self.problem = "human state closed the connection"
-            except InvalidStatus as refused:
-                self.problem = f"human state answered {refused.response.status_code} at {path}"
-            except (
-                *(OSError, TimeoutError, InvalidHandshake, HandoverError, ConnectionClosed),
-                *(KeyError, TypeError, ValueError),
-            ) as error:
-                self.problem = f"human state: {str(error) or type(error).__name__}"[:200]
-            await backoff.wait()
+        await keep_connected(
+            f"{self._base}{path}",
+            serve,
+            headers=self._headers,
+            ca_files=self._ca_files,
+            on_problem=self._set_problem,
+        )
+
+    def _set_problem(self, problem: str) -> None:
+        self._problem = problem
 
 
 def _detail_of(body: bytes) -> str:

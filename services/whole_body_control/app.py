@@ -1,0 +1,72 @@
+"""Whole-body control: a humanoid in simulation, with the therapist in the loop.
+
+The control cycle is a process of its own, which this service starts and watches; this service may stall or be
+killed, and the robot stands. Nothing here is a safety-rated function, and no driver of a physical humanoid
+exists.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from handover.background_tasks import BackgroundTasks
+from handover.broker import BrokerClient
+from handover.control.limit_link import LimitLink
+from handover.database import connect
+from handover.latest_value_writer import LatestValueWriter
+from handover.security.audit_trail import AuditTrail
+from handover.security.guard import Guard
+from handover.service import create_app
+from services.whole_body_control.metrics import REJECTED
+from services.whole_body_control.routes.humanoid_routes import add_humanoid_routes
+from services.whole_body_control.running.device import HumanoidDevice
+from services.whole_body_control.running.humanoid_control import HumanoidControl
+from services.whole_body_control.running.store import Store
+from services.whole_body_control.settings import WholeBodySettings
+
+
+def make_app(settings: WholeBodySettings) -> FastAPI:
+    """Return the application; raise `UsageError` for a humanoid that does not exist."""
+    engine = connect(settings.database("whole-body-control"))
+    store = Store(engine)
+    guard = Guard(settings, "whole-body-control")
+    broker = BrokerClient(settings, credentials=guard.access)
+    tasks = BackgroundTasks("whole-body control")
+    writer = LatestValueWriter(on_rejected=lambda _: REJECTED.inc())
+    limits = LimitLink(
+        settings.human_state,
+        settings.humanoid_name,
+        headers=guard.access.headers,
+        ca_files=settings.ca_files,
+        required=settings.humanoid_required_limits,
+    )
+    control = HumanoidControl(settings, store, limits)
+    device = HumanoidDevice(settings, control, broker, writer)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        await asyncio.to_thread(store.prepare)
+        await asyncio.to_thread(control.open)
+        try:
+            async with broker, writer, tasks:
+                tasks.start_restarting(control.process.watch)
+                tasks.start_restarting(control.links.run)
+                tasks.start_restarting(limits.run)
+                tasks.start_restarting(device.run)
+                yield
+        finally:
+            await control.process.stop()
+            engine.dispose()
+
+    app = create_app(
+        "Whole-body control",
+        description=__doc__ or "",
+        lifespan=lifespan,
+        checks={"broker": broker.probe},
+        guard=guard,
+        audit=AuditTrail(settings, "whole-body-control", engine),
+    )
+    add_humanoid_routes(app, control)
+    return app

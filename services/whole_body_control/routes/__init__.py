@@ -1,0 +1,1 @@
+"""REST and WebSockets of whole-body control."""

@@ -1,0 +1,202 @@
+"""REST and WebSocket: models, the state of the humanoid, stop and reset, behaviours and throws."""
+
+import asyncio
+import math
+from contextlib import suppress
+from typing import Annotated, Any, Final
+
+import orjson
+from fastapi import FastAPI, Response, WebSocket
+from starlette.websockets import WebSocketDisconnect
+
+from handover.errors import Problem
+from handover.messages import message
+from handover.security.caller import Caller
+from handover.security.guard import require, require_somewhere
+from handover.security.permissions import Permission
+from services.whole_body_control.robots import HUMANOIDS, humanoid
+from services.whole_body_control.routes.access import of_humanoid
+from services.whole_body_control.routes.bodies import (
+    BehaviourRequest,
+    HumanoidView,
+    LimitSourceView,
+    ModelView,
+    StateView,
+    StopRequest,
+    ThrowRequest,
+    ThrowView,
+)
+from services.whole_body_control.running.humanoid_control import HumanoidControl
+from services.whole_body_control.running.model_view import model_view
+from services.whole_body_control.running.motion import NAMES
+
+LIVE_HZ: Final = 30.0
+MAX_LIVE_HZ: Final = 120.0
+"""Of a headset."""
+
+
+def add_humanoid_routes(app: FastAPI, control: HumanoidControl) -> None:
+    """Add the routes of the humanoid."""
+    _add_models(app, control)
+    _add_acts(app, control)
+    _add_limits(app, control)
+    _add_live(app, control)
+
+
+def _add_models(app: FastAPI, control: HumanoidControl) -> None:
+    see = [require(Permission.READ, of_humanoid)]
+
+    @app.get("/humanoids", tags=["humanoid"], dependencies=[require_somewhere(Permission.READ)])
+    async def humanoids() -> list[HumanoidView]:
+        """Return the installed models; all are simulated."""
+        return [_humanoid_view(name, control) for name in HUMANOIDS.names()]
+
+    @app.get("/model", tags=["humanoid"], dependencies=see)
+    async def model() -> ModelView:
+        """Return chains, joints with limits and gains, sensors, contacts, stacks of tasks, default poses."""
+        return ModelView.model_validate(model_view(control.model))
+
+    @app.get("/model/urdf", tags=["humanoid"], dependencies=see, response_class=Response)
+    async def urdf() -> Response:
+        """Return the URDF."""
+        return Response(control.model.urdf, media_type="application/xml")
+
+    @app.get("/state", tags=["humanoid"], dependencies=see)
+    async def state() -> dict[str, Any]:
+        """Return the newest live document; `fault` says when it is not live."""
+        return control.document()
+
+    @app.get("/cycle", tags=["humanoid"], dependencies=see)
+    async def cycle() -> StateView:
+        """Return whether the control cycle runs, how often it was started or found, and the stop."""
+        return _state_view(control)
+
+
+def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
+    @app.post("/stop", tags=["humanoid"])
+    async def stop(
+        caller: Annotated[Caller, require(Permission.PERFORM_TASKS, of_humanoid)],
+        body: StopRequest | None = None,
+    ) -> StateView:
+        """Finish the step and stand on both feet until a reset. This is no emergency stop."""
+        await control.stop(caller, (body or StopRequest()).reason)
+        return _state_view(control)
+
+    @app.post("/reset", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
+    async def reset() -> StateView:
+        """Release the stop; 409 while a limit still stops the robot. It moves only by a further request."""
+        await control.reset()
+        return _state_view(control)
+
+    @app.post("/restart", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
+    async def restart() -> StateView:
+        """Start the control cycle again after it has ended; 409 while it runs."""
+        control.process.start()
+        return _state_view(control)
+
+    @app.post("/behaviour", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
+    async def behaviour(body: BehaviourRequest) -> StateView:
+        """Choose what the robot does; 409 while it does not stand on both feet."""
+        control.choose(body.behaviour)
+        return _state_view(control)
+
+    @app.post("/throws", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
+    async def throw(body: ThrowRequest) -> ThrowView:
+        """Throw a ball now; 409 while the robot is stopped or does not juggle."""
+        return ThrowView(number=control.motion.ask_throw(body.target, body.hand))
+
+
+def _add_limits(app: FastAPI, control: HumanoidControl) -> None:
+    @app.get("/limits", tags=["limits"], dependencies=[require(Permission.READ, of_humanoid)])
+    async def limits() -> list[LimitSourceView]:
+        """Return the sources of speed limits; none of them is a safety-rated function."""
+        return [
+            LimitSourceView(
+                source=one.rule,
+                fraction=round(one.fraction, 4),
+                reason=str(one.reason),
+                needs_reset=one.needs_reset,
+            )
+            for one in control.limits.limits.allowed(asyncio.get_running_loop().time())
+        ]
+
+    @app.delete(
+        "/limits/{source}",
+        tags=["limits"],
+        status_code=204,
+        dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)],
+    )
+    async def remove(source: str) -> None:
+        """Require a source no longer, for example after its person was unbound."""
+        if not control.limits.limits.remove(source):
+            raise Problem(
+                404,
+                "No such source",
+                message("humanoid.no_such_source", 'no source "{source}" limits the humanoid', source=source),
+            )
+
+
+def _add_live(app: FastAPI, control: HumanoidControl) -> None:
+    @app.websocket("/live", dependencies=[require(Permission.READ, of_humanoid)])
+    async def live(socket: WebSocket) -> None:
+        """Send the live document 30 times a second, or `?hz=` times; a slow reader gets fewer."""
+        await socket.accept()
+        period_s = 1.0 / _rate(socket.query_params.get("hz"))
+        sending = asyncio.create_task(_send(socket, control, period_s))
+        try:
+            with suppress(WebSocketDisconnect, RuntimeError, KeyError):
+                while not sending.done():
+                    await socket.receive_text()
+        finally:
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
+
+
+async def _send(socket: WebSocket, control: HumanoidControl, period_s: float) -> None:
+    clock = asyncio.get_running_loop().time
+    due_s = clock()
+    while True:
+        try:
+            await socket.send_text(orjson.dumps(control.document()).decode())
+        except (WebSocketDisconnect, RuntimeError):
+            return
+        due_s = max(due_s + period_s, clock())
+        await asyncio.sleep(due_s - clock())
+
+
+def _rate(given: str | None) -> float:
+    try:
+        hz = LIVE_HZ if given is None else float(given)
+    except ValueError:
+        hz = math.nan
+    return min(hz, MAX_LIVE_HZ) if hz > 0 else LIVE_HZ
+
+
+def _humanoid_view(name: str, control: HumanoidControl) -> HumanoidView:
+    model = humanoid(name)
+    runs = name == control.model.name
+    return HumanoidView(
+        model=name,
+        name=control.name if runs else None,
+        is_running=runs and control.process.is_running,
+        joints=len(model.joints),
+        mass_kg=round(model.mass_kg, 3),
+        hands=list(model.grips),
+        behaviours=list(NAMES),
+        drivers=["simulated"],
+        problem=_problem(control) if runs else "",
+    )
+
+
+def _state_view(control: HumanoidControl) -> StateView:
+    return StateView(
+        is_stopped=control.motion.stopped is not None,
+        is_running=control.process.is_running,
+        problem=_problem(control),
+        starts=control.process.starts,
+        pid=control.process.pid,
+    )
+
+
+def _problem(control: HumanoidControl) -> str:
+    return "" if control.problem is None else str(control.problem[1])

@@ -1,0 +1,119 @@
+"""The humanoid of this service: its model, the control cycle, what people want of it, and its limits."""
+
+import asyncio
+import time
+from typing import Any
+
+from handover.control.limit_link import LimitLink
+from handover.control.speed_limits import Allowed
+from handover.errors import Problem
+from handover.messages import message
+from handover.security.caller import Caller
+from handover.telemetry import get_logger
+from services.whole_body_control.metrics import FRACTION
+from services.whole_body_control.robots import humanoid
+from services.whole_body_control.running.cycle_process import CycleProcess
+from services.whole_body_control.running.live import LiveDocument
+from services.whole_body_control.running.motion import NAMES, Behaviour, Motion
+from services.whole_body_control.running.port_links import PortLinks
+from services.whole_body_control.running.store import Store
+from services.whole_body_control.settings import WholeBodySettings
+
+log = get_logger(__name__)
+
+STANDING, SINGLE_SUPPORT = 0.0, 2.0
+
+
+class HumanoidControl:
+    """The humanoid; `run` keeps its ports. Not thread-safe."""
+
+    def __init__(self, settings: WholeBodySettings, store: Store, limits: LimitLink) -> None:
+        self.name = settings.humanoid_name
+        self.model = humanoid(settings.model_name)
+        self.process = CycleProcess(settings)
+        self.motion = Motion()
+        self.limits = limits
+        self.links = PortLinks(self.process, self._wish, lambda _: None)
+        self.live = LiveDocument(self.name, self.model.joint_names, self.motion)
+        self._store = store
+
+    def open(self) -> None:
+        """Find or start the control cycle; a stop that was not reset stays in force."""
+        self.motion.stopped = self._store.stop_of(self.name)
+        self.process.open()
+
+    def document(self) -> dict[str, Any]:
+        """Return the live document of now."""
+        return self.live.of(self.links.values, self.problem)
+
+    @property
+    def problem(self) -> tuple[str, str] | None:
+        """The code and the message of why the state is not live, None while it is."""
+        if self.process.problem:
+            return "cycleEnded", self.process.problem
+        if self.links.is_live:
+            return None
+        if not self.links.values:
+            return "cycleStarts", message("humanoid.cycle_starts", "the control cycle starts")
+        return "cycleSilent", message(
+            "humanoid.cycle_silent", "the control cycle is silent; it may have stalled"
+        )
+
+    @property
+    def is_standing(self) -> bool:
+        """Whether the robot stands on both feet and takes no step."""
+        return self.links.values.get("phase") == STANDING
+
+    async def stop(self, caller: Caller, reason: str) -> None:
+        """Finish the step, and stand on both feet until a reset; it acts before it is stored."""
+        stopped = self.motion.stop(caller.name, reason)
+        log.warning("humanoid stopped", by=caller.name, reason=reason)
+        await asyncio.to_thread(self._store.keep_stop, self.name, stopped)
+
+    async def reset(self) -> None:
+        """Release the stop, and those of limits. Raises `Problem` 409 while a limit still stops the robot."""
+        still = self.limits.limits.reset(time.monotonic())
+        self.update_limit()
+        if still:
+            raise Problem(
+                409,
+                "Still stopped",
+                message(
+                    "humanoid.still_limited",
+                    "the limit of {source} still stops the humanoid; reset it at human state first",
+                    source=still[0],
+                ),
+            )
+        await asyncio.to_thread(self._store.keep_stop, self.name, None)
+        self.motion.reset()
+
+    def choose(self, behaviour: str) -> None:
+        """Choose what the robot does; only while it stands on both feet. Raises `Problem` 409."""
+        wanted = Behaviour(NAMES[behaviour])
+        if wanted is self.motion.behaviour:
+            return
+        if not self.links.is_live or not self.is_standing:
+            raise Problem(
+                409,
+                "Not standing",
+                message(
+                    "humanoid.not_standing",
+                    "the behaviour changes only while the humanoid stands on both feet; let it stand first",
+                ),
+            )
+        if "behaviour" not in self.links.values:
+            raise Problem(
+                501,
+                "Walking only",
+                message("humanoid.walking_only", "the control cycle of this humanoid only walks"),
+            )
+        self.motion.behaviour = wanted
+
+    def update_limit(self) -> None:
+        """Take the least limit of now; without a source the robot is not limited."""
+        self.motion.limit = self.limits.allowed(time.monotonic()) or Allowed("body")
+        FRACTION.set(self.motion.limit.fraction)
+
+    def _wish(self, names: tuple[str, ...]) -> list[float]:
+        self.update_limit()
+        return self.motion.values(names)

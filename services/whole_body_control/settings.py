@@ -1,0 +1,71 @@
+"""The settings of whole-body control, in addition to the common ones."""
+
+import hashlib
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from pydantic import Field
+
+from handover.settings import MaybePath, Names, Settings
+
+DEFAULT_MODEL: Final = "coman"
+SHARED_MEMORY: Final = Path("/dev/shm")  # noqa: S108 - files in it never reach a disk
+
+
+class WholeBodySettings(Settings):
+    """The humanoid that runs, where its ports are, and where the state of persons comes from."""
+
+    whole_body_port: int = Field(54260, ge=1, le=65535, description="REST and WebSocket port of humanoids")
+    whole_body_url: str | None = Field(
+        None, description="where others reach whole-body control; http://host:port of it if absent"
+    )
+    humanoid_model: str = Field(
+        "",
+        max_length=64,
+        description="the humanoid that runs, simulated: coman; with it `handover up` starts this service",
+    )
+    humanoid_name: str = Field(
+        "coman-1",
+        pattern=r"^[A-Za-z0-9_.-]{1,64}$",
+        description="the name of the humanoid, the last part of the id of its Device",
+    )
+    humanoid_ports_dir: MaybePath = Field(
+        None,
+        description="the directory of the shared memory of the control cycle; by default one of this data "
+        "directory in /dev/shm",
+    )
+    humanoid_fifo: bool = Field(
+        True, description="ask the system for a real-time priority of the control cycle"
+    )
+    humanoid_required_limits: Names = Field(
+        (), description="sources of speed limits without which the humanoid does not move, with commas"
+    )
+    human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
+    human_state_url: str | None = Field(
+        None, description="where others reach human state; http://host:port of it if absent"
+    )
+
+    @property
+    def model_name(self) -> str:
+        """The name of the humanoid's model."""
+        return self.humanoid_model or DEFAULT_MODEL
+
+    @property
+    def ports_folder(self) -> Path:
+        """The directory of the ports: of this data directory and this humanoid only."""
+        if self.humanoid_ports_dir is not None:
+            return self.humanoid_ports_dir.absolute()
+        base = SHARED_MEMORY if SHARED_MEMORY.is_dir() else Path(tempfile.gettempdir())
+        place = f"{self.data_dir.absolute()}\n{self.humanoid_name}".encode()
+        return base / f"handover-{hashlib.sha256(place).hexdigest()[:16]}"
+
+    @property
+    def whole_body(self) -> str:
+        """The URL of this service."""
+        return self.url_of(self.whole_body_port, self.whole_body_url)
+
+    @property
+    def human_state(self) -> str:
+        """The URL of human state."""
+        return self.url_of(self.human_state_port, self.human_state_url)

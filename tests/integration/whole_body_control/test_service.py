@@ -1,0 +1,62 @@
+"""The service of a humanoid: it starts the control cycle, shows its state, and either may be killed."""
+
+import os
+import signal
+
+import orjson
+from websockets.sync.client import connect
+
+from tests.integration.whole_body_control.conftest import SERVICE, WITHIN_S, HumanoidCell
+from tests.kit.waiting import wait_for
+
+
+def test_the_model_is_shown_by_chains_and_drawn_by_its_urdf(humanoid: HumanoidCell) -> None:
+    (model,) = humanoid.http.get("/humanoids").json()
+    assert (model["model"], model["name"], model["drivers"]) == ("coman", "coman-1", ["simulated"])
+    shown = humanoid.http.get("/model").json()
+    arm = next(chain for chain in shown["chains"] if chain["name"] == "right_arm")
+    assert len(arm["joints"]) == 7
+    assert all(joint["lower"] < joint["upper"] and joint["gain"] > 0 for joint in arm["joints"])
+    assert "<robot" in humanoid.http.get("/model/urdf").text
+    assert len(humanoid.state()["joints"]) == len(shown["joints"]) == 29
+
+
+def test_the_live_state_follows_the_clock_of_the_robot(humanoid: HumanoidCell) -> None:
+    url = f"{humanoid.cell.url(SERVICE).replace('http', 'ws')}/live"
+    with connect(url, proxy=None) as socket:
+        documents = [orjson.loads(socket.recv(timeout=WITHIN_S)) for _ in range(5)]
+    assert [one["phase"] for one in documents] == ["standing"] * 5
+    assert documents[-1]["t"] > documents[0]["t"]
+    assert documents[0]["base"][2] > 0.4
+    shares = [documents[0]["feet"][side]["share"] for side in ("left", "right")]
+    assert abs(sum(shares) - 1) < 0.05
+
+
+def test_a_stop_stays_until_a_person_resets_it_also_over_a_restart_of_the_service(
+    humanoid: HumanoidCell,
+) -> None:
+    process = humanoid.cycle()["pid"]
+    humanoid.post("/stop", {"reason": "the patient is tired"})
+    humanoid.cell.restart(SERVICE)
+    humanoid.start()
+    stop = humanoid.state()["stop"]
+    assert stop["isStopped"]
+    assert stop["reason"] == "the patient is tired"
+    assert humanoid.post("/throws", {"target": [0.8, 0, 0.5]}, 409)["title"] == "Stopped"
+    assert humanoid.cycle()["pid"] == process  # the killed service has not disturbed the cycle
+    assert not humanoid.post("/reset")["isStopped"]
+
+
+def test_the_end_of_the_control_cycle_is_reported_and_a_person_restarts_it(humanoid: HumanoidCell) -> None:
+    humanoid.start()
+    process = humanoid.cycle()["pid"]
+    assert humanoid.post("/restart", status=409)["title"] == "Control cycle runs"
+    os.kill(process, signal.SIGKILL)
+    wait_for(
+        lambda: (humanoid.state()["fault"] or {}).get("code") == "cycleEnded", WITHIN_S, "the end is reported"
+    )
+    assert "has ended" in humanoid.state()["fault"]["message"]
+    assert not humanoid.cycle()["isRunning"]
+    assert humanoid.post("/restart")["pid"] != process
+    humanoid.start()
+    assert humanoid.state()["phase"] == "standing"
