@@ -15,6 +15,7 @@ from handover.broker import BrokerClient, BrokerError
 from handover.cli.access import AccessAuth, cli_access
 from handover.cli.glove import bridge_arguments
 from handover.cli.launcher import Launcher
+from handover.cli.obstacles import obstacle
 from handover.cli.progress import ProgressPrinter, Say
 from handover.cli.services import service_named, wanted
 from handover.errors import UsageError
@@ -42,7 +43,7 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
         say(f"Look at it on {service_named('webui').url()}")
         try:
             async with asyncio.timeout(timeout_s):
-                parameters = await run_process(settings, say)
+                parameters = await run_process(settings, say, once=once)
         except TimeoutError:
             raise UsageError(
                 f"the process did not complete within {timeout_s:.0f} s; "
@@ -56,10 +57,11 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
             await asyncio.Event().wait()
 
 
-async def run_process(settings: Settings, say: Say) -> dict[str, str]:
+async def run_process(settings: Settings, say: Say, *, once: bool) -> dict[str, str]:
     """Start the bin-picking process with the first robot of the cell, and print its progress.
 
-    Returns the process parameters. Raises `UsageError` if the process fails.
+    Returns the process parameters. Raises `UsageError` if the process fails, and with `once` also if it waits
+    for a person to mend something: nobody is there.
     """
     orchestrator = service_named("task-orchestrator").url()
     began = datetime.now(UTC)
@@ -82,11 +84,18 @@ async def run_process(settings: Settings, say: Say) -> dict[str, str]:
         say(f"{0:6.1f} s  process   {instance} begins")
         progress = ProgressPrinter(began, say)
         tasks = f"^{settings.entity_id('Task', instance)}-.*"
+        shown: str | None = None
         while True:
             process = await _look(http, f"/processes/{process_id}")
             progress.update(await _tasks(broker, tasks))
             if process.get("status") in FINISHED:
                 break
+            found = await obstacle(process, lambda name: _look(http, f"/processes/{name}"), _program())
+            if found is not None and once:
+                raise UsageError(f"the process waits for a person: {found}")
+            if found is not None and found != shown:
+                say(found)
+            shown = found
             await asyncio.sleep(QUERY_EVERY_S)
     seconds = (datetime.now(UTC) - began).total_seconds()
     if process["status"] == "failed":

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import psutil
 import pytest
 
@@ -124,6 +125,32 @@ def test_the_demo_completes_and_runs_again_on_the_same_data_while_services_are_k
     gestures = set(re.findall(r"showed ([A-Z].*?) for", output))
     assert len(gestures) >= 4, output
     require_completed_once(*run_with_kills(handover, data_dir, TASK_BY_TASK), len(TASK_BY_TASK))
+
+
+def test_the_demo_ends_at_once_if_an_incident_of_an_earlier_process_holds_the_robot(
+    handover: Start, cell: Any, eventually: Callable[..., None]
+) -> None:
+    first = handover("demo")
+    assert first.stdout is not None
+    assert any("Everything keeps running" in line for line in first.stdout)
+    started = handover("process", "start", "bin-picking", "--set", "bin=bin-9")
+    output, _ = started.communicate(timeout=scaled(60))
+    assert started.returncode == 0, output
+    with httpx.Client(
+        base_url=f"http://127.0.0.1:{cell.ports['task_orchestrator']}", trust_env=False
+    ) as http:
+
+        def has_incident() -> bool:
+            return any(each["incidents"] for each in http.get("/processes").json())
+
+        eventually(has_incident, 60)
+    first.send_signal(signal.SIGINT)
+    assert first.wait(timeout=scaled(60)) == 0
+    process = handover("demo", "--once")
+    output, _ = process.communicate(timeout=scaled(120))
+    assert process.returncode == 2, output
+    assert "there is no bin" in output
+    assert re.search(r"process retry bin-picking-\w+ \d+ --by YOU", output), output
 
 
 def test_services_that_are_killed_twice_in_a_task_are_restarted(handover: Start) -> None:
