@@ -1,8 +1,10 @@
 """The dispatcher: sends commands to devices and follows them to their end.
 
 A command is durable before it is sent: after `kill -9` the gateway knows each command that a device may have
-received. `next_step` decides what happens to each; a task asks it several times a second, and at once when a
-device connects.
+received. One for a device that is connected is written once, as sent. `next_step` decides what happens to
+each; a task asks it several times a second, and at once when a device connects. No command waits for the
+writing of another one: the history writer writes them together, and those of a device are sent in their
+order, since who waits for the same writing continues in the order of waiting.
 """
 
 import asyncio
@@ -65,6 +67,8 @@ class _Open:
         self.is_cancelling = False
         self.is_busy = False
         self.changed = asyncio.Event()
+        self.written: asyncio.Future[None] | None = None
+        """Done when the command is durable for the first time; None for one that was read."""
 
     def change(self, command: Command) -> bool:
         """Replace the command; return whether it differs."""
@@ -93,7 +97,6 @@ class Dispatcher:
         self._links: dict[str, CommandLink] = {}
         self._open: defaultdict[str, dict[str, _Open]] = defaultdict(dict)
         self._ended: OrderedDict[tuple[str, str], _Open] = OrderedDict()
-        self._ordering = asyncio.Lock()
         self._wake = asyncio.Event()
 
     async def load(self) -> None:
@@ -103,17 +106,20 @@ class Dispatcher:
 
     async def run(self) -> None:
         """Process open commands until cancelled."""
-        while True:
-            for device in [name for name, opened in self._open.items() if opened]:
-                for one in tuple(self._open[device].values()):
-                    if not one.is_busy:
-                        await self._proceed(one)
-            try:
-                async with asyncio.timeout(TICK_S if any(self._open.values()) else None):
-                    await self._wake.wait()
-            except TimeoutError:
-                pass
-            self._wake.clear()
+        async with asyncio.TaskGroup() as steps:
+            while True:
+                for opened in self._open.values():
+                    for one in opened.values():
+                        step = Step.WAIT if one.is_busy else self._next_step(one)
+                        if step is not Step.WAIT:
+                            one.is_busy = True
+                            steps.create_task(self._proceed(one, step))
+                try:
+                    async with asyncio.timeout(TICK_S if any(self._open.values()) else None):
+                        await self._wake.wait()
+                except TimeoutError:
+                    pass
+                self._wake.clear()
 
     def connect(self, device: str, link: CommandLink) -> None:
         """Send commands of `device` over `link` from now on."""
@@ -157,65 +163,81 @@ class Dispatcher:
                 ),
             )
         _require_valid(name, parameters, specification.parameters)
+        known_one = await self._known(device, identifier, name, parameters) if identifier else None
+        if known_one is not None:
+            return known_one
         identifier = identifier or uuid4().hex
-        async with self._ordering:
-            known_one = await self._find(device, identifier)
-            if known_one is not None:
-                if (known_one.name, dict(known_one.parameters)) != (name, dict(parameters)):
-                    raise Problem(
-                        409,
-                        "Another command",
-                        message(
-                            "device.command_id_taken",
-                            'the id "{id}" is that of another command; use a new one',
-                            id=identifier,
-                        ),
-                    )
-                return known_one
-            if len(self._open[device]) >= MAX_OPEN:
-                raise Problem(
-                    429,
-                    "Too many commands",
-                    message(
-                        "device.commands_too_many",
-                        "{device} has {maximum} open commands; wait until some have ended",
-                        device=device,
-                        maximum=MAX_OPEN,
-                    ),
-                )
-            now_s = self._clock()
-            link = self._links.get(device)
-            command = Command(
-                device, identifier, name, specification.kind, dict(parameters), now_s, now_s + timeout_s
+        if len(self._open[device]) >= MAX_OPEN:
+            raise Problem(
+                429,
+                "Too many commands",
+                message(
+                    "device.commands_too_many",
+                    "{device} has {maximum} open commands; wait until some have ended",
+                    device=device,
+                    maximum=MAX_OPEN,
+                ),
             )
-            if specification.kind is CommandKind.MOTION:
-                if link is None:
-                    edge = description.edge
-                    if edge is not None and edge not in self._links:
-                        raise _edge_away(device, name, edge)
-                    raise Problem(
-                        409,
-                        "Device away",
-                        message(
-                            "device.motion_away",
-                            '{device} is not connected, and "{command}" is a motion, which is never queued; '
-                            "connect the device and send the command again",
-                            device=device,
-                            command=name,
-                        ),
-                    )
-                command = command.sent_to(link.boot)
-            one = _Open(command)
-            one.is_busy = True
-            self._open[device][identifier] = one
-            try:
-                await self._write(command, messages=[self._logged(command)] if command.boot else [])
-                if command.boot and link is not None:
-                    self._send_motion(one, link)
-            finally:
-                one.is_busy = False
+        now_s = self._clock()
+        link = self._links.get(device)
+        if link is None and specification.kind is CommandKind.MOTION:
+            raise self._motion_away(device, name, description.edge)
+        command = Command(
+            device, identifier, name, specification.kind, dict(parameters), now_s, now_s + timeout_s
+        )
+        one = _Open(command.sent_to(link.boot) if link is not None else command)
+        one.is_busy = True
+        self._open[device][identifier] = one
+        logged = [] if link is None else [self._logged(one.command)]
+        one.written = self._writer.add(messages=logged, commands=[_row(one.command)])
+        try:
+            await asyncio.shield(one.written)
+            if specification.kind is CommandKind.MOTION and link is not None:
+                self._send_motion(one, link)
+        finally:
+            one.is_busy = False
         self._wake.set()
         return one.command
+
+    async def _known(
+        self, device: str, identifier: str, name: str, parameters: Mapping[str, Any]
+    ) -> Command | None:
+        """Return the durable command with this id; raise `Problem` 409 if it is another one."""
+        stored = await self._find(device, identifier)
+        one = self._open[device].get(identifier)  # the same id may have come while the database was asked
+        found = one.command if one is not None else stored
+        if found is None:
+            return None
+        if (found.name, dict(found.parameters)) != (name, dict(parameters)):
+            raise Problem(
+                409,
+                "Another command",
+                message(
+                    "device.command_id_taken",
+                    'the id "{id}" is that of another command; use a new one',
+                    id=identifier,
+                ),
+            )
+        if one is None:
+            return found
+        if one.written is not None:
+            await asyncio.shield(one.written)
+        return one.command
+
+    def _motion_away(self, device: str, command: str, edge: str | None) -> Problem:
+        if edge is not None and edge not in self._links:
+            return _edge_away(device, command, edge)
+        return Problem(
+            409,
+            "Device away",
+            message(
+                "device.motion_away",
+                '{device} is not connected, and "{command}" is a motion, which is never queued; '
+                "connect the device and send the command again",
+                device=device,
+                command=command,
+            ),
+        )
 
     async def cancel(self, device: str, identifier: str) -> Command:
         """Cancel a command: one that was not sent ends at once, another one when the device answers."""
@@ -267,11 +289,21 @@ class Dispatcher:
         for one in self._open.pop(device, {}).values():
             one.change(one.command.ended(CommandState.CANCELLED, "the device was deleted"))
 
-    async def _proceed(self, one: _Open) -> None:
+    def _next_step(self, one: _Open) -> Step:
+        link = self._links.get(one.command.device)
+        boot = link.boot if link else None
+        return next_step(one.command, self._clock(), boot, one.sent, self._ack_timeout_s)
+
+    async def _proceed(self, one: _Open, step: Step) -> None:
+        """Carry out a step; the command is busy until then."""
+        try:
+            await self._carry_out(one, step)
+        finally:
+            one.is_busy = False
+
+    async def _carry_out(self, one: _Open, step: Step) -> None:
         command = one.command
         link = self._links.get(command.device)
-        now_s = self._clock()
-        step = next_step(command, now_s, link.boot if link else None, one.sent, self._ack_timeout_s)
         if step is Step.EXPIRE:
             if command.boot is not None and link is not None and not one.is_cancelling:
                 link.send(_cancel_message(command))
@@ -287,16 +319,13 @@ class Dispatcher:
                 reason = "the gateway stopped before it sent the motion"
             await self._end(one, CommandState.UNKNOWN if command.boot else CommandState.FAILED, reason)
         elif step is Step.SEND and link is not None:
-            one.is_busy = True
-            try:
-                if command.boot != link.boot:
-                    one.change(command.sent_to(link.boot))
-                    await self._write(one.command, messages=[self._logged(one.command)])
-                if self._links.get(command.device) is link and one.command.is_open:
-                    one.sent = Sent(one.sent.times + 1, now_s)
-                    link.send(_message(one.command, now_s))
-            finally:
-                one.is_busy = False
+            if command.boot != link.boot:
+                one.change(command.sent_to(link.boot))
+                await self._write(one.command, messages=[self._logged(one.command)])
+            if self._links.get(command.device) is link and one.command.is_open:
+                now_s = self._clock()
+                one.sent = Sent(one.sent.times + 1, now_s)
+                link.send(_message(one.command, now_s))
 
     def _send_motion(self, one: _Open, link: CommandLink) -> None:
         """Send a motion once, if the connection that it was accepted for still exists."""

@@ -36,7 +36,7 @@ log = get_logger(__name__)
 
 MAX_WAITING_ROWS: Final = 50_000
 GROUP_S: Final = 0.02
-"""Time in which rows are collected for a group; it delays an acknowledgement by as much at most."""
+"""Time from a group to the next: rows that come when none was written lately are written at once."""
 
 T = TypeVar("T")
 Row = tuple[Any, ...]
@@ -157,8 +157,8 @@ class HistoryWriter:
         """Write until cancelled."""
         while True:
             await self._has_waiting.wait()
-            await asyncio.sleep(GROUP_S)
             await self._write_waiting()
+            await asyncio.sleep(GROUP_S)
 
     async def close(self) -> None:
         """Write what waits, once, and end the thread."""
