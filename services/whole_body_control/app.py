@@ -21,8 +21,10 @@ from handover.security.guard import Guard
 from handover.service import create_app
 from services.whole_body_control.metrics import REJECTED
 from services.whole_body_control.routes.humanoid_routes import add_humanoid_routes
+from services.whole_body_control.routes.input_socket import add_input_socket
 from services.whole_body_control.running.device import HumanoidDevice
 from services.whole_body_control.running.humanoid_control import HumanoidControl
+from services.whole_body_control.running.signals import PatientSignals
 from services.whole_body_control.running.store import Store
 from services.whole_body_control.settings import WholeBodySettings
 
@@ -42,6 +44,7 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
         ca_files=settings.ca_files,
         required=settings.humanoid_required_limits,
     )
+    signals = PatientSignals()
     control = HumanoidControl(settings, store, limits)
     device = HumanoidDevice(settings, control, broker, writer)
 
@@ -69,4 +72,5 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
         audit=AuditTrail(settings, "whole-body-control", engine),
     )
     add_humanoid_routes(app, control)
+    add_input_socket(app, control, signals)
     return app

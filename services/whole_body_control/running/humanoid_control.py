@@ -13,6 +13,7 @@ from handover.telemetry import get_logger
 from services.whole_body_control.metrics import FRACTION
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.running.cycle_process import CycleProcess
+from services.whole_body_control.running.inputs import PersonInputs
 from services.whole_body_control.running.live import LiveDocument
 from services.whole_body_control.running.motion import NAMES, Behaviour, Motion
 from services.whole_body_control.running.port_links import PortLinks
@@ -33,7 +34,8 @@ class HumanoidControl:
         self.process = CycleProcess(settings)
         self.motion = Motion()
         self.limits = limits
-        self.links = PortLinks(self.process, self._wish, lambda _: None)
+        self.inputs = PersonInputs()
+        self.links = PortLinks(self.process, self._wish, self.inputs.port_values)
         self.live = LiveDocument(self.name, self.model.joint_names, self.motion)
         self._store = store
 
@@ -116,4 +118,5 @@ class HumanoidControl:
 
     def _wish(self, names: tuple[str, ...]) -> list[float]:
         self.update_limit()
+        self.inputs.values = self.links.values
         return self.motion.values(names)

@@ -6,7 +6,9 @@ import signal
 import orjson
 from websockets.sync.client import connect
 
+from services.whole_body_control.cycle.ports import PortReader
 from tests.integration.whole_body_control.conftest import SERVICE, WITHIN_S, HumanoidCell
+from tests.integration.whole_body_control.people import socket_url, stands, therapist_at
 from tests.kit.waiting import wait_for
 
 
@@ -22,8 +24,7 @@ def test_the_model_is_shown_by_chains_and_drawn_by_its_urdf(humanoid: HumanoidCe
 
 
 def test_the_live_state_follows_the_clock_of_the_robot(humanoid: HumanoidCell) -> None:
-    url = f"{humanoid.cell.url(SERVICE).replace('http', 'ws')}/live"
-    with connect(url, proxy=None) as socket:
+    with connect(socket_url(humanoid, "/live"), proxy=None) as socket:
         documents = [orjson.loads(socket.recv(timeout=WITHIN_S)) for _ in range(5)]
     assert [one["phase"] for one in documents] == ["standing"] * 5
     assert documents[-1]["t"] > documents[0]["t"]
@@ -60,3 +61,47 @@ def test_the_end_of_the_control_cycle_is_reported_and_a_person_restarts_it(human
     assert humanoid.post("/restart")["pid"] != process
     humanoid.start()
     assert humanoid.state()["phase"] == "standing"
+
+
+def test_a_therapist_walks_it_and_a_stop_or_a_killed_service_ends_that_on_both_feet(
+    humanoid: HumanoidCell,
+) -> None:
+    humanoid.start()
+    with therapist_at(humanoid) as therapist:
+        therapist.hold({"ahead": 0.1}, until=lambda: humanoid.state()["phase"] == "single")
+        humanoid.post("/stop", {"reason": "enough"})
+        therapist.hold({"ahead": 0.1}, until=lambda: stands(humanoid), again=False)
+        place = humanoid.state()["base"]
+        humanoid.post("/reset")
+        assert humanoid.state()["needsRelease"]  # what is still held does not move it again
+        assert stands(humanoid)
+        therapist.release()
+        therapist.hold({"ahead": 0.1}, until=lambda: humanoid.state()["phase"] == "single")
+        process, walked = humanoid.cycle()["pid"], humanoid.state()["base"][0]
+        assert walked > place[0] - 0.05
+        humanoid.cell.kill(SERVICE)
+    port = PortReader(humanoid.folder / "state")
+    wait_for(lambda: port.read() and port.value("phase") == 0, WITHIN_S, "the robot stands by itself")
+    humanoid.start()
+    state = humanoid.state()
+    assert (humanoid.cycle()["pid"], state["base"][2] > 0.4, state["fault"]) == (process, True, None)
+
+
+def test_inputs_that_are_invalid_or_of_another_role_are_refused_with_a_reason(humanoid: HumanoidCell) -> None:
+    humanoid.start()
+    with connect(socket_url(humanoid, "/input?role=patient"), proxy=None) as socket:
+
+        def answer(message: object) -> dict[str, object]:
+            socket.send(orjson.dumps(message).decode())
+            found: dict[str, object] = orjson.loads(socket.recv(timeout=WITHIN_S))
+            return found
+
+        assert answer({"kind": "pose", "t": 12.5, "tracking": "ok"}) == {"kind": "echo", "t": 12.5}
+        assert "does not send" in str(answer({"kind": "wish", "held": True})["reason"])
+        hand = {"position": [1e400, 0, 0], "grip": 0}
+        for wrong in ({"kind": "pose"}, {"kind": "pose", "t": 1, "hands": {"left": hand}}, [1]):
+            assert answer(wrong)["kind"] == "error"
+        with connect(socket_url(humanoid, "/input?role=patient"), proxy=None) as other:
+            answer({"kind": "pose", "t": 13.0})
+            other.send(orjson.dumps({"kind": "pose", "t": 1}).decode())
+            assert "another patient" in orjson.loads(other.recv(timeout=WITHIN_S))["reason"]

@@ -1,0 +1,126 @@
+"""The WebSocket of people who exercise or steer. Nothing queues: each message replaces the one before."""
+
+import asyncio
+import time
+from contextlib import suppress
+from typing import Annotated, Any, Final
+
+import orjson
+from fastapi import FastAPI, WebSocket
+from pydantic import ValidationError
+from starlette.websockets import WebSocketDisconnect
+
+from handover.errors import Problem
+from handover.security.caller import Caller
+from handover.security.guard import guard_of, require_by_handler
+from handover.security.permissions import Permission
+from services.whole_body_control.metrics import INPUTS
+from services.whole_body_control.routes.access import of_humanoid
+from services.whole_body_control.running.humanoid_control import HumanoidControl
+from services.whole_body_control.running.inputs import (
+    MESSAGES,
+    SILENT_S,
+    PoseMessage,
+    PullMessage,
+    WishMessage,
+)
+from services.whole_body_control.running.signals import PatientSignals
+
+MAX_MESSAGE_CHARS: Final = 4096
+_NEEDED: Final[dict[str, Permission]] = {
+    "patient": Permission.PERFORM_TASKS,
+    "therapist": Permission.MOVE_ROBOTS,
+}
+
+
+class _Turns:
+    """Who sends in a role: one connection at a time, another one once that is silent."""
+
+    def __init__(self) -> None:
+        self._holder: object | None = None
+        self._received_s = float("-inf")
+
+    def takes(self, who: object) -> bool:
+        """Return whether the message of `who` counts."""
+        now_s = time.monotonic()
+        if self._holder is not who and now_s - self._received_s <= SILENT_S:
+            return False
+        self._holder, self._received_s = who, now_s
+        return True
+
+    def leave(self, who: object) -> None:
+        if self._holder is who:
+            self._holder, self._received_s = None, float("-inf")
+
+
+def add_input_socket(app: FastAPI, control: HumanoidControl, signals: PatientSignals) -> None:
+    """Add the WebSocket of inputs."""
+    turns = {role: _Turns() for role in _NEEDED}
+
+    @app.websocket("/input")
+    async def inputs(
+        socket: WebSocket,
+        caller: Annotated[Caller, require_by_handler(Permission.PERFORM_TASKS, "for the humanoid")],
+    ) -> None:
+        """Take poses and pulls of the patient, or wishes of the therapist; answer echoes, haptic pulses."""
+        await socket.accept()
+        role = socket.query_params.get("role", "patient")
+        if role not in _NEEDED:
+            await socket.close(4400, 'the role is "patient" or "therapist"')
+            return
+        try:
+            guard_of(socket).require(caller, _NEEDED[role], str(of_humanoid(socket)))
+        except Problem as problem:
+            await socket.close(4000 + problem.status, str(problem.detail)[:120])
+            return
+        sending = asyncio.create_task(_send_signals(socket, signals)) if role == "patient" else None
+        try:
+            with suppress(WebSocketDisconnect, RuntimeError, KeyError):
+                while True:
+                    answer = _take(control, role, turns[role], socket, await socket.receive_text())
+                    if answer is not None:
+                        await socket.send_text(orjson.dumps(answer).decode())
+        finally:
+            turns[role].leave(socket)
+            if sending is not None:
+                sending.cancel()
+                await asyncio.gather(sending, return_exceptions=True)
+
+
+def _take(
+    control: HumanoidControl, role: str, turns: _Turns, who: object, text: str
+) -> dict[str, Any] | None:
+    """Take a message; return the answer, if it has one."""
+    given = _read(text, role)
+    if isinstance(given, str) or not turns.takes(who):
+        INPUTS.labels("refused").inc()
+        reason = given if isinstance(given, str) else f"another {role} sends already; wait for their end"
+        return {"kind": "error", "reason": reason}
+    INPUTS.labels("accepted").inc()
+    if isinstance(given, WishMessage):
+        control.motion.walk(given.ahead, given.left, given.yaw, is_held=given.held)
+        return None
+    control.inputs.receive(given)
+    return {"kind": "echo", "t": given.t} if isinstance(given, PoseMessage) else None
+
+
+def _read(text: str, role: str) -> PoseMessage | PullMessage | WishMessage | str:
+    """Return the message, or what is wrong with it."""
+    if len(text) > MAX_MESSAGE_CHARS:
+        return f"a message has at most {MAX_MESSAGE_CHARS} characters"
+    try:
+        given: PoseMessage | PullMessage | WishMessage = MESSAGES.validate_json(text)
+    except ValidationError as error:
+        faults = (
+            f"{'.'.join(map(str, one['loc'])) or 'message'}: {one['msg']}" for one in error.errors()[:3]
+        )
+        return "; ".join(faults)[:300]
+    if isinstance(given, WishMessage) is not (role == "therapist"):
+        return f'a {role} does not send "{given.kind}"'
+    return given
+
+
+async def _send_signals(socket: WebSocket, signals: PatientSignals) -> None:
+    with suppress(WebSocketDisconnect, RuntimeError), signals.receiver() as waiting:
+        while True:
+            await socket.send_text(orjson.dumps(await waiting.get()).decode())

@@ -1,0 +1,63 @@
+"""People at a humanoid, as WebSocket clients."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import orjson
+from websockets.sync.client import ClientConnection, connect
+
+from tests.integration.whole_body_control.conftest import SERVICE, WITHIN_S, HumanoidCell
+from tests.kit.waiting import wait_for
+
+PERIOD_S = 0.03
+
+
+def socket_url(humanoid: HumanoidCell, path: str) -> str:
+    """Return the URL of a WebSocket of the service."""
+    return f"{humanoid.cell.url(SERVICE).replace('http', 'ws', 1)}{path}"
+
+
+def stands(humanoid: HumanoidCell) -> bool:
+    """Return whether the robot stands on both feet."""
+    return bool(humanoid.state()["phase"] == "standing")
+
+
+class Therapist:
+    """Holds the dead-man control."""
+
+    def __init__(self, humanoid: HumanoidCell, socket: ClientConnection) -> None:
+        self._humanoid, self._socket = humanoid, socket
+
+    def release(self) -> None:
+        """Let the control go."""
+        self._send(held=False)
+
+    def hold(self, velocity: dict[str, float], until: Callable[[], bool], *, again: bool = True) -> None:
+        """Hold it with a velocity until a condition.
+
+        When messages were late on a slow machine, it is released and held `again`.
+        """
+
+        def is_reached() -> bool:
+            if again and self._humanoid.state()["needsRelease"]:
+                self.release()
+            for _ in range(3):
+                self._send(**velocity, held=True)
+                time.sleep(PERIOD_S)
+            return until()
+
+        wait_for(is_reached, WITHIN_S, "what the therapist waits for")
+
+    def _send(self, **message: Any) -> None:
+        self._socket.send(orjson.dumps({"kind": "wish", **message}).decode())
+
+
+@contextmanager
+def therapist_at(humanoid: HumanoidCell) -> Iterator[Therapist]:
+    """Connect a therapist, whose control is released."""
+    with connect(socket_url(humanoid, "/input?role=therapist"), proxy=None) as socket:
+        therapist = Therapist(humanoid, socket)
+        therapist.release()
+        yield therapist
