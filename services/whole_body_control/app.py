@@ -22,10 +22,15 @@ from handover.service import create_app
 from services.whole_body_control.metrics import REJECTED
 from services.whole_body_control.routes.humanoid_routes import add_humanoid_routes
 from services.whole_body_control.routes.input_socket import add_input_socket
+from services.whole_body_control.routes.session_routes import add_session_routes
 from services.whole_body_control.running.device import HumanoidDevice
+from services.whole_body_control.running.device_tasks import HumanoidTasks
 from services.whole_body_control.running.humanoid_control import HumanoidControl
+from services.whole_body_control.running.session_store import SessionStore
+from services.whole_body_control.running.session_writer import SessionWriter
 from services.whole_body_control.running.signals import PatientSignals
 from services.whole_body_control.running.store import Store
+from services.whole_body_control.running.training import Training
 from services.whole_body_control.settings import WholeBodySettings
 
 
@@ -46,11 +51,17 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
     )
     signals = PatientSignals()
     control = HumanoidControl(settings, store, limits)
+    sessions = SessionStore(engine)
+    training = Training(control, sessions, signals)
+    session_writer = SessionWriter(training, sessions)
+    control.links.on_tick = training.tick
+    performer = HumanoidTasks(settings, control, training, session_writer, broker)
     device = HumanoidDevice(settings, control, broker, writer)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         await asyncio.to_thread(store.prepare)
+        await asyncio.to_thread(sessions.prepare)
         await asyncio.to_thread(control.open)
         try:
             async with broker, writer, tasks:
@@ -58,7 +69,11 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
                 tasks.start_restarting(control.links.run)
                 tasks.start_restarting(limits.run)
                 tasks.start_restarting(device.run)
-                yield
+                tasks.start_restarting(session_writer.run)
+                await performer.act_for(device.id)
+                async with performer:
+                    yield
+                await session_writer.flush()
         finally:
             await control.process.stop()
             engine.dispose()
@@ -67,10 +82,12 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
         "Whole-body control",
         description=__doc__ or "",
         lifespan=lifespan,
-        checks={"broker": broker.probe},
+        checks={"broker": broker.probe, "subscription": performer.probe},
         guard=guard,
         audit=AuditTrail(settings, "whole-body-control", engine),
     )
     add_humanoid_routes(app, control)
     add_input_socket(app, control, signals)
+    add_session_routes(app, training, session_writer)
+    performer.mount(app)
     return app
