@@ -362,7 +362,8 @@ def _model(
     for number, element in enumerate(elements, 1):
         kind = element.get("type")
         movable = kind != "fixed"
-        segments.append(_Segment(_origin(element), _axis(element), kind, len(joints) if movable else None))
+        axis = _axis(element) if movable else (0.0, 0.0, 0.0)  # a fixed joint needs none
+        segments.append(_Segment(_origin(element), axis, kind, len(joints) if movable else None))
         if movable:
             joints.append(_joint(element, limits, labels))
         if element.find("child").get("link") == flange:

@@ -11,7 +11,7 @@ from lxml import etree
 
 from handover.errors import UsageError
 from services.trajectory_tool.onboarding import urdf
-from services.trajectory_tool.onboarding.semantics import sample
+from services.trajectory_tool.onboarding.semantics import Semantics, sample
 from services.trajectory_tool.onboarding.shapes import replace_meshes
 from services.trajectory_tool.onboarding.sources import find_urdf
 from services.trajectory_tool.onboarding.urdf import Examined, Finding, examine
@@ -86,7 +86,9 @@ def _write(folder: Path, name: str, examined: Examined) -> None:
     (folder / f"{name}.urdf").write_bytes(
         etree.tostring(examined.root, xml_declaration=True, encoding="UTF-8")
     )
-    (folder / f"{name}.srdf").write_text(f'<robot name="{name}"/>\n')
+    first = Semantics({}, 0, tuple(_start(joint) for joint in examined.movable))
+    names = tuple(joint.get("name") for joint in examined.movable)
+    (folder / f"{name}.srdf").write_bytes(first.written(name, names))
     speeds = {
         joint.get("name"): urdf.number_of(joint.find("limit"), "velocity") or 0.0
         for joint in examined.movable
@@ -102,6 +104,14 @@ def _write(folder: Path, name: str, examined: Examined) -> None:
         "max_jerk": {joint: round(urdf.JERK_OF_SPEED * speed, 4) for joint, speed in speeds.items()},
     }
     (folder / FILE).write_text(yaml.safe_dump(entry, sort_keys=False), encoding="utf-8")
+
+
+def _start(joint: Any) -> float:
+    """Return 0, or the middle of the limits of a joint that cannot be there."""
+    limit = joint.find("limit")
+    lower, upper = (urdf.number_of(limit, side) or 0.0 for side in ("lower", "upper"))
+    is_free = joint.get("type") == "continuous" or lower <= 0.0 <= upper
+    return 0.0 if is_free else (lower + upper) / 2
 
 
 def _of_the_model(model: RobotModel, checked: int) -> list[Finding]:

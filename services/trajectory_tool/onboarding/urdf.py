@@ -20,6 +20,8 @@ ACCELERATION_OF_SPEED, JERK_OF_SPEED = 4.0, 40.0
 """Assumed limits as multiples of the limit of velocity."""
 MAX_PLAUSIBLE_SPEED = {"revolute": 12.0, "continuous": 12.0, "prismatic": 5.0}
 MOVABLE = frozenset(DEFAULT_SPEED)
+TIP_NAMES = ("tcp", "tool0", "tip", "ee_link", "end_effector", "eef", "tool_link", "flange")
+"""Names of the link whose pose a Task gives, or their last words; the first that there is counts."""
 NOT_OF_AN_ARM = frozenset({"planar", "floating"})
 
 
@@ -55,6 +57,7 @@ def examine(text: str, tip: str | None = None) -> Examined:
     faults = list(_tree_faults(root))
     if faults:
         raise UsageError("\n".join(faults))
+    tip = _rename_links(root, tip, findings)
     joints = {joint.find("child").get("link"): joint for joint in root.findall("joint")}
     tip = _tip(root, joints, tip, findings)
     chain: list[Any] = []
@@ -152,6 +155,24 @@ def _tree_faults(root: Any) -> Iterator[str]:  # noqa: PLR0912 - one rule after 
             seen.add(link)
 
 
+def _rename_links(root: Any, tip: str | None, findings: list[Finding]) -> str | None:
+    """Rename links that are called as a joint, which planning cannot distinguish; return the new `tip`."""
+    taken = {joint.get("name") for joint in root.findall("joint")}
+    links = {link.get("name"): link for link in root.findall("link")}
+    for name in [name for name in links if name in taken]:
+        new = f"{name}_link"
+        while new in taken or new in links:
+            new += "_"
+        links[name].set("name", new)
+        taken.add(new)
+        for end in (*root.iterfind("joint/parent"), *root.iterfind("joint/child")):
+            if end.get("link") == name:
+                end.set("link", new)
+        tip = new if tip == name else tip
+        findings.append(Finding("info", name, f'a joint has the same name; the link is called "{new}" here'))
+    return tip
+
+
 def _tip(root: Any, joints: dict[str, Any], tip: str | None, findings: list[Finding]) -> str:
     links = [link.get("name") for link in root.findall("link")]
     if tip is not None:
@@ -173,7 +194,7 @@ def _tip(root: Any, joints: dict[str, Any], tip: str | None, findings: list[Find
         return (-1 if passes_mimic else moving, total)
 
     ordered = sorted(leaves, key=reach, reverse=True)
-    named = [link for link in links if link in {"tool0", "tcp", "tip", "ee_link", "tool_link", "flange"}]
+    named = [link for name in TIP_NAMES for link in links if link == name or link.endswith(f"_{name}")]
     chosen = named[0] if named else ordered[0]
     if len(leaves) > 1:
         findings.append(

@@ -38,7 +38,7 @@ class Arm:
         except (ValueError, RuntimeError) as error:
             raise UsageError(f"the URDF of {model.name} cannot be used for planning: {error}") from None
         self.data = self.pin_model.createData()
-        self.tip = self.pin_model.getFrameId(model.tip)
+        self.tip = self.pin_model.getFrameId(model.tip, pin.FrameType.BODY)  # a joint may have the same name
         self.lower = np.array([_bound(joint.lower, -CONTINUOUS_RANGE_RAD) for joint in model.joints])
         self.upper = np.array([_bound(joint.upper, CONTINUOUS_RANGE_RAD) for joint in model.joints])
         self.is_turning = np.array([joint.kind != "prismatic" for joint in model.joints])

@@ -135,6 +135,19 @@ def checked_pairs(model: Any) -> set[tuple[str, str]]:
             'there are 2 tips (l6, l9); "l6" is used',
         ),
         (
+            {"l9": link("l9"), "arm_tcp": link("arm_tcp"), "j9": joint("j9", "l5", "l9")}
+            | {"j10": joint("j10", "l5", "arm_tcp", kind="fixed", axis="0 0 0", inner="")},
+            '"arm_tcp" is used',
+        ),
+        (
+            {"j2": joint("j2", "l1", "l2", inner='<limit lower="-2" upper="-0.1" velocity="2"/>')},
+            "pairs of links are checked",
+        ),
+        (
+            {"same": link("j6"), "j9": joint("j9", "l6", "j6")},
+            'info j6: a joint has the same name; the link is called "j6_link" here',
+        ),
+        (
             {"l9": link("l9"), "j9": joint("j9", "l6", "l9", inner=LIMIT + '<mimic joint="j1"/>')},
             'info j9: mimics "j1"; it is beside the way to the tip; it is held at 0',
         ),
