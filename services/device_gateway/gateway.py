@@ -19,7 +19,7 @@ from typing import Any, Final, Protocol
 import orjson
 from sqlalchemy import Engine
 
-from handover.errors import HandoverError, Problem
+from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.security.secret_tokens import is_token, new_token, token_hash
 from handover.telemetry import get_logger
@@ -39,6 +39,7 @@ from services.device_gateway.protocol.messages import (
     parse_message,
 )
 from services.device_gateway.protocol.times import TimeRule
+from services.device_gateway.refusals import Refused, WrongCertificate, WrongToken
 from services.device_gateway.registry.device import Device, LatestValue, Link
 from services.device_gateway.registry.edge_marks import EdgeMarks
 from services.device_gateway.storage import device_store, history
@@ -48,8 +49,8 @@ from services.device_gateway.storage.outbox import RelayRow
 
 log = get_logger(__name__)
 
-INPUT_MARK: Final = b'"human_input"'
-"""The type of inputs of people; found without reading the line, since they come at up to 1 kHz."""
+INPUT: Final = "human_input"
+"""The type of inputs of people, which come at up to 1 kHz and are passed on as they are."""
 MAX_LOGGED: Final = 1_000
 """Characters of a refused line in the log of messages."""
 
@@ -58,46 +59,6 @@ _NO_HASH: Final = "0" * 64
 """Compared with the token of an unknown device, so that it takes as long as for a known one."""
 
 Respond = Callable[[Sequence[Mapping[str, Any]]], None]
-
-
-class WrongToken(HandoverError):
-    """There is no such device, or the token is not its token: one text for both, so that nobody finds out
-    which devices exist."""
-
-    code = "wrongToken"
-
-    def __init__(self) -> None:
-        super().__init__(
-            message(
-                "device.wrong_token",
-                "there is no such device, or the token is not its token; add the device with `handover "
-                "device add`, or make a new token with `handover device token`",
-            )
-        )
-
-
-class WrongCertificate(HandoverError):
-    """The certificate belongs to no device of this name."""
-
-    code = "wrongCertificate"
-
-    def __init__(self) -> None:
-        super().__init__(
-            message(
-                "device.wrong_certificate",
-                "there is no such device, or the certificate is not its certificate; make one with `handover "
-                "device certificate`, or send the token of the device",
-            )
-        )
-
-
-class Refused(Exception):
-    """A hello is refused; `retry` says whether the device should try again."""
-
-    def __init__(self, code: str, reason: str, *, retry: bool = False) -> None:
-        super().__init__(reason)
-        self.code = code
-        self.retry = retry
 
 
 @dataclass(frozen=True, slots=True)
@@ -413,8 +374,8 @@ class DeviceGateway:
         values: list[tuple[str, str, int, float]] = []
         relays: list[RelayRow] = []
         for line in lines:
-            if INPUT_MARK in line:
-                metrics.MESSAGES.labels("human_input").inc()
+            if _is_input(line):
+                metrics.MESSAGES.labels(INPUT).inc()
                 self.on_input(device.name, line)
                 continue
             try:
@@ -491,6 +452,17 @@ class DeviceGateway:
     def _changed(self, device: Device) -> None:
         self._reports.put(device)
         self.on_changed(device)
+
+
+def _is_input(line: bytes) -> bool:
+    """Return whether a line is an input of a person; other messages may contain the word."""
+    if INPUT.encode() not in line:
+        return False
+    try:
+        message = orjson.loads(line)
+    except orjson.JSONDecodeError:
+        return False
+    return isinstance(message, dict) and message.get("type") == INPUT
 
 
 def _with_seq(answer: dict[str, Any], seq: int | None) -> dict[str, Any]:

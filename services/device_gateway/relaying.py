@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from handover.telemetry import get_logger
-from services.device_gateway.gateway import DeviceGateway, Refused, Respond, Session
+from services.device_gateway.gateway import DeviceGateway, Respond, Session
 from services.device_gateway.metrics import RELAYED
 from services.device_gateway.model.description import DeviceKind
 from services.device_gateway.protocol.messages import BadMessage, Hello, RelayHello
@@ -29,6 +29,7 @@ from services.device_gateway.protocol.relaying import (
     parse_relayed,
 )
 from services.device_gateway.protocol.times import TimeRule
+from services.device_gateway.refusals import Refused
 from services.device_gateway.registry.device import Device, Link
 from services.device_gateway.storage.history_writer import EdgeMark
 

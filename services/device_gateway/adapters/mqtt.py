@@ -35,9 +35,10 @@ from handover.retry import Backoff
 from handover.telemetry import get_logger
 from handover.tls_trust import client_context
 from services.device_gateway import metrics
-from services.device_gateway.gateway import DeviceGateway, Refused, Session, WrongToken
+from services.device_gateway.gateway import DeviceGateway, Session
 from services.device_gateway.protocol.messages import MAX_LINE_BYTES, BadMessage, parse_hello
 from services.device_gateway.protocol.rates import DeviceRates, TokenBucket
+from services.device_gateway.refusals import Refused, WrongToken
 from services.device_gateway.registry.device import Device
 from services.device_gateway.settings import GatewaySettings
 

@@ -23,11 +23,12 @@ from handover.telemetry import get_logger
 from handover.transport_security.server_certificate import ServerCertificate
 from handover.transport_security.tls_listener import Listener, listen
 from services.device_gateway import metrics
-from services.device_gateway.gateway import DeviceGateway, Refused, Session, encoded
+from services.device_gateway.gateway import DeviceGateway, Session, encoded
 from services.device_gateway.protocol.lines import LineBuffer
 from services.device_gateway.protocol.messages import BadMessage, Hello, encode, parse_hello
 from services.device_gateway.protocol.rates import DeviceRates
 from services.device_gateway.protocol.relaying import MAX_RELAYED_BYTES
+from services.device_gateway.refusals import Refused
 from services.device_gateway.relaying import SILENCE_S, EdgeRelays, RelaySession
 from services.device_gateway.settings import GatewaySettings
 

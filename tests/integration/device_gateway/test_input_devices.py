@@ -1,6 +1,7 @@
 """A person drives a robot with an input device over the TCP protocol of the gateway."""
 
 import asyncio
+import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Any
@@ -119,6 +120,10 @@ async def test_a_control_with_a_device_is_ended_by_a_person(cell: Cell) -> None:
     hello = {"type": "hello", "version": 1, "device": "stylus-2", "token": added.json()["token"]}
     writer.write(orjson.dumps(hello) + b"\n")
     await reader.readline()
+    event = {"type": "event", "seq": 1, "t": time.time(), "name": "noted", "data": {"about": "human_input"}}
+    writer.write(orjson.dumps(event) + b"\n")
+    assert orjson.loads(await reader.readline())["type"] == "ack", "the word alone makes no input"
+    assert "noted" in (await cell.gateway.get("/devices/stylus-2/messages")).text
     nothing = await cell.gateway.delete("/devices/stylus-2/control")
     assert nothing.status_code == 404
     unknown = await cell.gateway.post("/devices/stylus-2/control", json={"robot": "ur10-9"})

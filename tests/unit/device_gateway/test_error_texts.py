@@ -7,7 +7,7 @@ import pytest
 
 from handover.errors import Problem
 from handover.messages import Message, text_of
-from services.device_gateway.gateway import WrongCertificate, WrongToken
+from services.device_gateway.refusals import WrongCertificate, WrongToken
 from services.device_gateway.registry.pictures import media_type_of
 from services.device_gateway.registry.templates import template
 from services.device_gateway.registry.urdf import joints_in
