@@ -4,8 +4,8 @@ import {
 } from "lucide-react";
 import { Suspense, useEffect, useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
-import { Link, useLocation } from "wouter";
-import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
+import { useLocation } from "wouter";
+import { AttentionBanner } from "~/alerts/AttentionBanner";
 import { useAlertSound } from "~/alerts/sound";
 import { Button } from "~/design/Button";
 import { useConnectionState, useTopicSelector } from "~/live/hooks";
@@ -13,6 +13,7 @@ import { AccountMenu } from "~/session/AccountMenu";
 import { mayDo, useSession } from "~/session/session";
 import { KeyList } from "./KeyList";
 import { isForOtherTarget, usePageKeys } from "./keys";
+import { Navigation } from "./Navigation";
 import { Preferences } from "./Preferences";
 import "./Shell.css";
 
@@ -71,21 +72,7 @@ export function Shell({ children }: { children: ReactNode }) {
         {t("skip")}
       </a>
       <header className="shell__bar">
-        <nav className="shell__nav" aria-label="Handover">
-          {pages.map((page) => (
-            <Link
-              key={page.path}
-              href={page.path}
-              className="shell__page"
-              aria-current={page === here ? "page" : undefined}
-              ref={page === here ? scrollIntoView : undefined}
-            >
-              <page.icon aria-hidden size={20} />
-              <span>{t(`pages.${page.name}`)}</span>
-              {page.name === "system" && <AttentionCount />}
-            </Link>
-          ))}
-        </nav>
+        <Navigation pages={pages} here={here?.name} />
         <div className="shell__aside">
           <AccountMenu />
           <Button kind="quiet" label={t("keys.open")} icon={<CircleHelp aria-hidden size={20} />} onPress={() => setShowsKeys(true)} />
@@ -124,10 +111,6 @@ function useOfferedPages(): readonly (typeof allPages)[number][] {
   const showsHealth = hasHealth && (mayDo("readHealthData") || user?.person != null);
   const showsCases = hasCases && mayDo("readHealthData");
   return useMemo(() => allPages.filter(({ name }) => (name !== "health" || showsHealth) && (name !== "cases" || showsCases)), [showsHealth, showsCases]);
-}
-
-function scrollIntoView(page: HTMLAnchorElement | null): void {
-  page?.scrollIntoView({ block: "nearest", inline: "nearest" });
 }
 
 function LinkBanner() {
