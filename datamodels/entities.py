@@ -396,8 +396,9 @@ class HumanState(Entity):
     Each attribute is a `Measurement` with `observed_at`: the fused value is the default instance, that of
     each sensor has a `datasetId`. Units: heart rate `BPM`, breathing rate and cadence `C94` (per minute),
     heart rate variability `C26` (ms), SpO2 `P1` (%), skin conductance `D80` (microsiemens), skin
-    temperature `CEL`. `movement`, `fatigue` and `stress` are fractions from 0 to 1. It is the record: a
-    control loop never waits for it, and it is no diagnosis.
+    temperature `CEL`. `movement` (of an accelerometer), `fatigue` and `stress` are fractions from 0 to 1,
+    `body_movement` (of a radar) is in percent. It is the record: a control loop never waits for it, and it
+    is no diagnosis.
     """
 
     ref_person: Relationship
@@ -409,6 +410,7 @@ class HumanState(Entity):
     eda_tonic: Measurement[Number] | None = None
     skin_temperature: Measurement[Number] | None = None
     movement: Measurement[Number] | None = None
+    body_movement: Measurement[Number] | None = None
     steps: Measurement[Number] | None = None
     cadence: Measurement[Number] | None = None
     activity: Measurement[str] | None = None

@@ -9,10 +9,11 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.errors import Problem
-from handover.messages import message
+from handover.messages import message, with_code
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from services.assistive_devices.running.machine_runner import MachineRunner
+from services.assistive_devices.trial import Trial
 
 SHOWN_MESSAGES: Final = 50
 
@@ -39,8 +40,14 @@ class FigureView(Body):
     """A figure of the paper beside ours; `passed` is null where there is nothing to decide."""
 
     name: str
+    name_code: str | None = None
+    name_parameters: dict[str, Any] | None = None
     paper: str
+    paper_code: str | None = None
+    paper_parameters: dict[str, Any] | None = None
     ours: str
+    ours_code: str | None = None
+    ours_parameters: dict[str, Any] | None = None
     passed: bool | None
 
 
@@ -49,6 +56,8 @@ class MessageView(Body):
 
     at_s: float
     text: str
+    text_code: str | None = None
+    text_parameters: dict[str, Any] | None = None
 
 
 class TrialView(Body):
@@ -57,6 +66,8 @@ class TrialView(Body):
     is_running: bool
     passed: bool
     failure: str
+    failure_code: str | None = None
+    failure_parameters: dict[str, Any] | None = None
     elapsed_s: float
     messages: list[MessageView]
     figures: list[FigureView]
@@ -201,19 +212,30 @@ def _view(runner: MachineRunner) -> MachineView:
         vitals=[VitalView(**one) for one in runner.link.body.shown(time.monotonic())],
         problem=runner.link.problem,
         details=dict(runner.machine.describe()),
-        trial=None
-        if trial is None
-        else TrialView(
-            is_running=trial.is_running,
-            passed=trial.passed,
-            failure=trial.failure,
-            elapsed_s=trial.elapsed_s,
-            messages=[MessageView(at_s=at_s, text=text) for at_s, text in trial.messages[-SHOWN_MESSAGES:]],
-            figures=[
-                FigureView(name=one.name, paper=one.paper, ours=one.ours, passed=one.passed)
+        trial=None if trial is None else _trial_view(trial),
+    )
+
+
+def _trial_view(trial: Trial) -> TrialView:
+    return TrialView.model_validate(
+        {
+            "isRunning": trial.is_running,
+            "passed": trial.passed,
+            **with_code("failure", trial.failure),
+            "elapsedS": trial.elapsed_s,
+            "messages": [
+                {"atS": at_s, **with_code("text", text)} for at_s, text in trial.messages[-SHOWN_MESSAGES:]
+            ],
+            "figures": [
+                {
+                    **with_code("name", one.name),
+                    **with_code("paper", one.paper),
+                    **with_code("ours", one.ours),
+                    "passed": one.passed,
+                }
                 for one in trial.figures
             ],
-        ),
+        }
     )
 
 

@@ -8,18 +8,32 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from handover.errors import Problem
+from handover.messages import message
 
 POLL_S: Final = 0.05
 RETRY_S: Final = 0.5
+
+HEART_RATE_IS_VALID: Final = message("case.wait.heart_rate", "a valid heart rate")
+BODY_IS_CALM: Final = message("case.wait.calm", "the limit of a calm body")
+LIMIT_FALLS: Final = message("case.wait.limit_falls", "the limit falls")
+TIME_IS_OVER: Final = message("case.wait.end", "the end")
+NOT_IN_PAPER: Final = message("case.paper.absent", "(not in the paper)")
+STOPPED_BY_PERSON: Final = message("case.stopped_by_person", "a person stopped the machine")
 
 
 class TrialFailed(Exception):
     """A condition of a trial did not come true; the text names it."""
 
 
+def _late(what: str, timeout_s: float) -> TrialFailed:
+    return TrialFailed(
+        message("case.late", "{what}: not within {seconds} s", what=what, seconds=round(timeout_s))
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One line of the comparison. `passed` is None where there is nothing to decide."""
+    """One line of the comparison, in texts or messages; `passed` is None where nothing is to be decided."""
 
     name: str
     paper: str
@@ -52,7 +66,7 @@ class Trial:
         began_s = time.monotonic()
         while not self.is_permitted():
             if time.monotonic() - began_s > timeout_s:
-                raise TrialFailed(f"the limit lets the machine move: not within {timeout_s:.0f} s")
+                raise _late(message("case.wait.permission", "the limit lets the machine move"), timeout_s)
             with suppress(Problem):
                 await self.reset()
             await asyncio.sleep(RETRY_S)
@@ -66,7 +80,7 @@ class Trial:
         while not condition():
             left_s = timeout_s - (time.monotonic() - began_s)
             if left_s <= 0:
-                raise TrialFailed(f"{what}: not within {timeout_s:.0f} s")
+                raise _late(what, timeout_s)
             await self.permission(left_s)
             await asyncio.sleep(RETRY_S)
 
@@ -88,7 +102,7 @@ class Trial:
         return time.monotonic() - self.began_s
 
     def say(self, text: str) -> None:
-        """Note what happens, for people."""
+        """Note what happens, for people: a message, so that they read it in their language."""
         self.messages.append((self.elapsed_s, text))
 
     def compare(self, name: str, paper: str, ours: str, passed: bool | None = None) -> None:
@@ -100,7 +114,7 @@ class Trial:
         began_s = time.monotonic()
         while not condition():
             if time.monotonic() - began_s > timeout_s:
-                raise TrialFailed(f"{what}: not within {timeout_s:.0f} s")
+                raise _late(what, timeout_s)
             await asyncio.sleep(POLL_S)
         return time.monotonic() - began_s
 
@@ -109,5 +123,8 @@ class Trial:
         began_s = time.monotonic()
         while time.monotonic() - began_s < for_s:
             if not condition():
-                raise TrialFailed(f"{what}: not any more after {time.monotonic() - began_s:.1f} s")
+                held_s = round(time.monotonic() - began_s, 1)
+                raise TrialFailed(
+                    message("case.ended", "{what}: not any more after {seconds} s", what=what, seconds=held_s)
+                )
             await asyncio.sleep(POLL_S)

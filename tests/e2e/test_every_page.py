@@ -48,6 +48,7 @@ PAGES = {
     "study": "/study",
     "sensors": "/sensors",
     "health": "/health",
+    "cases": "/cases?case=treadmill",
     "devices": "/devices?device=page-arm",
     "alerting": "/alerting?add=yes",
 }
@@ -69,7 +70,8 @@ def screen(screen: Cell) -> Cell:
     """A screen with devices: an arm, a sensor out of its range, and one that was never connected."""
     if screen.runs("device_gateway"):
         return screen
-    screen.run("device_gateway", "human_state")
+    screen.extra["HANDOVER_ASSISTIVE_MACHINES"] = "wheelchair,treadmill"
+    screen.run("device_gateway", "human_state", "assistive_devices")
     with httpx.Client(base_url=screen.url("device_gateway"), timeout=120, trust_env=False) as rest:
 
         def add(name: str, description: dict[str, Any], values: dict[str, float] | None = None) -> None:
@@ -158,7 +160,7 @@ def test_engineer_pages_fit_a_phone(
     page = open_page(viewport=PHONE, has_touch=True, is_mobile=True)
     device = PAGES["devices"]
     devices = ("/sensors", "/devices", device, f"{device}&part=history", f"{device}&part=settings")
-    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study", "/health", *devices):
+    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study", "/health", "/cases", *devices):
         page.goto(path)
         settled(page)
         nothing_is_cut_off(page)

@@ -10,12 +10,12 @@ from typing import Any, Final
 from handover.background_tasks import BackgroundTasks
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
-from handover.messages import message
+from handover.messages import message, text_of
 from handover.telemetry import get_logger
 from services.assistive_devices.body_link import BodyLink
 from services.assistive_devices.machine import MAX_STEP_S, Case, Machine, Seen
 from services.assistive_devices.metrics import CYCLES, FRACTION, STOPS
-from services.assistive_devices.trial import Trial, TrialFailed
+from services.assistive_devices.trial import STOPPED_BY_PERSON, Trial, TrialFailed
 
 log = get_logger(__name__)
 
@@ -82,7 +82,7 @@ class MachineRunner:
         STOPS.labels(self.case.name, "person").inc()
         self.machine.stop()
         if self.trial is not None and self.trial.is_running:
-            self.trial.failure = "a person stopped the machine"
+            self.trial.failure = STOPPED_BY_PERSON
             self.trial.is_running = False
             if self._trial_task is not None:
                 self._trial_task.cancel()
@@ -112,7 +112,7 @@ class MachineRunner:
         try:
             await self.machine.perform_trial(trial)
         except TrialFailed as failed:
-            trial.failure = str(failed)
+            trial.failure = text_of(failed)
         except Exception as error:
             trial.failure = f"{type(error).__name__}: {error}"
             raise

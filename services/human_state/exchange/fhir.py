@@ -52,6 +52,15 @@ _MDC_OF: Final[Mapping[FeatureName, tuple[str, str]]] = {
 }
 _MDC_HEART_RATE: Final = ("147842", "MDC_ECG_HEART_RATE")
 _MDC_PULSE_RATE: Final = ("149530", "MDC_PULS_OXIM_PULS_RATE")
+_ACTIVITIES: Final = frozenset(
+    {
+        FeatureName.STEPS,
+        FeatureName.CADENCE,
+        FeatureName.ACTIVITY,
+        FeatureName.MOVEMENT,
+        FeatureName.BODY_MOVEMENT,
+    }
+)
 _UCUM_OF: Final[Mapping[FeatureName, str]] = {
     FeatureName.HEART_RATE: "/min",
     FeatureName.BREATHING_RATE: "/min",
@@ -59,6 +68,7 @@ _UCUM_OF: Final[Mapping[FeatureName, str]] = {
     FeatureName.HRV_RMSSD: "ms",
     FeatureName.HRV_SDNN: "ms",
     FeatureName.SPO2: "%",
+    FeatureName.BODY_MOVEMENT: "%",
     FeatureName.EDA_TONIC: "uS",
     FeatureName.EDA_PHASIC: "uS",
     FeatureName.EMG_ENVELOPE: "uV",
@@ -398,7 +408,7 @@ def _identified(reference: Mapping[str, Any] | None, system: str) -> str:
 
 
 def _category(name: FeatureName) -> dict[str, Any]:
-    is_activity = name in {FeatureName.STEPS, FeatureName.CADENCE, FeatureName.ACTIVITY, FeatureName.MOVEMENT}
+    is_activity = name in _ACTIVITIES
     code = "vital-signs" if name in _VITAL else "activity" if is_activity else "procedure"
     return {"coding": [{"system": _CATEGORY, "code": code}]}
 

@@ -44,6 +44,7 @@ DEAD_BANDS: Final[Mapping[str, float]] = {
     "edaTonic": 0.1,
     "skinTemperature": 0.1,
     "movement": 0.05,
+    "bodyMovement": 5.0,
     "cadence": 1.0,
     "exertionLevel": 0.02,
     "fatigue": 0.05,

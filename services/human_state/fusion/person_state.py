@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from services.human_state.fusion.plausibility import Series, stale_after_s
+from services.human_state.fusion.plausibility import MIN_QUALITY, Series, stale_after_s
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import LinkState, SensorReport
 
@@ -72,6 +72,8 @@ class PersonState:
         if key not in self._kept and len(self.sources | {feature.source}) > MAX_SOURCES:
             return None
         kept = self._kept.setdefault(key, _Kept(Series()))
+        if _is_worse_method(feature, kept, now_s):
+            return None
         kept.series, given = kept.series.take(feature)
         if given is None:
             return None
@@ -189,6 +191,21 @@ def _shown(given: Feature, before: Feature | None) -> Feature | None:
     if isinstance(given.value, str) or math.isfinite(given.value):
         return given
     return None if before is None else replace(before, status=given.status, quality=0.0)
+
+
+def _is_worse_method(feature: Feature, kept: _Kept, now_s: float) -> bool:
+    """Return whether the sensor measures this better in another way: a belt beside the breathing of its ECG.
+
+    A heart rate is never left out: it may restrict more.
+    """
+    best = kept.series.last
+    return (
+        feature.name is not FeatureName.HEART_RATE
+        and best is not None
+        and best.method != feature.method
+        and feature.quality < MIN_QUALITY
+        and not _is_stale(best, now_s)
+    )
 
 
 def _is_stale(feature: Feature, now_s: float) -> bool:

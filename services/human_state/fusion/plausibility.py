@@ -42,7 +42,8 @@ RANGES: Final[Mapping[FeatureName, Range]] = {
     FeatureName.SPO2: Range(50.0, 100.0),
     FeatureName.EDA_TONIC: Range(0.0, 100.0),
     FeatureName.SKIN_TEMPERATURE: Range(10.0, 45.0),
-    FeatureName.MOVEMENT: Range(0.0, math.inf),
+    FeatureName.MOVEMENT: Range(0.0, 1.0),
+    FeatureName.BODY_MOVEMENT: Range(0.0, 100.0),
     FeatureName.LOAD: Range(0.0, math.inf),
 }
 """Heart rate: the contract of human state. The others are what the human body can have."""

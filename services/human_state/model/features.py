@@ -18,6 +18,9 @@ class FeatureName(StrEnum):
     EMG_ENVELOPE = "emgEnvelope"
     SKIN_TEMPERATURE = "skinTemperature"
     MOVEMENT = "movement"
+    """Of an accelerometer: the mean amplitude deviation in g, 1 at most."""
+    BODY_MOVEMENT = "bodyMovement"
+    """What a radar sees of the body, in percent."""
     STEPS = "steps"
     CADENCE = "cadence"
     ACTIVITY = "activity"
@@ -45,6 +48,7 @@ UNITS: dict[FeatureName, str] = {
     FeatureName.EDA_PHASIC: "D80",
     FeatureName.EMG_ENVELOPE: "D82",  # microvolt
     FeatureName.SKIN_TEMPERATURE: "CEL",
+    FeatureName.BODY_MOVEMENT: "P1",
     FeatureName.CADENCE: "C94",
     FeatureName.CENTRE_OF_PRESSURE_X: "MMT",
     FeatureName.CENTRE_OF_PRESSURE_Y: "MMT",

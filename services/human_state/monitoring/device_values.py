@@ -12,7 +12,7 @@ VALUES: Final[Mapping[SignalKind, FeatureName]] = {
     SignalKind.BREATHING_RATE: FeatureName.BREATHING_RATE,
     SignalKind.SPO2: FeatureName.SPO2,
     SignalKind.SKIN_TEMPERATURE: FeatureName.SKIN_TEMPERATURE,
-    SignalKind.MOVEMENT: FeatureName.MOVEMENT,
+    SignalKind.MOVEMENT: FeatureName.BODY_MOVEMENT,
     SignalKind.STEPS: FeatureName.STEPS,
 }
 UNITS: Final[Mapping[SignalKind, frozenset[str]]] = {

@@ -5,11 +5,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
+from handover.messages import message
 from services.assistive_devices.machine import Case, Machine, MachineState, Seen
 from services.assistive_devices.machines.bed.controller import Bed, Signals
 from services.assistive_devices.machines.bed.simulation import Frame, Sleeper
 from services.assistive_devices.model.sensor import Sensor
-from services.assistive_devices.trial import Trial
+from services.assistive_devices.trial import HEART_RATE_IS_VALID, NOT_IN_PAPER, TIME_IS_OVER, Trial
 
 RADAR: Final = "case-bed"
 PAPER_DURATION_S: Final = 300.0
@@ -23,6 +24,7 @@ APNOEA_S: Final = 25.0
 EXCITED_EFFORT: Final = 0.25
 MIN_AMPLITUDE: Final = 0.02
 PATIENCE_S: Final = 240.0
+BED_STANDS: Final = message("case.bed.wait.stands", "the bed stands")
 
 
 class BedMachine(Machine):
@@ -57,7 +59,7 @@ class BedMachine(Machine):
         self.position, self.is_lying = position or "", position is not None and posture == "lying"
         self._count_events(seen)
         self._fraction, self._reason = seen.allowed.fraction, str(seen.allowed.reason)
-        movement = body.number(f"movement@{RADAR}", now_s, MOVEMENT_MAX_AGE_S)
+        movement = body.number(f"bodyMovement@{RADAR}", now_s, MOVEMENT_MAX_AGE_S)
         signals = Signals(self.heart_rate_bpm, movement, self.is_lying, self._fraction)
         before, self.controller = self.controller, self.controller.step(signals, seen.dt_s)
         if seen.dt_s > 0:
@@ -125,12 +127,21 @@ class BedMachine(Machine):
         self._slew_s_per_s = self._lift_deg_per_s = 0.0
         self.apnoeas = 0
         began_s = time.monotonic()
-        await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        await trial.until(HEART_RATE_IS_VALID, lambda: self.heart_rate_bpm is not None, PATIENCE_S)
         await trial.permission(PATIENCE_S)
-        await trial.until("somebody lies", lambda: self.is_lying, PATIENCE_S)
-        trial.say(f"somebody lies ({self.position}), {self.heart_rate_bpm or 0:.0f} bpm; the bed begins")
+        lies = message("case.bed.wait.lies", "somebody lies")
+        await trial.until(lies, lambda: self.is_lying, PATIENCE_S)
+        trial.say(
+            message(
+                "case.bed.begins",
+                "somebody lies, {bpm} bpm; the bed begins",
+                bpm=round(self.heart_rate_bpm or 0),
+            )
+        )
         self.start()
-        await trial.calm("the bed rocks", lambda: self.frame.amplitude > 0.2, PATIENCE_S)
+        await trial.calm(
+            message("case.bed.wait.rocks", "the bed rocks"), lambda: self.frame.amplitude > 0.2, PATIENCE_S
+        )
         await self._excite(trial)
         if duration_s >= SHORT_S:
             await self._breathe_not(trial)
@@ -138,88 +149,147 @@ class BedMachine(Machine):
         await self._be_restless(trial)
         left_s = duration_s - (time.monotonic() - began_s)
         if duration_s >= SHORT_S and left_s > 0:
-            trial.say(f"the sleeper rests for another {left_s:.0f} s")
-            await trial.until("the end", lambda: time.monotonic() - began_s >= duration_s, left_s + 60)
+            trial.say(
+                message("case.bed.rests", "the sleeper rests for another {seconds} s", seconds=round(left_s))
+            )
+            await trial.until(TIME_IS_OVER, lambda: time.monotonic() - began_s >= duration_s, left_s + 60)
         self.stop()
-        trial.compare("trial", "5 min", f"{time.monotonic() - began_s:.0f} s")
+        trial.compare(
+            message("case.figure.trial", "trial"),
+            message("case.bed.paper.trial", "5 min"),
+            message("case.bed.ours.trial", "{seconds} s", seconds=round(time.monotonic() - began_s)),
+        )
 
     async def _excite(self, trial: Trial) -> None:
         """Let the heart beat faster, and see the period fall within its slew."""
         calm_bpm, calm_s = self.heart_rate_bpm or 0.0, self.controller.period_s
         self.sleeper = replace(self.sleeper, effort=EXCITED_EFFORT)
-        await trial.until("a faster heart", lambda: (self.heart_rate_bpm or 0) >= calm_bpm + 10, PATIENCE_S)
-        await trial.until("faster rocking", lambda: self.controller.period_s <= calm_s - 0.3, PATIENCE_S)
+        faster = message("case.bed.wait.heart", "a faster heart")
+        await trial.until(faster, lambda: (self.heart_rate_bpm or 0) >= calm_bpm + 10, PATIENCE_S)
+        rocking = message("case.bed.wait.rocking", "faster rocking")
+        await trial.until(rocking, lambda: self.controller.period_s <= calm_s - 0.3, PATIENCE_S)
         bpm, period_s = self.heart_rate_bpm or 0.0, self.controller.period_s
-        trial.say(f"{calm_bpm:.0f} to {bpm:.0f} bpm: rocking in {calm_s:.2f} s, then in {period_s:.2f} s")
+        trial.say(
+            message(
+                "case.bed.excited",
+                "{calm} to {bpm} bpm: rocking in {before} s, then in {after} s",
+                calm=round(calm_bpm),
+                bpm=round(bpm),
+                before=round(calm_s, 2),
+                after=round(period_s, 2),
+            )
+        )
         self.sleeper = replace(self.sleeper, effort=0.0)
         trial.compare(
-            "a faster heart rocks faster",
-            "yes (figure 5c, no figures)",
-            f"{calm_bpm:.0f} bpm {calm_s:.2f} s, {bpm:.0f} bpm {period_s:.2f} s",
+            message("case.bed.figure.faster", "a faster heart rocks faster"),
+            message("case.bed.paper.faster", "yes (figure 5c, no figures)"),
+            message(
+                "case.bed.ours.faster",
+                "{calm} bpm {before} s, {bpm} bpm {after} s",
+                calm=round(calm_bpm),
+                bpm=round(bpm),
+                before=round(calm_s, 2),
+                after=round(period_s, 2),
+            ),
             period_s < calm_s,
         )
         given = self.controller.parameters
         trial.compare(
-            "greatest change of the period (positive feedback)",
-            "(not bounded)",
-            f"{self._slew_s_per_s:.3f} s a second",
+            message("case.bed.figure.slew", "greatest change of the period (positive feedback)"),
+            message("case.bed.paper.slew", "(not bounded)"),
+            message("case.bed.ours.slew", "{slew} s a second", slew=round(self._slew_s_per_s, 3)),
             self._slew_s_per_s <= given.period_slew_s_per_s + 1e-6,
         )
 
     async def _breathe_not(self, trial: Trial) -> None:
         before, known_s = self.apnoeas, time.monotonic()
-        trial.say("the sleeper calms down")
-        await trial.until("a calm minute", lambda: time.monotonic() - known_s > CALM_S, 2 * CALM_S)
-        trial.say(f"an apnoea of {APNOEA_S:.0f} s")
+        trial.say(message("case.bed.calms", "the sleeper calms down"))
+        calm = message("case.bed.wait.calm", "a calm minute")
+        await trial.until(calm, lambda: time.monotonic() - known_s > CALM_S, 2 * CALM_S)
+        trial.say(message("case.bed.apnoea", "an apnoea of {seconds} s", seconds=round(APNOEA_S)))
         self.sleeper = replace(self.sleeper, is_breathing=False)
         began_s = time.monotonic()
-        await trial.until("the pause", lambda: time.monotonic() - began_s >= APNOEA_S, 2 * APNOEA_S)
+        pause = message("case.bed.wait.pause", "the pause")
+        await trial.until(pause, lambda: time.monotonic() - began_s >= APNOEA_S, 2 * APNOEA_S)
         self.sleeper = replace(self.sleeper, is_breathing=True).turn("lyingLeft")
-        seconds = await trial.until("the event is found", lambda: self.apnoeas > before, PATIENCE_S)
-        await trial.until("the new position", lambda: self.position == "left", PATIENCE_S)
-        trial.say(f"found {seconds:.0f} s after it ended; the sleeper has turned to the left")
+        found = message("case.bed.wait.found", "the event is found")
+        seconds = await trial.until(found, lambda: self.apnoeas > before, PATIENCE_S)
+        position = message("case.bed.wait.position", "the new position")
+        await trial.until(position, lambda: self.position == "left", PATIENCE_S)
+        trial.say(
+            message(
+                "case.bed.found",
+                "found {seconds} s after it ended; the sleeper has turned to the left",
+                seconds=round(seconds),
+            )
+        )
         trial.compare(
-            "an apnoea is found, and ends with a turn",
-            "dip and rise of the heart rate",
-            f"{self.apnoeas - before} found, now on the {self.position} side",
+            message("case.bed.figure.apnoea", "an apnoea is found, and ends with a turn"),
+            message("case.bed.paper.apnoea", "dip and rise of the heart rate"),
+            message(
+                "case.bed.ours.apnoea", "{count} found, now on the left side", count=self.apnoeas - before
+            ),
             self.apnoeas > before,
         )
         is_calm = not self.controller.is_restless
         trial.compare(
-            "a turn does not stop the bed", "yes (moving mean)", "yes" if is_calm else "no", is_calm
+            message("case.bed.figure.turn", "a turn does not stop the bed"),
+            message("case.bed.paper.turn", "yes (moving mean)"),
+            message("case.yes", "yes") if is_calm else message("case.no", "no"),
+            is_calm,
         )
 
     def _stands(self) -> bool:
         return self.frame.amplitude < MIN_AMPLITUDE
 
     async def _lose_sensor(self, trial: Trial) -> None:
-        trial.say("the heart rate is lost")
+        trial.say(message("case.bed.lost", "the heart rate is lost"))
         self._has_contact = False
-        seconds = await trial.until("the bed stands", self._stands, PATIENCE_S)
+        seconds = await trial.until(BED_STANDS, self._stands, PATIENCE_S)
         lifted = self.frame.backrest_deg
         self._has_contact = True
         trial.compare(
-            "a lost heart rate stops the rocking",
-            "(not in the paper)",
-            f"after {seconds:.1f} s, backrest {lifted:.0f}°",
+            message("case.bed.figure.lost", "a lost heart rate stops the rocking"),
+            NOT_IN_PAPER,
+            message(
+                "case.bed.ours.lost",
+                "after {seconds} s, backrest {degrees}°",
+                seconds=round(seconds, 1),
+                degrees=round(lifted),
+            ),
             lifted < 1.0,
         )
-        await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
-        await trial.calm("the bed rocks again", lambda: self.frame.amplitude > MIN_AMPLITUDE, PATIENCE_S)
+        await trial.until(HEART_RATE_IS_VALID, lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        again = message("case.bed.wait.again", "the bed rocks again")
+        await trial.calm(again, lambda: self.frame.amplitude > MIN_AMPLITUDE, PATIENCE_S)
 
     async def _be_restless(self, trial: Trial) -> None:
-        trial.say("the sleeper becomes restless")
+        trial.say(message("case.bed.restless", "the sleeper becomes restless"))
         self.sleeper = replace(self.sleeper, is_restless=True)
-        noticed_s = await trial.until("restlessness", lambda: self.controller.is_restless, PATIENCE_S)
-        await trial.until("the bed stands", lambda: self.controller.amplitude == 0.0, PATIENCE_S)
-        rising_s = await trial.until("the backrest is up", lambda: self.frame.backrest_deg > 44.0, PATIENCE_S)
+        restless = message("case.bed.wait.restless", "restlessness")
+        noticed_s = await trial.until(restless, lambda: self.controller.is_restless, PATIENCE_S)
+        await trial.until(BED_STANDS, lambda: self.controller.amplitude == 0.0, PATIENCE_S)
+        is_up = message("case.bed.wait.up", "the backrest is up")
+        rising_s = await trial.until(is_up, lambda: self.frame.backrest_deg > 44.0, PATIENCE_S)
         self.sleeper = replace(self.sleeper, is_restless=False)
-        trial.say(f"stopped after {noticed_s:.1f} s; the backrest rose in {rising_s:.1f} s")
+        trial.say(
+            message(
+                "case.bed.lifted",
+                "stopped after {noticed} s; the backrest rose in {rising} s",
+                noticed=round(noticed_s, 1),
+                rising=round(rising_s, 1),
+            )
+        )
         given = self.controller.parameters
         trial.compare(
-            "restlessness stops the rocking and lifts the backrest",
-            "to 45°",
-            f"to {self.frame.backrest_deg:.0f}° at {self._lift_deg_per_s:.1f}° a second",
+            message("case.bed.figure.restless", "restlessness stops the rocking and lifts the backrest"),
+            message("case.bed.paper.restless", "to 45°"),
+            message(
+                "case.bed.ours.restless",
+                "to {degrees}° at {speed}° a second",
+                degrees=round(self.frame.backrest_deg),
+                speed=round(self._lift_deg_per_s, 1),
+            ),
             self._lift_deg_per_s <= given.backrest_deg_per_s + 1e-6,
         )
 

@@ -15,10 +15,11 @@ import orjson
 
 from handover.errors import HandoverError
 from handover.http_client import BodyReadingHttpClient, SendError
+from handover.messages import message
 from handover.security.service_access import ServiceAccess
 from services.assistive_devices.machine import Case, Machine, MachineContext, MachineState, Seen
 from services.assistive_devices.model.sensor import Sensor
-from services.assistive_devices.trial import Trial, TrialFailed
+from services.assistive_devices.trial import HEART_RATE_IS_VALID, NOT_IN_PAPER, Trial, TrialFailed
 
 BPMN: Final = Path(__file__).parent / "operator_shift.bpmn"
 DEFINITION: Final = "operator-shift"
@@ -98,7 +99,7 @@ class OperatorMachine(Machine):
             self.breaks = int(elements.get("take_break", {}).get("running", 0))
 
     async def perform_trial(self, trial: Trial) -> None:
-        await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        await trial.until(HEART_RATE_IS_VALID, lambda: self.heart_rate_bpm is not None, PATIENCE_S)
         await trial.permission(PATIENCE_S)
         await self._begin_shift()
         try:
@@ -109,9 +110,19 @@ class OperatorMachine(Machine):
             await self._end_shift()
 
     async def _work_calmly(self, trial: Trial) -> None:
-        trial.say("the shift begins: the robot moves beside the operator")
+        trial.say(message("case.picking.begins", "the shift begins: the robot moves beside the operator"))
         await self._until_faster(trial, FULL_PACE)
-        trial.say(f"{self.heart_rate_bpm or 0:.0f} bpm: the robot moves at {100 * (self.pace or 0):.0f} %")
+        self._say_pace(trial)
+
+    def _say_pace(self, trial: Trial) -> None:
+        trial.say(
+            message(
+                "case.picking.pace",
+                "{bpm} bpm: the robot moves at {percent} %",
+                bpm=round(self.heart_rate_bpm or 0),
+                percent=round(100 * (self.pace or 0)),
+            )
+        )
 
     async def _until_faster(self, trial: Trial, pace: float) -> None:
         """Wait until the robot may move at `pace`; the person in charge releases stops meanwhile.
@@ -124,7 +135,14 @@ class OperatorMachine(Machine):
             if self.needs_reset:
                 await self._release()
             if time.monotonic() - began_s > PATIENCE_S:
-                raise TrialFailed(f"{100 * pace:.0f} % of the speed: not within {PATIENCE_S:.0f} s")
+                raise TrialFailed(
+                    message(
+                        "case.picking.slow",
+                        "{percent} % of the speed: not within {seconds} s",
+                        percent=round(100 * pace),
+                        seconds=round(PATIENCE_S),
+                    )
+                )
             await asyncio.sleep(POLL_S)
 
     async def _release(self) -> None:
@@ -135,30 +153,48 @@ class OperatorMachine(Machine):
 
     async def _work_hard(self, trial: Trial) -> None:
         self.effort, began_s, calm = STRAIN, time.monotonic(), self.pace or 1.0
-        trial.say("the operator lifts boxes")
-        slowed_s = await trial.until("a slower robot", lambda: (self.pace or 1) <= 0.5, PATIENCE_S)
+        trial.say(message("case.picking.lifts", "the operator lifts boxes"))
+        slower = message("case.picking.wait.slower", "a slower robot")
+        slowed_s = await trial.until(slower, lambda: (self.pace or 1) <= 0.5, PATIENCE_S)
         pace, bpm = self.pace or 0.0, self.heart_rate_bpm or 0.0
-        trial.say(f"{bpm:.0f} bpm: the robot moves at {100 * pace:.0f} %")
-        await trial.until("a proposed break", lambda: self.breaks >= 1, PATIENCE_S)
-        asked_s = time.monotonic() - began_s
-        trial.say(f"a break is proposed to the process after {asked_s:.0f} s")
+        self._say_pace(trial)
+        proposed = message("case.picking.wait.break", "a proposed break")
+        await trial.until(proposed, lambda: self.breaks >= 1, PATIENCE_S)
+        asked_s = round(time.monotonic() - began_s)
+        trial.say(
+            message(
+                "case.picking.break", "a break is proposed to the process after {seconds} s", seconds=asked_s
+            )
+        )
         trial.compare(
-            "strain slows the UR10",
-            "proposed (section 5.1, applicability)",
-            f"{100 * calm:.0f} % to {100 * pace:.0f} % in {slowed_s:.0f} s at {bpm:.0f} bpm",
+            message("case.picking.figure.slows", "strain slows the UR10"),
+            message("case.picking.paper.slows", "proposed (section 5.1, applicability)"),
+            message(
+                "case.picking.ours.slows",
+                "{before} % to {after} % in {seconds} s at {bpm} bpm",
+                before=round(100 * calm),
+                after=round(100 * pace),
+                seconds=round(slowed_s),
+                bpm=round(bpm),
+            ),
             pace < calm,
         )
         trial.compare(
-            "a lasting strain proposes a break to the process",
-            "(not in the paper)",
-            f"after {asked_s:.0f} s, {self.breaks} Task to take a break",
+            message("case.picking.figure.break", "a lasting strain proposes a break to the process"),
+            NOT_IN_PAPER,
+            message(
+                "case.picking.ours.break",
+                "after {seconds} s; Tasks to take a break: {count}",
+                seconds=asked_s,
+                count=self.breaks,
+            ),
             self.breaks == 1,
         )
         slowest = self.pace or 0.0
         trial.compare(
-            "the robot does not stop for strain alone",
-            "(not in the paper)",
-            f"{100 * slowest:.0f} % at least",
+            message("case.picking.figure.no_stop", "the robot does not stop for strain alone"),
+            NOT_IN_PAPER,
+            message("case.picking.ours.no_stop", "{percent} % at least", percent=round(100 * slowest)),
             None if self.needs_reset else slowest >= LEAST - 0.01,
         )
 
@@ -166,8 +202,10 @@ class OperatorMachine(Machine):
         slow = self.pace or 0.0
         self.effort = 0.0
         await self._until_faster(trial, slow + 0.1)
-        trial.say(f"the operator rests, {self.heart_rate_bpm or 0:.0f} bpm: {100 * (self.pace or 0):.0f} %")
-        trial.compare("moves of the robot", "", f"{self.moves}", self.moves >= 2)
+        trial.say(message("case.picking.rests", "the operator rests"))
+        self._say_pace(trial)
+        moves = message("case.picking.figure.moves", "moves of the robot")
+        trial.compare(moves, "", str(self.moves), self.moves >= 2)
 
     async def _begin_shift(self) -> None:
         """Deploy the process, and start it with the pseudonym of the operator as its key."""

@@ -29,11 +29,19 @@ from services.assistive_devices.machines.treadmill.training import (
 )
 from services.assistive_devices.machines.treadmill.wording import ModelWording, Words, template
 from services.assistive_devices.model.sensor import Sensor
-from services.assistive_devices.trial import Trial, TrialFailed
+from services.assistive_devices.trial import (
+    BODY_IS_CALM,
+    HEART_RATE_IS_VALID,
+    LIMIT_FALLS,
+    NOT_IN_PAPER,
+    Trial,
+    TrialFailed,
+)
 
 HEART_RATE_MAX_AGE_S: Final = 5.0
 SHOWN_INTERVENTIONS: Final = 20
 PATIENCE_S: Final = 240.0
+BELT_STANDS: Final = message("case.treadmill.wait.stands", "the belt stands")
 RELEASE_EVERY_S: Final = 0.5
 CALM_FRACTION: Final = 0.95
 STRAP_TEST_S: Final = 60.0
@@ -273,20 +281,35 @@ class TreadmillMachine(Machine):
     async def perform_trial(self, trial: Trial) -> None:
         duration_s = min(max(trial.duration_s or DEFAULT_DURATION_S, MIN_DURATION_S), MAX_DURATION_S)
         self._has_contact = True
-        await trial.until("a valid heart rate", lambda: self.heart is not None, PATIENCE_S)
+        await trial.until(HEART_RATE_IS_VALID, lambda: self.heart is not None, PATIENCE_S)
         await self._release(trial)
-        await trial.until("the limit of a calm body", lambda: self.fraction > CALM_FRACTION, PATIENCE_S)
+        await trial.until(BODY_IS_CALM, lambda: self.fraction > CALM_FRACTION, PATIENCE_S)
         self.configure({"durationS": duration_s, "consentsToModel": self._model is not None})
         self.start()
-        trial.say(f"{self._bpm():.0f} bpm; the person begins to walk, for {duration_s:.0f} s")
+        trial.say(
+            message(
+                "case.treadmill.begins",
+                "{bpm} bpm; the person begins to walk, for {seconds} s",
+                bpm=round(self._bpm()),
+                seconds=round(duration_s),
+            )
+        )
+        news = message("case.treadmill.wait.words", "the next words, or the end")
         said = 0
         while self.training.is_running:
-            await trial.until("the next words, or the end", partial(self._has_news, said), PATIENCE_S)
+            await trial.until(news, partial(self._has_news, said), PATIENCE_S)
             for shown in [one for one in self._interventions if one.number > said]:
                 said = shown.number
-                words = "" if shown.words is None else shown.words.text
-                trial.say(f"{self._bpm():.0f} bpm, {self.training.belt.speed_mps:.2f} m/s: {words}")
-        await trial.until("the belt stands", lambda: self._session is None, PATIENCE_S)
+                trial.say(
+                    message(
+                        "case.treadmill.says",
+                        "{bpm} bpm, {speed} m/s: {words}",
+                        bpm=round(self._bpm()),
+                        speed=round(self.training.belt.speed_mps, 2),
+                        words="" if shown.words is None else shown.words.text,
+                    )
+                )
+        await trial.until(BELT_STANDS, lambda: self._session is None, PATIENCE_S)
         ended_by = self.training.belt.reason
         compare(trial, self.training.figures(), self.training.plan, ended_by)
         if duration_s >= STRAP_TEST_S:
@@ -300,7 +323,11 @@ class TreadmillMachine(Machine):
                 await trial.reset()
             except Problem as still:
                 if time.monotonic() > ends_s:
-                    raise TrialFailed(f"the limit cannot be released: {still.detail}") from still
+                    raise TrialFailed(
+                        message(
+                            "case.not_released", "the limit cannot be released: {reason}", reason=still.detail
+                        )
+                    ) from still
             await asyncio.sleep(RELEASE_EVERY_S)
 
     def _has_news(self, said: int) -> bool:
@@ -310,20 +337,26 @@ class TreadmillMachine(Machine):
         return 0.0 if self.heart is None else self.heart[0]
 
     async def _lose_strap(self, trial: Trial) -> None:
-        trial.say("another training: the strap slips off")
+        trial.say(message("case.treadmill.strap_off", "another training: the strap slips off"))
         self.start()
-        await trial.until("the belt runs", lambda: self.training.belt.speed_mps > 0.5, PATIENCE_S)
+        runs = message("case.treadmill.wait.runs", "the belt runs")
+        await trial.until(runs, lambda: self.training.belt.speed_mps > 0.5, PATIENCE_S)
         self._has_contact = False
-        fell_s = await trial.until("the limit falls", lambda: self.fraction <= 0.25, PATIENCE_S)
-        stood_s = await trial.until("the belt stands", lambda: self._session is None, PATIENCE_S)
+        fell_s = await trial.until(LIMIT_FALLS, lambda: self.fraction <= 0.25, PATIENCE_S)
+        stood_s = await trial.until(BELT_STANDS, lambda: self._session is None, PATIENCE_S)
         trial.compare(
-            "strap off: slower by a ramp, then a stop",
-            "(not in the paper)",
-            f"25 % after {fell_s:.1f} s, stands after {fell_s + stood_s:.1f} s",
+            message("case.treadmill.figure.strap", "strap off: slower by a ramp, then a stop"),
+            NOT_IN_PAPER,
+            message(
+                "case.treadmill.ours.strap",
+                "25 % after {slow} s, stands after {stop} s",
+                slow=round(fell_s, 1),
+                stop=round(fell_s + stood_s, 1),
+            ),
             self.training.belt.reason is StopReason.LIMIT,
         )
         self._has_contact = True
-        await trial.until("a valid heart rate", lambda: self.heart is not None, PATIENCE_S)
+        await trial.until(HEART_RATE_IS_VALID, lambda: self.heart is not None, PATIENCE_S)
         await self._release(trial)
 
 

@@ -6,11 +6,19 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
+from handover.messages import message
 from services.assistive_devices.machine import Case, Machine, MachineState, Seen
 from services.assistive_devices.machines.wheelchair.controller import Centre, Parameters, Wheelchair
 from services.assistive_devices.machines.wheelchair.simulation import Chair, Driver
 from services.assistive_devices.model.sensor import Sensor
-from services.assistive_devices.trial import Trial
+from services.assistive_devices.trial import (
+    BODY_IS_CALM,
+    HEART_RATE_IS_VALID,
+    LIMIT_FALLS,
+    NOT_IN_PAPER,
+    TIME_IS_OVER,
+    Trial,
+)
 
 FREE_BPM: Final = 90.0
 STRAINED_BPM: Final = 125.0
@@ -21,6 +29,9 @@ CENTRE_MAX_AGE_S: Final = 0.5
 STRAIN: Final = 0.75
 MIN_MOVING_MPS: Final = 0.02
 PATIENCE_S: Final = 240.0
+CHAIR_DRIVES: Final = message("case.wheelchair.wait.drives", "the chair drives")
+CHAIR_STANDS: Final = message("case.wheelchair.wait.stands", "the chair stands")
+DRIVES_AGAIN: Final = message("case.wheelchair.wait.again", "the chair drives again")
 
 
 def vmax_of(heart_rate_bpm: float, max_speed_mps: float) -> float:
@@ -110,33 +121,71 @@ class WheelchairMachine(Machine):
         duration_s = trial.duration_s or PAPER_DURATION_S
         self.chair, self.driver = Chair(), Driver()
         self._rise_mps = 0.0
-        await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        await trial.until(HEART_RATE_IS_VALID, lambda: self.heart_rate_bpm is not None, PATIENCE_S)
         await trial.permission(PATIENCE_S)
-        trial.say(f"heart rate {self.heart_rate_bpm or 0:.0f} bpm; the person sits upright")
+        trial.say(
+            message("case.wheelchair.sits", "heart rate {bpm} bpm; the person sits upright", bpm=self._bpm())
+        )
         self.start()
-        await trial.until("the upright posture", lambda: self.controller.is_calibrated, PATIENCE_S)
+        upright = message("case.wheelchair.wait.upright", "the upright posture")
+        await trial.until(upright, lambda: self.controller.is_calibrated, PATIENCE_S)
         driven_s = time.monotonic()
         self._wants_to_drive = True
-        await trial.calm("the chair drives", lambda: self.chair.linear_mps > 0.2, PATIENCE_S)
-        trial.say("the person leans forwards and drives along the course")
-        await trial.calm("the limit of a calm body", lambda: self.fraction >= 0.99, PATIENCE_S)
+        await trial.calm(CHAIR_DRIVES, lambda: self.chair.linear_mps > 0.2, PATIENCE_S)
+        trial.say(message("case.wheelchair.leans", "the person leans forwards and drives along the course"))
+        await trial.calm(BODY_IS_CALM, lambda: self.fraction >= 0.99, PATIENCE_S)
         calm = Parameters().max_speed_mps * 0.75
-        await trial.until("the speed of a calm body", lambda: self.chair.linear_mps >= calm, PATIENCE_S)
+        fast = message("case.wheelchair.wait.calm_speed", "the speed of a calm body")
+        await trial.until(fast, lambda: self.chair.linear_mps >= calm, PATIENCE_S)
         fastest = self.chair.linear_mps
-        trial.say(f"calm: {fastest:.2f} m/s at {self.heart_rate_bpm or 0:.0f} bpm; now the person works")
+        trial.say(
+            message(
+                "case.wheelchair.works",
+                "calm: {speed} m/s at {bpm} bpm; now the person works",
+                speed=round(fastest, 2),
+                bpm=self._bpm(),
+            )
+        )
         await self._strain(trial)
         if duration_s >= SHORT_S:
             await self._stop_at_125(trial)
             await self._lose_strap(trial)
             left_s = duration_s - (time.monotonic() - driven_s)
             if left_s > 0:
-                trial.say(f"the person drives for another {left_s:.0f} s")
-                await trial.until("the end", lambda: time.monotonic() - driven_s >= duration_s, left_s + 60)
+                trial.say(
+                    message(
+                        "case.wheelchair.drives_on",
+                        "the person drives for another {seconds} s",
+                        seconds=round(left_s),
+                    )
+                )
+                await trial.until(
+                    TIME_IS_OVER, lambda: time.monotonic() - driven_s >= duration_s, left_s + 60
+                )
         self.stop()
-        await trial.until("the chair stands", lambda: not self.state().is_moving, PATIENCE_S)
-        driven_s = time.monotonic() - driven_s
-        trial.compare("trial", "3 min in a room", f"{driven_s:.0f} s, {self.chair.travelled_m:.0f} m")
-        trial.compare("speed of a calm body", "(figure 3c only)", f"{fastest:.2f} m/s", fastest >= calm)
+        await trial.until(CHAIR_STANDS, lambda: not self.state().is_moving, PATIENCE_S)
+        self._compare_course(trial, time.monotonic() - driven_s, fastest, calm)
+
+    def _bpm(self) -> int:
+        return round(self.heart_rate_bpm or 0)
+
+    def _compare_course(self, trial: Trial, driven_s: float, fastest_mps: float, calm_mps: float) -> None:
+        trial.compare(
+            message("case.figure.trial", "trial"),
+            message("case.wheelchair.paper.trial", "3 min in a room"),
+            message(
+                "case.wheelchair.ours.trial",
+                "{seconds} s, {metres} m",
+                seconds=round(driven_s),
+                metres=round(self.chair.travelled_m),
+            ),
+        )
+        trial.compare(
+            message("case.wheelchair.figure.calm", "speed of a calm body"),
+            message("case.wheelchair.paper.calm", "(figure 3c only)"),
+            message("case.wheelchair.ours.speed", "{speed} m/s", speed=round(fastest_mps, 2)),
+            fastest_mps >= calm_mps,
+        )
 
     async def _strain(self, trial: Trial) -> None:
         """Let the heart rate rise, and compare vmax with equation 2."""
@@ -156,55 +205,104 @@ class WheelchairMachine(Machine):
                 )
             return rate is not None and rate >= 118
 
-        await trial.until("the heart rate rises to 118 bpm", has_risen, PATIENCE_S)
+        rises = message("case.wheelchair.wait.rises", "the heart rate rises to 118 bpm")
+        await trial.until(rises, has_risen, PATIENCE_S)
         slow, intent = self.chair.linear_mps, self.controller.intent[0]
-        trial.say(f"{self.heart_rate_bpm or 0:.0f} bpm: {slow:.2f} m/s, while the lean asks for {intent:.2f}")
+        trial.say(
+            message(
+                "case.wheelchair.slowed",
+                "{bpm} bpm: {speed} m/s, while the lean asks for {intent}",
+                bpm=self._bpm(),
+                speed=round(slow, 2),
+                intent=round(intent, 2),
+            )
+        )
+        paper = [round(vmax_of(bpm, maximum), 2) for bpm in checked]
+        ours = [round(vmax, 2) for vmax in checked.values()]
         trial.compare(
-            "vmax at 95, 105 and 115 bpm",
-            ", ".join(f"{vmax_of(bpm, maximum):.2f}" for bpm in checked) + " m/s (equation 2)",
-            ", ".join(f"{vmax:.2f}" for vmax in checked.values()) + " m/s (smoothed)",
+            message("case.wheelchair.figure.vmax", "vmax at 95, 105 and 115 bpm"),
+            message(
+                "case.wheelchair.paper.vmax",
+                "{first}; {second}; {third} m/s (equation 2)",
+                first=paper[0],
+                second=paper[1],
+                third=paper[2],
+            ),
+            message(
+                "case.wheelchair.ours.vmax",
+                "{first}; {second}; {third} m/s (smoothed)",
+                first=ours[0],
+                second=ours[1],
+                third=ours[2],
+            ),
         )
         trial.compare(
-            "greatest distance to equation 2 while the rate rises",
-            "0 (before its smoothing)",
-            f"{worst:.2f} m/s (after ours)",
+            message(
+                "case.wheelchair.figure.distance", "greatest distance to equation 2 while the rate rises"
+            ),
+            message("case.wheelchair.paper.distance", "0 (before its smoothing)"),
+            message("case.wheelchair.ours.distance", "{speed} m/s (after ours)", speed=round(worst, 2)),
             worst <= 0.3,
         )
         trial.compare(
-            "speed falls although the lean stays",
-            "yes (figure 3c)",
-            f"{slow:.2f} of {intent:.2f} m/s",
+            message("case.wheelchair.figure.falls", "speed falls although the lean stays"),
+            message("case.wheelchair.paper.falls", "yes (figure 3c)"),
+            message(
+                "case.wheelchair.ours.falls",
+                "{speed} of {intent} m/s",
+                speed=round(slow, 2),
+                intent=round(intent, 2),
+            ),
             slow <= 0.5 * maximum and intent >= 0.75 * maximum,
         )
 
     async def _stop_at_125(self, trial: Trial) -> None:
-        await trial.until("a stop at 125 bpm", lambda: self.fraction == 0.0, PATIENCE_S)
-        await trial.until("the chair stands", lambda: not self.state().is_moving, PATIENCE_S)
-        trial.say(f"{self.heart_rate_bpm or 0:.0f} bpm: the chair stands, and waits for a reset")
+        stop = message("case.wheelchair.wait.stop", "a stop at 125 bpm")
+        await trial.until(stop, lambda: self.fraction == 0.0, PATIENCE_S)
+        await trial.until(CHAIR_STANDS, lambda: not self.state().is_moving, PATIENCE_S)
+        trial.say(
+            message(
+                "case.wheelchair.stands",
+                "{bpm} bpm: the chair stands, and waits for a reset",
+                bpm=self._bpm(),
+            )
+        )
         vmax = self.controller.vmax.value
-        trial.compare("vmax from 125 bpm on", "0", f"{vmax:.2f} m/s", vmax <= MIN_MOVING_MPS)
+        trial.compare(
+            message("case.wheelchair.figure.stop", "vmax from 125 bpm on"),
+            "0",
+            message("case.wheelchair.ours.speed", "{speed} m/s", speed=round(vmax, 2)),
+            vmax <= MIN_MOVING_MPS,
+        )
         self.driver = replace(self.driver, strain=0.0)
-        await trial.until("the rest of the person", lambda: (self.heart_rate_bpm or 200) < 105, PATIENCE_S)
-        trial.say("rested; the person resets the stop")
+        rest = message("case.wheelchair.wait.rest", "the rest of the person")
+        await trial.until(rest, lambda: (self.heart_rate_bpm or 200) < 105, PATIENCE_S)
+        trial.say(message("case.wheelchair.rested", "rested; the person resets the stop"))
         await trial.reset()
-        await trial.calm("the chair drives again", lambda: self.fraction >= 0.4, PATIENCE_S)
+        await trial.calm(DRIVES_AGAIN, lambda: self.fraction >= 0.4, PATIENCE_S)
 
     async def _lose_strap(self, trial: Trial) -> None:
-        trial.say("the strap slips off")
+        trial.say(message("case.strap_off", "the strap slips off"))
         self._is_faulty, self._has_contact = True, False
-        fell_s = await trial.until("the limit falls", lambda: self.fraction < 0.3, PATIENCE_S)
-        stood_s = await trial.until("the chair stands", lambda: not self.state().is_moving, PATIENCE_S)
+        fell_s = await trial.until(LIMIT_FALLS, lambda: self.fraction < 0.3, PATIENCE_S)
+        stood_s = await trial.until(CHAIR_STANDS, lambda: not self.state().is_moving, PATIENCE_S)
         trial.compare(
-            "strap off: slower than 30 %, then a stop",
-            "(not in the paper)",
-            f"after {fell_s:.1f} and {fell_s + stood_s:.1f} s; vmax rose by {self._rise_mps:.2f} m/s",
+            message("case.wheelchair.figure.strap", "strap off: slower than 30 %, then a stop"),
+            NOT_IN_PAPER,
+            message(
+                "case.wheelchair.ours.strap",
+                "after {slow} and {stop} s; vmax rose by {rise} m/s",
+                slow=round(fell_s, 1),
+                stop=round(fell_s + stood_s, 1),
+                rise=round(self._rise_mps, 2),
+            ),
             self._rise_mps <= 0.0,
         )
         self._is_faulty, self._has_contact = False, True
-        trial.say("the strap is on again")
-        await trial.until("a valid heart rate", lambda: self.heart_rate_bpm is not None, PATIENCE_S)
+        trial.say(message("case.strap_on", "the strap is on again"))
+        await trial.until(HEART_RATE_IS_VALID, lambda: self.heart_rate_bpm is not None, PATIENCE_S)
         await trial.reset()
-        await trial.calm("the chair drives again", lambda: self.chair.linear_mps > 0.1, PATIENCE_S)
+        await trial.calm(DRIVES_AGAIN, lambda: self.chair.linear_mps > 0.1, PATIENCE_S)
 
 
 CASE: Final = Case(

@@ -131,7 +131,7 @@ def test_a_belt_at_its_limit_decides_nothing_about_the_zone() -> None:
     compare(trial, training.figures(), training.plan, training.belt.reason)
     zone = next(one for one in trial.figures if one.name.startswith("time within"))
     assert zone.passed is None
-    assert "0%" in zone.ours
+    assert "0 %" in zone.ours
     assert "the belt was at its limit" in zone.ours
 
 

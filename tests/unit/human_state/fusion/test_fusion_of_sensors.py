@@ -171,3 +171,24 @@ def test_an_event_counts_at_once() -> None:
     found = seen(event).value(FeatureName.APNOEA_EVENT, 10.0)
     assert found is not None
     assert (found.value, found.status) == ("cyclicHeartRate", Status.VALID)
+
+
+def test_a_poor_second_method_of_a_sensor_hides_no_good_one_but_a_heart_rate_counts() -> None:
+    belt = Feature(FeatureName.BREATHING_RATE, "chest", 15.0, 0.0, 1.0, method="belt")
+    of_ecg = replace(belt, value=9.0, quality=0.4, method="ecg")
+    state = PersonState()
+    for second in range(4):
+        state.take(replace(belt, at_s=second), second)
+        state.take(replace(of_ecg, at_s=second + 0.5), second + 0.5)
+    breathing = state.value(FeatureName.BREATHING_RATE, 3.5)
+    assert breathing is not None
+    assert (breathing.value, breathing.status) == (15.0, Status.VALID)
+    state.report(SensorReport("chest", 4.0, fault=SensorFault.GAP))
+    state.take(replace(of_ecg, at_s=4.5), 4.5)
+    left = state.value(FeatureName.BREATHING_RATE, 4.5)
+    assert left is not None
+    assert left.status is Status.IMPLAUSIBLE
+
+    state = seen(beat(70, 0), beat(71, 1))
+    state.take(replace(beat(72, 2, quality=0.2), method="pulse"), 2)
+    assert state.for_limits(HEART, 2) is None

@@ -2,7 +2,7 @@
 import { useTranslation } from "react-i18next";
 import type { HistoryView } from "~/api/generated/assistive-devices";
 import { number } from "~/design/numbers";
-import { linePath, panelsOf } from "./cases";
+import { linePath, panelsOf, valueText } from "./cases";
 
 const WIDTH = 800;
 const HEIGHT = 120;
@@ -11,7 +11,6 @@ export function CaseChart({ history }: { history: HistoryView }) {
   const { t, i18n } = useTranslation("cases");
   const fromS = history.atS[0] ?? 0;
   const toS = history.atS.at(-1) ?? 1;
-  const text = (value: number) => number(value, i18n.language);
   return (
     <div className="case-chart">
       {panelsOf(history).map((panel) => (
@@ -19,7 +18,7 @@ export function CaseChart({ history }: { history: HistoryView }) {
           <figcaption className="small">
             {panel.curves.map(({ name, last }, place) => (
               <span key={name} className="case-chart__name" data-curve={place}>
-                {t(`value.${name}`, { defaultValue: name })} {last === null ? "–" : `${text(last)} ${panel.symbol}`}
+                {t(`value.${name}`, { defaultValue: name })} {last === null ? "–" : valueText(last, panel.unit, i18n.language)}
               </span>
             ))}
           </figcaption>
@@ -29,7 +28,7 @@ export function CaseChart({ history }: { history: HistoryView }) {
             ))}
           </svg>
           <p className="case-chart__range small quiet">
-            {t("range", { low: text(panel.low), high: text(panel.high), unit: panel.symbol, seconds: number(toS - fromS, i18n.language, { maximumFractionDigits: 0 }) })}
+            {t("range", { low: valueText(panel.low, panel.unit, i18n.language), high: valueText(panel.high, panel.unit, i18n.language), seconds: number(toS - fromS, i18n.language, { maximumFractionDigits: 0 }) })}
           </p>
         </figure>
       ))}

@@ -14,6 +14,7 @@ import { Select } from "~/design/Select";
 import { StatusBadge } from "~/design/StatusBadge";
 import { reasonOf } from "~/health/health";
 import { VitalSigns } from "~/health/VitalSigns";
+import { localizedText } from "~/i18n/server";
 import { useQueryParameter } from "~/route/queryParameter";
 import "~/health/HealthPage.css";
 import { CaseChart } from "./CaseChart";
@@ -112,11 +113,11 @@ function Trial({ trial }: { trial: TrialView }) {
   const outcome = trial.isRunning ? "runs" : trial.passed ? "passed" : "failed";
   return (
     <Card title={t("trial.title")} aside={<StatusBadge tone={trial.isRunning ? "accent" : trial.passed ? "ok" : "stop"}>{t(`trial.${outcome}`)}</StatusBadge>}>
-      {trial.failure !== "" && <ErrorMessage>{trial.failure}</ErrorMessage>}
+      {trial.failure !== "" && <ErrorMessage>{localizedText(trial, "failure")}</ErrorMessage>}
       <ol className="cases__messages small" aria-label={t("trial.messages")}>
-        {trial.messages.map(({ atS, text }) => (
-          <li key={`${atS} ${text}`}>
-            <span className="quiet">{t("seconds", { seconds: number(atS, i18n.language, { maximumFractionDigits: 0 }) })}</span> {text}
+        {trial.messages.map((message) => (
+          <li key={`${message.atS} ${message.text}`}>
+            <span className="quiet">{t("seconds", { seconds: number(message.atS, i18n.language, { maximumFractionDigits: 0 }) })}</span> {localizedText(message, "text")}
           </li>
         ))}
       </ol>
@@ -129,7 +130,7 @@ function Trial({ trial }: { trial: TrialView }) {
             <tbody>
               {trial.figures.map((each) => (
                 <tr key={each.name}>
-                  <td>{each.name}</td><td>{each.paper}</td><td>{each.ours}</td>
+                  <td>{localizedText(each, "name")}</td><td>{localizedText(each, "paper")}</td><td>{localizedText(each, "ours")}</td>
                   <td>{each.passed !== null && <StatusBadge tone={each.passed ? "ok" : "stop"}>{t(each.passed ? "trial.ok" : "trial.notOk")}</StatusBadge>}</td>
                 </tr>
               ))}

@@ -13,7 +13,7 @@ describe("the chart of a machine", () => {
   it("has speeds together, and the heart rate in a panel of its own that does not begin at 0", () => {
     const [speeds, heart] = panelsOf(history);
     expect(speeds?.curves.map(({ name }) => name)).toEqual(["speed", "vmax"]);
-    expect([speeds?.low, speeds?.high, speeds?.symbol]).toEqual([0, 1.2, "m/s"]);
+    expect([speeds?.low, speeds?.high, speeds?.unit]).toEqual([0, 1.2, "MTS"]);
     expect([heart?.low, heart?.high, heart?.curves[0]?.last]).toEqual([60, 80, 80]);
   });
 

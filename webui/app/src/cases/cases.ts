@@ -8,9 +8,9 @@ export const SERVICE = "assistive-devices";
 
 /** Curves in one panel, since they have one unit. */
 const TOGETHER: readonly (readonly string[])[] = [["speed", "vmax", "intent"], ["heartRate", "zoneLow", "zoneHigh"]];
-const UNITS: Record<string, string> = { heartRate: "BPM", breathingRate: "C94", hrvRmssd: "C26", spo2: "P1", skinTemperature: "CEL" };
+const UNITS: Record<string, string> = { heartRate: "BPM", breathingRate: "C94", hrvRmssd: "C26", hrvSdnn: "C26", cadence: "C94", spo2: "P1", bodyMovement: "P1", skinTemperature: "CEL" };
 const SYMBOLS: Record<string, string> = { MTS: "m/s", MTR: "m", "2A": "rad/s", SEC: "s", DD: "°", BPM: "bpm", C94: "/min", P1: "%" };
-const SPEED_SYMBOLS: Record<string, string> = { speed: "m/s", vmax: "m/s", intent: "m/s", heartRate: "bpm", zoneLow: "bpm", period: "s", backrest: "°" };
+const CHART_UNITS: Record<string, string> = { speed: "MTS", vmax: "MTS", intent: "MTS", heartRate: "BPM", zoneLow: "BPM", period: "SEC", backrest: "DD", amplitude: "P1", fraction: "P1", robotFraction: "P1", effort: "P1", strain: "P1" };
 
 export const pathOf = (machine: string) => `machines/${encodeURIComponent(machine)}`;
 
@@ -22,7 +22,8 @@ export interface Curve {
 
 /** One panel for each unit: its curves, and the range of their values. */
 export interface Panel {
-  symbol: string;
+  /** The UN/CEFACT code of its values, "" for none. */
+  unit: string;
   curves: Curve[];
   low: number;
   high: number;
@@ -38,7 +39,7 @@ export function panelsOf({ atS, columns }: HistoryView): Panel[] {
     const values = curves.flatMap(({ points }) => points.map(([, value]) => value).filter((value) => value !== null));
     const low = Math.min(...values, names.includes("heartRate") ? Infinity : 0);
     const high = Math.max(...values, Number.isFinite(low) ? low + 0.1 : 1);
-    return { symbol: SPEED_SYMBOLS[names[0] ?? ""] ?? "", curves, low: Number.isFinite(low) ? low : 0, high };
+    return { unit: CHART_UNITS[names[0] ?? ""] ?? "", curves, low: Number.isFinite(low) ? low : 0, high };
   });
 }
 
@@ -82,6 +83,7 @@ export function limitTone({ fraction, needsReset }: MachineView["limit"]): Tone 
 }
 
 export function valueText(value: number, unit: string, language: string): string {
-  const rounded = Math.round(value * 100) / 100 || 0; // no -0
+  const scale = unit === "BPM" ? 1 : 100;
+  const rounded = Math.round(value * scale) / scale || 0; // no -0
   return unit === "P1" ? percent(value, language) : `${number(rounded, language)} ${SYMBOLS[unit] ?? unit}`.trim();
 }

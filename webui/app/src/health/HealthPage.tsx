@@ -117,9 +117,7 @@ function Body({ person, onChange }: { person: PersonView; onChange: () => void }
         <SensorsCard person={person} onChange={onChange} />
         <BaselineCard person={person} onChange={onChange} />
       </div>
-      <div className="health__wide">
-        <Waveforms signals={signals} waves={live.waves} />
-      </div>
+      <Waveforms signals={signals} waves={live.waves} />
       <ActivityCard person={person} state={state} silentS={silentS} />
       {live.maps.map((map) => (
         <PressureCard key={map.sensor} map={map} />

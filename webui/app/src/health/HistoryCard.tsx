@@ -17,7 +17,7 @@ import { DRAWN, numberText, pathOf, pointsOf, SERVICE, symbolOf } from "./health
 const REFRESH_MS = 30_000;
 const POINTS = 720;
 const SPANS = ["hour", "day", "week", "month"] as const;
-const UNITS: Record<string, string> = { heartRate: "BPM", breathingRate: "C94", hrvRmssd: "C26", spo2: "P1", skinTemperature: "CEL" };
+const UNITS: Record<string, string> = { heartRate: "BPM", breathingRate: "C94", hrvRmssd: "C26", spo2: "P1", bodyMovement: "P1", skinTemperature: "CEL" };
 
 export function HistoryCard({ person }: { person: PersonView }) {
   const { t } = useTranslation("health");

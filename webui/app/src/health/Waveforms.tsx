@@ -82,7 +82,7 @@ function Waveform({ wave, signals }: { wave: WaveBuffer; signals: LiveSignals })
     <section className="waveform" data-silent={isSilent || undefined} aria-label={`${name}, ${wave.sensor}`}>
       <header className="waveform__head">
         <h3>
-          {name} {symbol !== "" && symbol !== "C62" && <span className="quiet">({symbol})</span>}
+          {name} {symbol !== "" && <span className="quiet">({symbol})</span>}
         </h3>
         <span className="quiet small">{wave.sensor}</span>
         {wave.channels.length > 1 && (

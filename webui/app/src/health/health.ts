@@ -19,8 +19,8 @@ const ORDER = ["heartRate", "breathingRate", "exertionLevel", "spo2", "hrvRmssd"
 export const POSITIONS = ["activity", "dailyActivity", "posture", "sleepPosition"] as const;
 const NOT_VITAL = new Set<string>([...POSITIONS, "copX", "copY", "load", "activeCells"]);
 const SHARES = new Set(["exertionLevel", "stress", "fatigue"]);
-const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", CEL: "°C", MMT: "mm" };
-const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, spo2: 0, steps: 0, cadence: 0, movement: 3 };
+const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", "2Z": "mV", C62: "", MSK: "m/s²", "2A": "rad/s", CEL: "°C", MMT: "mm" };
+const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, spo2: 0, steps: 0, cadence: 0, movement: 3, bodyMovement: 0 };
 
 export function vitalSigns(state: StateView): ValueView[] {
   const place = ({ name }: ValueView) => (ORDER.indexOf(name) + ORDER.length + 1) % (ORDER.length + 1);
@@ -28,7 +28,7 @@ export function vitalSigns(state: StateView): ValueView[] {
 }
 
 /** The features of which a history can be drawn. */
-export const DRAWN = ["heartRate", "breathingRate", "exertionLevel", "hrvRmssd", "spo2", "skinTemperature", "stress", "fatigue", "movement"] as const;
+export const DRAWN = ["heartRate", "breathingRate", "exertionLevel", "hrvRmssd", "spo2", "skinTemperature", "stress", "fatigue", "movement", "bodyMovement"] as const;
 
 export function symbolOf(name: string, unit: string | null): string {
   return SHARES.has(name) ? "" : unit === null ? "" : (SYMBOLS[unit] ?? unit);

@@ -7,8 +7,14 @@
 /** A figure of the paper beside ours; `passed` is null where there is nothing to decide. */
 export interface FigureView {
   name: string;
+  nameCode?: string | null;
+  nameParameters?: Record<string, unknown> | null;
   paper: string;
+  paperCode?: string | null;
+  paperParameters?: Record<string, unknown> | null;
   ours: string;
+  oursCode?: string | null;
+  oursParameters?: Record<string, unknown> | null;
   passed: boolean | null;
 }
 
@@ -50,6 +56,8 @@ export interface MachineView {
 export interface MessageView {
   atS: number;
   text: string;
+  textCode?: string | null;
+  textParameters?: Record<string, unknown> | null;
 }
 
 /** A number of the machine with its UN/CEFACT code, "" for none. */
@@ -69,6 +77,8 @@ export interface TrialView {
   isRunning: boolean;
   passed: boolean;
   failure: string;
+  failureCode?: string | null;
+  failureParameters?: Record<string, unknown> | null;
   elapsedS: number;
   messages: MessageView[];
   figures: FigureView[];
