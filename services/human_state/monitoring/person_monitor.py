@@ -133,6 +133,8 @@ class PersonMonitor:
             self._take_report(item, sensor)
             return
         sensor.signals[item.info.kind] = item.info
+        if item.has_contact is not None:
+            sensor.has_contact = item.has_contact
         if item.quality > 0:
             sensor.good_at_s = time.monotonic()
         for waiting in self._listeners.values():

@@ -2,6 +2,7 @@
 
 import asyncio
 import base64
+import hashlib
 import time
 from itertools import chain
 from typing import Annotated
@@ -96,11 +97,10 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
             first = await asyncio.to_thread(next, pieces, b"")
         except (SealError, OSError) as error:
             raise Problem(409, "Cannot be read", f"the recording cannot be read: {error}") from None
-        digest = base64.b64encode(bytes.fromhex(row.sha256 or "")).decode()
         headers = {
             "Content-Disposition": f'attachment; filename="{row.id}.mcap"',
             "Content-Length": str(row.size),
-            "Repr-Digest": f"sha-256=:{digest}:",
+            "Repr-Digest": _digest(bytes.fromhex(row.sha256 or "")),
             "Cache-Control": "no-store",
         }
         return StreamingResponse(
@@ -113,7 +113,7 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
         response_class=Response,
     )
     async def bundle(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
-        """Return the values and waveforms as an HL7 FHIR R5 Bundle; 413 for a long recording."""
+        """Return values and waveforms as an HL7 FHIR R5 Bundle, with SHA-256; 413 for a long recording."""
         require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         row = _ended(found(person, recording))
         if not recordings.archive.has_key:
@@ -121,23 +121,34 @@ def _add_files(app: FastAPI, people: People, recording_service: RecordingService
         content = await recording_service.export.bundle(row, entities.id_of(row.id), time.time())
         headers = {
             "Content-Disposition": f'attachment; filename="{row.id}.fhir.json"',
+            "Repr-Digest": _digest(await asyncio.to_thread(_sha256, content)),
             "Cache-Control": "no-store",
         }
         return Response(content, media_type="application/fhir+json", headers=headers)
 
     @app.get("/people/{person}/recordings/{recording}/xdf", tags=["recordings"], response_class=Response)
     async def xdf(person: Name, recording: RecordingId, caller: SignedIn, request: Request) -> Response:
-        """Return signals, values and markers as XDF 1.0; 413 for a long recording."""
+        """Return signals, values and markers as XDF 1.0, with its SHA-256; 413 for a long recording."""
         require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
         row = _ended(found(person, recording))
         if not recordings.archive.has_key:
             raise no_key()
+        content = await recording_service.export.xdf(row)
         headers = {
             "Content-Disposition": f'attachment; filename="{row.id}.xdf"',
+            "Repr-Digest": _digest(await asyncio.to_thread(_sha256, content)),
             "Cache-Control": "no-store",
         }
-        content = await recording_service.export.xdf(row)
         return Response(content, media_type="application/octet-stream", headers=headers)
+
+
+def _sha256(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest()
+
+
+def _digest(sha256: bytes) -> str:
+    """Return the value of `Repr-Digest` (RFC 9530)."""
+    return f"sha-256=:{base64.b64encode(sha256).decode()}:"
 
 
 def _ended(row: RecordingRow) -> RecordingRow:

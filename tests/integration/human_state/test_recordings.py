@@ -81,6 +81,12 @@ async def notify_of_tasks(rest: httpx.AsyncClient, broker: BrokerClient, folder:
     assert (await rest.post("/notifications", json={"data": tasks})).status_code == 403
 
 
+def assert_digest(answer: httpx.Response) -> None:
+    """Check that an answer names the SHA-256 of its content (RFC 9530)."""
+    digest = base64.b64encode(hashlib.sha256(answer.content).digest()).decode()
+    assert answer.headers["repr-digest"] == f"sha-256=:{digest}:"
+
+
 async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
     running: Running, shared_cell: Cell, tmp_path: Path
 ) -> None:
@@ -108,7 +114,7 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
         file = await rest.get(f"{this}/file")
         digest = hashlib.sha256(file.content).digest()
         assert (digest.hex(), len(file.content)) == (closed["sha256"], closed["size"])
-        assert file.headers["repr-digest"] == f"sha-256=:{base64.b64encode(digest).decode()}:"
+        assert_digest(file)
         items = list(read_stream(io.BytesIO(file.content), "it"))
         assert len(items) == closed["messages"]
         assert [each.text for each in items if isinstance(each, Marker)] == ["the box", "Lift: inProgress"]
@@ -121,6 +127,7 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
 
         exported = await rest.get(f"{this}/xdf")
         assert exported.headers["content-disposition"].endswith('.xdf"')
+        assert_digest(exported)
         (tmp_path / "session.xdf").write_bytes(exported.content)
         streams, header = pyxdf.load_xdf(str(tmp_path / "session.xdf"))
         markers = next(each for each in streams if each["info"]["name"][0] == "markers")
@@ -128,7 +135,9 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
         assert any(len(each["time_stamps"]) for each in streams if each is not markers)
         assert header["info"]["version"] == ["1.0"]
 
-        bundle = (await rest.get(f"{this}/bundle")).raise_for_status().json()
+        answer = (await rest.get(f"{this}/bundle")).raise_for_status()
+        assert_digest(answer)
+        bundle = answer.json()
         identifier = f"urn:ngsi-ld:PhysiologicalSession:demo:{made['id']}"
         assert bundle["identifier"]["value"] == identifier
         subjects = {each["resource"]["subject"]["identifier"]["value"] for each in bundle["entry"]}

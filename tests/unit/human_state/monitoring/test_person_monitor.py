@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 
+from services.human_state.drivers.monitor import SignalMonitor
 from services.human_state.model.features import FeatureName, Status
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 from services.human_state.monitoring.person_monitor import PersonMonitor
@@ -97,3 +98,21 @@ def test_without_consent_nothing_is_kept() -> None:
     feed(monitor, 150.0, 60)
     assert monitor.values(time.monotonic()) == []
     assert not monitor.recent
+
+
+def test_a_contact_that_is_back_is_shown() -> None:
+    monitor, checks, now_s = (
+        PersonMonitor(person("live"), pipeline_of),
+        SignalMonitor("strap", RATE),
+        time.time(),
+    )
+    shown = []
+    for second, has_contact in enumerate((True, False, True)):
+        at_s = now_s - 3 + second
+        worn = Samples("strap", RATE, at_s, np.array([[70.0]]), np.array([at_s]), has_contact=has_contact)
+        checked = checks.take(worn, at_s)
+        for item in (*checked.reports, checked.samples):
+            if item is not None:
+                monitor.take(item)
+        shown.append(monitor.sensors["strap"].has_contact)
+    assert shown == [True, False, True]
