@@ -61,6 +61,7 @@ class WheelchairMachine(Machine):
 
     def stop(self) -> None:
         self.controller = self.controller.stop()
+        self.driver = replace(self.driver, strain=0.0)
         self._wants_to_drive = False
 
     def step(self, seen: Seen) -> None:
