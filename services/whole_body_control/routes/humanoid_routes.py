@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import time
 from contextlib import suppress
 from typing import Annotated, Any, Final
 
@@ -117,7 +118,7 @@ def _add_limits(app: FastAPI, control: HumanoidControl) -> None:
                 reason=str(one.reason),
                 needs_reset=one.needs_reset,
             )
-            for one in control.limits.limits.allowed(asyncio.get_running_loop().time())
+            for one in control.limits.limits.allowed(time.monotonic())
         ]
 
     @app.delete(
