@@ -28,6 +28,7 @@ __all__ = [
     "Requirement",
     "require",
     "require_by_handler",
+    "require_by_request",
     "require_signed_in",
     "require_somewhere",
 ]
@@ -52,6 +53,7 @@ _ON_GRANTS: Final = "handover.on_grants"
 Resources = str | tuple[str, ...]
 """An entity id or `*`, or several of which one suffices."""
 ResourceOf = Callable[[HTTPConnection], Resources | Awaitable[Resources]]
+PermissionOf = Callable[[HTTPConnection], Permission]
 
 
 class Requirement:
@@ -62,10 +64,17 @@ class Requirement:
     """
 
     def __init__(
-        self, permission: Permission | None, resource: ResourceOf | None, *, by_handler: bool, shown: str
+        self,
+        permission: Permission | None,
+        resource: ResourceOf | None,
+        *,
+        by_handler: bool,
+        shown: str,
+        permission_of: PermissionOf | None = None,
     ) -> None:
         self.permission = permission
         self.by_handler = by_handler
+        self._permission_of = permission_of
         self._resource = resource
         self._shown = shown
 
@@ -79,21 +88,24 @@ class Requirement:
         caller = await authenticated(connection)
         if self.permission is None:
             return caller
-        act = self._act(connection, caller)
+        permission = self.permission if self._permission_of is None else self._permission_of(connection)
+        act = self._act(connection, caller, permission)
         if self.by_handler:
-            guard.require_somewhere(caller, self.permission)
-            connection.scope[_REQUIRED] = self.permission, None
+            guard.require_somewhere(caller, permission)
+            connection.scope[_REQUIRED] = permission, None
         else:
             resources = await self._resources(connection)
             if act is not None:
-                act.resource = self._used(caller, resources)
-            require_any(guard, caller, self.permission, resources)
-            connection.scope[_REQUIRED] = self.permission, resources
+                act.resource = _used(caller, permission, resources)
+            require_any(guard, caller, permission, resources)
+            connection.scope[_REQUIRED] = permission, resources
         if act is not None and connection.scope["type"] == "websocket":
             await act.trail.open(act)
         return caller
 
-    def _act(self, connection: HTTPConnection, caller: Caller) -> AuditedRequest | None:
+    def _act(
+        self, connection: HTTPConnection, caller: Caller, permission: Permission
+    ) -> AuditedRequest | None:
         """Return the act that the audit trail records, if the service has one."""
         act = current_request()
         trail = getattr(connection.app.state, "audit", None)
@@ -102,21 +114,21 @@ class Requirement:
                 trail, f"WebSocket {connection.scope['route'].path}"[:64], connection.url.path
             )
         if act is not None:
-            act.caller, act.permission = caller, self.permission
+            act.caller, act.permission = caller, permission
         return act
-
-    def _used(self, caller: Caller, resources: Resources) -> str:
-        if isinstance(resources, str):
-            return resources
-        assert self.permission is not None  # noqa: S101 - as in `__call__`
-        allowed = (one for one in resources if caller.may(self.permission, one))
-        return next(allowed, resources[0] if resources else ANY_RESOURCE)
 
     async def _resources(self, connection: HTTPConnection) -> Resources:
         if self._resource is None:
             return ANY_RESOURCE
         found = self._resource(connection)
         return await found if inspect.isawaitable(found) else found
+
+
+def _used(caller: Caller, permission: Permission, resources: Resources) -> str:
+    if isinstance(resources, str):
+        return resources
+    allowed = (one for one in resources if caller.may(permission, one))
+    return next(allowed, resources[0] if resources else ANY_RESOURCE)
 
 
 class OtherCredential:
@@ -140,6 +152,17 @@ def require(permission: Permission, resource: ResourceOf | None = None) -> Any:
     """Return a dependency that requires `permission` for `resource`; without one, for every resource."""
     shown = f"for {resource.__doc__}" if resource is not None else "for every resource"
     return Depends(Requirement(permission, resource, by_handler=False, shown=shown))
+
+
+def require_by_request(
+    permission_of: PermissionOf, resource: ResourceOf, *, least: Permission, shown: str
+) -> Any:
+    """Return a dependency for a route whose parameters choose the permission that it requires.
+
+    `least` is the permission without parameters, and `shown` the whole rule, for the documentation.
+    """
+    made = Requirement(least, resource, by_handler=False, shown=shown, permission_of=permission_of)
+    return Depends(made)
 
 
 def require_by_handler(permission: Permission, shown: str = "for what the body names") -> Any:

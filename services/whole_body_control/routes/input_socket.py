@@ -3,16 +3,16 @@
 import asyncio
 import time
 from contextlib import suppress
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import orjson
 from fastapi import FastAPI, WebSocket
 from pydantic import ValidationError
+from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect
 
 from handover.errors import Problem
-from handover.security.caller import Caller
-from handover.security.guard import guard_of, require_by_handler
+from handover.security.guard import require_by_request
 from handover.security.permissions import Permission
 from services.whole_body_control.metrics import INPUTS
 from services.whole_body_control.routes.access import of_humanoid
@@ -31,6 +31,17 @@ _NEEDED: Final[dict[str, Permission]] = {
     "patient": Permission.PERFORM_TASKS,
     "therapist": Permission.MOVE_ROBOTS,
 }
+
+
+def _role(connection: HTTPConnection) -> str:
+    role = connection.query_params.get("role", "patient")
+    if role not in _NEEDED:
+        raise Problem(400, "Unknown role", 'the role is "patient" or "therapist"')
+    return role
+
+
+def _needed(connection: HTTPConnection) -> Permission:
+    return _NEEDED[_role(connection)]
 
 
 class _Turns:
@@ -57,22 +68,21 @@ def add_input_socket(app: FastAPI, control: HumanoidControl, signals: PatientSig
     """Add the WebSocket of inputs."""
     turns = {role: _Turns() for role in _NEEDED}
 
-    @app.websocket("/input")
-    async def inputs(
-        socket: WebSocket,
-        caller: Annotated[Caller, require_by_handler(Permission.PERFORM_TASKS, "for the humanoid")],
-    ) -> None:
+    @app.websocket(
+        "/input",
+        dependencies=[
+            require_by_request(
+                _needed,
+                of_humanoid,
+                least=Permission.PERFORM_TASKS,
+                shown="for the Device of the humanoid; a therapist needs `moveRobots`",
+            )
+        ],
+    )
+    async def inputs(socket: WebSocket) -> None:
         """Take poses and pulls of the patient, or wishes of the therapist; answer echoes, haptic pulses."""
         await socket.accept()
-        role = socket.query_params.get("role", "patient")
-        if role not in _NEEDED:
-            await socket.close(4400, 'the role is "patient" or "therapist"')
-            return
-        try:
-            guard_of(socket).require(caller, _NEEDED[role], str(of_humanoid(socket)))
-        except Problem as problem:
-            await socket.close(4000 + problem.status, str(problem.detail)[:120])
-            return
+        role = _role(socket)
         sending = asyncio.create_task(_send_signals(socket, signals)) if role == "patient" else None
         try:
             with suppress(WebSocketDisconnect, RuntimeError, KeyError):

@@ -113,13 +113,14 @@ async def open_stream(
     async def send(message: MutableMapping[str, Any]) -> None:
         answers.append(message)
 
+    path, _, query = path.partition("?")
     scope = {
         "type": "websocket",
         "asgi": {"version": "3.0"},
         "scheme": "ws",
         "path": path,
         "raw_path": path.encode(),
-        "query_string": b"",
+        "query_string": query.encode(),
         "headers": [(b"host", b"localhost"), *headers],
         "client": ("127.0.0.1", 40000),
         "server": ("127.0.0.1", 80),

@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 from fastapi import FastAPI, WebSocket
 from fastapi.responses import StreamingResponse
+from starlette.requests import HTTPConnection
 
 from handover.security import revocations as module
 from handover.security.access_tokens import SigningKey, key_set
 from handover.security.caller import Caller, CallerKind
-from handover.security.guard import Guard, in_path, require
+from handover.security.guard import Guard, in_path, require, require_by_request
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
@@ -25,6 +26,10 @@ from handover.settings import Settings
 KEY = SigningKey.generate()
 UR10 = "urn:ngsi-ld:Device:demo:ur10-1"
 BOUND_S = 60.0
+
+
+def of_role(connection: HTTPConnection) -> Permission:
+    return Permission.MOVE_ROBOTS if "helper" in connection.query_params else Permission.READ
 
 
 class Lamp:
@@ -47,6 +52,10 @@ class Lamp:
 
         @self.app.websocket("/robots/{robot}/state", dependencies=[require(Permission.READ, of_robot)])
         @self.app.websocket("/robots/{robot}/jog", dependencies=[require(Permission.MOVE_ROBOTS, of_robot)])
+        @self.app.websocket(
+            "/robots/{robot}/walk",
+            dependencies=[require_by_request(of_role, of_robot, least=Permission.READ, shown="")],
+        )
         async def stream(socket: WebSocket, robot: str) -> None:
             await socket.accept()
             while True:
@@ -74,10 +83,10 @@ class Lamp:
         sent: asyncio.Queue[Any] = asyncio.Queue()
         scope = {
             "type": kind,
-            "path": path,
-            "raw_path": path.encode(),
+            "path": path.partition("?")[0],
+            "raw_path": path.partition("?")[0].encode(),
             "root_path": "",
-            "query_string": b"",
+            "query_string": path.partition("?")[2].encode(),
             "headers": [(b"host", b"localhost"), (b"authorization", f"Bearer {token}".encode())],
             "client": ("127.0.0.1", 5),
             "scheme": "ws" if kind == "websocket" else "http",
@@ -170,6 +179,28 @@ async def test_a_token_whose_grant_is_removed_keeps_the_streams_of_its_other_gra
         lamp.revoke("script-1")
         lamp.introspection = {"active": False}
         assert (await state.until("websocket.close"))["code"] == 4401
+
+
+async def test_a_stream_keeps_the_permission_and_resource_that_its_parameters_chose(lamp: Lamp) -> None:
+    secret = new_token("script")
+
+    def known(*grants: tuple[str, str]) -> dict[str, Any]:
+        held = [{"role": role, "resource": resource} for role, resource in grants]
+        found = {"active": True, "kind": "script", "subject": "script-1", "name": "plotter", "grants": held}
+        return found | {"revision": lamp.revocations.position}
+
+    other = ("engineer", "urn:ngsi-ld:Device:demo:ur10-2")
+    lamp.introspection = known(other, ("engineer", UR10))
+    async with (
+        lamp.open("/robots/ur10-1/walk", secret) as watching,
+        lamp.open("/robots/ur10-1/walk?helper", secret) as helping,
+    ):
+        await watching.until("websocket.accept")
+        await helping.until("websocket.accept")
+        lamp.revoke("script-1")
+        lamp.introspection = known(other, ("viewer", UR10))
+        assert (await helping.until("websocket.close"))["code"] == 4403
+        await watching.echoes()
 
 
 async def test_without_the_stream_of_revocations_only_what_moves_ends(
