@@ -24,9 +24,7 @@ ENV = {name: value or "" for name, value in dotenv_values(REPOSITORY / ".env", i
 CONTAINERS: dict[str, dict[str, Any]] = COMPOSE["services"]
 SERVICES = (*USUAL, *OPTIONAL_SERVICES)
 OURS = {
-    name: each
-    for name, each in CONTAINERS.items()
-    if each["image"].startswith(("handover:", "handover-motion:", "handover-human-state:", "handover-ros:"))
+    name: each for name, each in CONTAINERS.items() if each["image"].partition(":")[0].startswith("handover")
 }
 INIT = "init"
 """Ends once certificates, tokens, secrets and accounts are made."""

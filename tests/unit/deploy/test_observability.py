@@ -83,6 +83,7 @@ def test_prometheus_asks_every_service_where_it_listens() -> None:
         ("ros-bridge", "ros"),
         ("human-state", "human-state"),
         ("assistive-devices", "assistive-devices"),
+        ("whole-body-control", "whole-body-control"),
     ],
 )
 def test_prometheus_asks_a_service_of_a_profile_where_there_is_one(name: str, profile: str) -> None:
