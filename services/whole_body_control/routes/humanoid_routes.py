@@ -135,6 +135,7 @@ def _add_limits(app: FastAPI, control: HumanoidControl) -> None:
                 "No such source",
                 message("humanoid.no_such_source", 'no source "{source}" limits the humanoid', source=source),
             )
+        control.update_limit()
 
 
 def _add_live(app: FastAPI, control: HumanoidControl) -> None:

@@ -53,5 +53,9 @@ def test_a_heart_that_beats_fast_slows_it_and_a_person_releases_the_stop(humanoi
     (source,) = humanoid.http.get("/limits").json()
     assert 0 < source["fraction"] < 0.25
     humanoid.cell.kill("human_state")
-    assert humanoid.http.delete(f"/limits/{source['source']}").status_code == 204
-    assert humanoid.state()["limit"]["factor"] == 1.0
+
+    def is_free() -> bool:  # what was received before the end may still be read, and bring the source back
+        assert humanoid.http.delete(f"/limits/{source['source']}").status_code in {204, 404}
+        return humanoid.state()["limit"]["factor"] == 1.0
+
+    wait_for(is_free, WITHIN_S, "the source is removed")
