@@ -207,8 +207,8 @@ class Guard:
         raise Problem(
             503,
             "Rights cannot be verified",
-            "accounts has not answered for 5 s, so nothing is moved or changed; start accounts, or check "
-            "HANDOVER_ACCOUNTS_URL",
+            "accounts has not answered in the last 5 s, so nothing is moved or changed; try again, start "
+            "accounts, or check HANDOVER_ACCOUNTS_URL",
         )
 
     async def _follow(self, revocations: FollowedRevocations) -> None:
