@@ -98,7 +98,7 @@ class Plan:
     def token_files(self) -> dict[str, Path]:
         """Return the files of the tokens of services that are beside their certificates."""
         known = set(service_names())
-        named = ((names[0], folder) for folder, names in self.servers)
+        named = ((names[0], folder) for folder, names in self.servers if names)
         return {
             name: folder / SERVICE_FILE
             for name, folder in (*named, *((name, folder) for folder, name in self.clients))

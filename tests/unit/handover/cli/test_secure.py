@@ -60,6 +60,12 @@ def test_one_command_makes_what_a_server_needs_beyond_loopback(
     assert {stat.S_IMODE(file.stat().st_mode) for file in tokens.iterdir()} == {0o600}
 
 
+def test_without_a_name_it_is_for_this_machine(run: Run) -> None:
+    said = run()
+    assert "for localhost, 127.0.0.1, ::1" in said
+    assert "https://127.0.0.1:54400/join#hnd_link_" in said
+
+
 def test_repeated_it_changes_nothing_and_prints_another_link_until_there_is_an_owner(
     run: Run, tmp_path: Path
 ) -> None:
