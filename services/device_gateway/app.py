@@ -155,6 +155,7 @@ def _follow_changes(
         images.delete(name)
 
     gateway.on_changed, gateway.on_removed = changed, removed
+    gateway.on_image = images.put_part
     return changed
 
 

@@ -24,6 +24,7 @@ again gets its last answer and is not executed again.
 from __future__ import annotations  # robots run old versions of Python
 
 import argparse
+import base64
 import contextlib
 import json
 import os
@@ -44,6 +45,8 @@ MAX_WAITING = 50_000
 MAX_REMEMBERED = 1_000
 """Commands whose last answer is remembered."""
 MAX_LINE_BYTES = 64 * 1024
+MAX_IMAGE_CHARS = 60 * 1024
+"""Of base64 in one line; a multiple of four, so that each part can be decoded on its own."""
 KEEP_ALIVE_S = 15.0
 SEND_TIMEOUT_S = 15.0
 """A connection that takes no bytes for so long is broken."""
@@ -109,6 +112,7 @@ class DeviceClient:
         self._waiting: OrderedDict[int, Message] = OrderedDict()
         self._seq = 0
         self._inputs = 0
+        self._images = 0
         self._connection: _Connection | None = None
         self._lock = threading.RLock()
         self._stopped = threading.Event()
@@ -182,6 +186,21 @@ class DeviceClient:
             if gripper is not None:
                 message["gripper"] = gripper
             self._write(message)
+
+    def image(self, content: bytes) -> None:
+        """Send an image of a camera, PNG, JPEG or WebP, of at most 512 KiB; people see the newest one.
+
+        It is neither acknowledged, nor stored, nor sent again; while the device is away it is dropped.
+        """
+        data = base64.b64encode(content).decode()
+        pieces = [data[at : at + MAX_IMAGE_CHARS] for at in range(0, len(data), MAX_IMAGE_CHARS)]
+        with self._lock:
+            self._images += 1
+            for part, piece in enumerate(pieces):
+                message: Message = {"type": "image", "data": piece}
+                if len(pieces) > 1:
+                    message.update(frame=self._images, part=part, parts=len(pieces))
+                self._write(message)
 
     def waiting(self) -> int:
         """Return how many messages have not been acknowledged."""

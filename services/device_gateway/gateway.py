@@ -26,6 +26,7 @@ from handover.telemetry import get_logger
 from services.device_gateway import metrics
 from services.device_gateway.commands.dispatcher import Dispatcher
 from services.device_gateway.model.description import DeviceDescription
+from services.device_gateway.protocol.live import INPUT, ImagePart, live_message, parse_image
 from services.device_gateway.protocol.messages import (
     MAX_LINE_BYTES,
     BadMessage,
@@ -49,8 +50,6 @@ from services.device_gateway.storage.outbox import RelayRow
 
 log = get_logger(__name__)
 
-INPUT: Final = "human_input"
-"""The type of inputs of people, which come at up to 1 kHz and are passed on as they are."""
 MAX_LOGGED: Final = 1_000
 """Characters of a refused line in the log of messages."""
 
@@ -118,6 +117,10 @@ class DeviceGateway:
         """Called with the device, the values and the time of each telemetry message."""
         self.on_input: Callable[[str, bytes], None] = lambda *_: None
         """Called with each input of a person, which is neither stored nor acknowledged."""
+        self.on_image: Callable[[str, ImagePart], object] = lambda *_: None
+        """Called with each part of an image of a camera, likewise. Raises `BadMessage`."""
+        self.relay_live: Callable[[str, Mapping[str, Any]], object] | None = None
+        """At an edge it is called with both instead."""
         self.on_disconnected: Callable[[str], None] = lambda _: None
         self.edge_marks = EdgeMarks({})
         self._engine = engine
@@ -374,9 +377,9 @@ class DeviceGateway:
         values: list[tuple[str, str, int, float]] = []
         relays: list[RelayRow] = []
         for line in lines:
-            if _is_input(line):
-                metrics.MESSAGES.labels(INPUT).inc()
-                self.on_input(device.name, line)
+            if (live := live_message(line)) is not None:
+                if (fault := self.pass_on(device, line, live)) is not None:
+                    answers.append(fault)
                 continue
             try:
                 message = parse_message(line, max_bytes)
@@ -395,6 +398,23 @@ class DeviceGateway:
                     relays.append(RelayRow(device.name, now_us, _with_time(line, message, now_s)))
         self._reports.put(device)
         return self.writer.add(messages=messages, values=values, relays=relays), answers
+
+    def pass_on(self, device: Device, line: bytes, message: Mapping[str, Any]) -> Mapping[str, Any] | None:
+        """Pass on a message that counts only at once; return the answer, if it is refused."""
+        kind = str(message["type"])
+        metrics.MESSAGES.labels(kind).inc()
+        if self.relay_live is not None:
+            self.relay_live(device.name, message)
+            return None
+        if kind == INPUT:
+            self.on_input(device.name, line)
+            return None
+        try:
+            self.on_image(device.name, parse_image(message))
+        except BadMessage as bad:
+            metrics.MESSAGES_REFUSED.labels(bad.code).inc()
+            return {"type": "error", "code": bad.code, "reason": str(bad)}
+        return None
 
     def _accept(
         self,
@@ -452,17 +472,6 @@ class DeviceGateway:
     def _changed(self, device: Device) -> None:
         self._reports.put(device)
         self.on_changed(device)
-
-
-def _is_input(line: bytes) -> bool:
-    """Return whether a line is an input of a person; other messages may contain the word."""
-    if INPUT.encode() not in line:
-        return False
-    try:
-        message = orjson.loads(line)
-    except orjson.JSONDecodeError:
-        return False
-    return isinstance(message, dict) and message.get("type") == INPUT
 
 
 def _with_seq(answer: dict[str, Any], seq: int | None) -> dict[str, Any]:

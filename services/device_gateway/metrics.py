@@ -12,7 +12,7 @@ MESSAGES_REFUSED = Counter(
 )
 RELAYED = Counter(
     "handover_device_relayed_total",
-    "Messages that edges have relayed: stored, repeated (known already), refused",
+    "Messages that edges have relayed: stored, repeated (known already), refused, live, late",
     ["outcome"],
 )
 OUTBOX_BYTES = Gauge("handover_edge_outbox_bytes", "Bytes that wait at this edge for the centre")

@@ -10,11 +10,16 @@ device that is connected directly (`device_edge_max_age_h`).
 
 Commands use the connection only while it exists: with it each relayed device is disconnected, and what
 happens to a command then depends on its kind, as for every device (`commands.command`).
+
+Live messages, inputs of people and images, are passed on if they are fresh: a connection that was interrupted
+delivers late what was sent before, and no robot may move by it. An input that holds nothing may be late.
 """
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
+
+import orjson
 
 from handover.telemetry import get_logger
 from services.device_gateway.gateway import DeviceGateway, Respond, Session
@@ -23,6 +28,7 @@ from services.device_gateway.model.description import DeviceKind
 from services.device_gateway.protocol.messages import BadMessage, Hello, RelayHello
 from services.device_gateway.protocol.relaying import (
     MAX_RELAYED_BYTES,
+    Live,
     Ping,
     Presence,
     Relayed,
@@ -37,6 +43,10 @@ log = get_logger(__name__)
 
 SILENCE_S: Final = 5.0
 """An edge that sends nothing for this time is disconnected: it sends a ping each second."""
+
+MAX_LIVE_AGE_S: Final = 0.3
+"""Inputs of people and images that may be older are dropped; the robot stops when no input arrives."""
+MAX_PONGS: Final = 64
 
 MIN_MESSAGES_PER_S: Final = 5_000.0
 """Buffered messages arrive at once. An edge whose pings wait behind a lower rate would count as lost."""
@@ -76,6 +86,7 @@ class RelaySession:
         self._granted: set[str] = set()
         self._devices: dict[str, tuple[Session, RelayedLink]] = {}
         self._ping: tuple[int, float] | None = None
+        self._pongs: dict[int, float] = {}
         self._is_ended = False
 
     def may_relay(self, device: Device) -> bool:
@@ -130,7 +141,12 @@ class RelaySession:
                 continue
             if isinstance(given, Ping):
                 self._ping = given.n, time.monotonic()
+                self._pongs[given.n] = self._ping[1]
+                if len(self._pongs) > MAX_PONGS:
+                    del self._pongs[next(iter(self._pongs))]
                 self._link.send({"type": "pong", "n": given.n})
+            elif isinstance(given, Live):
+                self._pass_on(given)
             elif isinstance(given, Presence):
                 answers += self._note_presence(given)
             else:
@@ -194,6 +210,23 @@ class RelaySession:
             self._devices[device.name] = session, link
         device.drives = given.drives
         return []
+
+    def _pass_on(self, given: Live) -> None:
+        """Pass on an input or image of a device that is connected through this edge, if it is fresh."""
+        found = self._devices.get(given.device)
+        device = None if found is None else found[0].device
+        if found is None or device is None or device.link is not found[1] or not self.may_relay(device):
+            RELAYED.labels("refused").inc()
+            return
+        sent_s = self._pongs.get(given.pong)
+        is_fresh = sent_s is not None and time.monotonic() - sent_s - given.held_s <= MAX_LIVE_AGE_S
+        if not is_fresh and given.message.get("held", True):
+            RELAYED.labels("late").inc()
+            return
+        fault = self._gateway.pass_on(device, orjson.dumps(given.message), given.message)
+        RELAYED.labels("refused" if fault else "live").inc()
+        if fault is not None:
+            self.deliver(given.device, fault)
 
     def _store(self, given: Relayed) -> list[Mapping[str, Any]]:
         device = self._gateway.devices.get(given.device)

@@ -6,8 +6,10 @@ can be simulated.
 
 import math
 import random
+import struct
 import threading
 import time
+import zlib
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
@@ -26,6 +28,8 @@ INPUT_PERIOD_S: Final = 0.02
 INPUT_CYCLE_S: Final = 6.0
 INPUT_HELD_S: Final = 5.0
 """The part of a cycle in which the dead-man control is held; the hand moves in a circle then."""
+IMAGE_PERIOD_S: Final = 0.2
+IMAGE_WIDTH, IMAGE_HEIGHT = 160, 120
 DEFAULT_RANGE: Final = (0.0, 100.0)
 
 
@@ -47,6 +51,7 @@ class SimulatedDevice:
         self._velocities: dict[str, float] = {}
         self._base = (0.0, 0.0, 0.0)
         self._is_input = description.kind is DeviceKind.INPUT_DEVICE
+        self._is_camera = description.kind is DeviceKind.CAMERA
         self._walks = description.kind is DeviceKind.HUMANOID
         self.place = [0.0, 0.0, 0.0]
         """Of the base: x and y in m, and its direction in rad."""
@@ -62,6 +67,8 @@ class SimulatedDevice:
         threading.Thread(target=self._send_values, daemon=True).start()
         if self._is_input:
             threading.Thread(target=self._send_inputs, daemon=True).start()
+        if self._is_camera:
+            threading.Thread(target=self._send_images, daemon=True).start()
 
     def stop(self) -> None:
         """Disconnect."""
@@ -147,6 +154,11 @@ class SimulatedDevice:
             axes, held = input_at(time.monotonic() - begun_s)
             self.client.human_input(axes, held)
 
+    def _send_images(self) -> None:
+        begun_s = time.monotonic()
+        while not self._stopped.wait(IMAGE_PERIOD_S):
+            self.client.image(image_at(time.monotonic() - begun_s))
+
     def _move(self, parameters: Mapping[str, Any], run: Run) -> dict[str, Any]:
         if not self._moving.acquire(blocking=False):
             raise RuntimeError("the device is moving already")
@@ -191,6 +203,19 @@ def input_at(passed_s: float) -> tuple[dict[str, float], bool]:
         return {"stickX": 0.0, "stickY": 0.0, "stickZ": 0.0}, False
     angle = 2 * math.pi * in_cycle_s / INPUT_HELD_S
     return {"stickX": math.sin(angle), "stickY": math.cos(angle), "stickZ": 0.3 * math.sin(2 * angle)}, True
+
+
+def image_at(passed_s: float) -> bytes:
+    """Return the image of a simulated camera, a PNG: a bright bar that crosses a grey scene in 4 s."""
+    bar = int(passed_s / 4 % 1 * IMAGE_WIDTH)
+    scene = bytes(235 if abs(x - bar) < 6 else 60 + x // 4 for x in range(IMAGE_WIDTH))
+    rows = b"".join(b"\0" + scene for _ in range(IMAGE_HEIGHT))
+    header = struct.pack(">IIBBBBB", IMAGE_WIDTH, IMAGE_HEIGHT, 8, 0, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
 
 
 def _fractions(run: Run) -> Iterator[float]:

@@ -279,7 +279,8 @@ class DeviceConnection(asyncio.Protocol):
         if relay is None:
             self.send(greeting)
             return
-        self.send({**greeting, "received": gateway.edge_marks.stored(relay.edge.name, relay.stream)})
+        received = gateway.edge_marks.stored(relay.edge.name, relay.stream)
+        self.send({**greeting, "received": received, "live": True})
         relay.begin()
 
     def _begin_relay(self, session: Session, hello: Hello) -> RelaySession:

@@ -149,7 +149,6 @@ def make_edge_app(settings: GatewaySettings) -> FastAPI:
     server = DeviceServer(settings, gateway)
     adapters = configured(settings, gateway)
     state = EdgeState(gateway, uplink, outbox)
-    gateway.on_input = InputRefusals(gateway).refuse
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -186,22 +185,3 @@ def make_edge_app(settings: GatewaySettings) -> FastAPI:
     add_adapter_routes(app, adapters)
     add_history_routes(app, gateway, engine)
     return app
-
-
-class InputRefusals:
-    """Inputs of people who drive (`human_input`) are not relayed: they would arrive late, and be moved by."""
-
-    def __init__(self, gateway: DeviceGateway) -> None:
-        self._gateway = gateway
-        self._notified: dict[str, str] = {}
-
-    def refuse(self, name: str, _: bytes) -> None:
-        """Answer the first input of a connection by an error."""
-        device = self._gateway.devices.get(name)
-        link = None if device is None else device.link
-        if link is not None and self._notified.get(name) != link.boot:
-            self._notified[name] = link.boot
-            reason = (
-                "inputs of people are not relayed by an edge; connect this device with the centre directly"
-            )
-            link.send({"type": "error", "code": "noInputs", "reason": reason})

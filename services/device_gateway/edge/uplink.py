@@ -4,6 +4,8 @@ Messages of devices are read from the outbox in the order of their numbers and s
 `MAX_UNACKNOWLEDGED_BYTES` wait for an acknowledgement; acknowledged ones are deleted. After a broken
 connection the greeting of the centre says which number it has stored, and sending continues behind it.
 
+Live messages, inputs of people and images, go past the outbox: at once, or not at all.
+
 The connection counts as lost when nothing arrives for `SILENCE_S`: the centre answers a ping each second.
 """
 
@@ -43,6 +45,8 @@ MAX_RETRY_S: Final = 10.0
 PAGE_ROWS: Final = 200
 MAX_UNACKNOWLEDGED_BYTES: Final = 512 * 1024
 MAX_PINGS: Final = 64
+MAX_WAITING_BYTES: Final = 64 * 1024
+"""Of live messages: while more waits to be written, a newer one is dropped, and does not wait behind it."""
 DELETE_S: Final = 0.25
 """Acknowledged messages are deleted at most this often."""
 
@@ -84,9 +88,12 @@ class Uplink:
         self._changes: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
         self._pings: dict[int, float] = {}
         self._ping = 0
+        self._pong: tuple[int, float] | None = None
+        self._takes_live = False
         self._received_s = 0.0
         self._canceller: asyncio.TimerHandle | None = None
         gateway.writer.on_relays = self._news.set
+        gateway.relay_live = self.send_live
         dispatcher.on_presence = self._presence_changed
         dispatcher.on_answer = commands.note_answer
 
@@ -132,6 +139,7 @@ class Uplink:
         if greeting.get("type") != "ack" or "received" not in greeting:
             raise LinkLost(str(greeting.get("reason") or "the other side is no gateway that takes edges"))
         received = int(greeting["received"])
+        self._takes_live = greeting.get("live") is True
         if received > await asyncio.to_thread(outbox.last):
             log.warning("the centre knows later messages than this edge: another stream begins")
             await self._gateway.writer.call(outbox.begin_stream)
@@ -152,6 +160,7 @@ class Uplink:
         if kind == "ack" and "seq" in given:
             self._acknowledge(int(given["seq"]))
         elif kind == "pong":
+            self._pong = given["n"], time.monotonic()
             sent_s = self._pings.get(given["n"])
             self.round_trip_s = None if sent_s is None else time.monotonic() - sent_s
         elif kind == "deliver":
@@ -270,6 +279,17 @@ class Uplink:
             if time.monotonic() - self._received_s > SILENCE_S:
                 raise LinkLost(f"nothing arrived from the centre for {SILENCE_S:g} s")
 
+    def send_live(self, device: str, message: Mapping[str, Any]) -> bool:
+        """Send an input or image of a device at once; return False, without sending it, if it would wait."""
+        writer, pong = self._writer, self._pong
+        if writer is None or pong is None or not self._takes_live:
+            return False
+        if writer.transport.get_write_buffer_size() > MAX_WAITING_BYTES:
+            return False
+        after = [pong[0], round(time.monotonic() - pong[1], 4)]
+        writer.write(encode({"type": "live", "device": device, "after": after, "message": message}))
+        return True
+
     def _presence_changed(self, name: str) -> None:
         asyncio.get_running_loop().call_soon(self._send_presence, name)
 
@@ -304,6 +324,7 @@ class Uplink:
         self._unacknowledged.clear()
         self._unacknowledged_bytes = 0
         self._pings.clear()
+        self._pong, self._takes_live = None, False
         self.round_trip_s = None
         self._commands.stop_driven()
         if self.is_connected:

@@ -7,8 +7,10 @@ An edge is a device of kind `edge`. Its hello has `relay`, and other messages th
     {"type":"online","device":"hall-1","boot":"7f3a","drives":false}
     {"type":"offline","device":"hall-1"}
     {"type":"ping","n":17}
+    {"type":"live","device":"pad-1","message":{"type":"human_input",…},"after":[17,0.02]}
 
-To the edge, after the acknowledged hello, which has the last stored `seq` of the stream as `received`:
+To the edge, after the acknowledged hello, which has the last stored `seq` of the stream as `received`, and
+`live` where it takes such messages:
 
     {"type":"device","name":"hall-1","description":{…},"tokenSha256":"…","certificateSha256":null}
     {"type":"devices","names":["hall-1"]}       all that the edge may relay; the others are removed
@@ -21,7 +23,8 @@ To the edge, after the acknowledged hello, which has the last stored `seq` of th
 
 Numbers of a stream grow, and may have gaps where a full buffer was shortened. `after` bounds the age of a
 message without comparing clocks: the gateway sent it so many seconds after it had received that ping, so it
-is not older than the time since the edge sent the ping, less these seconds.
+is not older than the time since the edge sent the ping, less these seconds. In the other direction `after`
+names the pong that the edge had received. Live messages (`protocol.live`) are never numbered or buffered.
 """
 
 from dataclasses import dataclass
@@ -29,6 +32,7 @@ from typing import Any, Final
 
 import orjson
 
+from services.device_gateway.protocol.live import LIVE
 from services.device_gateway.protocol.messages import (
     MAX_LINE_BYTES,
     MAX_SEQ,
@@ -62,13 +66,23 @@ class Presence:
 
 
 @dataclass(frozen=True, slots=True)
+class Live:
+    """A message that counts only at once; it was sent so many seconds after the pong with this number."""
+
+    device: str
+    message: dict[str, Any]
+    pong: int
+    held_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Ping:
     """The number of a ping, which the answer repeats."""
 
     n: int
 
 
-def parse_relayed(line: bytes) -> Relayed | Presence | Ping:
+def parse_relayed(line: bytes) -> Relayed | Presence | Live | Ping:
     """Return a message of an edge; raise `BadMessage`."""
     try:
         given: Any = orjson.loads(line)
@@ -77,8 +91,8 @@ def parse_relayed(line: bytes) -> Relayed | Presence | Ping:
     kind = given.get("type") if isinstance(given, dict) else None
     if kind == "ping":
         return Ping(_number(given.get("n"), "n"))
-    if kind not in {"relay", "online", "offline"}:
-        raise BadMessage("unknownType", "type must be relay, online, offline or ping")
+    if kind not in {"relay", "online", "offline", "live"}:
+        raise BadMessage("unknownType", "type must be relay, online, offline, live or ping")
     device = given.get("device")
     if not isinstance(device, str) or not is_device_name(device):
         raise BadMessage("badRelay", "device must be the name of a device")
@@ -87,12 +101,26 @@ def parse_relayed(line: bytes) -> Relayed | Presence | Ping:
         if not isinstance(message, dict):
             raise BadMessage("badRelay", "message must be a message of the device", seq)
         return Relayed(seq, device, orjson.dumps(message))
+    if kind == "live":
+        return _live(device, given)
     if kind == "offline":
         return Presence(device, None)
     boot, drives = given.get("boot"), given.get("drives", False)
     if not isinstance(boot, str) or not is_boot(boot) or not isinstance(drives, bool):
         raise BadMessage("badRelay", "boot must be that of the hello of the device, drives true or false")
     return Presence(device, boot, drives)
+
+
+def _live(device: str, given: dict[str, Any]) -> Live:
+    message, after = given.get("message"), given.get("after")
+    if not isinstance(message, dict) or message.get("type") not in LIVE:
+        raise BadMessage("badRelay", f"message must have one of the types {', '.join(LIVE)}")
+    if not isinstance(after, list) or len(after) != len(("pong", "seconds")):
+        raise BadMessage("badRelay", "after must be the number of a pong and the seconds since then")
+    held_s = after[1]
+    if isinstance(held_s, bool) or not isinstance(held_s, int | float) or held_s < 0:
+        raise BadMessage("badRelay", "after must be the number of a pong and the seconds since then")
+    return Live(device, message, _number(after[0], "after"), float(held_s))
 
 
 def _number(value: Any, name: str) -> int:

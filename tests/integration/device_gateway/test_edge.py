@@ -4,7 +4,9 @@ import asyncio
 import json
 import socket
 import sys
+import threading
 import time
+from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,6 +16,7 @@ import httpx
 import pytest
 
 from services.device_gateway.device_client import DeviceClient, Run, tls_context
+from services.device_gateway.simulation import image_at
 from tests.integration.device_gateway.conftest import SENSOR, TcpDevice
 from tests.integration.device_gateway.test_driving import driver
 from tests.kit import processes
@@ -330,6 +333,88 @@ async def test_the_edge_stops_a_driven_robot_when_the_link_is_cut(new_site: Call
             site.link.cut()
             stop = await asyncio.to_thread(until_held, rover, False)
             assert stop["validS"] == 0.0  # of the edge; the centre cannot send one any more
+
+
+def test_an_input_device_and_a_camera_work_through_the_edge(new_site: Callable[..., Site]) -> None:
+    site = new_site()
+    tokens = {
+        "rover-1": site.add("rover-1", kind="mobileRobot", edge=EDGE),
+        "pad-1": site.add("pad-1", kind="inputDevice", edge=EDGE),
+        "camera-1": site.add("camera-1", kind="camera", edge=EDGE),
+    }
+    site.edge.start("device_gateway")
+    pad, camera = (connected(site, name, tokens[name]) for name in ("pad-1", "camera-1"))
+    png = image_at(0.0)
+
+    def is_shown() -> bool:
+        camera.image(png)
+        return site.rest.get("/devices/camera-1/image").content == png
+
+    wait_for(is_shown)
+    wait_for(lambda: site.state()["connected"])
+    held, ended = threading.Event(), threading.Event()
+
+    def play() -> None:
+        while not ended.wait(0.02):
+            pad.human_input({"stickX": 0.5}, held.is_set())
+
+    playing = threading.Thread(target=play)
+    playing.start()
+    try:
+        with TcpDevice(site.edge.ports["devices"], "rover-1", tokens["rover-1"], drives=True) as driven:
+            wait_for(lambda: site.device("rover-1")["connected"])
+            wait_for(lambda: "stickX" in site.rest.get("/input-devices").text)
+            drive = {"robot": "rover-1", "mapping": {"x": {"axis": "stickX", "scale": 0.1}}}
+            site.rest.post("/devices/pad-1/control", json=drive).raise_for_status()
+
+            def moves() -> bool:
+                """Press again: a busy machine may delay inputs, and the control has to be released then."""
+                state = site.rest.get("/devices/pad-1/control").json()["state"] or {}
+                held.set() if state and not state.get("needsRelease") else held.clear()
+                return bool(state.get("moves"))
+
+            wait_for(moves)
+            site.link.freeze()
+            while (message := driven.receive()) is not None:
+                if message["type"] == "drive" and not message["held"]:
+                    break
+            assert message is not None, "the edge has closed the connection"
+            site.link.thaw()
+    finally:
+        ended.set()
+        playing.join()
+    assert "human_input" not in site.rest.get("/devices/pad-1/messages").text
+
+
+def test_inputs_and_images_that_arrive_late_are_dropped(new_site: Callable[..., Site]) -> None:
+    site = new_site()
+    site.add("camera-1", kind="camera", edge=EDGE)
+    edge = site.raw_edge(str(site.edge.extra["HANDOVER_EDGE_TOKEN"]))
+    assert edge.greeting["live"] is True
+    edge.say(type="online", device="camera-1", boot="b1", drives=False)
+    wait_for(lambda: site.device("camera-1")["connected"])
+    image = {"type": "image", "data": b64encode(image_at(0.0)).decode()}
+
+    def send(after: float) -> None:
+        edge.say(type="ping", n=1)
+        edge.until("pong")
+        began_s = time.monotonic()
+        wait_for(lambda: time.monotonic() - began_s >= after)
+        edge.say(type="live", device="camera-1", message=image, after=[1, 0.0])
+        edge.say(type="ping", n=1)
+        edge.until("pong")  # everything before it was processed
+
+    send(after=1.0)
+    edge.say(type="live", device="camera-1", message=image, after=[2, 0.0])  # a pong that was never sent
+    edge.say(type="live", device="camera-1", message={"type": "telemetry"}, after=[1, 0.0])
+    assert edge.until("error")["code"] == "badRelay"
+    assert site.rest.get("/cameras").json() == []
+
+    def is_shown() -> bool:
+        send(after=0.0)
+        return len(site.rest.get("/cameras").json()) == 1
+
+    wait_for(is_shown)
 
 
 _ROVER = {"commands": [{"name": "driveTo", "kind": "motion"}]}

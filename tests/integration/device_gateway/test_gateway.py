@@ -3,6 +3,7 @@
 import json
 import socket
 import time
+from base64 import b64encode
 from collections.abc import Callable
 from typing import Any
 
@@ -157,6 +158,36 @@ def test_the_newest_image_of_a_camera_is_shown_and_never_stored(bench: Bench) ->
     assert bench.rest.get("/devices/camera-9/messages").json() == []
     bench.rest.delete("/devices/camera-9")
     assert bench.rest.get("/cameras").json() == []
+
+
+def test_a_camera_sends_images_over_its_connection_in_parts_if_they_are_large(bench: Bench) -> None:
+    token = bench.add("camera-8")
+    client = DeviceClient("127.0.0.1", bench.cell.ports["devices"], "camera-8", token)
+    client.start()
+    wait_for(lambda: bench.rest.get("/devices/camera-8").json()["connected"])
+    for size in (1_000, 400_000):
+        jpeg = b"\xff\xd8\xff" + bytes(size)
+
+        def is_shown(jpeg: bytes = jpeg) -> bool:
+            client.image(jpeg)  # one that comes too soon after the last one is dropped
+            return bench.rest.get("/devices/camera-8/image").content == jpeg
+
+        wait_for(is_shown)
+    client.stop()
+    with bench.connect("camera-8", token) as camera:
+        refused = camera.ask(type="image", data=b64encode(b"<svg/>").decode())
+        assert refused is not None
+        assert (refused["code"], "PNG" in refused["reason"]) == ("imageRefused", True)
+        camera.say(type="image", frame=1, part=0, parts=3, data="AAAA")
+        gap = camera.ask(type="image", frame=1, part=2, parts=3, data="AAAA")
+        assert gap is not None
+        assert gap["code"] == "imagePartMissing"
+        for bad in ({"data": "?"}, {"data": "AAAA", "part": 1}, {"data": "AAAA", "parts": 1e9}):
+            answer = camera.ask(type="image", **bad)
+            assert answer is not None
+            assert answer["code"] == "badImage"
+    assert bench.rest.get("/devices/camera-8/messages").json() == []
+    bench.rest.delete("/devices/camera-8")
 
 
 def test_images_that_come_too_fast_are_refused() -> None:
