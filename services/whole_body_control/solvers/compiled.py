@@ -35,8 +35,8 @@ class _Memory:
         longest = max(n, m, rows)
         self.rows, self.targets = np.empty((rows, n)), np.empty(rows)
         self.spans = [slice(*each) for each in zip(self.ends[:-1], self.ends[1:], strict=True)]
-        self.squares, self.of_bounds = np.zeros((4, n, n)), np.zeros((3, m, n))
-        self.vectors, self.whole = np.zeros((15, longest)), np.zeros((3, longest), dtype=np.int64)
+        self.squares, self.equal_rows = np.zeros((5, n, n)), np.zeros((m, n))
+        self.vectors, self.whole = np.zeros((15, longest)), np.zeros((5, longest), dtype=np.int64)
         self.no_slack = np.zeros(m)
         self.no_slack.flags.writeable = False
 
@@ -74,7 +74,7 @@ class Compiled:
                 is_started,
                 residuals,
                 memory.squares,
-                memory.of_bounds,
+                memory.equal_rows,
                 memory.vectors,
                 memory.whole,
             )

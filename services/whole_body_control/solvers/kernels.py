@@ -5,8 +5,9 @@ level become a lower triangle in the next free coordinates, and all rows below a
 fixes are the first coordinates of z, what it leaves free are the others; no basis is ever formed.
 
 Invariants: with `done` fixed coordinates, the reflections 0 … done-1 were applied to all rows of lower
-levels, and 0 … turned-1 to the bounds, whose rows are turned when they are first needed. The last level adds
-no reflections.
+levels but the last. The last level, which is long (the posture), adds no reflections and is not turned: the
+few directions that are left free, the last columns of Q, are formed for it. Bounds are not turned either: a
+row that becomes active is turned by itself. Rows with one entry, as those of joints, are told by `single`.
 `reflections[c, c:]` is the vector w of the reflection 1 - scales[c] w w'.
 
 A level whose least squares violate a bound is solved by a dual active-set method (Goldfarb and Idnani 1983):
@@ -236,12 +237,38 @@ def start_factor(hessian: Array, rank: int, size: int, epsilon: float, inverse: 
 
 
 @machine_code
-def most_violated(bounds: Array, is_used: Indices, x: Array, low: Array, high: Array, reached: Array) -> int:
-    """Return the row that is violated most, or -1; `reached` becomes bounds @ x."""
+def single(rows: Array, columns: Indices) -> None:
+    """Set `columns` to the column of the only entry of each row, or -1 for a row with more."""
+    n = rows.shape[1]
+    for index in range(rows.shape[0]):
+        row = rows[index]
+        count, place = 0, 0
+        for column in range(n):
+            if row[column] != 0.0:
+                count += 1
+                place += column
+        columns[index] = place if count == 1 else -1
+
+
+@machine_code
+def product(row: Array, column: int, vector: Array) -> float:
+    """Return row @ vector; `column` is that of `single`."""
+    return row[column] * vector[column] if column >= 0 else dot(row, vector)
+
+
+@machine_code
+def multiply(matrix: Array, columns: Indices, vector: Array, products: Array) -> None:
+    """Set `products` to matrix @ vector."""
+    for index in range(matrix.shape[0]):
+        products[index] = product(matrix[index], columns[index], vector)
+
+
+@machine_code
+def most_violated(is_used: Indices, low: Array, high: Array, reached: Array) -> int:
+    """Return the row that is violated most, or -1."""
     worst, most = -1, PRIMAL_TOLERANCE
-    for index in range(bounds.shape[0]):
+    for index in range(reached.shape[0]):
         if is_used[index] == 0:
-            reached[index] = dot(bounds[index], x)
             violation = max(low[index] - reached[index], reached[index] - high[index])
             if violation > most:
                 worst, most = index, violation
@@ -307,35 +334,50 @@ def first_to_leave(duals: Array, change: Array, count: int) -> int:
 
 @machine_code
 def satisfy(
-    bounds: Array,
+    matrix: Array,
+    columns: Indices,
     low: Array,
     high: Array,
-    is_used: Indices,
-    x: Array,
+    whole: Indices,
+    z: Array,
+    velocity: Array,
+    reached: Array,
+    done: int,
+    last: int,
+    reflections: Array,
+    scales: Array,
     inverse: Array,
     upper: Array,
-    active: Indices,
     vectors: Array,
 ) -> int:
-    """Move x from the unbounded minimum to the bounded one (Goldfarb and Idnani 1983)."""
-    size, count = x.shape[0], 0
-    reached, duals, change = vectors[0], vectors[1], vectors[2]
-    direction, step, normal, work = vectors[3], vectors[4], vectors[5], vectors[6]
+    """Move z[done:] from the unbounded minimum to the bounded one (Goldfarb and Idnani 1983).
+
+    `velocity` is Q z and `reached` is matrix @ velocity, before and after.
+    """
+    n, m = z.shape[0], reached.shape[0]
+    size, count, x = n - done, 0, z[done:]
+    is_used, active = whole[1, :m], whole[2]
+    is_used[:] = whole[0, :m]
+    duals, change, direction = vectors[1], vectors[2], vectors[3]
+    step, turned, work = vectors[4, :n], vectors[5, :n], vectors[6]
+    normal = turned[done:]
     rounds = 0
     while True:
-        added = most_violated(bounds, is_used, x, low, high, reached)
+        added = most_violated(is_used, low, high, reached)
         if added < 0:
             return FEASIBLE_STEP
         sign = 1.0 if reached[added] < low[added] else -1.0
-        wanted = low[added] if sign > 0 else -high[added]
-        normal[:size] = sign * bounds[added]
+        wanted = low[added] if sign > 0 else high[added]
+        turned[:] = 0.0
+        add(sign, matrix[added], turned)
+        reflect(turned, reflections, scales, 0, last)
         dual = 0.0
         while True:
             rounds += 1
-            if rounds > 20 * (size + bounds.shape[0]):
+            if rounds > 20 * (size + m):
                 return CIRCLE
             for row in range(size):
-                direction[row] = dot(inverse[row, :size], normal[:size])
+                direction[row] = dot(inverse[row, :size], normal)
             total = dot(direction[:size], direction[:size])
             slope = dot(direction[count:size], direction[count:size])
             multipliers(upper, direction, count, change)
@@ -343,15 +385,18 @@ def satisfy(
             can_move = slope > DEPENDENT * total
             if leaving < 0 and not can_move:
                 return NO_STEP
-            length = (wanted - dot(normal[:size], x)) / slope if can_move else np.inf
+            length = sign * (wanted - reached[added]) / slope if can_move else np.inf
             is_full = leaving < 0 or length <= duals[leaving] / change[leaving]
             if not is_full:
                 length = duals[leaving] / change[leaving]
             if can_move:
-                step[:size] = 0.0
+                step[:] = 0.0
                 for row in range(count, size):
-                    add(direction[row], inverse[row, :size], step[:size])
-                add(length, step[:size], x)
+                    add(direction[row], inverse[row, :size], step[done:])
+                add(length, step[done:], x)
+                reflect_back(step, reflections, scales, last)
+                add(length, step, velocity)
+                multiply(matrix, columns, velocity, reached)
             add(-length, change[:count], duals[:count])
             dual += length
             if is_full:
@@ -368,29 +413,45 @@ def satisfy(
 
 
 @machine_code
-def obey(
-    bounds: Array,
-    low: Array,
-    high: Array,
-    whole: Indices,
-    z: Array,
-    done: int,
-    inverse: Array,
-    upper: Array,
-    copy: Array,
-    vectors: Array,
-) -> int:
-    """Move z[done:] from the unbounded minimum of a level to the bounded one; changes `low` and `high`."""
-    m, free = bounds.shape[0], z.shape[0] - done
-    is_equal, is_used, active = whole[0, :m], whole[1, :m], whole[2]
-    for row in range(m):
-        offset = dot(bounds[row, :done], z[:done])
-        low[row] -= offset
-        high[row] -= offset
-        is_used[row] = is_equal[row]
-    bounded = copy.reshape(-1)[: m * free].reshape((m, free))
-    bounded[:, :] = bounds[:, done:]
-    return satisfy(bounded, low, high, is_used, z[done:], inverse, upper, active, vectors)
+def free_directions(reflections: Array, scales: Array, done: int, basis: Array) -> None:
+    """Set the rows of `basis` to the columns `done` … of Q."""
+    n = basis.shape[1]
+    basis[:, :] = 0.0
+    for row in range(n - done):
+        basis[row, done + row] = 1.0
+    for column in range(done - 1, -1, -1):
+        reflect_rows(basis, reflections, scales, column, column + 1)
+
+
+@machine_code
+def last_level(
+    rows: Array,
+    targets: Array,
+    columns: Indices,
+    fixed: Array,
+    basis: Array,
+    epsilon: float,
+    hessian: Array,
+    step: Array,
+    reduced: Array,
+) -> bool:
+    """Set `step` to the damped least squares in the rows of `basis`, and leave the factor in `hessian`."""
+    free = basis.shape[0]
+    hessian[:free, :free] = 0.0
+    step[:] = 0.0
+    for index in range(rows.shape[0]):
+        column, row = columns[index], rows[index]
+        for each in range(free):
+            reduced[each] = product(row, column, basis[each])
+        add(targets[index] - product(row, column, fixed), reduced[:free], step)
+        for each in range(free):
+            add(reduced[each], reduced[: each + 1], hessian[each, : each + 1])
+    for each in range(free):
+        hessian[each, each] += epsilon
+    if not factor(hessian, free):
+        return False
+    substitute(hessian, free, step)
+    return True
 
 
 @machine_code
@@ -441,13 +502,6 @@ def solve_equalities(rows: Array, targets: Array, z: Array, rank: int, hessian: 
 
 
 @machine_code
-def multiply(matrix: Array, vector: Array, product: Array) -> None:
-    """Set `product` to matrix @ vector."""
-    for index in range(matrix.shape[0]):
-        product[index] = dot(matrix[index], vector)
-
-
-@machine_code
 def widen(reached: Array, lower: Array, upper: Array, low: Array, high: Array) -> None:
     """Let bounds contain what the levels above reach, which may violate them by a rounding error."""
     for index in range(lower.shape[0]):
@@ -456,15 +510,13 @@ def widen(reached: Array, lower: Array, upper: Array, low: Array, high: Array) -
 
 
 @machine_code
-def holds(matrix: Array, velocity: Array, low: Array, high: Array, is_equal: Indices, reached: Array) -> bool:
-    """Set `reached` to matrix @ velocity, and return whether it obeys all bounds."""
-    obeys = True
+def are_held(low: Array, high: Array, is_equal: Indices, reached: Array) -> bool:
+    """Return whether all bounds are obeyed."""
     for index in range(low.shape[0]):
-        value = dot(matrix[index], velocity)
-        reached[index] = value
+        value = reached[index]
         if is_equal[index] == 0 and (value < low[index] - FEASIBLE or value > high[index] + FEASIBLE):
-            obeys = False
-    return obeys
+            return False
+    return True
 
 
 @machine_code
@@ -480,26 +532,27 @@ def solve(
     is_started: bool,
     residuals: Array,
     squares: Array,
-    of_bounds: Array,
+    equal_rows: Array,
     vectors: Array,
     whole: Indices,
 ) -> int:
     """Solve all levels. `rows` and `targets` are overwritten; `velocity` obeys the bounds before and after.
 
-    Shapes: rows (R, n), targets (R,), ends (levels + 1,), matrix (m, n), squares (4, n, n), of_bounds
-    (3, m, n), vectors (15, max(R, m, n)), whole (3, max(m, n)).
+    Shapes: rows (R, n), targets (R,), ends (levels + 1,), matrix (m, n), squares (5, n, n), equal_rows
+    (m, n), vectors (15, max(R, m, n)), whole (5, max(R, m, n)).
     """
     state = examined(rows, targets, matrix, lower, upper, is_started)
     if state != SOLVED:
         return state
-    n, m = matrix.shape[1], matrix.shape[0]
+    n, m, levels = matrix.shape[1], matrix.shape[0], ends.shape[0] - 1
     reflections, hessian, inverse, triangular = squares[0], squares[1], squares[2], squares[3]
-    turned_bounds, equal_rows = of_bounds[0], of_bounds[1]
     z, before, scales = vectors[7, :n], vectors[8, :n], vectors[9, :n]
     low, high, norms, reached = vectors[10, :m], vectors[11, :m], vectors[12:14], vectors[14, :m]
-    is_equal = whole[0, :m]
+    is_equal, columns = whole[0, :m], whole[3, :m]
+    single(matrix, columns)
 
-    done, last, turned = 0, 0, -1  # `last`: the number of reflections
+    done, last = 0, 0  # `last`: the number of reflections
+    turned = ends[max(levels - 1, 0)]  # the rows below are those of the last level
     z[:] = velocity
     equal = equalities(matrix, lower, upper, is_equal, equal_rows, vectors[6])
     if equal > 0:
@@ -507,37 +560,61 @@ def solve(
         reflect(z, reflections, scales, 0, done)
         if not solve_equalities(equal_rows[:equal], vectors[6], z, done, hessian):
             return STUCK
-        reflect_rows(rows, reflections, scales, 0, done)
+        reflect_rows(rows[:turned], reflections, scales, 0, done)
         velocity[:] = z
         reflect_back(velocity, reflections, scales, done)
-    multiply(matrix, velocity, reached)
+    multiply(matrix, columns, velocity, reached)
 
-    for level in range(ends.shape[0] - 1):
+    for level in range(levels):
         jacobian, target = rows[ends[level] : ends[level + 1]], targets[ends[level] : ends[level + 1]]
+        is_last = level == levels - 1
         if done < n:
             widen(reached, lower, upper, low, high)
-            is_last = level == ends.shape[0] - 2
-            # No level below needs the directions that the last one leaves free.
             rank = n - done
-            if not is_last:
+            if is_last:
+                before[:] = z
+                basis, of_rows = squares[4, :rank], whole[4, : jacobian.shape[0]]
+                z[done:] = 0.0
+                velocity[:] = z
+                reflect_back(velocity, reflections, scales, last)
+                free_directions(reflections, scales, done, basis)
+                single(jacobian, of_rows)
+                if not last_level(
+                    jacobian, target, of_rows, velocity, basis, epsilon, hessian, z[done:], vectors[6]
+                ):
+                    return STUCK
+                for row in range(rank):
+                    add(z[done + row], basis[row], velocity)
+            else:
                 rank = triangle(jacobian, target, done, reflections, scales, norms)
                 last = done + rank
-            # Free coordinates of the levels above are chosen again, in the axes that this level has turned.
-            reflect(z, reflections, scales, done, last)
-            before[:] = z
-            if not least_squares(jacobian, target, z, done, rank, epsilon, hessian, not is_last):
-                return STUCK
-            z[done + rank :] = 0.0
-            velocity[:] = z
-            reflect_back(velocity, reflections, scales, last)
-            if not holds(matrix, velocity, low, high, is_equal, reached):
-                if turned < 0:
-                    turned_bounds[:] = matrix
-                reflect_rows(turned_bounds, reflections, scales, max(turned, 0), last)
-                turned = last
+                # Free coordinates of the levels above are chosen again, in the axes that this level turned.
+                reflect(z, reflections, scales, done, last)
+                before[:] = z
+                if not least_squares(jacobian, target, z, done, rank, epsilon, hessian, True):
+                    return STUCK
+                z[last:] = 0.0
+                velocity[:] = z
+                reflect_back(velocity, reflections, scales, last)
+            multiply(matrix, columns, velocity, reached)
+            if not are_held(low, high, is_equal, reached):
                 start_factor(hessian, rank, n - done, epsilon, inverse)
-                found = obey(
-                    turned_bounds, low, high, whole, z, done, inverse, triangular, of_bounds[2], vectors[:7]
+                found = satisfy(
+                    matrix,
+                    columns,
+                    low,
+                    high,
+                    whole,
+                    z,
+                    velocity,
+                    reached,
+                    done,
+                    last,
+                    reflections,
+                    scales,
+                    inverse,
+                    triangular,
+                    vectors[:7],
                 )
                 if found == CIRCLE:
                     return STUCK
@@ -545,8 +622,9 @@ def solve(
                     z[:] = before
                 velocity[:] = z
                 reflect_back(velocity, reflections, scales, last)
-                multiply(matrix, velocity, reached)
-            reflect_rows(rows[ends[level + 1] :], reflections, scales, done, last)
-            done = last
-        residuals[level] = norm_of_residual(jacobian, target, z)
+                multiply(matrix, columns, velocity, reached)
+            if not is_last:
+                reflect_rows(rows[ends[level + 1] : turned], reflections, scales, done, last)
+                done = last
+        residuals[level] = norm_of_residual(jacobian, target, velocity if is_last else z)
     return SOLVED
