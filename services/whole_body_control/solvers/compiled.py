@@ -36,6 +36,7 @@ class _Memory:
         self.rows, self.targets = np.empty((rows, n)), np.empty(rows)
         self.spans = [slice(*each) for each in zip(self.ends[:-1], self.ends[1:], strict=True)]
         self.squares, self.equal_rows = np.zeros((5, n, n)), np.zeros((m, n))
+        self.reduced = np.zeros((n, rows))
         self.vectors, self.whole = np.zeros((15, longest)), np.zeros((5, longest), dtype=np.int64)
         self.no_slack = np.zeros(m)
         self.no_slack.flags.writeable = False
@@ -75,6 +76,7 @@ class Compiled:
                 residuals,
                 memory.squares,
                 memory.equal_rows,
+                memory.reduced,
                 memory.vectors,
                 memory.whole,
             )

@@ -433,20 +433,25 @@ def last_level(
     epsilon: float,
     hessian: Array,
     step: Array,
+    missing: Array,
     reduced: Array,
 ) -> bool:
     """Set `step` to the damped least squares in the rows of `basis`, and leave the factor in `hessian`."""
-    free = basis.shape[0]
-    hessian[:free, :free] = 0.0
-    step[:] = 0.0
-    for index in range(rows.shape[0]):
-        column, row = columns[index], rows[index]
-        for each in range(free):
-            reduced[each] = product(row, column, basis[each])
-        add(targets[index] - product(row, column, fixed), reduced[:free], step)
-        for each in range(free):
-            add(reduced[each], reduced[: each + 1], hessian[each, : each + 1])
+    free, count = basis.shape[0], rows.shape[0]
+    for index in range(count):
+        column = columns[index]
+        missing[index] = targets[index] - product(rows[index], column, fixed)
+        if column >= 0:
+            entry = rows[index, column]
+            for each in range(free):
+                reduced[each, index] = entry * basis[each, column]
+        else:
+            for each in range(free):
+                reduced[each, index] = dot(rows[index], basis[each])
     for each in range(free):
+        step[each] = dot(reduced[each, :count], missing[:count])
+        for other in range(each + 1):
+            hessian[each, other] = dot(reduced[each, :count], reduced[other, :count])
         hessian[each, each] += epsilon
     if not factor(hessian, free):
         return False
@@ -533,13 +538,14 @@ def solve(
     residuals: Array,
     squares: Array,
     equal_rows: Array,
+    reduced: Array,
     vectors: Array,
     whole: Indices,
 ) -> int:
     """Solve all levels. `rows` and `targets` are overwritten; `velocity` obeys the bounds before and after.
 
     Shapes: rows (R, n), targets (R,), ends (levels + 1,), matrix (m, n), squares (5, n, n), equal_rows
-    (m, n), vectors (15, max(R, m, n)), whole (5, max(R, m, n)).
+    (m, n), reduced (n, R), vectors (15, max(R, m, n)), whole (5, max(R, m, n)).
     """
     state = examined(rows, targets, matrix, lower, upper, is_started)
     if state != SOLVED:
@@ -580,7 +586,16 @@ def solve(
                 free_directions(reflections, scales, done, basis)
                 single(jacobian, of_rows)
                 if not last_level(
-                    jacobian, target, of_rows, velocity, basis, epsilon, hessian, z[done:], vectors[6]
+                    jacobian,
+                    target,
+                    of_rows,
+                    velocity,
+                    basis,
+                    epsilon,
+                    hessian,
+                    z[done:],
+                    vectors[6],
+                    reduced,
                 ):
                     return STUCK
                 for row in range(rank):
