@@ -9,6 +9,7 @@ cascade in NumPy: at each level the residual, where both have kept the bounds.
 """
 
 import argparse
+import copy
 import time
 from collections.abc import Iterator
 
@@ -29,7 +30,8 @@ from services.whole_body_control.solvers.compiled import Compiled
 from services.whole_body_control.solvers.hierarchical import Hierarchical
 from services.whole_body_control.solvers.problem import EPSILON, Problem, Solution, Solver
 from services.whole_body_control.tasks.base import Constraint, Stack
-from services.whole_body_control.tasks.constraints import Contact, JointLimits, SelfCollision
+from services.whole_body_control.tasks.constraints import Contact, JointLimits
+from services.whole_body_control.tasks.self_collision import SelfCollision
 from services.whole_body_control.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
 
 DT_S = 0.01
@@ -50,7 +52,7 @@ class Recorder:
 
     def solve(self, problem: Problem) -> Solution:
         """Return the solution of the reference."""
-        self.problems.append(problem)
+        self.problems.append(copy.deepcopy(problem))  # the engine uses its memory again
         return self._solver.solve(problem)
 
 

@@ -4,6 +4,7 @@ A configuration is q = (position of the base in m, orientation as a quaternion x
 is v = (linear and angular velocity of the base in its own frame, joints). Poses are in the world.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -53,6 +54,7 @@ class Kinematics:
             if frame.type == pin.FrameType.BODY and frame.name in humanoid.links
         }
         self._q, self._v = pin.neutral(free), np.zeros(free.nv)
+        self._base_group = pin.liegroups.SE3()
         self.q = self.neutral(np.zeros(self.n_joints))
 
     def neutral(self, joints: Sequence[float] | Array) -> Array:
@@ -97,6 +99,13 @@ class Kinematics:
         )
         return np.asarray(full)[:, self._columns]
 
+    def write_jacobian(self, link: str, jacobian: Array, rows: slice | Array = slice(None)) -> None:
+        """Write rows of the Jacobian of a link, or all six, into `jacobian` (rows, n_velocities)."""
+        full = pin.getFrameJacobian(
+            self.pin_model, self.data, self._frame(link), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        full[rows].take(self._columns, axis=1, out=jacobian, mode="clip")
+
     def point(self, q: Array, link: str, point: Array) -> tuple[Array, Array]:
         """Return a point (3,) of a link in the world at `q`, and its Jacobian (3, n_velocities).
 
@@ -124,6 +133,30 @@ class Kinematics:
         """Return the Jacobian of the centre of mass: (3, n_velocities)."""
         return np.asarray(self.data.Jcom)[:, self._columns]
 
+    def write_centre_of_mass_jacobian(self, jacobian: Array) -> None:
+        """Write the Jacobian of the centre of mass into `jacobian` (3, n_velocities)."""
+        self.data.Jcom.take(self._columns, axis=1, out=jacobian, mode="clip")
+
+    def write_powers(self, wrenches: Array, powers: Array) -> None:
+        """Write the power (k, n_velocities) per velocity of wrenches (k, 6) on whatever each joint moves.
+
+        A wrench is a force in N and its moment about the origin of the world in N m.
+        """
+        (wrenches @ self.data.J).take(self._columns, axis=1, out=powers, mode="clip")
+
+    def moving(self, joint_id: int) -> NDArray[np.bool_]:
+        """Return whether each velocity moves what is fixed to a joint of pinocchio."""
+        found = np.zeros(self.n_velocities, dtype=np.bool_)
+        for each in self.pin_model.supports[joint_id]:
+            joint = self.pin_model.joints[each]
+            if each:
+                found[joint.idx_v : joint.idx_v + joint.nv] = True
+        return np.asarray(found[self._columns])
+
+    def joint_number(self, joint_id: int) -> int:
+        """Return our number of a joint of pinocchio."""
+        return int(np.flatnonzero(self._v_of == self.pin_model.joints[joint_id].idx_v)[0])
+
     def momentum_matrix(self) -> Array:
         """Return the centroidal momentum matrix: (6, n_velocities), linear first."""
         return np.asarray(pin.computeCentroidalMap(self.pin_model, self.data, self._q))[:, self._columns]
@@ -147,14 +180,12 @@ class Kinematics:
 
     def integrate(self, q: Array, v: Array, dt_s: float) -> Array:
         """Return the configuration after moving with `v` for `dt_s`."""
-        ours = np.empty_like(q)
-        base = pin.SE3(pin.Quaternion(q[3:7]).normalized(), q[:3]) * pin.exp6(
-            pin.Motion(v[:BASE_VELOCITIES] * dt_s)
-        )
-        ours[:3] = base.translation
-        ours[3:7] = pin.Quaternion(base.rotation).coeffs()
-        ours[BASE_POSITIONS:] = q[BASE_POSITIONS:] + v[BASE_VELOCITIES:] * dt_s
-        return ours
+        moved = np.empty_like(q)
+        base = q[:BASE_POSITIONS].copy()
+        base[3:] /= math.sqrt(base[3:].dot(base[3:]))
+        moved[:BASE_POSITIONS] = self._base_group.integrate(base, v[:BASE_VELOCITIES] * dt_s)
+        moved[BASE_POSITIONS:] = q[BASE_POSITIONS:] + v[BASE_VELOCITIES:] * dt_s
+        return moved
 
     def joint_vector(self, values: Mapping[str, float]) -> Array:
         """Return values by joint as a vector of joints. Raises `UsageError` for an unknown joint."""

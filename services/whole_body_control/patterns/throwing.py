@@ -20,7 +20,7 @@ from services.whole_body_control.model.humanoid import Grip
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
 from services.whole_body_control.patterns.ballistics import release_velocity
 from services.whole_body_control.patterns.minimum_jerk import moved, moved_integral
-from services.whole_body_control.tasks.constraints import SelfCollision
+from services.whole_body_control.tasks.self_collision import SelfCollision
 
 MIN_FLIGHT_S, MAX_FLIGHT_S = 0.2, 0.8
 MIN_DISTANCE_M = 0.3
@@ -208,7 +208,7 @@ class ThrowPlanner:
         for time_s in np.linspace(start_s, end_s, CHECKED):
             q[BASE_POSITIONS + self._arm] = throw.joints(float(time_s))[0]
             self._kinematics.update(q)
-            if min(self._collision.distances(self._kinematics).values()) < CLEARANCE_M:
+            if self._collision.smallest_m(self._kinematics) < CLEARANCE_M:
                 return False
         return True
 

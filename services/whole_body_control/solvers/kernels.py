@@ -7,7 +7,7 @@ fixes are the first coordinates of z, what it leaves free are the others; no bas
 Invariants: with `done` fixed coordinates, the reflections 0 … done-1 were applied to all rows of lower
 levels but the last. The last level, which is long (the posture), adds no reflections and is not turned: the
 few directions that are left free, the last columns of Q, are formed for it. Bounds are not turned either: a
-row that becomes active is turned by itself. Rows with one entry, as those of joints, are told by `single`.
+row that becomes active is turned by itself. `single` finds rows with one entry, as those of joints.
 `reflections[c, c:]` is the vector w of the reflection 1 - scales[c] w w'.
 
 A level whose least squares violate a bound is solved by a dual active-set method (Goldfarb and Idnani 1983):
@@ -202,16 +202,18 @@ def least_squares(
     rank: int,
     epsilon: float,
     hessian: Array,
-    is_triangle: bool,
 ) -> bool:
-    """Set z[done : done + rank] to the damped least squares, and leave the factor in `hessian`."""
+    """Set z[done : done + rank] to the damped least squares, and leave the factor in `hessian`.
+
+    `rows[:, done:]` is a lower triangle of this rank.
+    """
     end = done + rank
     hessian[:rank, :rank] = 0.0
     z[done:end] = 0.0
     for index in range(rows.shape[0]):
         part = rows[index, done:end]
         add(targets[index] - dot(rows[index, :done], z[:done]), part, z[done:end])
-        for row in range(min(index + 1, rank) if is_triangle else rank):
+        for row in range(min(index + 1, rank)):
             add(part[row], part[: row + 1], hessian[row, : row + 1])
     for row in range(rank):
         hessian[row, row] += epsilon
@@ -355,13 +357,11 @@ def satisfy(
     `velocity` is Q z and `reached` is matrix @ velocity, before and after.
     """
     n, m = z.shape[0], reached.shape[0]
-    size, count, x = n - done, 0, z[done:]
+    size, count, rounds = n - done, 0, 0
     is_used, active = whole[1, :m], whole[2]
     is_used[:] = whole[0, :m]
     duals, change, direction = vectors[1], vectors[2], vectors[3]
     step, turned, work = vectors[4, :n], vectors[5, :n], vectors[6]
-    normal = turned[done:]
-    rounds = 0
     while True:
         added = most_violated(is_used, low, high, reached)
         if added < 0:
@@ -377,7 +377,7 @@ def satisfy(
             if rounds > 20 * (size + m):
                 return CIRCLE
             for row in range(size):
-                direction[row] = dot(inverse[row, :size], normal)
+                direction[row] = dot(inverse[row, :size], turned[done:])
             total = dot(direction[:size], direction[:size])
             slope = dot(direction[count:size], direction[count:size])
             multipliers(upper, direction, count, change)
@@ -393,7 +393,7 @@ def satisfy(
                 step[:] = 0.0
                 for row in range(count, size):
                     add(direction[row], inverse[row, :size], step[done:])
-                add(length, step[done:], x)
+                add(length, step[done:], z[done:])
                 reflect_back(step, reflections, scales, last)
                 add(length, step, velocity)
                 multiply(matrix, columns, velocity, reached)
@@ -503,7 +503,7 @@ def solve_equalities(rows: Array, targets: Array, z: Array, rank: int, hessian: 
         for row in range(rank):
             z[row] = (targets[row] - dot(rows[row, :row], z[:row])) / rows[row, row]
         return True
-    return least_squares(rows, targets, z, 0, rank, 0.0, hessian, True)
+    return least_squares(rows, targets, z, 0, rank, 0.0, hessian)
 
 
 @machine_code
@@ -521,6 +521,60 @@ def are_held(low: Array, high: Array, is_equal: Indices, reached: Array) -> bool
         value = reached[index]
         if is_equal[index] == 0 and (value < low[index] - FEASIBLE or value > high[index] + FEASIBLE):
             return False
+    return True
+
+
+@machine_code
+def start(
+    matrix: Array,
+    lower: Array,
+    upper: Array,
+    is_equal: Indices,
+    equal_rows: Array,
+    values: Array,
+    z: Array,
+    reflections: Array,
+    scales: Array,
+    norms: Array,
+    hessian: Array,
+) -> int:
+    """Set z to what the bounds that are equal ask for, and return how many coordinates they fix, or -1."""
+    count = equalities(matrix, lower, upper, is_equal, equal_rows, values)
+    if count == 0:
+        return 0
+    done = triangle(equal_rows[:count], values, 0, reflections, scales, norms)
+    reflect(z, reflections, scales, 0, done)
+    if not solve_equalities(equal_rows[:count], values, z, done, hessian):
+        return -1
+    return done
+
+
+@machine_code
+def solve_last(
+    rows: Array,
+    targets: Array,
+    columns: Indices,
+    z: Array,
+    velocity: Array,
+    done: int,
+    reflections: Array,
+    scales: Array,
+    basis: Array,
+    epsilon: float,
+    hessian: Array,
+    missing: Array,
+    reduced: Array,
+) -> bool:
+    """Set z[done:] and `velocity` = Q z to the least squares of the last level."""
+    z[done:] = 0.0
+    velocity[:] = z
+    reflect_back(velocity, reflections, scales, done)
+    free_directions(reflections, scales, done, basis)
+    single(rows, columns)
+    if not last_level(rows, targets, columns, velocity, basis, epsilon, hessian, z[done:], missing, reduced):
+        return False
+    for row in range(basis.shape[0]):
+        add(z[done + row], basis[row], velocity)
     return True
 
 
@@ -557,18 +611,17 @@ def solve(
     is_equal, columns = whole[0, :m], whole[3, :m]
     single(matrix, columns)
 
-    done, last = 0, 0  # `last`: the number of reflections
     turned = ends[max(levels - 1, 0)]  # the rows below are those of the last level
     z[:] = velocity
-    equal = equalities(matrix, lower, upper, is_equal, equal_rows, vectors[6])
-    if equal > 0:
-        done = last = triangle(equal_rows[:equal], vectors[6], 0, reflections, scales, norms)
-        reflect(z, reflections, scales, 0, done)
-        if not solve_equalities(equal_rows[:equal], vectors[6], z, done, hessian):
-            return STUCK
-        reflect_rows(rows[:turned], reflections, scales, 0, done)
-        velocity[:] = z
-        reflect_back(velocity, reflections, scales, done)
+    done = start(
+        matrix, lower, upper, is_equal, equal_rows, vectors[6], z, reflections, scales, norms, hessian
+    )
+    if done < 0:
+        return STUCK
+    last = done  # the number of reflections
+    reflect_rows(rows[:turned], reflections, scales, 0, done)
+    velocity[:] = z
+    reflect_back(velocity, reflections, scales, done)
     multiply(matrix, columns, velocity, reached)
 
     for level in range(levels):
@@ -580,33 +633,29 @@ def solve(
             if is_last:
                 before[:] = z
                 basis, of_rows = squares[4, :rank], whole[4, : jacobian.shape[0]]
-                z[done:] = 0.0
-                velocity[:] = z
-                reflect_back(velocity, reflections, scales, last)
-                free_directions(reflections, scales, done, basis)
-                single(jacobian, of_rows)
-                if not last_level(
+                if not solve_last(
                     jacobian,
                     target,
                     of_rows,
+                    z,
                     velocity,
+                    done,
+                    reflections,
+                    scales,
                     basis,
                     epsilon,
                     hessian,
-                    z[done:],
                     vectors[6],
                     reduced,
                 ):
                     return STUCK
-                for row in range(rank):
-                    add(z[done + row], basis[row], velocity)
             else:
                 rank = triangle(jacobian, target, done, reflections, scales, norms)
                 last = done + rank
                 # Free coordinates of the levels above are chosen again, in the axes that this level turned.
                 reflect(z, reflections, scales, done, last)
                 before[:] = z
-                if not least_squares(jacobian, target, z, done, rank, epsilon, hessian, True):
+                if not least_squares(jacobian, target, z, done, rank, epsilon, hessian):
                     return STUCK
                 z[last:] = 0.0
                 velocity[:] = z

@@ -79,9 +79,20 @@ class Task(Level, ABC):
         self.weight *= weight
         return self
 
+    @property
     @abstractmethod
+    def size(self) -> int:
+        """The number of rows."""
+
+    @abstractmethod
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write the rows for the state that `kinematics` was updated with, as `Rows` says."""
+
     def rows(self, kinematics: Kinematics) -> Rows:
         """Return the rows for the state that `kinematics` was updated with."""
+        rows = Rows(np.empty((self.size, kinematics.n_velocities)), np.empty(self.size))
+        self.write(kinematics, rows.jacobian, rows.velocity)
+        return rows
 
     @abstractmethod
     def error(self, kinematics: Kinematics) -> Array:
@@ -95,7 +106,10 @@ class Constraint(ABC):
 
     @abstractmethod
     def bounds(self, kinematics: Kinematics, q: Array, dt_s: float) -> Bounds:
-        """Return the rows for the state `q`, so that they hold for the next `dt_s`."""
+        """Return the rows for the state `q`, so that they hold for the next `dt_s`.
+
+        The arrays belong to the constraint, and change with the next call.
+        """
 
 
 @dataclass(frozen=True, slots=True)

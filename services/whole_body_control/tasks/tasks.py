@@ -1,5 +1,6 @@
 """The tasks: poses of frames, centre of mass, momentum, gaze, posture; velocities in axes of the world."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,7 +9,7 @@ import pinocchio as pin
 
 from handover.errors import UsageError
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
-from services.whole_body_control.tasks.base import Rows, Task
+from services.whole_body_control.tasks.base import Task
 
 ALL_AXES = (True,) * 6
 ROLL_AND_PITCH = (False, False, False, True, True, False)
@@ -36,22 +37,29 @@ class PoseTask(Task):
         super().__init__(label, gain)
         self.link, self.target = link, target
         self.axes = np.array(axes, dtype=bool)
+        self._rows = _contiguous(np.flatnonzero(self.axes))
+        self._linear = int(self.axes[:3].sum())
         self.velocity = np.zeros(6) if velocity is None else velocity
+
+    @property
+    def size(self) -> int:
+        """The number of controlled axes."""
+        return int(self.axes.sum())
 
     def error(self, kinematics: Kinematics) -> Array:
         """Return the position error in m and the rotation vector to the target in rad."""
-        error = _pose_error(kinematics.pose(self.link), self.target)
-        return np.asarray(error[self.axes])
+        actual = kinematics.pose(self.link)
+        if self._linear == self.size:
+            return np.asarray((self.target.translation - actual.translation)[self._rows])
+        return np.asarray(_pose_error(actual, self.target)[self._rows])
 
-    def rows(self, kinematics: Kinematics) -> Rows:
-        """Return the rows of the controlled axes."""
-        of_error = self.gain * self.error(kinematics)
-        is_linear = np.arange(6)[self.axes] < 3
-        for rows, limit in ((is_linear, self.max_mps), (~is_linear, self.max_radps)):
-            speed = float(np.linalg.norm(of_error[rows]))
-            if speed > limit:
-                of_error[rows] *= limit / speed
-        return Rows(kinematics.jacobian(self.link)[self.axes], self.velocity[self.axes] + of_error)
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write the rows of the controlled axes."""
+        kinematics.write_jacobian(self.link, jacobian, self._rows)
+        np.multiply(self.error(kinematics), self.gain, out=velocity)
+        _limit(velocity[: self._linear], self.max_mps)
+        _limit(velocity[self._linear :], self.max_radps)
+        velocity += self.velocity[self._rows]
 
 
 class PointTask(Task):
@@ -66,12 +74,17 @@ class PointTask(Task):
         """Return the distance to the target in m."""
         return np.asarray(self.target - kinematics.pose(self.link).act(self.point))
 
-    def rows(self, kinematics: Kinematics) -> Rows:
-        """Return the three rows."""
-        jacobian, offset = kinematics.jacobian(self.link), kinematics.pose(self.link).rotation @ self.point
-        return Rows(
-            jacobian[:3] - pin.skew(offset) @ jacobian[3:], self.velocity + self.gain * self.error(kinematics)
-        )
+    @property
+    def size(self) -> int:
+        """The number of rows."""
+        return 3
+
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write the three rows."""
+        full, offset = kinematics.jacobian(self.link), kinematics.pose(self.link).rotation @ self.point
+        np.subtract(full[:3], pin.skew(offset) @ full[3:], out=jacobian)
+        np.multiply(self.error(kinematics), self.gain, out=velocity)
+        velocity += self.velocity
 
 
 class OrientationTask(PoseTask):
@@ -82,12 +95,10 @@ class OrientationTask(PoseTask):
 
     def error(self, kinematics: Kinematics) -> Array:
         """Return the shortest turn that brings the z axis of the link upright, about x and y, in rad."""
-        up = kinematics.pose(self.link).rotation[:, 2]
-        turn = np.cross(up, [0.0, 0.0, 1.0])
-        sine = float(np.linalg.norm(turn))
-        angle = np.arctan2(sine, up[2])
-        scale = angle / sine if sine > 1e-9 else 1.0
-        return np.asarray(scale * turn[:2])
+        x, y, z = kinematics.pose(self.link).rotation[:, 2].tolist()
+        sine = math.hypot(x, y)
+        scale = math.atan2(sine, z) / sine if sine > 1e-9 else 1.0
+        return np.array([scale * y, -scale * x])
 
 
 class RelativePoseTask(Task):
@@ -101,13 +112,19 @@ class RelativePoseTask(Task):
         """Return the position error in m and the rotation vector in rad, in axes of the world."""
         return _pose_error(kinematics.pose(self.link), kinematics.pose(self.base) * self.target)
 
-    def rows(self, kinematics: Kinematics) -> Rows:
-        """Return the six rows of the motion of the link as the base link sees it."""
+    @property
+    def size(self) -> int:
+        """The number of rows."""
+        return 6
+
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write the six rows of the motion of the link as the base link sees it."""
         of_base = kinematics.jacobian(self.base)
         arm = kinematics.pose(self.link).translation - kinematics.pose(self.base).translation
-        carried = of_base.copy()
-        carried[:3] -= pin.skew(arm) @ of_base[3:]
-        return Rows(kinematics.jacobian(self.link) - carried, self.gain * self.error(kinematics))
+        kinematics.write_jacobian(self.link, jacobian)
+        jacobian -= of_base
+        jacobian[:3] += pin.skew(arm) @ of_base[3:]
+        np.multiply(self.error(kinematics), self.gain, out=velocity)
 
 
 class CentreOfMassTask(Task):
@@ -122,10 +139,16 @@ class CentreOfMassTask(Task):
         """Return the distance to the target in m."""
         return np.asarray(self.target - kinematics.centre_of_mass())
 
-    def rows(self, kinematics: Kinematics) -> Rows:
-        """Return the three rows."""
-        wanted = self.velocity + self.gain * self.error(kinematics)
-        return Rows(kinematics.centre_of_mass_jacobian(), wanted)
+    @property
+    def size(self) -> int:
+        """The number of rows."""
+        return 3
+
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write the three rows."""
+        kinematics.write_centre_of_mass_jacobian(jacobian)
+        np.multiply(self.error(kinematics), self.gain, out=velocity)
+        velocity += self.velocity
 
 
 class AngularMomentumTask(Task):
@@ -139,9 +162,15 @@ class AngularMomentumTask(Task):
         """Return zero: the task has no position to return to."""
         return np.zeros(3)
 
-    def rows(self, kinematics: Kinematics) -> Rows:
-        """Return the three rows."""
-        return Rows(kinematics.momentum_matrix()[3:], self.target)
+    @property
+    def size(self) -> int:
+        """The number of rows."""
+        return 3
+
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write the three rows."""
+        jacobian[:] = kinematics.momentum_matrix()[3:]
+        velocity[:] = self.target
 
 
 class GazeTask(Task):
@@ -164,11 +193,16 @@ class GazeTask(Task):
             return np.zeros(3) if cosine > 0 else np.pi * pose.rotation[:, 2]
         return np.asarray(turn * (np.arctan2(sine, cosine) / sine))
 
-    def rows(self, kinematics: Kinematics) -> Rows:
-        """Return the two rows across the line of sight; the turn about it is free."""
+    @property
+    def size(self) -> int:
+        """The number of rows."""
+        return 2
+
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write the two rows across the line of sight; the turn about it is free."""
         across = kinematics.pose(self.link).rotation[:, 1:].T
-        turning = kinematics.jacobian(self.link)[3:]
-        return Rows(across @ turning, across @ (self.gain * self.error(kinematics)))
+        jacobian[:] = across @ kinematics.jacobian(self.link)[3:]
+        velocity[:] = across @ (self.gain * self.error(kinematics))
 
 
 class JointTask(Task):
@@ -183,16 +217,23 @@ class JointTask(Task):
             )
         self.target = np.asarray(target, dtype=np.float64)
         self.velocity = np.zeros(len(target))
+        self._rows = np.arange(len(self.joints))
 
     def error(self, kinematics: Kinematics) -> Array:
         """Return target minus position of each joint."""
         return np.asarray(self.target - kinematics.q[BASE_POSITIONS:][self.joints])
 
-    def rows(self, kinematics: Kinematics) -> Rows:
-        """Return one row for each joint."""
-        jacobian = np.zeros((len(self.joints), kinematics.n_velocities))
-        jacobian[np.arange(len(self.joints)), BASE_VELOCITIES + self.joints] = 1.0
-        return Rows(jacobian, self.velocity + self.gain * self.error(kinematics))
+    @property
+    def size(self) -> int:
+        """The number of joints."""
+        return len(self.joints)
+
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write one row for each joint."""
+        jacobian[:] = 0.0
+        jacobian[self._rows, BASE_VELOCITIES + self.joints] = 1.0
+        np.multiply(self.error(kinematics), self.gain, out=velocity)
+        velocity += self.velocity
 
 
 def posture(kinematics: Kinematics, pose: str, gain: float = 1.0) -> JointTask:
@@ -202,5 +243,21 @@ def posture(kinematics: Kinematics, pose: str, gain: float = 1.0) -> JointTask:
 
 
 def _pose_error(actual: Any, target: Any) -> Array:
-    turn = pin.log3(target.rotation @ actual.rotation.T)
-    return np.concatenate([target.translation - actual.translation, turn])
+    error = np.empty(6)
+    np.subtract(target.translation, actual.translation, out=error[:3])
+    error[3:] = pin.log3(target.rotation @ actual.rotation.T)
+    return error
+
+
+def _limit(vector: Array, most: float) -> None:
+    """Shorten a vector to a length."""
+    length = math.sqrt(vector.dot(vector))
+    if length > most:
+        vector *= most / length
+
+
+def _contiguous(rows: Any) -> Any:
+    """Return row numbers as a slice where they follow each other, since numpy copies nothing then."""
+    if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows

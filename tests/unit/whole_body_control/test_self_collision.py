@@ -16,7 +16,8 @@ from services.whole_body_control.solvers.cascade import Cascade
 from services.whole_body_control.solvers.hierarchical import Hierarchical
 from services.whole_body_control.solvers.problem import Solver
 from services.whole_body_control.tasks.base import NO_BOUND, Constraint
-from services.whole_body_control.tasks.constraints import ROW_BLOCK, JointLimits, SelfCollision
+from services.whole_body_control.tasks.constraints import JointLimits
+from services.whole_body_control.tasks.self_collision import ROW_BLOCK, SelfCollision
 from services.whole_body_control.tasks.tasks import PoseTask, posture
 
 COMAN = humanoid("coman")

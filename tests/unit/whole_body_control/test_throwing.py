@@ -15,7 +15,7 @@ from services.whole_body_control.patterns.throwing import OutOfReach, Throw, Thr
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.simulation.ball import RADIUS_M, build_with_ball
 from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE
-from services.whole_body_control.tasks.constraints import SelfCollision
+from services.whole_body_control.tasks.self_collision import SelfCollision
 
 COMAN = humanoid("coman")
 KINEMATICS = Kinematics(COMAN)
