@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated
+from urllib.parse import quote
 
 import httpx
 from fastapi import FastAPI, Query, Request, Response, WebSocket
@@ -31,13 +32,13 @@ from handover.service import ANY_TYPE, accepts, create_app
 from handover.storage import storage_check
 from handover.tls_trust import client_context
 from webui.http.control_proxy import ControlProxy
-from webui.http.health_proxy import HealthProxy
 from webui.http.page_files import PageFiles
 from webui.http.page_guard import CsrfCheck, PageGuard
 from webui.http.provider_routes import add_provider_sign_in
 from webui.http.proxy import METHODS, ServiceProxy
 from webui.http.secure_headers import SecureHeaders
 from webui.http.session_routes import add_sessions
+from webui.http.stream_proxy import StreamProxy
 from webui.http.user_settings import UserSettings, add_user_settings
 from webui.live.event_log import MAX_EVENTS_PER_REQUEST, MAX_SEQ, EventLog
 from webui.live.live_socket import LiveSocket
@@ -45,7 +46,14 @@ from webui.live.live_state import LiveState, Reader
 from webui.live.viewers import Viewers
 from webui.live.views import AlertsResult, AlertView, CellView, LiveEvent, OperatorView
 from webui.service_credentials import ServiceCredentials
-from webui.settings import ASSISTIVE_DEVICES, GATEWAY, HUMAN_STATE, TRAJECTORY, WebuiSettings
+from webui.settings import (
+    ASSISTIVE_DEVICES,
+    GATEWAY,
+    HUMAN_STATE,
+    TRAJECTORY,
+    WHOLE_BODY_CONTROL,
+    WebuiSettings,
+)
 from webui.simulated_operator import DEFAULT_GLOVE, SimulatedOperator
 from webui.sources.alerts import MAX_ALERTS_AT_ONCE, MAX_SHELVING, Alerts
 from webui.sources.broker_entities import BrokerEntities
@@ -125,8 +133,8 @@ class Components:
         self.operator = SimulatedOperator(settings, http, guard.access, self.state, self.events)
         self.live_socket = LiveSocket(self.state, self.viewers)
         # Human state starts only where its extra is installed, which this machine cannot know of another;
-        # assistive devices only with a machine.
-        optional = (HUMAN_STATE, ASSISTIVE_DEVICES)
+        # assistive devices only with a machine, whole-body control only with a humanoid.
+        optional = (HUMAN_STATE, ASSISTIVE_DEVICES, WHOLE_BODY_CONTROL)
         own = {name: url for name, url in urls.items() if name not in optional}
         extra = (
             *(ExtraService(name, urls[name], is_wanted=False) for name in optional),
@@ -155,7 +163,7 @@ class Components:
             return await guard.service_headers(dict(request.scope["headers"]))
 
         self.control = ControlProxy(urls, guard, settings.ca_files)
-        self.health = HealthProxy(urls[HUMAN_STATE], guard, settings.ca_files)
+        self.streams = StreamProxy(urls, guard, settings.ca_files)
         self.proxy = ServiceProxy(urls, on_write, settings.ca_files, headers_of)
         on_demand = (Gloves(context), Robots(context), people, registered_devices)
         self._sources = (services, self.entities, self.alerts, processes, *on_demand)
@@ -215,21 +223,32 @@ def _add_api(app: FastAPI, components: Components) -> None:
         dependencies=[require(Permission.MOVE_ROBOTS, in_path("Device", "robot"))],
     )
     async def control(socket: WebSocket, robot: str) -> None:
-        await components.control.serve(socket, TRAJECTORY, robot)
+        await components.control.serve(socket, TRAJECTORY, _control_of(robot))
 
     @app.websocket(
         "/api/device-gateway/robots/{robot}/control",
         dependencies=[require(Permission.MOVE_ROBOTS, in_path("Device", "robot"))],
     )
     async def drive(socket: WebSocket, robot: str) -> None:
-        await components.control.serve(socket, GATEWAY, robot)
+        await components.control.serve(socket, GATEWAY, _control_of(robot))
 
     @app.websocket(
         "/api/human-state/people/{person}/live",
         dependencies=[require(Permission.READ_HEALTH_DATA, in_path("Person", "person"))],
     )
     async def health(socket: WebSocket, person: str) -> None:
-        await components.health.serve(socket, person)
+        await components.streams.serve(socket, HUMAN_STATE, f"/people/{quote(person, safe='')}/live")
+
+    # The service requires the permissions for its humanoid, whose name it alone knows.
+    @app.websocket("/api/whole-body-control/live", dependencies=[require_somewhere(Permission.READ)])
+    async def humanoid_live(socket: WebSocket) -> None:
+        await components.streams.serve(socket, WHOLE_BODY_CONTROL, "/live")
+
+    @app.websocket(
+        "/api/whole-body-control/input", dependencies=[require_somewhere(Permission.PERFORM_TASKS)]
+    )
+    async def humanoid_input(socket: WebSocket) -> None:
+        await components.control.serve(socket, WHOLE_BODY_CONTROL, "/input")
 
     @app.get("/api/events", tags=["events"])
     async def events(
@@ -283,6 +302,10 @@ def _add_api(app: FastAPI, components: Components) -> None:
     async def stop_operator() -> OperatorView:
         """Stop the simulated operator; has no effect if it is not running."""
         return await components.operator.stop()
+
+
+def _control_of(robot: str) -> str:
+    return f"/robots/{quote(robot, safe='')}/control"
 
 
 def _name(caller: Caller, body: AcknowledgeRequest) -> str:

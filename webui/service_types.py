@@ -31,6 +31,7 @@ ROUTES: Final[Mapping[str, tuple[str, ...]]] = {
         *("/offers", "/tasks"),
     ),
     "trajectory-tool": ("/robots/{robot}/limits",),
+    "whole-body-control": ("/",),
 }
 """The services, and the beginnings of the paths that the page uses."""
 HEAD: Final = """\

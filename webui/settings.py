@@ -18,6 +18,7 @@ ACCOUNTS = "accounts"
 GATEWAY = "device-gateway"
 HUMAN_STATE = "human-state"
 ASSISTIVE_DEVICES = "assistive-devices"
+WHOLE_BODY_CONTROL = "whole-body-control"
 ROS_BRIDGE = "ros-bridge"
 
 
@@ -71,6 +72,10 @@ class WebuiSettings(Settings):
     assistive_url: str | None = Field(
         None, description="where others reach assistive devices; http://host:port of it if absent"
     )
+    whole_body_port: int = Field(54260, ge=1, le=65535, description="REST and WebSocket port of humanoids")
+    whole_body_url: str | None = Field(
+        None, description="where others reach whole-body control; http://host:port of it if absent"
+    )
     bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
     bridge_url: str | None = Field(
         None,
@@ -115,6 +120,7 @@ class WebuiSettings(Settings):
             STUDY: self.url_of(self.study_port, self.study_url),
             HUMAN_STATE: self.url_of(self.human_state_port, self.human_state_url),
             ASSISTIVE_DEVICES: self.url_of(self.assistive_port, self.assistive_url),
+            WHOLE_BODY_CONTROL: self.url_of(self.whole_body_port, self.whole_body_url),
             ACCOUNTS: self.accounts,
         }
         if self.ros_mapping is not None:

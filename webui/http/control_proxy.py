@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
-from urllib.parse import quote
 
 import orjson
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -38,8 +37,8 @@ class ControlProxy:
         self._guard = guard
         self._ca_files = ca_files
 
-    async def serve(self, socket: WebSocket, service: str, robot: str) -> None:
-        """Pass on the control of a robot until one side ends it.
+    async def serve(self, socket: WebSocket, service: str, path: str) -> None:
+        """Pass on the control of a robot at `path` (percent-encoded) until one side ends it.
 
         `EndOfStreams` ends the side of the browser when the session or the grant of the user ends.
         """
@@ -55,7 +54,6 @@ class ControlProxy:
             await _close(socket, Ended(4000 + problem.status, problem.detail))
             return
         states = _Messages()
-        path = f"/robots/{quote(robot, safe='')}/control"
         query = socket.scope.get("query_string", b"").decode("latin-1")
         url = f"ws{self._urls[service].removeprefix('http')}{path}{'?' * bool(query)}{query}"
         link = ControlLink(url, credentials, states.put, self._ca_files)

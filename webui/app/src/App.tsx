@@ -17,6 +17,7 @@ const SystemPage = lazy(() => import("~/system/SystemPage"));
 const PeoplePage = lazy(() => import("~/people/PeoplePage"));
 const HealthPage = lazy(() => import("~/health/HealthPage"));
 const CasesPage = lazy(() => import("~/cases/CasesPage"));
+const HumanoidPage = lazy(() => import("~/humanoid/HumanoidPage"));
 const DevicesPage = lazy(() => import("~/devices/DevicesPage"));
 const AlertingPage = lazy(() => import("~/alerting/AlertingPage"));
 const SensorsPage = lazy(() => import("~/sensors/SensorsPage"));
@@ -55,6 +56,7 @@ export function App() {
             <Route path="/sensors" component={SensorsPage} />
             <Route path="/health" component={HealthPage} />
             <Route path="/cases" component={CasesPage} />
+            <Route path="/humanoid" component={HumanoidPage} />
             <Route path="/devices" component={DevicesPage} />
             <Route path="/alerting" component={AlertingPage} />
             <Route path="/control" component={ControlPage} />

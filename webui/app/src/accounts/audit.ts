@@ -7,10 +7,10 @@ import { queryClient } from "~/api/useServiceQuery";
 
 export type { AuditVerification, AuditView };
 
-export const AUDITED = ["accounts", "task-orchestrator", "gesture-controller", "trajectory-tool", "device-gateway", "alert-router", "study", "human-state", "assistive-devices", "ros-bridge", "context-broker", "webui"] as const satisfies readonly Service[];
+export const AUDITED = ["accounts", "task-orchestrator", "gesture-controller", "trajectory-tool", "device-gateway", "alert-router", "study", "human-state", "assistive-devices", "whole-body-control", "ros-bridge", "context-broker", "webui"] as const satisfies readonly Service[];
 export type Audited = (typeof AUDITED)[number];
 /** Services that an installation may do without: they are read while they run, or if the filter names them. */
-const OPTIONAL: ReadonlySet<string> = new Set<Audited>(["human-state", "assistive-devices", "ros-bridge"]);
+const OPTIONAL: ReadonlySet<string> = new Set<Audited>(["human-state", "assistive-devices", "whole-body-control", "ros-bridge"]);
 export const OUTCOMES = ["done", "refused", "failed"] as const;
 const PAGE = 100;
 

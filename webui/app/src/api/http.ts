@@ -3,7 +3,7 @@ import { localizedText } from "~/i18n/server";
 import { loadAdmins, missingRight } from "~/session/rights";
 import { currentSession } from "~/session/session";
 
-export type Service = "context-broker" | "task-orchestrator" | "accounts" | "device-gateway" | "alert-router" | "gesture-controller" | "trajectory-tool" | "study" | "human-state" | "assistive-devices" | "ros-bridge" | "webui";
+export type Service = "context-broker" | "task-orchestrator" | "accounts" | "device-gateway" | "alert-router" | "gesture-controller" | "trajectory-tool" | "study" | "human-state" | "assistive-devices" | "whole-body-control" | "ros-bridge" | "webui";
 
 /** Problem details (RFC 7807), with the further members of our services. */
 export interface ProblemDetails {

@@ -21,8 +21,13 @@ export function useControl(robot: string): Control {
   return { connection, driver, now };
 }
 
+/** Where what is pressed is sent at once when it is released. */
+export interface Sender {
+  send: () => unknown;
+}
+
 /** Stop when the page is hidden or loses the focus: nobody sees the robot, or keys are released elsewhere. */
-function useRelease(connection: ControlConnection, driver: Driver): void {
+export function useRelease(connection: Sender, driver: Driver): void {
   useEffect(() => {
     const release = () => {
       driver.releaseAll();
@@ -43,7 +48,7 @@ function useRelease(connection: ControlConnection, driver: Driver): void {
 }
 
 /** Follow the pressed keys while the robot is controlled; keys meant for a text field or a dialog are not used. */
-function useKeyboard(connection: ControlConnection, driver: Driver, isOn: boolean): void {
+export function useKeyboard(connection: Sender, driver: Driver, isOn: boolean): void {
   const on = useRef(isOn);
   useEffect(() => {
     on.current = isOn;

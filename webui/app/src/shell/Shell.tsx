@@ -1,6 +1,6 @@
 /** The frame of every page: navigation, connection state and preferences. */
 import {
-  BellRing, CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HandHelping, HardHat, HeartPulse, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
+  BellRing, Bot, CircleHelp, ClipboardList, Cog, Cpu, Crosshair, Gamepad2, Gauge, HandHelping, HardHat, HeartPulse, House, ListTodo, Settings2, SlidersHorizontal, Thermometer, Users, Workflow,
 } from "lucide-react";
 import { Suspense, useEffect, useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
@@ -27,6 +27,7 @@ const allPages = [
   { path: "/sensors", name: "sensors", icon: Thermometer, key: "m" },
   { path: "/health", name: "health", icon: HeartPulse, key: "h" },
   { path: "/cases", name: "cases", icon: HandHelping, key: "y" },
+  { path: "/humanoid", name: "humanoid", icon: Bot, key: "o" },
   { path: "/devices", name: "devices", icon: Cpu, key: "v" },
   { path: "/alerting", name: "alerting", icon: BellRing, key: "w" },
   { path: "/control", name: "control", icon: Gamepad2, key: "c" },
@@ -103,14 +104,23 @@ export function Shell({ children }: { children: ReactNode }) {
   );
 }
 
-/** Health and Cases are offered where their services are, to who may read data of others or, for Health, has own. */
+/** The pages of optional services, which are offered while those run. */
+const SERVICE_OF: Readonly<Record<string, string>> = { health: "human-state", cases: "assistive-devices", humanoid: "whole-body-control" };
+
+/** Health and Cases are offered to who may read data of others or, for Health, has own. */
 function useOfferedPages(): readonly (typeof allPages)[number][] {
   const { user } = useSession();
-  const hasHealth = useTopicSelector("services", (services) => services?.some(({ name }) => name === "human-state") ?? false);
-  const hasCases = useTopicSelector("services", (services) => services?.some(({ name }) => name === "assistive-devices") ?? false);
-  const showsHealth = hasHealth && (mayDo("readHealthData") || user?.person != null);
-  const showsCases = hasCases && mayDo("readHealthData");
-  return useMemo(() => allPages.filter(({ name }) => (name !== "health" || showsHealth) && (name !== "cases" || showsCases)), [showsHealth, showsCases]);
+  const running = useTopicSelector("services", (services) => services?.map(({ name }) => name).join() ?? "");
+  const maySee = mayDo("readHealthData");
+  const hasOwn = user?.person != null;
+  return useMemo(() => {
+    const names = running.split(",");
+    return allPages.filter(({ name }) => {
+      const service = SERVICE_OF[name];
+      if (service !== undefined && !names.includes(service)) return false;
+      return name === "health" ? maySee || hasOwn : name !== "cases" || maySee;
+    });
+  }, [running, maySee, hasOwn]);
 }
 
 function LinkBanner() {

@@ -1,15 +1,14 @@
-"""The live signals of a person for a page: a WebSocket proxy to human state.
+"""What a service streams to a page, such as the live signals of a person: a WebSocket proxy to it.
 
 The service gets the credentials of the user and decides. A message is read only when the one before was sent,
-so nothing queues here: the service drops the oldest packets of a browser that does not read.
+so nothing queues here: the service drops what is too old for a browser that does not read.
 """
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
-from urllib.parse import quote
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from websockets.asyncio.client import connect
@@ -29,23 +28,23 @@ UNAVAILABLE_CODE: Final = 4502
 """The close code for a service that does not answer."""
 
 
-class HealthProxy:
-    """Passes on the live signals of persons from the service at `url`."""
+class StreamProxy:
+    """Passes on the streams of the services at `urls`, by the name of the service."""
 
-    def __init__(self, url: str, guard: PageGuard, ca_files: Sequence[Path]) -> None:
-        self._url = url
+    def __init__(self, urls: Mapping[str, str], guard: PageGuard, ca_files: Sequence[Path]) -> None:
+        self._urls = urls
         self._guard = guard
         self._ca_files = ca_files
 
-    async def serve(self, socket: WebSocket, person: str) -> None:
-        """Pass on the signals of a person until one side ends it."""
+    async def serve(self, socket: WebSocket, service: str, path: str) -> None:
+        """Pass on the stream at `path` (percent-encoded) with the query until one side ends it."""
         await socket.accept()
         try:
             credentials = await self._guard.service_headers(dict(socket.scope["headers"]))
         except Problem as problem:
             await _close(socket, 4000 + problem.status, str(problem.detail))
             return
-        passing = asyncio.create_task(self._pass_on(socket, person, credentials))
+        passing = asyncio.create_task(self._pass_on(socket, service, path, credentials))
         leaving = asyncio.create_task(_until_left(socket))
         try:
             await asyncio.wait({passing, leaving}, return_when=asyncio.FIRST_COMPLETED)
@@ -58,10 +57,11 @@ class HealthProxy:
             await _close(socket, *ended)
 
     async def _pass_on(
-        self, socket: WebSocket, person: str, credentials: dict[str, str]
+        self, socket: WebSocket, service: str, path: str, credentials: dict[str, str]
     ) -> tuple[int, str] | None:
         """Return the close code and the reason; None when the browser does not read any more."""
-        url = f"ws{self._url.removeprefix('http')}/people/{quote(person, safe='')}/live"
+        query = socket.scope.get("query_string", b"").decode("latin-1")
+        url = f"ws{self._urls[service].removeprefix('http')}{path}{'?' * bool(query)}{query}"
         try:
             async with connect(
                 url,
@@ -82,9 +82,9 @@ class HealthProxy:
             received = closed.rcvd
             return (UNAVAILABLE_CODE, "") if received is None else (received.code, received.reason)
         except InvalidStatus as refused:
-            return 4000 + refused.response.status_code, "human state refused"
+            return 4000 + refused.response.status_code, f"{service} refused"
         except (OSError, TimeoutError, InvalidHandshake) as error:
-            return UNAVAILABLE_CODE, f"human state does not answer: {error}"
+            return UNAVAILABLE_CODE, f"{service} does not answer: {error}"
 
 
 async def _is_sent(socket: WebSocket, text: str) -> bool:

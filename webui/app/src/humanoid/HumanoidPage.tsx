@@ -1,0 +1,76 @@
+/** Humanoid: the robot live, the therapist's throws, walks and sessions, and what engineers look at. */
+import { Bot } from "lucide-react";
+import { lazy, Suspense, useMemo, useSyncExternalStore } from "react";
+import { useTranslation } from "react-i18next";
+import { Link } from "wouter";
+import type { HumanoidView } from "~/api/generated/whole-body-control";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { Card } from "~/design/Card";
+import { EmptyState } from "~/design/EmptyState";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
+import type { HumanoidModel } from "./humanoid";
+import { HumanoidLive } from "./liveState";
+import { modeTone, throttled } from "./snapshots";
+import { StopBar } from "./StopBar";
+import { SERVICE } from "./humanoid";
+import "./HumanoidPage.css";
+
+const Humanoid3d = lazy(() => import("./Humanoid3d"));
+const MODELS_EVERY_MS = 10_000;
+/** The figures of the panels change less often than the picture. */
+const PANELS_EVERY_MS = 200;
+
+export default function HumanoidPage() {
+  const { t } = useTranslation(["humanoid", "health", "system", "common"]);
+  const { value: humanoids, failure } = useServiceQuery<HumanoidView[]>(SERVICE, "humanoids", { intervalMs: MODELS_EVERY_MS });
+  const shown = humanoids?.find(({ name }) => name !== null) ?? null;
+  return (
+    <div className="humanoid">
+      {failure !== null && <ErrorMessage act={<Link href="/system">{t("health:toSystem")}</Link>}>{failure}</ErrorMessage>}
+      {shown === null ? (
+        <>
+          <h1>{t("common:pages.humanoid")}</h1>
+          {humanoids === null ? failure === null && <p className="quiet">{t("common:loading")}</p> : <EmptyState icon={<Bot aria-hidden size={32} />} title={t("none")} />}
+        </>
+      ) : (
+        <Humanoid key={shown.model} humanoid={shown} />
+      )}
+    </div>
+  );
+}
+
+function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
+  const { t } = useTranslation(["humanoid", "common"]);
+  const { value: model } = useServiceQuery<HumanoidModel>(SERVICE, "model");
+  const { value: urdf } = useServiceQuery<string>(SERVICE, "model/urdf");
+  const live = useMemo(() => new HumanoidLive(), []);
+  const panels = useMemo(() => throttled(live, PANELS_EVERY_MS), [live]);
+  const { phase, document } = useSyncExternalStore(panels.subscribe, panels.snapshot);
+  const name = humanoid.name ?? humanoid.model;
+  const mode = document?.fault !== null && document !== null ? "fault" : (document?.mode ?? "unknown");
+  return (
+    <>
+      <header className="humanoid__head">
+        <h1>{t("common:pages.humanoid")}</h1>
+        <p className="quiet">
+          {name} · {t("simulated", { model: humanoid.model })}
+        </p>
+        <StatusBadge tone={phase === "open" ? modeTone(mode) : "attention"}>{phase === "open" ? t(`mode.${mode}`) : t(`link.${phase}`)}</StatusBadge>
+      </header>
+      <p className="small quiet">{t("notSafe")}</p>
+      <div className="humanoid__body">
+        <Card className="humanoid__view" title={t("view")}>
+          <div className="humanoid__stage">
+            {model !== null && urdf !== null && (
+              <Suspense fallback={<p className="quiet">{t("common:loading")}</p>}>
+                <Humanoid3d name={name} urdf={urdf} model={model} source={live} onPick={null} pickHeightM={0} />
+              </Suspense>
+            )}
+          </div>
+        </Card>
+      </div>
+      <StopBar document={document} />
+    </>
+  );
+}

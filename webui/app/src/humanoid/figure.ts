@@ -1,0 +1,271 @@
+/**
+ * The humanoid with what is known of it, as one three.js group in metres with z up: body, centre of mass, ZMP, support
+ * polygon, footsteps, forces, ball, and the person who exercises. The desk page and virtual reality show the same.
+ */
+import {
+  ArrowHelper, BufferAttribute, BufferGeometry, CircleGeometry, Color, DoubleSide, Group, Line, LineBasicMaterial, LineLoop, Mesh, MeshBasicMaterial,
+  MeshStandardMaterial, type Object3D, RingGeometry, SphereGeometry, Vector3,
+} from "three";
+import type { URDFRobot } from "urdf-loader";
+import { parsed, release } from "~/robot3d/urdf";
+import { cornersAt, SIDES, supportPolygon, type Footprint, type HumanoidModel, type LiveDocument, type Pair, type PatientState, type Place, type Side } from "./humanoid";
+
+export const BALL_RADIUS_M = 0.025;
+/** Above the ground, so that flat things do not flicker in it; a drawing order of millimetres. */
+const LIFTED_M = { polygon: 0.002, steps: 0.003, points: 0.005 };
+/** The length of the arrow of a force. */
+const M_PER_N = 1 / 500;
+const MAX_FOOTSTEPS = 24;
+const MOVED_M = 0.01;
+
+/** The colours of what is drawn beside the body. */
+export interface FigureColours {
+  com: string;
+  zmp: string;
+  polygon: string;
+  steps: string;
+  force: string;
+  ball: string;
+  target: string;
+  person: string;
+}
+
+export class HumanoidFigure {
+  /** Everything; add it to a scene whose z is up. */
+  readonly root = new Group();
+  /** All but the body, the ball and the person, which a patient is not to see. */
+  readonly overlays = new Group();
+  readonly person = new Group();
+  readonly #robot: URDFRobot;
+  readonly #model: HumanoidModel;
+  readonly #com: Group;
+  readonly #plumb = new Line(new BufferGeometry(), new LineBasicMaterial());
+  readonly #zmp: Mesh;
+  readonly #zmpReference: Mesh;
+  readonly #polygon = new LineLoop(new BufferGeometry(), new LineBasicMaterial());
+  readonly #area = new Mesh(new BufferGeometry(), flat(0.25));
+  readonly #steps = new Group();
+  readonly #landing: Record<Side, LineLoop>;
+  readonly #feet: Record<Side, ArrowHelper>;
+  readonly #hands: Record<Side, ArrowHelper>;
+  readonly #ball = new Mesh(new SphereGeometry(BALL_RADIUS_M, 24, 16), new MeshStandardMaterial({ roughness: 0.5 }));
+  readonly #target: Mesh;
+  readonly #landed: Mesh;
+  readonly #head: Group;
+  readonly #palms: Record<Side, Mesh>;
+  readonly #stepMaterial = new LineBasicMaterial();
+  readonly #last: Partial<Record<Side, Footprint>> = {};
+
+  /** Throws `InvalidDescription` for a URDF that cannot be drawn. */
+  constructor(urdf: string, model: HumanoidModel, colours: FigureColours) {
+    this.#model = model;
+    this.#robot = parsed(urdf);
+    this.#com = marker(0.018);
+    this.#zmp = new Mesh(new CircleGeometry(0.012, 24), flat(1));
+    this.#zmpReference = new Mesh(new RingGeometry(0.014, 0.018, 24), flat(1));
+    this.#target = new Mesh(new RingGeometry(0.04, 0.055, 32), flat(1));
+    this.#landed = new Mesh(new RingGeometry(0, 0.02, 4), flat(1));
+    this.#landing = { left: this.#outline(), right: this.#outline() };
+    this.#feet = { left: arrow(), right: arrow() };
+    this.#hands = { left: arrow(), right: arrow() };
+    this.#head = headOf();
+    this.#palms = { left: palm(), right: palm() };
+    this.overlays.add(this.#com, this.#plumb, this.#zmp, this.#zmpReference, this.#area, this.#polygon, this.#steps, this.#target, this.#landed);
+    for (const side of SIDES) this.overlays.add(this.#landing[side], this.#feet[side], this.#hands[side]);
+    this.person.add(this.#head, this.#palms.left, this.#palms.right);
+    this.#ball.castShadow = true;
+    this.root.add(this.#robot, this.overlays, this.#ball, this.person);
+    for (const part of [...this.overlays.children, this.#ball, ...this.person.children]) part.visible = false;
+    this.recolour(colours);
+  }
+
+  /** The link of the robot by its name, where a view may look at. */
+  link(name: string): Object3D | undefined {
+    return this.#robot.links[name];
+  }
+
+  recolour(colours: FigureColours): void {
+    paint(this.#com, colours.com);
+    paint(this.#plumb, colours.com);
+    paint(this.#zmp, colours.zmp);
+    paint(this.#zmpReference, colours.zmp);
+    paint(this.#area, colours.polygon);
+    paint(this.#polygon, colours.polygon);
+    this.#stepMaterial.color.set(colours.steps);
+    for (const side of SIDES) {
+      for (const force of [this.#feet[side], this.#hands[side]]) force.setColor(new Color(colours.force));
+      paint(this.#landing[side], colours.target);
+      paint(this.#palms[side], colours.person);
+    }
+    paint(this.#ball, colours.ball);
+    paint(this.#target, colours.target);
+    paint(this.#landed, colours.ball);
+    paint(this.#head, colours.person);
+  }
+
+  /** Show a document; what it does not know is hidden. */
+  show(document: LiveDocument): void {
+    this.#pose(document);
+    this.#balance(document);
+    for (const side of SIDES) this.#foot(side, document);
+    this.#hand(document);
+    this.#throwing(document);
+    this.#patient(document.patient ?? null);
+  }
+
+  dispose(): void {
+    release(this.root);
+    this.#stepMaterial.dispose();
+  }
+
+  #pose({ base, joints }: LiveDocument): void {
+    if (base?.length === 7) {
+      const [x = 0, y = 0, z = 0, qx = 0, qy = 0, qz = 0, qw = 1] = base;
+      this.#robot.position.set(x, y, z);
+      this.#robot.quaternion.set(qx, qy, qz, qw);
+    }
+    this.#model.joints.forEach((name, index) => {
+      const angle = joints[index];
+      if (angle != null && name in this.#robot.joints) this.#robot.setJointValue(name, angle);
+    });
+    this.#robot.updateMatrixWorld(true);
+  }
+
+  #balance(document: LiveDocument): void {
+    const { com, zmp, zmpReference, base } = document;
+    place(this.#com, com, LIFTED_M.points);
+    this.#plumb.visible = com !== null;
+    if (com !== null) draw(this.#plumb, [[...com, 0], [...com, base?.[2] ?? 0.5]]);
+    place(this.#zmp, zmp, LIFTED_M.points);
+    place(this.#zmpReference, zmpReference, LIFTED_M.points);
+    const polygon = supportPolygon(document, this.#model);
+    this.#polygon.visible = this.#area.visible = polygon.length > 2;
+    if (polygon.length > 2) {
+      draw(this.#polygon, polygon.map(([x, y]) => [x, y, LIFTED_M.polygon]));
+      fill(this.#area, polygon);
+    }
+  }
+
+  #foot(side: Side, { feet }: LiveDocument): void {
+    const { force, pressure, place: stands, landing } = feet[side];
+    point(this.#feet[side], force, pressure === null ? null : [...pressure, 0]);
+    const corners = this.#model.contacts.find(({ name }) => name.startsWith(side))?.corners ?? [];
+    const next = this.#landing[side];
+    next.visible = landing != null && corners.length > 2;
+    if (landing != null && next.visible) draw(next, cornersAt(landing, corners).map(([x, y]) => [x, y, LIFTED_M.steps]));
+    if (stands == null || corners.length < 3) return;
+    const before = this.#last[side];
+    if (before !== undefined && Math.hypot(before[0] - stands[0], before[1] - stands[1]) < MOVED_M && Math.abs(before[2] - stands[2]) < MOVED_M) return;
+    this.#last[side] = stands;
+    const print = new LineLoop(new BufferGeometry(), this.#stepMaterial);
+    draw(print, cornersAt(stands, corners).map(([x, y]) => [x, y, LIFTED_M.steps]));
+    this.#steps.visible = true;
+    this.#steps.add(print);
+    const oldest = this.#steps.children[0];
+    if (this.#steps.children.length > MAX_FOOTSTEPS && oldest instanceof LineLoop) {
+      oldest.removeFromParent();
+      (oldest.geometry as BufferGeometry).dispose();
+    }
+  }
+
+  #hand({ hands }: LiveDocument): void {
+    for (const side of SIDES) {
+      const grip = this.#model.hands[`${side}_hand`];
+      const link = grip === undefined ? undefined : this.#robot.links[grip.link];
+      const at = link === undefined || grip === undefined ? null : this.root.worldToLocal(link.localToWorld(new Vector3(...grip.point))).toArray();
+      point(this.#hands[side], hands[side].force, at);
+    }
+  }
+
+  #throwing({ ball }: LiveDocument): void {
+    place(this.#ball, ball?.position ?? null);
+    place(this.#target, ball?.target ?? null);
+    const landing = ball?.landing ?? null;
+    place(this.#landed, landing === null ? null : [landing[0], landing[1], Math.max(landing[2], LIFTED_M.points)]);
+  }
+
+  #patient(patient: PatientState | null): void {
+    const headset = patient?.headset ?? null;
+    place(this.#head, headset?.position ?? null);
+    if (headset !== null) this.#head.quaternion.set(...headset.rotation);
+    for (const side of SIDES) {
+      const hand = patient?.hands[side] ?? null;
+      place(this.#palms[side], hand?.position ?? null);
+      if (hand === null) continue;
+      this.#palms[side].quaternion.set(...hand.rotation);
+      this.#palms[side].scale.setScalar(1 - 0.35 * hand.grip);
+    }
+  }
+
+  #outline(): LineLoop {
+    return new LineLoop(new BufferGeometry(), new LineBasicMaterial());
+  }
+}
+
+function flat(opacity: number): MeshBasicMaterial {
+  return new MeshBasicMaterial({ transparent: opacity < 1, opacity, side: DoubleSide, depthWrite: opacity >= 1 });
+}
+
+/** The mark of a centre of mass on the ground: a disc in a ring. */
+function marker(radius: number): Group {
+  const mark = new Group();
+  mark.add(new Mesh(new CircleGeometry(0.5 * radius, 24), flat(1)), new Mesh(new RingGeometry(0.8 * radius, radius, 24), flat(1)));
+  return mark;
+}
+
+function arrow(): ArrowHelper {
+  return new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 0.1);
+}
+
+/** A head with a headset; it looks along its x axis with its z axis up, as the robot does. */
+function headOf(): Group {
+  const head = new Group();
+  const skull = new Mesh(new SphereGeometry(0.1, 24, 16), new MeshStandardMaterial({ roughness: 0.8 }));
+  skull.scale.set(1, 0.8, 1.2);
+  const visor = new Mesh(new SphereGeometry(0.07, 16, 12), new MeshStandardMaterial({ roughness: 0.3 }));
+  visor.scale.set(0.6, 1.1, 0.6);
+  visor.position.set(0.08, 0, 0.02);
+  head.add(skull, visor);
+  return head;
+}
+
+function palm(): Mesh {
+  const shape = new Mesh(new SphereGeometry(0.05, 16, 12), new MeshStandardMaterial({ roughness: 0.8 }));
+  shape.castShadow = true;
+  return shape;
+}
+
+function paint(object: Object3D, colour: string): void {
+  object.traverse((part) => {
+    if (part instanceof Mesh || part instanceof Line) (part.material as MeshBasicMaterial | LineBasicMaterial).color.set(colour);
+  });
+}
+
+function place(object: Object3D, at: Place | Pair | null, z = 0): void {
+  object.visible = at !== null;
+  if (at !== null) object.position.set(at[0], at[1], at[2] ?? z);
+}
+
+function point(shown: ArrowHelper, force: Place | null, at: Place | null): void {
+  const size = force === null ? 0 : Math.hypot(...force);
+  shown.visible = at !== null && size > 1;
+  if (force === null || at === null || !shown.visible) return;
+  shown.position.set(...at);
+  shown.setDirection(new Vector3(...force).divideScalar(size));
+  const length = size * M_PER_N;
+  shown.setLength(length, Math.min(0.25 * length, 0.05), Math.min(0.15 * length, 0.03));
+}
+
+function draw(line: Line, points: readonly Place[]): void {
+  line.geometry.setFromPoints(points.map((each) => new Vector3(...each)));
+  line.geometry.computeBoundingSphere();
+}
+
+/** Fill a convex polygon on the ground by triangles from its first corner. */
+function fill(mesh: Mesh, polygon: readonly Pair[]): void {
+  const corners = polygon.slice(1, -1).flatMap((corner, index) => [polygon[0], corner, polygon[index + 2]] as Pair[]);
+  const places = new Float32Array(corners.flatMap(([x, y]) => [x, y, LIFTED_M.polygon]));
+  mesh.geometry.dispose();
+  mesh.geometry = new BufferGeometry();
+  mesh.geometry.setAttribute("position", new BufferAttribute(places, 3));
+}
