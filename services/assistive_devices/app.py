@@ -21,6 +21,7 @@ from services.assistive_devices.metrics import REJECTED
 from services.assistive_devices.routes import add_routes
 from services.assistive_devices.running.entities import MachineRecords
 from services.assistive_devices.running.machine_runner import MachineRunner
+from services.assistive_devices.running.ros_commands import RosCommands
 from services.assistive_devices.settings import AssistiveSettings
 
 
@@ -44,6 +45,8 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
         )
         runners[name] = MachineRunner(case, link, tasks)
         runners[name].machine.prepare(MachineContext(settings, engine))
+    domain = settings.assistive_ros_domain
+    commands = None if domain is None else RosCommands(domain, list(runners.values()))
     records = MachineRecords(settings, list(runners.values()), broker, writer)
 
     @asynccontextmanager
@@ -54,6 +57,8 @@ def make_app(settings: AssistiveSettings) -> FastAPI:
                 tasks.start_restarting(runner.run)
                 tasks.start_restarting(runner.machine.work)
             tasks.start_restarting(records.run)
+            if commands is not None:
+                tasks.start_restarting(commands.run)
             yield
         for runner in runners.values():
             runner.link.close()

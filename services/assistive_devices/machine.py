@@ -11,7 +11,7 @@ gets went through driver, processing, fusion and limits.
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,6 +22,7 @@ from handover.errors import Problem
 from handover.extensions import ExtensionPoint
 from handover.messages import message
 from services.assistive_devices.model.body import Body
+from services.assistive_devices.model.command import Command
 from services.assistive_devices.model.sensor import Sensor
 from services.assistive_devices.settings import AssistiveSettings
 from services.assistive_devices.trial import Trial
@@ -99,6 +100,10 @@ class Machine(ABC):
     @abstractmethod
     def acts(self) -> Mapping[str, Any]:
         """Return what the simulated person does: effort, posture, lean, isBreathing, movement, contact."""
+
+    def commands(self) -> Sequence[Command]:
+        """Return what the controller commands in this cycle, for a real machine on ROS; nothing at rest."""
+        return ()
 
     @abstractmethod
     def state(self) -> MachineState:

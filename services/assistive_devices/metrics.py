@@ -10,3 +10,4 @@ CYCLES = Histogram(
     buckets=(0.04, 0.05, 0.06, 0.08, 0.1, 0.2, 0.5, 1),
 )
 REJECTED = Counter("handover_assistive_entities_rejected_total", "Entities that the broker refused")
+COMMANDS = Counter("handover_assistive_ros_commands_total", "Commands of machines on ROS", ["outcome"])

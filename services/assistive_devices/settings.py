@@ -2,6 +2,7 @@
 
 from pydantic import Field, SecretStr
 
+from handover.ros_dds import MAX_DOMAIN
 from handover.settings import Names, Settings
 
 
@@ -14,6 +15,13 @@ class AssistiveSettings(Settings):
     )
     assistive_machines: Names = Field(
         (), description="the machines that run, separated by commas: wheelchair, bed, treadmill, bin-picking"
+    )
+    assistive_ros_domain: int | None = Field(
+        None,
+        ge=0,
+        le=MAX_DOMAIN,
+        description="the ROS domain in which the machines publish their commands at the rate of their "
+        "controllers; absent: nowhere",
     )
     trainer_model_url: str | None = Field(
         None,

@@ -1,7 +1,7 @@
 """The record of the machines in the broker: a Device each, and the SpeedLimit that acts on it.
 
-A machine never waits for the broker: the latest state is written in the background, once a second, and five
-times a second while the machine moves, so that the ROS bridge can publish its command.
+A machine never waits for the broker: the latest state is written in the background, once a second. Commands
+of a real machine do not go this way, see `ros_commands`.
 """
 
 import asyncio
@@ -16,9 +16,7 @@ from handover.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
 from services.assistive_devices.running.machine_runner import MachineRunner
 
-WRITE_EVERY_S: Final = 0.2
-REST_WRITES: Final = 5
-"""A machine at rest is written every fifth time."""
+WRITE_EVERY_S: Final = 1.0
 VALID_S: Final = 10.0
 
 
@@ -39,12 +37,9 @@ class MachineRecords:
 
     async def run(self) -> None:
         """Write until cancelled."""
-        count = 0
         while True:
-            count += 1
-            is_due = count % REST_WRITES == 0
             for runner in self._runners:
-                if not runner.case.is_own_machine or not (is_due or runner.machine.state().is_moving):
+                if not runner.case.is_own_machine:
                     continue
                 for entity in self._entities(runner):
                     self._writer.put(entity["id"], lambda entity=entity: self._broker.upsert([entity]))  # type: ignore[misc]

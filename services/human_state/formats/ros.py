@@ -154,7 +154,7 @@ def samples_of(type_name: str, message: Mapping[str, Any]) -> Samples:
                 channels = tuple(field for field in fields if not math.isnan(message[field])) or fields[:1]
                 return _single(of_kind, message, [message[field] for field in channels], channels)
         if name == "PressureMap":
-            cells = tuple(message["cells"])
+            cells = tuple(message["cells"]) or tuple(f"cell{n}" for n in range(len(message["pressures"])))
             return _single(SignalKind.PRESSURE_MAP, message, message["pressures"], cells)
     except (KeyError, TypeError, ValueError) as error:
         raise ExchangeError(f"a message of {type_name} cannot be read: {error}") from None

@@ -206,17 +206,3 @@ def test_sub_attributes_are_of_topics_and_have_none_themselves() -> None:
         """
     with pytest.raises(HandoverError, match="sub_attributes"):
         plan.make(parse(textwrap.dedent(text)), TYPES, "demo")
-
-
-def test_the_command_of_a_wheelchair_becomes_a_twist() -> None:
-    value = {"state": "driving", "commandLinear": 0.6, "commandAngular": -0.3}
-    chair = {"id": "urn:ngsi-ld:Device:demo:wheelchair-1", "value": {"type": "Property", "value": value}}
-    twist = message("assistive-devices", "wheelchair-cmd-vel", scope_of(chair, 0.0))
-    assert (twist["linear"]["x"], twist["angular"]["z"]) == (0.6, -0.3)
-
-
-def test_the_speed_of_a_treadmill_is_sent_as_a_twist() -> None:
-    value = {"state": "following", "speed": 0.85}
-    belt = {"id": "urn:ngsi-ld:Device:demo:treadmill-1", "value": {"type": "Property", "value": value}}
-    twist = message("assistive-devices", "treadmill-cmd-vel", scope_of(belt, 0.0))
-    assert twist == {"linear": {"x": 0.85}}

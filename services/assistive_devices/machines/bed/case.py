@@ -1,7 +1,8 @@
 """The case of the nocturnal bed: ROS4HC, section 5.3."""
 
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -9,6 +10,7 @@ from handover.messages import message
 from services.assistive_devices.machine import Case, Machine, MachineState, Seen
 from services.assistive_devices.machines.bed.controller import Bed, Signals
 from services.assistive_devices.machines.bed.simulation import Frame, Sleeper
+from services.assistive_devices.model.command import Command, NumberCommand
 from services.assistive_devices.model.sensor import Sensor
 from services.assistive_devices.trial import HEART_RATE_IS_VALID, NOT_IN_PAPER, TIME_IS_OVER, Trial
 
@@ -86,6 +88,14 @@ class BedMachine(Machine):
             "movement": sleeper.movement,
             "contact": self._has_contact,
         }
+
+    def commands(self) -> Sequence[Command]:
+        made = self.controller
+        return (
+            NumberCommand("/bed/rocking_period", made.period_s),
+            NumberCommand("/bed/rocking_amplitude", made.amplitude),
+            NumberCommand("/bed/backrest", math.radians(made.backrest_deg)),
+        )
 
     def state(self) -> MachineState:
         made, frame = self.controller, self.frame

@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
@@ -28,6 +28,7 @@ from services.assistive_devices.machines.treadmill.training import (
     Training,
 )
 from services.assistive_devices.machines.treadmill.wording import ModelWording, Words, template
+from services.assistive_devices.model.command import Command, VelocityCommand
 from services.assistive_devices.model.sensor import Sensor
 from services.assistive_devices.trial import (
     BODY_IS_CALM,
@@ -237,6 +238,12 @@ class TreadmillMachine(Machine):
     def acts(self) -> Mapping[str, Any]:
         walk_mps = round(self.training.walker.walk_mps, 2)
         return {"walkingMps": walk_mps, "posture": "standing", "contact": self._has_contact}
+
+    def commands(self) -> Sequence[Command]:
+        speed_mps = self.training.belt.speed_mps
+        if not self.training.is_running and speed_mps == 0.0:
+            return ()
+        return (VelocityCommand("/treadmill/cmd_vel", speed_mps),)
 
     def state(self) -> MachineState:
         belt = self.training.belt

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -10,6 +10,7 @@ from handover.messages import message
 from services.assistive_devices.machine import Case, Machine, MachineState, Seen
 from services.assistive_devices.machines.wheelchair.controller import Centre, Parameters, Wheelchair
 from services.assistive_devices.machines.wheelchair.simulation import Chair, Driver
+from services.assistive_devices.model.command import Command, VelocityCommand
 from services.assistive_devices.model.sensor import Sensor
 from services.assistive_devices.trial import (
     BODY_IS_CALM,
@@ -87,6 +88,12 @@ class WheelchairMachine(Machine):
             "posture": "sitting",
             "contact": self._has_contact,
         }
+
+    def commands(self) -> Sequence[Command]:
+        made = self.controller
+        if not made.is_enabled and made.linear == made.angular == 0.0:
+            return ()
+        return (VelocityCommand("/cmd_vel", made.linear, made.angular),)
 
     def state(self) -> MachineState:
         controller, chair = self.controller, self.chair

@@ -8,18 +8,11 @@ import asyncio
 from dataclasses import replace
 from typing import Any, ClassVar, Final
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from handover.errors import UsageError
+from handover.ros_dds import MAX_DOMAIN, TopicEndpoints
 from services.human_state.drivers.base import DriverSettings, LinkLost, PacketError, SensorDriver, Sink, now_s
-from services.human_state.drivers.ros_topic.messages import (
-    PACKAGE,
-    SCALARS,
-    SERIES,
-    as_message,
-    name_of,
-    type_of,
-)
+from services.human_state.drivers.ros_topic.messages import PACKAGE, as_message, fields_of, type_of
 from services.human_state.formats.errors import ExchangeError
 from services.human_state.formats.ros import samples_of
 from services.human_state.model.signals import (
@@ -43,15 +36,8 @@ class RosTopicSettings(DriverSettings):
     unit: str
     rate_hz: float | None = Field(None, gt=0, le=100_000)
     channels: tuple[str, ...] = ("",)
-    domain: int = Field(0, ge=0, le=232)
+    domain: int = Field(0, ge=0, le=MAX_DOMAIN)
     source: str | None = None
-
-    @model_validator(mode="after")
-    def _kind_is_read(self) -> "RosTopicSettings":
-        if name_of(self.kind) is None:
-            known = ", ".join([*SERIES, *SCALARS])
-            raise ValueError(f"topics of {self.kind} are not read; choose from {known}")
-        return self
 
 
 class RosTopicDriver(SensorDriver):
@@ -69,7 +55,7 @@ class RosTopicDriver(SensorDriver):
         settings: RosTopicSettings = self.settings
         reader, failure = await asyncio.to_thread(self._open)
         sink(SensorReport(self.source, now_s(), link=LinkState.CONNECTED))
-        type_name = f"{PACKAGE}/msg/{name_of(settings.kind)}"
+        type_name = f"{PACKAGE}/msg/{fields_of(settings.kind)[0]}"
         while True:
             try:
                 received = reader.take(N=MAX_MESSAGES)
@@ -96,6 +82,8 @@ class RosTopicDriver(SensorDriver):
             raise PacketError(str(error)) from error
         if self.settings.source not in (None, message["info"]["source"]):
             return None
+        if samples.info.kind is not info.kind:  # another one on a topic of `OtherSignal`
+            return None
         if samples.info.unit != info.unit or len(samples.info.channels) != len(info.channels):
             raise PacketError(
                 f"a message has {len(samples.info.channels)} channels in {samples.info.unit or 'no unit'}; "
@@ -105,23 +93,10 @@ class RosTopicDriver(SensorDriver):
         return replace(samples, source=self.source, info=info, times_s=times_s, clock=ClockKind.DEVICE)
 
     def _open(self) -> tuple[Any, type[Exception]]:
-        try:
-            from cyclonedds.core import DDSException  # noqa: PLC0415 - of the extra
-            from cyclonedds.domain import DomainParticipant  # noqa: PLC0415
-            from cyclonedds.qos import Policy, Qos  # noqa: PLC0415
-            from cyclonedds.sub import DataReader  # noqa: PLC0415
-            from cyclonedds.topic import Topic  # noqa: PLC0415
-        except ImportError:
-            raise UsageError('ROS topics need the extra: pip install "handover[ros]"') from None
         settings: RosTopicSettings = self.settings
-        qos = Qos(
-            Policy.Reliability.BestEffort,  # matches publishers of either kind
-            Policy.History.KeepLast(MAX_MESSAGES),
-            Policy.DataRepresentation(use_cdrv0_representation=True),
-        )
         try:
-            participant = DomainParticipant(settings.domain)
-            topic = Topic(participant, "rt/" + settings.topic.removeprefix("/"), type_of(settings.kind))
-            return DataReader(participant, topic, qos=qos), DDSException
-        except DDSException as error:
-            raise LinkLost(f"the ROS domain {settings.domain} cannot be joined: {error}") from error
+            endpoints = TopicEndpoints(settings.domain)
+        except OSError as error:
+            raise LinkLost(str(error)) from error
+        reader = endpoints.reader(settings.topic, type_of(settings.kind), depth=MAX_MESSAGES)
+        return reader, endpoints.failure

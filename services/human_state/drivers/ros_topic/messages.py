@@ -1,27 +1,67 @@
-"""The DDS types of the messages that this driver reads, as rosidl names them: final structs, XCDR1.
+"""The DDS types of the messages of signals in `handover_human_msgs`.
 
-Only the messages of signals that a person's sensors send are here; the bridge knows all types. The fields
-are those of `ros_fiware_bridge/messages/handover_human_msgs/msg`, in their order, which a test checks.
+The bridge knows all types of the package; these are the ones that carry a signal. The fields are those of
+`ros_fiware_bridge/messages/handover_human_msgs/msg`, in their order, which a test checks.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cache
 from typing import Any, Final
 
+from handover.ros_dds import struct_of
 from services.human_state.model.signals import SignalKind
 
 PACKAGE: Final = "handover_human_msgs"
-SERIES: Final = {
-    SignalKind.ECG: "Ecg", SignalKind.PPG: "Ppg", SignalKind.EDA: "Eda", SignalKind.EMG: "Emg",
-    SignalKind.EEG: "Eeg", SignalKind.EOG: "Eog", SignalKind.BCG: "Bcg", SignalKind.RESPIRATION: "Respiration",
-    SignalKind.ACCELERATION: "Acceleration",
+OTHER: Final = "OtherSignal"
+"""The message of every kind without one of its own; its field `kind` names the kind."""
+_SERIES: Final = (("samples", f"{PACKAGE}/msg/Samples"),)
+SIGNALS: Final[Mapping[SignalKind, tuple[str, tuple[tuple[str, str], ...]]]] = {
+    **{
+        kind: (name, _SERIES)
+        for kind, name in {
+            SignalKind.ECG: "Ecg", SignalKind.PPG: "Ppg", SignalKind.EDA: "Eda", SignalKind.EMG: "Emg",
+            SignalKind.EEG: "Eeg", SignalKind.EOG: "Eog", SignalKind.ICG: "Icg", SignalKind.BCG: "Bcg",
+            SignalKind.RESPIRATION: "Respiration", SignalKind.ACCELERATION: "Acceleration",
+            SignalKind.ANGULAR_VELOCITY: "AngularVelocity", SignalKind.MAGNETIC_FIELD: "MagneticField",
+            SignalKind.JOINT_ANGLES: "JointAngles", SignalKind.JOINT_MOMENTS: "JointMoments",
+        }.items()
+    },
+    **{
+        kind: (name, ((field, "float64"),))
+        for kind, (name, field) in {
+            SignalKind.HEART_RATE: ("HeartRate", "rate_bpm"),
+            SignalKind.BREATHING_RATE: ("BreathingRate", "rate_per_min"),
+            SignalKind.SPO2: ("Spo2", "percent"),
+            SignalKind.SKIN_TEMPERATURE: ("SkinTemperature", "celsius"),
+            SignalKind.STROKE_VOLUME: ("StrokeVolume", "millilitres"),
+            SignalKind.CARDIAC_OUTPUT: ("CardiacOutput", "litres_per_min"),
+            SignalKind.DISTANCE: ("Distance", "metres"),
+            SignalKind.MOVEMENT: ("Movement", "movement"),
+        }.items()
+    },
+    SignalKind.INTER_BEAT_INTERVAL: (
+        "InterBeatIntervals", (("intervals_s", "float64[]"), ("times_s", "float64[]")),
+    ),
+    SignalKind.PRESSURE_MAP: (
+        "PressureMap",
+        (("rows", "uint16"), ("columns", "uint16"), ("cells", "str[]"), ("pitch_x_mm", "float64"),
+         ("pitch_y_mm", "float64"), ("cells_x_mm", "float64[]"), ("cells_y_mm", "float64[]"),
+         ("pressures", "float64[]"), ("centre_x_mm", "float64"), ("centre_y_mm", "float64"),
+         ("load", "float64"), ("active_cells", "uint16")),
+    ),
+    SignalKind.GAIT: (
+        "Gait",
+        tuple((name, "float64") for name in (
+            "speed_mps", "cadence_per_min", "step_length_m", "stride_time_s", "stance_fraction",
+            "double_support_fraction", "asymmetry")),
+    ),
+    SignalKind.MOOD: (
+        "Mood",
+        (("mood", "str"), ("valence", "float64"), ("arousal", "float64"), ("self_reported", "bool")),
+    ),
 }  # fmt: skip
-SCALARS: Final = {
-    SignalKind.HEART_RATE: ("HeartRate", "rate_bpm"),
-    SignalKind.BREATHING_RATE: ("BreathingRate", "rate_per_min"),
-    SignalKind.SPO2: ("Spo2", "percent"),
-    SignalKind.SKIN_TEMPERATURE: ("SkinTemperature", "celsius"),
-}
+"""Type and fields after header and info."""
 INFO: Final = (
     ("subject", "str"), ("source", "str"), ("method", "str"), ("unit", "str"), ("sampling_rate_hz", "float64"),
     ("resolution", "float64"), ("min_value", "float64"), ("max_value", "float64"), ("quality", "float64"),
@@ -36,48 +76,23 @@ SAMPLES: Final = (
 )
 
 
-def name_of(kind: SignalKind) -> str | None:
-    """Return the name of the message of a signal, None if this driver does not read it."""
-    return SERIES.get(kind) or SCALARS.get(kind, (None,))[0]
+def fields_of(kind: SignalKind) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Return the name of the message of a signal, and its fields after header and info."""
+    return SIGNALS.get(kind) or (OTHER, (("kind", "str"), *_SERIES))
 
 
 @cache
 def type_of(kind: SignalKind) -> Any:
     """Return the DDS type of the message of a signal."""
-    header = _struct(
-        "std_msgs::msg::dds_::Header_",
-        (("stamp", _struct("builtin_interfaces::msg::dds_::Time_", (("sec", "int32"), ("nanosec", "uint32")))),
-         ("frame_id", "str")),
-    )  # fmt: skip
-    info = _struct(f"{PACKAGE}::msg::dds_::SignalInfo_", INFO)
-    fields: tuple[tuple[str, Any], ...] = (("header", header), ("info", info))
-    if kind in SERIES:
-        fields += (("samples", _struct(f"{PACKAGE}::msg::dds_::Samples_", SAMPLES)),)
-    else:
-        fields += ((SCALARS[kind][1], "float64"),)
-    return _struct(f"{PACKAGE}::msg::dds_::{name_of(kind)}_", fields)
+    stamp = struct_of("builtin_interfaces/msg/Time", (("sec", "int32"), ("nanosec", "uint32")))
+    header = struct_of("std_msgs/msg/Header", (("stamp", stamp), ("frame_id", "str")))
+    info = struct_of(f"{PACKAGE}/msg/SignalInfo", INFO)
+    samples = struct_of(f"{PACKAGE}/msg/Samples", SAMPLES)
+    name, fields = fields_of(kind)
+    own = [(field, samples if "/" in of else of) for field, of in fields]
+    return struct_of(f"{PACKAGE}/msg/{name}", (("header", header), ("info", info), *own))
 
 
 def as_message(sample: Any) -> dict[str, Any]:
     """Return a received sample as the dictionary that `formats.ros` reads."""
     return asdict(sample)
-
-
-def _struct(type_name: str, fields: tuple[tuple[str, Any], ...]) -> Any:
-    from cyclonedds.idl import make_idl_struct  # noqa: PLC0415 - of the extra
-
-    kinds = {name: _kind(kind) for name, kind in fields}
-    made = make_idl_struct(type_name.replace("::", "_"), type_name, kinds)
-    made.__idl_annotations__["extensibility"] = "final"
-    return made
-
-
-def _kind(kind: Any) -> Any:
-    import cyclonedds.idl.types as described  # noqa: PLC0415 - of the extra
-
-    types: Any = described
-    if not isinstance(kind, str):
-        return kind
-    if kind.endswith("[]"):
-        return types.sequence[_kind(kind.removesuffix("[]"))]
-    return {"str": str, "bool": bool}.get(kind) or getattr(types, kind)

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from services.human_state.drivers.base import PacketError
 from services.human_state.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
-from services.human_state.drivers.ros_topic.messages import INFO, SAMPLES, SCALARS, SERIES, type_of
+from services.human_state.drivers.ros_topic.messages import INFO, SAMPLES, fields_of, type_of
 from services.human_state.drivers.runner import RunnerTiming, SensorRunner
 from services.human_state.formats.ros import messages_of
 from services.human_state.model.signals import Samples, SensorReport, SignalInfo, SignalKind
@@ -25,7 +24,7 @@ MESSAGES = REPOSITORY / "ros_fiware_bridge" / "messages" / "handover_human_msgs"
 ECG = SignalInfo(SignalKind.ECG, "D82", 130.0, ("I",))
 
 
-def fields_of(name: str) -> list[tuple[str, str]]:
+def definition_of(name: str) -> list[tuple[str, str]]:
     lines = (line.partition("#")[0].split() for line in (MESSAGES / f"{name}.msg").read_text().splitlines())
     words = {"string": "str"}
     return [
@@ -35,12 +34,13 @@ def fields_of(name: str) -> list[tuple[str, str]]:
 
 
 def test_the_types_are_those_of_the_message_files() -> None:
-    assert fields_of("SignalInfo") == list(INFO)
-    assert fields_of("Samples") == list(SAMPLES)
-    for name in SERIES.values():
-        assert [field for field, _ in fields_of(name)] == ["header", "info", "samples"], name
-    for name, field in SCALARS.values():
-        assert [one for one, _ in fields_of(name)] == ["header", "info", field], name
+    assert definition_of("SignalInfo") == list(INFO)
+    assert definition_of("Samples") == list(SAMPLES)
+    for kind in SignalKind:
+        name, fields = fields_of(kind)
+        head = [("header", "std_msgs/Header"), ("info", "handover_human_msgs/SignalInfo")]
+        found = [(field, of.replace("/msg/", "/")) for field, of in fields]
+        assert definition_of(name) == [*head, *found], name
 
 
 def as_dds(made: Any, message: dict[str, Any]) -> Any:
@@ -117,6 +117,29 @@ def test_any_message_is_read_or_refused(values: list[float], channels: list[str]
         assert len(samples.values) == len(values)
 
 
-def test_topics_of_other_signals_are_refused() -> None:
-    with pytest.raises(ValidationError, match="choose from ecg"):
-        RosTopicSettings(topic="/mood", kind=SignalKind.MOOD, unit="C62")
+@pytest.mark.parametrize(
+    ("kind", "unit", "channels"),
+    [
+        (SignalKind.PRESSURE_MAP, "C62", ("r1c1", "r1c2", "r2c1")),
+        (SignalKind.INTER_BEAT_INTERVAL, "SEC", ("",)),
+        (SignalKind.GAIT, "", ("speed_mps", "cadence_per_min")),
+        (SignalKind.STEPS, "C62", ("",)),
+    ],
+)
+def test_signals_of_every_message_are_read(kind: SignalKind, unit: str, channels: tuple[str, ...]) -> None:
+    row = np.arange(1.0, len(channels) + 1)[None, :]
+    ((name, message),) = messages_of(
+        Samples("mat", SignalInfo(kind, unit, None, channels), 1.0, row, np.array([1.0]))
+    )
+    driver = RosTopicDriver("s", RosTopicSettings(topic="/t", kind=kind, unit=unit, channels=channels))
+    samples = driver.read(name, message)
+    assert samples is not None
+    assert samples.info.kind is kind
+    assert samples.values.tolist() == row.tolist()
+
+
+def test_another_signal_on_the_same_topic_is_ignored() -> None:
+    info = SignalInfo(SignalKind.STEPS, "C62", None)
+    ((name, message),) = messages_of(Samples("s", info, 1.0, np.ones((1, 1)), np.array([1.0])))
+    driver = RosTopicDriver("s", RosTopicSettings(topic="/t", kind=SignalKind.PRESENCE, unit="C62"))
+    assert driver.read(name, message) is None
