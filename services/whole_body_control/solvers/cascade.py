@@ -16,6 +16,7 @@ from services.whole_body_control.solvers.problem import (
     Solution,
     Unsolvable,
     require_finite,
+    violations,
 )
 
 RANK_TOLERANCE = 1e-6
@@ -150,5 +151,5 @@ def needed_slack(problem: Problem) -> tuple[Array, Array]:
     if flag <= 0:
         raise Unsolvable(f"the constraints could not be examined (daqp: {flag})")
     reached = problem.matrix @ velocity
-    slack = np.maximum(np.maximum(problem.lower - reached, reached - problem.upper), 0.0)
+    slack = violations(reached, problem.lower, problem.upper)
     return np.where(slack > SLACK_TOLERANCE, slack, 0.0), np.asarray(velocity)

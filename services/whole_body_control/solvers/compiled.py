@@ -6,7 +6,6 @@ shape of problem. Without numba `fastest_solver` answers with daqp, and says so.
 """
 
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
@@ -19,8 +18,8 @@ from services.whole_body_control.solvers.problem import (
     Problem,
     Solution,
     Solver,
-    Unsolvable,
     require_finite,
+    require_shapes,
 )
 
 log = get_logger(__name__)
@@ -50,7 +49,7 @@ class Compiled:
     def __init__(self) -> None:
         self._kernels = _kernels()
         self._reference = Cascade()
-        self._memory: dict[tuple[Any, ...], _Memory] = {}
+        self._memory: dict[tuple[int, int, tuple[int, ...]], _Memory] = {}
         self.fallbacks = 0
         """How many problems the reference had to solve since rounding errors led in a circle."""
         self._compile()
@@ -91,17 +90,11 @@ class Compiled:
         return self._reference.solve(problem)
 
     def _fill(self, problem: Problem) -> _Memory:
-        n, m = problem.matrix.shape[1], len(problem.lower)
-        counts = tuple([len(target) for _, target in problem.levels])
-        memory = self._memory.get((n, m, counts))
+        shape = require_shapes(problem)
+        memory = self._memory.get(shape)
         if memory is None:
-            memory = self._memory[n, m, counts] = _Memory(n, m, counts)
-        for index, (jacobian, target) in enumerate(problem.levels):
-            if jacobian.shape != (counts[index], n):
-                raise Unsolvable(
-                    f"level {index} has a Jacobian of {jacobian.shape} for {counts[index]} targets"
-                )
-            span = memory.spans[index]
+            memory = self._memory[shape] = _Memory(*shape)
+        for span, (jacobian, target) in zip(memory.spans, problem.levels, strict=True):
             memory.rows[span] = jacobian
             memory.targets[span] = target
         return memory

@@ -67,14 +67,31 @@ class Unsolvable(ValueError):
     """The problem has no meaning: values that are not finite, or shapes that do not fit."""
 
 
+def require_shapes(problem: Problem) -> tuple[int, int, tuple[int, ...]]:
+    """Return the number of velocities, of bounds, and of rows of each level.
+
+    Raises `Unsolvable` where they do not fit.
+    """
+    m, n = problem.matrix.shape
+    counts = tuple([len(target) for _, target in problem.levels])
+    for index, (jacobian, _) in enumerate(problem.levels):
+        if jacobian.shape != (counts[index], n):
+            raise Unsolvable(f"level {index} has a Jacobian of {jacobian.shape} for {counts[index]} targets")
+    return n, m, counts
+
+
 def require_finite(problem: Problem) -> None:
     """Raise `Unsolvable` for NaN or infinity in a task or a constraint, and name the level."""
+    require_shapes(problem)
     for index, (jacobian, target) in enumerate(problem.levels):
-        if jacobian.shape != (len(target), problem.n):
-            raise Unsolvable(f"level {index} has a Jacobian of {jacobian.shape} for {len(target)} targets")
         if not (np.isfinite(jacobian).all() and np.isfinite(target).all()):
             raise Unsolvable(f"level {index} has values that are not finite")
     if not (np.isfinite(problem.matrix).all() and np.isfinite(problem.lower).all()):
         raise Unsolvable("a constraint has values that are not finite")
     if not np.isfinite(problem.upper).all() or (problem.lower > problem.upper).any():
         raise Unsolvable("a constraint has an upper bound below its lower one, or one that is not finite")
+
+
+def violations(reached: Array, lower: Array, upper: Array) -> Array:
+    """Return by how much each bound is violated by `reached`, the slack that it needs."""
+    return np.maximum(np.maximum(lower - reached, reached - upper), 0.0)
