@@ -163,6 +163,7 @@ lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with has
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/uv.in -o requirements/uv.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/bench.in -o requirements/bench.lock
 
 bench: bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-human-state  ## measure everything
 
@@ -200,8 +201,18 @@ bench-human-state: setup  ## body signals: beats, rates, faults, cost, beside ne
 	@$(BIN)/python -m benchmarks.human_state $(ARGS)
 	@$(BIN)/python -m benchmarks.human_state_limits
 
-bench-whole-body: setup  ## the stack of tasks on COMAN, then walking for five minutes, pushes, lateness, throws (ARGS="--problems 400")
+PEERS_VENV := $(VENV)-peers
+
+# Peers have dependencies of their own, other versions of ours among them.
+$(PEERS_VENV)/.ready: requirements/bench.lock | setup
+	@rm -rf $(PEERS_VENV)
+	@$(BIN)/python -m venv $(PEERS_VENV)
+	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(PEERS_VENV)/bin/python --require-hashes -r requirements/bench.lock
+	@touch $@
+
+bench-whole-body: setup $(PEERS_VENV)/.ready  ## the stack of tasks on COMAN and its peers, then walking for five minutes, pushes, lateness, throws (ARGS="--problems 400")
 	@$(BIN)/python -m benchmarks.whole_body $(ARGS)
+	@$(BIN)/python -m benchmarks.whole_body_peers $(PEERS_VENV)/bin/python $(ARGS)
 	@$(BIN)/python -m benchmarks.whole_body_walking
 	@$(BIN)/python -m benchmarks.whole_body_throwing
 
