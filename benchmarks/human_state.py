@@ -295,13 +295,15 @@ def measure_faults(count: int) -> None:
         missed += delay_s is None
         if delay_s is not None:
             delays.setdefault(name, []).append(delay_s)
-    late = sum(delay > 1.0 for each in delays.values() for delay in each)
-    print(f"  not found {missed}, found later than 1 s {late}, false plausible values {wrong}")
+    late = {name: sum(delay > 1.0 for delay in each) for name, each in delays.items()}
+    shown = ", ".join(f"{count} {name}" for name, count in late.items() if count) or "0"
+    print(f"  not found {missed}, found later than 1 s {shown}, false plausible values {wrong}")
     print(
-        "  a wrong rate, and a strap off that the sensor does not report (quiet), show in the second packet"
+        "  a wrong rate of packets stamped with their oldest sample (rateOfOldest), and a strap off that the "
+        "sensor does not report (quiet), show in the second packet"
     )
     for name, each in delays.items():
-        print(f"  {name:10} {len(each):4} found, median {np.median(each):.2f} s, longest {max(each):.2f} s")
+        print(f"  {name:12} {len(each):4} found, median {np.median(each):.2f} s, longest {max(each):.2f} s")
 
 
 def run_fault(

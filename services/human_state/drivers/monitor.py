@@ -54,6 +54,8 @@ EXCUSED_S: Final = 1.0
 DRAINING: Final = 0.5
 """Packets that come within this share of the time in which they were measured had to wait."""
 MIN_PERIODS: Final = 3
+SILENT_PERIODS: Final = 1.9
+"""With the time between two looks (`WATCH_S`), silence is found within two periods."""
 _REPEAT_S: Final = 1.0
 """A lasting fault is reported this often."""
 
@@ -134,10 +136,10 @@ class SignalMonitor:
         return self._report(SensorFault.GAP, at_s, text, {"silence_s": silent_s})
 
     def _silence_limit_s(self) -> float | None:
-        """Return how long the signal may be silent: two periods of one that comes irregularly."""
+        """Return how long the signal may be silent: under two periods of one that comes irregularly."""
         if self._silence_s is not None or self.info.rate_hz is not None or len(self._periods_s) < MIN_PERIODS:
             return self._silence_s
-        return max(FAST_SILENCE_S, 2 * float(np.median(self._periods_s)))
+        return max(FAST_SILENCE_S, SILENT_PERIODS * float(np.median(self._periods_s)))
 
     def take(self, samples: Samples, arrival_s: float) -> Checked:
         """Check the samples of one packet that arrived at `arrival_s`, in s since 1970."""

@@ -208,9 +208,11 @@ def ppg_of(
     return ppg
 
 
-FaultName = Literal["gap", "jump", "saturated", "clipped", "flat", "off", "quiet", "rate", "unit", "nan"]
+FaultName = Literal[
+    "gap", "jump", "saturated", "clipped", "flat", "off", "quiet", "rate", "rateOfOldest", "unit", "nan"
+]
 FAULTS: Final[tuple[FaultName, ...]] = (
-    "gap", "jump", "saturated", "clipped", "flat", "off", "quiet", "rate", "unit", "nan",
+    "gap", "jump", "saturated", "clipped", "flat", "off", "quiet", "rate", "rateOfOldest", "unit", "nan",
 )  # fmt: skip
 
 
@@ -218,6 +220,8 @@ def with_fault(packets: list[Samples], name: FaultName, index: int, seed: int) -
     """Return packets of a fast signal with a fault from the packet `index` on, and the time it begins in s.
 
     `off`: the strap is off and the sensor reports lost contact; `quiet`: it is off and reports nothing.
+    `rate`: packets are stamped with the time of their newest sample, as by a Polar H10, so the first one
+    shows the wrong rate; `rateOfOldest`: with that of their oldest sample, so the second one does.
     """
     random = np.random.default_rng(seed)
     found = list(packets)
@@ -248,8 +252,9 @@ def with_fault(packets: list[Samples], name: FaultName, index: int, seed: int) -
         elif name in {"off", "quiet"}:
             values = values.mean(axis=0) + random.normal(size=values.shape) * 0.004 * (np.ptp(values) or 1.0)
             has_contact = False if name == "off" else has_contact
-        elif name == "rate":
-            start_s = begin_s + (start_s - begin_s) * ratio
+        elif name in {"rate", "rateOfOldest"}:
+            stamped_s = packet.end_s if name == "rate" else start_s
+            start_s += (stamped_s - begin_s) * (ratio - 1)
         elif name == "unit":
             values = values * factor
         else:

@@ -83,7 +83,7 @@ def test_a_fault_of_an_ecg_is_found_within_a_second_and_no_wrong_rate_follows(
             found_after_s = min(arrival_s - begin_s, 1.0 if name == "gap" else np.inf)
             assert any(f.name is FeatureName.HEART_RATE and f.status is not Status.VALID for f in new)
     assert found_after_s is not None
-    assert found_after_s <= (1.2 if name in {"rate", "quiet"} else 1.0)
+    assert found_after_s <= (1.2 if name in {"rateOfOldest", "quiet"} else 1.0)
     for feature in features:
         if (
             feature.name is FeatureName.HEART_RATE
@@ -109,10 +109,10 @@ def test_a_fault_of_an_accelerometer_is_found_within_a_second(name: FaultName, s
         reports += guard.check(packet).faults
     assert reports
     if name not in {"gap", "jump"}:
-        assert all(guard.check(packet).samples is None for packet in faulty[18:] if name != "rate")
+        assert all(guard.check(packet).samples is None for packet in faulty[18:] if "rate" not in name)
 
 
-def test_a_silent_slow_sensor_is_reported_after_two_periods() -> None:
+def test_a_silent_slow_sensor_is_reported_within_two_periods() -> None:
     info = SignalInfo(SignalKind.HEART_RATE, "BPM", None)
     monitor = SignalMonitor("radar", info)
     for number in range(5):
@@ -120,8 +120,8 @@ def test_a_silent_slow_sensor_is_reported_after_two_periods() -> None:
         samples = Samples("radar", info, at_s, np.array([[70.0]]), np.array([at_s]))
         assert monitor.take(samples, at_s).reports == ()
     last_s = BEGIN_S + 12
-    assert monitor.silence(last_s + 5.9) is None
-    found = monitor.silence(last_s + 6.1)
+    assert monitor.silence(last_s + 5.5) is None
+    found = monitor.silence(last_s + 5.9)
     assert found is not None
     assert found.fault is SensorFault.GAP
     assert monitor.silence(last_s + 9) is None
