@@ -119,9 +119,9 @@ def _central_app(settings: GatewaySettings) -> FastAPI:
     add_device_routes(app, settings, gateway, engine, broker)
     add_adapter_routes(app, adapters)
     add_command_routes(app, gateway, engine)
-    _add_routes_of_control(app, gateway, inputs)
+    _add_routes_of_control(app, settings, gateway, inputs)
     add_history_routes(app, gateway, engine)
-    add_camera_routes(app, gateway, images)
+    add_camera_routes(app, settings, gateway, images)
     add_anomaly_routes(app, settings, gateway, engine, anomalies)
     return app
 
@@ -159,6 +159,8 @@ def _follow_changes(
     return changed
 
 
-def _add_routes_of_control(app: FastAPI, gateway: DeviceGateway, inputs: DeviceInputs) -> None:
-    add_control_routes(app, gateway, inputs)
+def _add_routes_of_control(
+    app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway, inputs: DeviceInputs
+) -> None:
+    add_control_routes(app, settings, gateway, inputs)
     add_drive_routes(app, gateway)

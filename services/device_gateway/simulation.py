@@ -228,11 +228,18 @@ def _fractions(run: Run) -> Iterator[float]:
         yield step / steps
 
 
+def _words(kind: DeviceKind) -> str:
+    """Return a kind as words: `inputDevice` is "input device"."""
+    return "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in kind)
+
+
 def examples() -> dict[str, DeviceDescription]:
     """Return a simulated device of each kind, by name, and one of each template."""
 
     def described(kind: DeviceKind, **members: Any) -> DeviceDescription:
-        return DeviceDescription.model_validate({"kind": kind, "title": f"Simulated {kind}", **members})
+        return DeviceDescription.model_validate(
+            {"kind": kind, "title": f"Simulated {_words(kind)}", **members}
+        )
 
     stop = {"name": "stop", "kind": "action"}
     found = {f"sim-{name}": one for name, one in templates().items()}

@@ -16,6 +16,8 @@ from handover.service import accepts
 from services.device_gateway.camera_images import MAX_IMAGE_BYTES, CameraImages
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.registry.pictures import PICTURE_TYPES
+from services.device_gateway.routes.access import Reader, may_read
+from services.device_gateway.settings import GatewaySettings
 
 OF_DEVICE = in_path("Device", "device")
 INGEST: Final = "/ingest/{device}/image"
@@ -32,7 +34,9 @@ class CameraView(BaseModel):
     age_s: float
 
 
-def add_camera_routes(app: FastAPI, gateway: DeviceGateway, images: CameraImages) -> None:
+def add_camera_routes(
+    app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway, images: CameraImages
+) -> None:
     """Add the routes of cameras."""
 
     @app.post(
@@ -52,12 +56,12 @@ def add_camera_routes(app: FastAPI, gateway: DeviceGateway, images: CameraImages
         known = gateway.authorized(device, token.strip() if scheme.lower() == "bearer" else "")
         images.put(known.name, await request.body())
 
-    @app.get("/cameras", tags=["devices"], dependencies=[require(Permission.READ)])
-    async def cameras() -> list[CameraView]:
-        """List the devices that have sent images, with the age of the newest one."""
+    @app.get("/cameras", tags=["devices"])
+    async def cameras(caller: Reader) -> list[CameraView]:
+        """List the devices that have sent images and that the caller may read, with the age of the newest."""
         now_s, found = time.time(), []
         for name, device in sorted(gateway.devices.items()):
-            if (image := images.of(name)) is not None:
+            if (image := images.of(name)) is not None and may_read(caller, settings, name):
                 age_s = round(max(now_s - image.at_s, 0.0), 3)
                 title = device.stored.description.title
                 found.append(CameraView(device=name, title=title, number=image.number, age_s=age_s))

@@ -15,6 +15,8 @@ from services.device_gateway.device_inputs import DeviceControl, DeviceInputs
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.input_mapping import InputMapping
 from services.device_gateway.model.description import DeviceKind
+from services.device_gateway.routes.access import Reader, may_read
+from services.device_gateway.settings import GatewaySettings
 
 OF_DEVICE = in_path("Device", "device")
 Driver = Annotated[Caller, require_by_handler(Permission.MOVE_ROBOTS)]
@@ -59,18 +61,23 @@ class InputDeviceView(_Body):
     control: ControlView | None
 
 
-def add_control_routes(app: FastAPI, gateway: DeviceGateway, inputs: DeviceInputs) -> None:
+def add_control_routes(
+    app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway, inputs: DeviceInputs
+) -> None:
     """Add the routes of control with input devices."""
 
-    @app.get("/input-devices", tags=["control"], dependencies=[require(Permission.READ)])
-    async def input_devices() -> list[InputDeviceView]:
-        """List the connected devices of the kind `inputDevice`, and those that send inputs."""
+    @app.get("/input-devices", tags=["control"])
+    async def input_devices(caller: Reader) -> list[InputDeviceView]:
+        """List the connected devices of the kind `inputDevice`, and those that send inputs.
+
+        It has those that the caller may read.
+        """
         seen = inputs.axes()
         found = []
         for name, device in sorted(gateway.devices.items()):
             description = device.stored.description
             is_one = name in seen or description.kind is DeviceKind.INPUT_DEVICE
-            if is_one and device.link is not None:
+            if is_one and device.link is not None and may_read(caller, settings, name):
                 control = inputs.of(name)
                 view = None if control is None else _view(control)
                 found.append(

@@ -16,7 +16,7 @@ from handover.security.guard import in_path, require, require_by_handler, requir
 from handover.security.permissions import Permission
 from handover.service import XML_TYPES, accepts
 from services.device_gateway.gateway import DeviceGateway
-from services.device_gateway.model.description import DeviceDescription
+from services.device_gateway.model.description import DeviceDescription, DeviceKind
 from services.device_gateway.model.units import SYMBOLS
 from services.device_gateway.registry.certificates import new_certificate
 from services.device_gateway.registry.device import Device
@@ -25,6 +25,7 @@ from services.device_gateway.registry.free_names import FreeNames
 from services.device_gateway.registry.pictures import MAX_PICTURE_BYTES, PICTURE_TYPES, media_type_of
 from services.device_gateway.registry.templates import template, templates
 from services.device_gateway.registry.urdf import MAX_URDF_BYTES, joints_in
+from services.device_gateway.routes.access import Reader, may_read
 from services.device_gateway.routes.views import (
     CertificateView,
     DeviceDetails,
@@ -160,14 +161,28 @@ def add_reading_routes(
 ) -> None:
     """Add the routes that list devices; an edge has no others of the registry."""
 
-    @app.get("/devices", tags=["devices"], dependencies=[require(Permission.READ)])
+    @app.get("/devices", tags=["devices"])
     async def devices(
-        limit: Annotated[int, Query(ge=1, le=1000)] = 1000, after: str = ""
+        caller: Reader,
+        limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
+        after: str = "",
+        kind: Annotated[tuple[DeviceKind, ...], Query(description="only devices of these kinds")] = (),
     ) -> list[DeviceView]:
-        """List the devices with their latest values, by name; `after` is the last name of the page before."""
-        names = sorted(name for name in gateway.devices if name > after)[:limit]
+        """List the devices that the caller may read with their latest values, by name.
+
+        `after` is the last name of the page before.
+        """
+        found = sorted(
+            name
+            for name, device in gateway.devices.items()
+            if name > after
+            and (not kind or device.stored.description.kind in kind)
+            and may_read(caller, settings, name)
+        )
         now_s = time.time()
-        return [device_view(gateway.devices[name], device_id(settings, name), now_s) for name in names]
+        return [
+            device_view(gateway.devices[name], device_id(settings, name), now_s) for name in found[:limit]
+        ]
 
     @app.get("/devices/{device}", tags=["devices"], dependencies=[CAN_READ])
     async def one(device: str) -> DeviceDetails:

@@ -20,6 +20,7 @@ export interface Lease {
 }
 
 const ROBOT_KINDS = ["robotArm", "mobileRobot", "humanoid"];
+const ROBOTS_QUERY = `devices?${ROBOT_KINDS.map((kind) => `kind=${kind}`).join("&")}`;
 const DEVICES_EVERY_MS = 5000;
 const LEASE_EVERY_MS = 1000;
 /** The panels that make sense for a robot without a model of its motion. */
@@ -29,7 +30,7 @@ const NOBODY: Lease = { holder: null, waiting: [] };
 /** All robots, those of the trajectory tool first; a name counts once. */
 export function useRobots(): ControlledRobot[] {
   const ofTool = useRobotNames();
-  const { value } = useServiceQuery<DeviceView[]>("device-gateway", "devices?limit=500", { intervalMs: DEVICES_EVERY_MS });
+  const { value } = useServiceQuery<DeviceView[]>("device-gateway", ROBOTS_QUERY, { intervalMs: DEVICES_EVERY_MS });
   return useMemo(() => robotsOf(ofTool, value ?? []), [ofTool, value]);
 }
 
