@@ -1,0 +1,204 @@
+"""A person moves robots on the page Control, and every way to let go stops them."""
+
+import math
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from services.device_gateway.device_client import DeviceClient
+from tests.e2e.conftest import OpenPage
+from tests.kit.cell import Cell
+from tests.kit.waiting import wait_for
+
+pytestmark = pytest.mark.slow
+
+FAKE_PAD = """
+const buttons = Array.from({length: 17}, () => ({pressed: false}));
+window.pad = {connected: true, axes: [0, 0, 0, 0], buttons};
+navigator.getGamepads = () => [window.pad];
+"""
+RELEASE = "Release the control once, then hold it again."
+
+
+@pytest.fixture
+def control(cell: Cell) -> Cell:
+    cell.run("context_broker")
+    cell.run("trajectory_tool", "device_gateway", "webui")
+    # Without a graphics card the 3D view takes the time in which inputs have to be sent.
+    without_3d = {"order": ["view", "jog", "joints", "devices", "latency"], "hidden": ["view"]}
+    httpx.put(stored_panels(cell), json=without_3d, timeout=120, trust_env=False).raise_for_status()
+    return cell
+
+
+def stored_panels(cell: Cell) -> str:
+    return f"{cell.url('webui')}/api/user-settings/control.panels"
+
+
+def rests(cell: Cell) -> bool:
+    robot = httpx.get(f"{cell.url('trajectory_tool')}/robots/ur10-1", timeout=120, trust_env=False).json()
+    return not any(robot["joints"]["velocity"])
+
+
+def taken(page: Page) -> Page:
+    page.get_by_role("button", name="Take control").click()
+    expect(page.get_by_role("heading", name="You control ur10-1")).to_be_visible()
+    return page
+
+
+def moves(cell: Cell, page: Page, hold: Callable[[], None], release: Callable[[], None]) -> None:
+    """Hold until the robot moves. A busy machine may delay inputs; the control has to be released then."""
+
+    def is_moving() -> bool:
+        if not rests(cell):
+            return True
+        release()
+        page.wait_for_timeout(100)  # so that the release is sent
+        hold()
+        page.wait_for_timeout(500)
+        return not rests(cell)
+
+    wait_for(is_moving)
+
+
+def test_each_way_to_let_go_stops_the_robot(control: Cell, open_page: OpenPage) -> None:
+    page = open_page("/control?robot=ur10-1")
+    page.add_init_script(FAKE_PAD)
+    page.reload()
+    taken(page)
+
+    def keys(*, down: bool) -> None:
+        for key in ("KeyR", "Space"):
+            page.keyboard.down(key) if down else page.keyboard.up(key)
+
+    def pad(*, down: bool) -> None:
+        page.evaluate("(down) => { pad.axes[3] = down ? 1 : 0; pad.buttons[5].pressed = down; }", down)
+
+    moves(control, page, lambda: keys(down=True), lambda: keys(down=False))
+    page.keyboard.up("Space")  # released; the key that moves is still pressed
+    wait_for(lambda: rests(control))
+    page.keyboard.up("KeyR")
+
+    stick = page.get_by_role("img", name="Joystick: up, down").bounding_box()
+    assert stick is not None
+    x, y = stick["x"] + stick["width"] / 2, stick["y"] + stick["height"] / 2
+
+    def drag() -> None:
+        page.keyboard.down("Space")
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x, y - stick["height"] / 2)
+
+    def let_go() -> None:
+        page.mouse.up()
+        page.keyboard.up("Space")
+
+    moves(control, page, drag, let_go)
+    page.evaluate("dispatchEvent(new Event('blur'))")
+    wait_for(lambda: rests(control))
+    let_go()
+
+    moves(control, page, lambda: pad(down=True), lambda: pad(down=False))
+    page.evaluate(
+        "Object.defineProperty(document, 'hidden', {value: true, configurable: true});"
+        "document.dispatchEvent(new Event('visibilitychange'));"
+    )
+    wait_for(lambda: rests(control))
+    pad(down=False)
+
+    moves(control, page, lambda: pad(down=True), lambda: pad(down=False))
+    page.evaluate(
+        "setTimeout(() => { const end = performance.now() + 2000; while (performance.now() < end); })"
+    )
+    expect(page.get_by_text(RELEASE)).to_be_visible()  # no message came for 100 ms; the stick is still held
+    wait_for(lambda: rests(control))
+    pad(down=False)
+    page.get_by_role("button", name="End control").click()
+    expect(page.get_by_role("heading", name="Nobody controls ur10-1")).to_be_visible()
+
+
+def test_the_control_is_handed_over_and_taken_over(control: Cell, open_page: OpenPage) -> None:
+    anna, ben = taken(open_page("/control?robot=ur10-1")), open_page("/control?robot=ur10-1", who="Ben")
+    ben.get_by_role("button", name="Ask for control").click()
+    anna.get_by_role("button", name=re.compile("Hand over to")).click()
+    expect(ben.get_by_role("heading", name="You control ur10-1")).to_be_visible()
+    expect(anna.get_by_text("You have handed over the control.")).to_be_visible()
+    anna.get_by_role("button", name=re.compile("Take over from")).click()
+    expect(anna.get_by_role("heading", name="You control ur10-1")).to_be_visible()
+    expect(ben.get_by_text("The control was taken away")).to_be_visible()
+    anna.get_by_role("button", name="End control").click()
+    wait_for(lambda: rests(control))
+
+
+def test_the_arrangement_of_the_panels_is_kept_for_the_user(control: Cell, open_page: OpenPage) -> None:
+    page = open_page("/control?robot=ur10-1")
+    page.get_by_role("button", name="Hide Latency").click()
+    page.get_by_role("button", name="Move Joints forward").click()
+
+    def is_stored() -> bool:
+        kept = httpx.get(stored_panels(control), timeout=120, trust_env=False).json()
+        order = kept.get("order", ["jog", "joints"])
+        return kept.get("hidden") == ["view", "latency"] and order.index("joints") < order.index("jog")
+
+    wait_for(is_stored)
+    other = open_page("/control?robot=ur10-1")  # another browser
+    expect(other.get_by_role("heading", name="Latency")).to_have_count(0)
+    titles = other.locator(".control__panels h2").all_inner_texts()
+    assert titles.index("Joints") < titles.index("Tool")
+    other.get_by_text("Arrange panels").click()
+    other.get_by_role("button", name="Restore the standard arrangement").click()
+    expect(other.get_by_role("heading", name="Latency")).to_be_visible()
+
+
+@contextmanager
+def waved(client: DeviceClient, held: threading.Event) -> Iterator[None]:
+    """Let a hand move up and down by 10 cm, 100 times a second, as motion capture sees it."""
+    ended = threading.Event()
+
+    def wave() -> None:
+        while not ended.wait(0.01):
+            height = 0.05 * math.sin(2 * math.pi * time.monotonic() / 2)
+            client.human_input({"handX": 0.4, "handY": 0.1, "handZ": 1.2 + height}, held.is_set())
+
+    client.start()
+    thread = threading.Thread(target=wave)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        client.stop()
+
+
+def test_the_position_of_a_hand_moves_the_tool(control: Cell, open_page: OpenPage) -> None:
+    gateway = httpx.Client(base_url=control.url("device_gateway"), timeout=120, trust_env=False)
+    body = {"name": "mocap-1", "description": {"kind": "inputDevice", "title": "Motion capture"}}
+    token = gateway.post("/devices", json=body).raise_for_status().json()["token"]
+    client = DeviceClient("127.0.0.1", control.ports["devices"], "mocap-1", token)
+    held = threading.Event()
+    with waved(client, held):
+        page = open_page("/control?robot=ur10-1")
+        page.get_by_role("radio", name="Other device").click()
+        page.get_by_text("Mapping", exact=True).click()
+        page.get_by_role("radio", name="Positions of the hand").click()
+        page.get_by_role("button", name="Drive ur10-1 with mocap-1").click()
+        expect(page.get_by_text("ur10-1 is at rest")).to_be_visible()
+
+        moves(control, page, held.set, held.clear)
+        expect(page.get_by_text("ur10-1 moves")).to_be_visible()
+        held.clear()
+        wait_for(lambda: rests(control))
+        page.get_by_role("button", name="End the control with mocap-1").click()
+        expect(page.get_by_text("The last control has ended")).to_be_visible()
+        page.reload()
+        page.get_by_role("radio", name="Other device").click()
+        page.get_by_text("Mapping", exact=True).click()
+        expect(page.get_by_role("radio", name="Positions of the hand")).to_be_checked()
+    gateway.delete("/devices/mocap-1").raise_for_status()
+    gateway.close()
