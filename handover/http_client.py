@@ -5,15 +5,17 @@ A general client costs about a millisecond of processor time per request, this o
 `PooledHttpClient.post` returns the status as soon as the head of the response is complete. A receiver that
 answers 2xx has the notification, however its response ends (with its length, with the connection, or not at
 all). The rest of the response is read and discarded. `BodyReadingHttpClient.request` returns whole
-responses, up to a limit that also holds for the inflated body. Neither follows redirects.
+responses, up to a limit that also holds for the inflated body. `StreamingHttpClient.stream` returns a
+response as it arrives, for a proxy. None of them follows redirects.
 """
 
 import asyncio
 import select
 import socket
 import ssl
+import sys
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -36,7 +38,12 @@ REST_TIMEOUT_S: Final = 1.0
 FRESH_S: Final = 1.0
 """Idle time up to which a connection is reused for a request that must not be sent twice. Servers close
 idle connections later than that."""
+MAX_WAITING_BYTES: Final = 256 * 1024
+"""Bytes of a streamed response that wait to be taken; then reading pauses."""
 _INFLATED: Final = frozenset({"gzip", "x-gzip", "deflate"})
+
+
+RawHeader = tuple[bytes, bytes]
 
 
 class Resolver(Protocol):
@@ -271,6 +278,143 @@ class _ReadingConnection(_Connection):
         super().connection_lost(exc)
 
 
+class StreamedResponse:
+    """A response whose body may still arrive; header names and values are as they were received.
+
+    Use `chunks` until their end, and `close` in any case.
+    """
+
+    def __init__(self, connection: "_StreamingConnection", status: int, headers: list[RawHeader]) -> None:
+        self.status = status
+        self.headers = headers
+        self._connection: _StreamingConnection | None = connection
+        self._idle: list[_Connection] = []
+
+    def whole(self) -> bytes | None:
+        """Return the body if it has arrived; None before."""
+        connection = self._connection
+        return None if connection is None or not connection.is_complete else connection.taken()
+
+    async def chunks(self, timeout_s: float) -> AsyncIterator[bytes]:
+        """Yield the body; raise `SendError` if it breaks off, or stops for `timeout_s`."""
+        while (connection := self._connection) is not None:
+            if data := connection.taken():
+                yield data
+            elif connection.is_complete:
+                return
+            else:
+                try:
+                    async with asyncio.timeout(timeout_s):
+                        await connection.more()
+                except TimeoutError:
+                    raise ResponseTimeout(f"the answer stopped for {timeout_s:g} s") from None
+
+    def give_back_to(self, idle: "list[_Connection]") -> None:
+        """Set where the connection goes afterwards."""
+        self._idle = idle
+
+    def close(self) -> None:
+        """Release the connection; one whose response is not complete is closed."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.finish(self._idle)
+
+
+class _StreamingConnection(_Connection):
+    """A connection that hands over the body as it arrives, and stops to read while nobody takes it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.max_answer_bytes = sys.maxsize
+        self.is_complete = False
+        self._head: list[RawHeader] = []
+        self._body: list[bytes] = []
+        self._waiting_bytes = 0
+        self._is_paused = False
+        self._more: asyncio.Future[None] | None = None
+        self._broken: SendError | None = None
+
+    def request(self, data: bytes) -> "asyncio.Future[Any]":
+        """Send a request; the future is the `StreamedResponse`."""
+        self._head, self._body, self._waiting_bytes = [], [], 0
+        self.is_complete, self._broken = False, None
+        return super().request(data)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        self._head.append((name, value))
+
+    def on_headers_complete(self) -> None:
+        assert self._parser is not None  # noqa: S101 - it is what calls this
+        if (status := self._parser.get_status_code()) < 200:  # an interim response; the final one follows
+            self._head = []
+        else:
+            self._settle(StreamedResponse(self, status, self._head))
+
+    def on_body(self, body: bytes) -> None:
+        self._body.append(body)
+        self._waiting_bytes += len(body)
+        if self._waiting_bytes > MAX_WAITING_BYTES and not self._is_paused and self.transport is not None:
+            self._is_paused = True
+            self.transport.pause_reading()
+        self._wake()
+
+    def on_message_complete(self) -> None:
+        assert self._parser is not None  # noqa: S101 - it is what calls this
+        if self._parser.get_status_code() >= 200:
+            self.is_complete = True
+            self._wake()
+        super().on_message_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        names = {name.lower() for name, _ in self._head}
+        if exc is None and self._parser is not None and not {b"content-length", b"transfer-encoding"} & names:
+            self.on_message_complete()  # the response ends with the connection
+            self.reusable = False
+        super().connection_lost(exc)
+
+    def taken(self) -> bytes:
+        """Return what has arrived, and continue to read."""
+        data = b"".join(self._body)
+        self._body, self._waiting_bytes = [], 0
+        if self._is_paused and self.transport is not None and self.is_open:
+            self._is_paused = False
+            self.transport.resume_reading()
+        return data
+
+    async def more(self) -> None:
+        """Wait until more has arrived; raise `SendError` if the response has broken off."""
+        if self._broken is not None:
+            raise self._broken
+        self._more = asyncio.get_running_loop().create_future()
+        await self._more
+
+    def finish(self, idle: "list[_Connection]") -> None:
+        """Become idle after a whole response; close otherwise."""
+        self._body = []
+        if self.is_complete:
+            super().release(idle)
+        else:
+            self.close()
+
+    def release(self, idle: "list[_Connection]") -> None:
+        """Keep the connection for the body of a response; one without a response is closed."""
+        answer = self._answer
+        if answer is not None and answer.done() and not answer.cancelled() and answer.exception() is None:
+            answer.result().give_back_to(idle)
+        else:
+            self.close()
+
+    def _fail(self, error: SendError) -> None:
+        self._broken = error
+        super()._fail(error)
+        if self._more is not None and not self._more.done():
+            self._more.set_exception(error)
+
+    def _wake(self) -> None:
+        if self._more is not None and not self._more.done():
+            self._more.set_result(None)
+
+
 class PooledHttpClient:
     """Posts to many addresses over pooled connections. `ca_files` (PEM) name authorities that are trusted
     besides those of the system."""
@@ -415,6 +559,43 @@ class BodyReadingHttpClient(PooledHttpClient):
         if coding not in _INFLATED:
             raise SendError(f"the answer has the Content-Encoding {coding}, which is not read")
         return replace(reply, body=await asyncio.to_thread(inflate, reply.body, self._max_response_bytes))
+
+
+class StreamingHttpClient(PooledHttpClient):
+    """Sends requests to many addresses, and hands over responses as they arrive."""
+
+    def __init__(
+        self,
+        resolver: Resolver = ANY_ADDRESS,
+        ca_files: Sequence[Path] = (),
+        connect_timeout_s: float = 3.0,
+    ) -> None:
+        super().__init__(resolver, ca_files)
+        self._make_connection = _StreamingConnection
+        self._connect_timeout_s = connect_timeout_s
+
+    async def _connect(self, where: Address) -> _Connection:
+        async with asyncio.timeout(self._connect_timeout_s):
+            return await super()._connect(where)
+
+    async def stream(
+        self,
+        method: str,
+        url: str | Address,
+        headers: Iterable[tuple[str, str]],
+        body: bytes,
+        timeout_s: float,
+    ) -> StreamedResponse:
+        """Return the response once its head is there; raise `SendError` when there is none in `timeout_s`.
+
+        Not for HEAD, whose response has lengths without bodies. A POST or PATCH with an unknown result is not
+        sent again.
+        """
+        may_repeat = method not in {"POST", "PATCH"}
+        reply: StreamedResponse = await self._send(
+            method, url, headers, body, timeout_s, may_repeat=may_repeat
+        )
+        return reply
 
 
 def inflate(body: bytes, max_bytes: int) -> bytes:

@@ -312,21 +312,19 @@ class Directory:
         self.require_accounts()
 
         def found(connection: Connection) -> tuple[Caller, dict[str, Any], bool]:
-            revision = revision_of(connection)
-            session = sessions.find_session(connection, session_token, self.session_limits)
+            session = sessions.find_session_with_user(connection, session_token, self.session_limits)
             if session is None:
                 raise Problem(401, "Signed out", "the session has ended; sign in again")
-            user = users.find(connection, session["subject"])
-            is_station = stations.station_of(connection, user["subject"]) is not None
-            acting = (stations.joined(connection, user["subject"]) if is_station else None) or user
+            subject, is_station = session["subject"], session["station"] is not None
+            acting = (stations.joined(connection, subject) if is_station else None) or session
             caller = Caller(
                 CallerKind.USER,
-                user["subject"],
+                subject,
                 acting["name"],
-                grants_of(connection, user["subject"]),
+                grants_of(connection, subject),
                 person=acting["person"],
                 session=session["id"],
-                revision=revision,
+                revision=session["revision"],
             )
             return caller, session, is_station
 

@@ -4,7 +4,7 @@ import secrets
 import time
 from typing import Any, Final
 
-from sqlalchemy import Connection, delete, func, insert, select
+from sqlalchemy import Connection, bindparam, delete, func, insert, select
 
 from handover.errors import Problem, UsageError
 from handover.security.permissions import Grant, Role
@@ -15,6 +15,13 @@ from services.accounts.tables import grants, users
 MAX_GRANTS: Final = 100
 """Of one subject: all of them are in each access token."""
 PEOPLE_ROLES: Final = tuple(role for role in Role if role is not Role.SERVICE)
+
+
+_GRANTS_OF: Final = (
+    select(grants.c.role, grants.c.resource)
+    .where(grants.c.subject == bindparam("subject"))
+    .order_by(grants.c.created_s, grants.c.id)
+)
 
 
 def checked_grant(role: str, resource: str) -> Grant:
@@ -33,11 +40,8 @@ def checked_grant(role: str, resource: str) -> Grant:
 
 def grants_of(connection: Connection, subject: str) -> tuple[Grant, ...]:
     """Return the grants of a user or token."""
-    query = select(grants.c.role, grants.c.resource).where(grants.c.subject == subject)
-    return tuple(
-        Grant(Role(role), resource)
-        for role, resource in connection.execute(query.order_by(grants.c.created_s, grants.c.id))
-    )
+    rows = connection.execute(_GRANTS_OF, {"subject": subject})
+    return tuple(Grant(Role(role), resource) for role, resource in rows)
 
 
 def grant_rows(connection: Connection) -> dict[str, list[dict[str, Any]]]:

@@ -8,10 +8,10 @@ import time
 from dataclasses import dataclass
 from typing import Any, Final
 
-from sqlalchemy import Connection, delete, func, insert, select, update
+from sqlalchemy import Connection, bindparam, delete, func, insert, select, update
 
 from handover.errors import Problem
-from handover.security.secret_tokens import new_token, token_hash
+from handover.security.secret_tokens import is_secret_token, new_token, token_hash
 from services.accounts.changes import Change
 from services.accounts.tables import (
     grants,
@@ -20,11 +20,34 @@ from services.accounts.tables import (
     provider_sessions,
     row_of_token,
     sessions,
+    state,
+    stations,
+    users,
 )
 
 MAX_SESSIONS: Final = 50
 """Of one user; a further sign-in ends the oldest."""
 MAX_PLACES: Final = 50
+
+
+_WITH_USER: Final = (
+    select(
+        sessions.c.id,
+        sessions.c.subject,
+        sessions.c.created_s,
+        sessions.c.seen_s,
+        users.c.name,
+        users.c.person,
+        stations.c.subject.label("station"),
+        select(func.coalesce(func.max(state.c.revision), 0)).scalar_subquery().label("revision"),
+    )
+    .select_from(
+        sessions.join(users, users.c.subject == sessions.c.subject).outerjoin(
+            stations, stations.c.subject == sessions.c.subject
+        )
+    )
+    .where(sessions.c.token_hash == bindparam("token_hash"))
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +118,20 @@ def is_known_place(connection: Connection, subject: str, address: str) -> bool:
 def find_session(connection: Connection, token: str, limits: SessionLimits) -> dict[str, Any] | None:
     """Return the session of a token; None if it has ended."""
     row = row_of_token(connection, sessions, token)
+    return None if row is None or limits.ends_s(row) <= time.time() else dict(row)
+
+
+def find_session_with_user(
+    connection: Connection, token: str, limits: SessionLimits
+) -> dict[str, Any] | None:
+    """Return the session of a token, with `name` and `person` of its user; None if it has ended.
+
+    `station` is None unless the user is a station, and `revision` the number of the last revocation. All is
+    read by one statement, so the grants that are read afterwards are never older than the revision.
+    """
+    if not is_secret_token(token):
+        return None
+    row = connection.execute(_WITH_USER, {"token_hash": token_hash(token)}).mappings().first()
     return None if row is None or limits.ends_s(row) <= time.time() else dict(row)
 
 

@@ -3,11 +3,16 @@
 Files under `assets/` have a hash in their names and are cached forever. A `.br` or `.gz` beside a file is
 sent in its place to a browser that accepts the encoding. Any other address is a route of the page and gets
 `index.html`.
+
+What was found for an address is used for `FRESH_S` without looking at the disk, and short files are kept in
+memory; requests for a range, and long files, are read from the disk.
 """
 
 import asyncio
 import os
+import time
 from dataclasses import dataclass
+from email.utils import formatdate
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -21,6 +26,10 @@ FOLDER: Final = Path(__file__).parent.parent / "page"
 CACHE_FOREVER: Final = "public, max-age=31536000, immutable"
 REVALIDATE: Final = "no-cache"
 ENCODINGS: Final = (("br", ".br"), ("gzip", ".gz"))
+FRESH_S: Final = 1.0
+MAX_KEPT_FILE_BYTES: Final = 1024 * 1024
+MAX_KEPT_BYTES: Final = 32 * 1024 * 1024
+MAX_KEPT_ADDRESSES: Final = 1_000
 MEDIA_TYPES: Final = {
     ".js": "text/javascript; charset=utf-8",
     ".mjs": "text/javascript; charset=utf-8",
@@ -64,6 +73,13 @@ class FoundFile:
     name: str
     encoding: str | None
     status: os.stat_result
+    content: bytes | None
+    """None for one that is read from the disk."""
+
+    @property
+    def etag(self) -> str:
+        """Return the entity tag: it differs for another version or encoding."""
+        return f'"{self.status.st_mtime_ns:x}-{self.status.st_size:x}{self.encoding or ""}"'
 
 
 class PageFiles:
@@ -71,6 +87,8 @@ class PageFiles:
 
     def __init__(self, folder: Path = FOLDER) -> None:
         self._folder = folder
+        self._found: dict[tuple[str, frozenset[str]], tuple[float, FoundFile | None]] = {}
+        self._kept: dict[Path, FoundFile] = {}
 
     @property
     def is_built(self) -> bool:
@@ -83,7 +101,7 @@ class PageFiles:
         Raises `Problem` 404 for a missing file.
         """
         accepted = _accepted_encodings(headers.get("accept-encoding", ""))
-        found = await asyncio.to_thread(self._find, address, accepted)
+        found = await self._look_up(address, accepted)
         if found is None:
             if address.startswith("assets/") or _media_type(address) is not None:
                 raise Problem(
@@ -95,10 +113,21 @@ class PageFiles:
                         address=address,
                     ),
                 )
-            found = await asyncio.to_thread(self._find, "index.html", accepted)
+            found = await self._look_up("index.html", accepted)
         if found is None:
             return HTMLResponse(NOT_BUILT, 503, {"Cache-Control": "no-store"})
-        return _file_response(found, headers.get("if-none-match", ""))
+        return _file_response(found, headers.get("if-none-match", ""), has_range="range" in headers)
+
+    async def _look_up(self, address: str, accepted: frozenset[str]) -> FoundFile | None:
+        now_s = time.monotonic()
+        known = self._found.get((address, accepted))
+        if known is not None and now_s < known[0]:
+            return known[1]
+        found = await asyncio.to_thread(self._find, address, accepted)
+        if len(self._found) >= MAX_KEPT_ADDRESSES:
+            self._found.clear()
+        self._found[address, accepted] = now_s + FRESH_S, found
+        return found
 
     def _find(self, address: str, accepted: frozenset[str]) -> FoundFile | None:
         name = address or "index.html"
@@ -112,23 +141,39 @@ class PageFiles:
             if encoding in accepted:
                 compressed = plain.with_name(plain.name + suffix)
                 if compressed.is_file() and plain.is_file():
-                    return FoundFile(compressed, name, encoding, compressed.stat())
-        return FoundFile(plain, name, None, plain.stat()) if plain.is_file() else None
+                    return self._read(compressed, name, encoding)
+        return self._read(plain, name, None) if plain.is_file() else None
+
+    def _read(self, path: Path, name: str, encoding: str | None) -> FoundFile:
+        """Return a file, from memory if it is the same version; called in threads."""
+        status, kept = path.stat(), self._kept.get(path)
+        if kept is not None and kept.etag == FoundFile(path, name, encoding, status, None).etag:
+            return kept
+        if status.st_size > MAX_KEPT_FILE_BYTES:
+            return FoundFile(path, name, encoding, status, None)
+        found = FoundFile(path, name, encoding, status, path.read_bytes())
+        if status.st_size + sum(one.status.st_size for one in list(self._kept.values())) > MAX_KEPT_BYTES:
+            self._kept.clear()
+        self._kept[path] = found
+        return found
 
 
-def _file_response(found: FoundFile, known: str) -> Response:
-    etag = f'"{found.status.st_mtime_ns:x}-{found.status.st_size:x}{found.encoding or ""}"'
+def _file_response(found: FoundFile, known: str, *, has_range: bool) -> Response:
     headers = {
         "Cache-Control": CACHE_FOREVER if found.name.startswith("assets/") else REVALIDATE,
-        "ETag": etag,
+        "ETag": found.etag,
         "Vary": "Accept-Encoding",
     }
-    if etag in (tag.strip().removeprefix("W/") for tag in known.split(",")):
+    if found.etag in (tag.strip().removeprefix("W/") for tag in known.split(",")):
         return Response(status_code=304, headers=headers)
     if found.encoding:
         headers["Content-Encoding"] = found.encoding
     media_type = _media_type(found.name) or "application/octet-stream"
-    return FileResponse(found.path, headers=headers, media_type=media_type, stat_result=found.status)
+    if found.content is None or has_range:
+        return FileResponse(found.path, headers=headers, media_type=media_type, stat_result=found.status)
+    headers["Accept-Ranges"] = "bytes"
+    headers["Last-Modified"] = formatdate(found.status.st_mtime, usegmt=True)
+    return Response(found.content, headers=headers, media_type=media_type)
 
 
 def _media_type(name: str) -> str | None:

@@ -5,7 +5,7 @@ import secrets
 import time
 from typing import Annotated, Any, Final, cast
 
-from fastapi import FastAPI, Query, Request
+from fastapi import FastAPI, Query, Request, Response
 from sqlalchemy import Connection, func, insert, select
 
 from handover.body_limit import max_body
@@ -14,6 +14,7 @@ from handover.security.caller import Caller, CallerKind
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.security.secret_tokens import is_secret_token
+from handover.service import json_response
 from services.accounts import links, tables, users
 from services.accounts.changes import Change
 from services.accounts.directory import NOBODY, Directory
@@ -82,12 +83,12 @@ def add_page_server_routes(app: FastAPI, directory: Directory) -> None:
         opened = await directory.sign_in(body.name, body.password, body.address, body.device)
         return cast("OpenedSession", opened)
 
-    @app.post("/session-tokens", tags=["page server"])
+    @app.post("/session-tokens", tags=["page server"], response_model=UserToken)
     @max_body(MAX_BODY_BYTES)
-    async def session_token(caller: Verifier, body: SessionBody) -> UserToken:
+    async def session_token(caller: Verifier, body: SessionBody) -> Response:
         """Exchange a session for an access token of 60 s: 401 for a session that has ended."""
         require_page_server(caller)
-        return cast("UserToken", await directory.user_token(body.session))
+        return json_response(await directory.user_token(body.session))
 
     @app.post("/links/preview", tags=["page server"])
     @max_body(MAX_BODY_BYTES)

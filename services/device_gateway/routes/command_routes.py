@@ -9,6 +9,7 @@ from sqlalchemy import Engine
 
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
+from handover.service import json_response
 from services.device_gateway.commands.dispatcher import command_of
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.routes.views import CommandView, command_view
@@ -36,14 +37,20 @@ def add_command_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> 
     dispatcher = gateway.dispatcher
     Wait = Annotated[float, Query(ge=0, le=MAX_WAIT_S, description="seconds to wait for the end")]  # noqa: N806
 
-    @app.post("/devices/{device}/commands", status_code=202, tags=["commands"], dependencies=[may_command])
-    async def order(device: str, new: NewCommand) -> CommandView:
+    @app.post(
+        "/devices/{device}/commands",
+        status_code=202,
+        tags=["commands"],
+        dependencies=[may_command],
+        response_model=CommandView,
+    )
+    async def order(device: str, new: NewCommand) -> Response:
         """Send a command to a device, or queue it while the device is away; motions are never queued."""
         description = gateway.device(device).stored.description
         made = await dispatcher.order(
             device, description, new.name, new.parameters, timeout_s=new.timeout_s, identifier=new.id
         )
-        return command_view(made)
+        return json_response(command_view(made), 202)
 
     @app.get("/devices/{device}/commands", tags=["commands"], dependencies=[may_read])
     async def commands(device: str, limit: Annotated[int, Query(ge=1, le=500)] = 50) -> list[CommandView]:

@@ -14,7 +14,7 @@ from handover.errors import Problem
 from handover.messages import message
 from handover.security.guard import in_path, require, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
-from handover.service import XML_TYPES, accepts
+from handover.service import XML_TYPES, accepts, json_response
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.model.description import DeviceDescription, DeviceKind
 from services.device_gateway.model.units import SYMBOLS
@@ -161,13 +161,13 @@ def add_reading_routes(
 ) -> None:
     """Add the routes that list devices; an edge has no others of the registry."""
 
-    @app.get("/devices", tags=["devices"])
+    @app.get("/devices", tags=["devices"], response_model=list[DeviceView])
     async def devices(
         caller: Reader,
         limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
         after: str = "",
         kind: Annotated[tuple[DeviceKind, ...], Query(description="only devices of these kinds")] = (),
-    ) -> list[DeviceView]:
+    ) -> Response:
         """List the devices that the caller may read with their latest values, by name.
 
         `after` is the last name of the page before.
@@ -180,9 +180,9 @@ def add_reading_routes(
             and may_read(caller, settings, name)
         )
         now_s = time.time()
-        return [
-            device_view(gateway.devices[name], device_id(settings, name), now_s) for name in found[:limit]
-        ]
+        return json_response(
+            [device_view(gateway.devices[name], device_id(settings, name), now_s) for name in found[:limit]]
+        )
 
     @app.get("/devices/{device}", tags=["devices"], dependencies=[CAN_READ])
     async def one(device: str) -> DeviceDetails:

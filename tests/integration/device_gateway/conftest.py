@@ -10,9 +10,11 @@ from typing import Any, Self
 
 import httpx
 import pytest
+from pydantic import TypeAdapter
 
 from services.context_broker.app import create_broker
 from services.context_broker.settings import BrokerSettings
+from services.device_gateway.routes.views import CommandView
 from tests.kit.cell import Cell
 from tests.kit.waiting import scaled
 
@@ -88,7 +90,10 @@ class Bench:
 
     def order(self, device: str, name: str, **members: Any) -> httpx.Response:
         """Command a device."""
-        return self.rest.post(f"/devices/{device}/commands", json={"name": name, **members})
+        answer = self.rest.post(f"/devices/{device}/commands", json={"name": name, **members})
+        if answer.is_success:
+            TypeAdapter(CommandView).validate_python(answer.json(), extra="forbid")  # as it is documented
+        return answer
 
     def command(self, device: str, identifier: str, wait_s: float = 0) -> dict[str, Any]:
         """Return a command."""

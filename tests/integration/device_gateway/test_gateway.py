@@ -9,11 +9,13 @@ from typing import Any
 
 import httpx
 import pytest
+from pydantic import TypeAdapter
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
 from services.device_gateway.camera_images import MAX_IMAGE_BYTES, MIN_INTERVAL_S, CameraImages
 from services.device_gateway.device_client import DeviceClient
+from services.device_gateway.routes.views import DeviceView
 from services.device_gateway.simulation import SimulatedDevice, examples
 from tests.integration.device_gateway.conftest import Bench, TcpDevice, now_s
 from tests.kit.waiting import until, wait_for
@@ -434,7 +436,9 @@ def test_a_robot_is_registered_by_template_and_urdf(bench: Bench) -> None:
     bench.rest.put("/devices/panda-1/picture", content=png, headers={"Content-Type": "image/png"})
     assert bench.rest.get("/devices/panda-1/picture").headers["content-type"] == "image/png"
     assert bench.rest.get("/devices/panda-1").json()["files"] == ["picture", "urdf"]
-    listed = next(one for one in bench.rest.get("/devices").json() if one["name"] == "panda-1")
+    devices = bench.rest.get("/devices").json()
+    TypeAdapter(list[DeviceView]).validate_python(devices, extra="forbid")  # as it is documented
+    listed = next(one for one in devices if one["name"] == "panda-1")
     assert [one["name"] for one in listed["sensors"]] == ["externalForce", "gripperWidth"]
     assert bench.rest.get("/units").json()["CEL"] == "°C"
     csv = bench.rest.get("/devices/panda-1/values.csv")

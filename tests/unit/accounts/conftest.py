@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
+from pydantic import TypeAdapter
 
 from handover.security.caller import Caller
 from handover.security.keys_in_force import KeysInForce
@@ -15,6 +16,7 @@ from handover.security.service_access import service_token_file
 from services.accounts import passwords
 from services.accounts.app import make_app
 from services.accounts.directory import Directory
+from services.accounts.routes.views import UserToken
 from services.accounts.set_up import set_up
 from services.accounts.settings import AccountsSettings
 
@@ -60,6 +62,7 @@ class Accounts:
     async def token_of(self, session: str) -> str:
         answer = await self.as_page("POST", "/session-tokens", {"session": session})
         assert answer.status_code == 200, answer.text
+        TypeAdapter(UserToken).validate_python(answer.json(), extra="forbid")  # as it is documented
         return str(answer.json()["token"])
 
     async def owner(self) -> str:

@@ -1,9 +1,18 @@
 """The HTTP client: connections that the other side has closed."""
 
+import asyncio
 import socket
 import threading
 
-from handover.http_client import BodyReadingHttpClient
+import pytest
+
+from handover.http_client import (
+    MAX_WAITING_BYTES,
+    BodyReadingHttpClient,
+    ResponseTimeout,
+    SendError,
+    StreamingHttpClient,
+)
 
 _ANSWER = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok"
 
@@ -33,3 +42,65 @@ async def test_a_connection_that_was_closed_unnoticed_is_not_used_for_a_post() -
     assert len(connections) == 3
     client.close()
     listener.close()
+
+
+async def test_a_streamed_response_waits_for_its_reader_and_gives_its_connection_back() -> None:
+    part, parts = b"x" * 65536, 64
+    sent, connections = 0, 0
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal sent, connections
+        connections += 1
+        for _ in range(2):
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"HTTP/1.1 200 OK\r\nX-Kept: As It Is\r\nTransfer-Encoding: chunked\r\n\r\n")
+            for _ in range(parts):
+                writer.write(b"10000\r\n" + part + b"\r\n")
+                await writer.drain()
+                sent += 1
+            writer.write(b"0\r\n\r\n")
+        writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0, limit=65536)
+    url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/"
+    client = StreamingHttpClient()
+    for _ in range(2):
+        sent = 0
+        answer = await client.stream("GET", url, [], b"", 30)
+        assert (answer.status, dict(answer.headers)[b"X-Kept"]) == (200, b"As It Is")
+        await asyncio.sleep(0.3)  # nobody reads: the server stops once the buffers are full
+        waiting = answer._connection
+        assert waiting is not None
+        assert waiting._waiting_bytes < MAX_WAITING_BYTES + 1024 * 1024
+        assert answer.whole() is None
+        assert sum([len(one) async for one in answer.chunks(30)]) == parts * len(part)
+        answer.close()
+    assert connections == 1
+    client.close()
+    server.close()
+
+
+async def test_a_streamed_response_that_breaks_off_or_stops_is_an_error_and_is_not_reused() -> None:
+    connections = 0
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal connections
+        connections += 1
+        request = await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: 10\r\n\r\nhalf")
+        if b"/broken" in request:
+            writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    client = StreamingHttpClient()
+    for path, error in (("/broken", SendError), ("/silent", ResponseTimeout)):
+        answer = await client.stream("GET", url + path, [], b"", 30)
+        chunks = answer.chunks(0.2 if path == "/silent" else 30)
+        assert await anext(chunks) == b"half"
+        with pytest.raises(error):
+            await anext(chunks)
+        answer.close()
+    assert connections == 2
+    client.close()
+    server.close()

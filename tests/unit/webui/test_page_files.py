@@ -26,8 +26,7 @@ def page(tmp_path: Path) -> PageFiles:
 
 
 def body(response: Response) -> bytes:
-    assert isinstance(response, FileResponse)
-    return Path(response.path).read_bytes()
+    return Path(response.path).read_bytes() if isinstance(response, FileResponse) else bytes(response.body)
 
 
 async def ask(page: PageFiles, address: str, **headers: str) -> Response:
@@ -66,6 +65,23 @@ async def test_compressed_files_are_negotiated(page: PageFiles, accepted: str, e
     assert answer.headers.get("content-encoding") == encoding
     assert answer.headers["content-type"].startswith("text/javascript")
     assert answer.headers["vary"] == "Accept-Encoding"
+
+
+async def test_a_new_version_is_sent_and_ranges_are_read_from_the_disk(
+    page: PageFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = await ask(page, "")
+    assert not isinstance(first, FileResponse)
+    assert isinstance(await ask(page, "", range="bytes=0-3"), FileResponse)
+    (tmp_path / "page" / "index.html").write_text("<!doctype html><title>Handover, built again</title>")
+    monkeypatch.setattr(page_files, "FRESH_S", 0.0)
+    page._found.clear()
+    again = await ask(page, "")
+    assert b"built again" in body(again)
+    assert again.headers["etag"] != first.headers["etag"]
+    monkeypatch.setattr(page_files, "MAX_KEPT_FILE_BYTES", 5)
+    (tmp_path / "page" / "index.html").write_text("<!doctype html><title>Handover, longer</title>")
+    assert isinstance(await ask(page, "work"), FileResponse)
 
 
 async def test_unchanged_files_are_answered_with_304(page: PageFiles) -> None:
