@@ -9,6 +9,7 @@ from handover.broker import BrokerClient
 from handover.telemetry import get_logger
 from services.trajectory_tool.cell_file import RobotEntry
 from services.trajectory_tool.contents import Contents, Grip, Lying
+from services.trajectory_tool.control.kinematics import Kinematics
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
 from services.trajectory_tool.limits.contact_force import ContactForce
 from services.trajectory_tool.limits.contact_table import ContactSpeed, read_contact_speed
@@ -53,6 +54,8 @@ class Cell:
         self.name = name
         self.entry = entry
         self.model = model
+        self.kinematics = Kinematics(model)
+        """Used by the control of a person."""
         self.limits = entry.limits_of(name, model)
         self._workcell = workcell
         self.camera = workcell.camera

@@ -45,6 +45,8 @@ MAX_JOINT_FRACTION: Final = 0.3
 STEERING_S: Final = 0.1
 """The time constant that removes tremor (8 to 12 Hz) from the direction of steering."""
 LIMIT_POLL_S: Final = 0.05
+_TOOL_LIMITS_MPS: Final = (MAX_TOOL_MPS,) * 3
+_TOOL_LIMITS_RPS: Final = (MAX_TOOL_RPS,) * 3
 _REST: Final = np.zeros(6)
 
 
@@ -111,6 +113,8 @@ class ControlSession:
         """Cause and begin of the present stop."""
         self._released_s = 0.0
         self.stop: MeasuredStop | None = None
+        self._kinematics = cell.kinematics
+        self._limits = [MAX_JOINT_FRACTION * one for one in cell.limits.velocity]
         self._now = now
         self._begun_s = now()
         self._dead_man = DeadMan()
@@ -277,21 +281,19 @@ class ControlSession:
             self._moved_s = now_s
             self.latency_s = now_s - self._received_s
             CONTROL_LATENCY.observe(self.latency_s)
-        given, model = self._input, self.cell.model
-        limits = [MAX_JOINT_FRACTION * one for one in self.cell.limits.velocity]
+        given, limits = self._input, self._limits
         joints = self.cell.robot.commanded()
-        here = model.tool_pose(joints)
         if given.joints is not None:
             self.shared, self._human, self._robot, twist = SharedState(), _REST, _REST, _REST
-            velocities = tuple(map(float, scaled(np.array(given.joints) * self._gamma, limits)))
+            velocities = tuple(scaled(np.array(given.joints) * self._gamma, limits).tolist())
         else:
-            twist = self._twist(given, here, dt_s)
+            twist = self._twist(given, joints, dt_s)
             velocities = (0.0,) * len(joints)
             if twist.any():
-                jacobian = np.array([(*linear, *angular) for linear, angular in model.jacobian(joints)]).T
-                velocities = tuple(map(float, joint_velocities(jacobian, twist, limits)))
+                jacobian = self._kinematics.jacobian(joints)
+                velocities = tuple(joint_velocities(jacobian, twist, limits).tolist())
         if self._recording is not None:
-            self._record(self._recording, given, here, twist, velocities)
+            self._record(self._recording, given, self._kinematics.tool_pose(joints), twist, velocities)
         return velocities
 
     def _record(
@@ -315,16 +317,17 @@ class ControlSession:
             )
         )
 
-    def _twist(self, given: HumanInput, here: Pose, dt_s: float) -> Array:
+    def _twist(self, given: HumanInput, joints: Joints, dt_s: float) -> Array:
         human = np.array([*given.linear, *given.angular])
         if given.frame == "tool":
-            human = in_base(human, here.frame().rotation)
-        human[:3] = scaled(human[:3], [MAX_TOOL_MPS] * 3)
-        human[3:] = scaled(human[3:], [MAX_TOOL_RPS] * 3)
+            human = in_base(human, self._kinematics.tool_pose(joints).frame().rotation)
+        human[:3] = scaled(human[:3], _TOOL_LIMITS_MPS)
+        human[3:] = scaled(human[3:], _TOOL_LIMITS_RPS)
         self._human, self._robot = human, _REST
         if given.mix <= 0 or not self._goals:
             self.shared = SharedState()
             return self._gamma * human
+        here = self._kinematics.tool_pose(joints)
         self._steering += (human - self._steering) * min(dt_s / STEERING_S, 1.0)
         self._intent.observe(here, human, self._goals, dt_s, MAX_TOOL_MPS)
         best = self._intent.best()

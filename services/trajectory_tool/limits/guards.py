@@ -52,6 +52,9 @@ class Guard(Protocol):
     def permits_stop(self, stop: Sequence[Setpoint]) -> bool:
         """Return whether a way to rest is permitted; the first setpoint is the next to be commanded."""
 
+    def note(self, setpoint: Setpoint) -> None:
+        """Note a commanded setpoint whose way to rest `permits_stop` has permitted."""
+
 
 class CollisionGuard:
     """The robot touches neither itself nor its surroundings.
@@ -94,6 +97,9 @@ class CollisionGuard:
         if self._is_leaving:
             self._is_leaving = not self._collisions.is_free(np.array(stop[0].positions))
             return True
+        box = getattr(stop, "box", None)
+        if box is not None and self._is_free_between(*map(np.array, box)):
+            return True
         path = np.array([setpoint.positions for setpoint in stop])
         return (
             self._is_free(path)
@@ -101,11 +107,15 @@ class CollisionGuard:
             or self._leads_away(path)
         )
 
+    def note(self, setpoint: Setpoint) -> None:
+        """Remember where the robot is commanded to be."""
+        self._last = setpoint.positions
+
     def _leads_away(self, path: Any) -> bool:
         """Return whether nothing comes nearer on a short way to rest: one that cannot be certified."""
         if float(self._collisions.reach @ np.ptp(path, axis=0)) > LADDER_M[0]:
             return False
-        here_m = self._collisions.closest(self._last).distance_m
+        here_m = self._collisions.closest(np.asarray(self._last)).distance_m
         return bool(
             self._collisions.closest(path[-1]).distance_m > here_m
             and self._collisions.closest(path[0]).distance_m >= here_m - SAME_DISTANCE_M
@@ -113,7 +123,9 @@ class CollisionGuard:
 
     def _is_free(self, path: Any) -> bool:
         """Return whether every configuration between the extremes of `path` is free, by one query."""
-        lower, upper = path.min(axis=0), path.max(axis=0)
+        return self._is_free_between(path.min(axis=0), path.max(axis=0))
+
+    def _is_free_between(self, lower: Any, upper: Any) -> bool:
         travel_m = float(self._collisions.reach @ (upper - lower)) / 2
         covering = next((step for step in LADDER_M if step >= travel_m), None)
         if covering is None:
@@ -175,6 +187,9 @@ class TorqueGuard:
         allowed = max(TORQUE_RESERVE, self._at_start)
         return all(self._highest(each) <= allowed for each in stop[::2])
 
+    def note(self, setpoint: Setpoint) -> None:
+        """Do nothing."""
+
     def _highest(self, setpoint: Setpoint) -> float:
         shares = self._shares(setpoint)
         return max(float(shares.max()), -float(shares.min()))
@@ -215,6 +230,10 @@ class ToolSpeedGuard:
 
     def violation(self, setpoint: Setpoint) -> None:
         """Permit every setpoint of a planned motion."""
+        self.note(setpoint)
+
+    def note(self, setpoint: Setpoint) -> None:
+        """Remember the speed."""
         self._last = setpoint
 
     def permits_stop(self, stop: Sequence[Setpoint]) -> bool:

@@ -7,11 +7,14 @@ Commanded velocities (`step`) keep one invariant: from every setpoint that was r
 stays within all limits. A candidate for the next setpoint is taken only if its own brake motion does; else
 the next setpoint is the one on the brake motion of the last. By induction, the joints can always come to rest
 within the limits. Example: a joint that is jogged towards its end brakes in time to stop there.
+
+A setpoint that `step` has returned passed the guards there; `limit` then compares it with the joint limits.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Any, Protocol, overload
 
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization
 from ruckig import Trajectory as RuckigProfile
@@ -62,6 +65,69 @@ class Limiter(Protocol):
         """Return the setpoint of the stop from the last permitted setpoint."""
 
 
+class WayToRest(Sequence[Setpoint]):
+    """The brake motion from a setpoint: samples of it, the setpoint first, each computed when it is used.
+
+    `box` has the lowest and the highest position of each joint on the whole way, not of the samples alone.
+    """
+
+    def __init__(self, start: Setpoint, profile: Any, jerk: Joints) -> None:
+        self._start = start
+        self._profile = profile
+        self._jerk = jerk
+        self._step_s = profile.duration / STOP_SAMPLES
+        self._rest: dict[int, Setpoint] = {}
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return STOP_SAMPLES + 1
+
+    @overload
+    def __getitem__(self, number: int) -> Setpoint: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> list[Setpoint]: ...
+
+    def __getitem__(self, number: int | slice) -> Setpoint | list[Setpoint]:
+        """Return a sample, or several."""
+        if isinstance(number, slice):
+            return [self[one] for one in range(*number.indices(len(self)))]
+        if number < 0:
+            number += len(self)
+        if number == 0:
+            return self._start
+        if not 0 < number < len(self):
+            raise IndexError(number)
+        if number not in self._rest:
+            self._rest[number] = _setpoint(self._profile, number * self._step_s)
+        return self._rest[number]
+
+    @cached_property
+    def box(self) -> tuple[Joints, Joints]:
+        """Return the lowest and the highest positions."""
+        # Not by Ruckig's `position_extrema`, which are 0 or incomplete for many brake motions.
+        # A joint turns round before its rest only if its acceleration, which falls to 0 at the maximum jerk,
+        # takes more than its velocity; until then it is never faster than at the start.
+        start, lower, upper = self._start, [], []
+        for here, there, velocity, acceleration, jerk in zip(
+            start.positions,
+            self._profile.at_time(self._profile.duration)[0],
+            start.velocities,
+            start.accelerations,
+            self._jerk,
+            strict=True,
+        ):
+            low, high = (here, there) if here < there else (there, here)
+            if velocity * acceleration < 0 and acceleration * acceleration > 2 * jerk * abs(velocity):
+                strength = abs(acceleration)
+                turns_s = (strength - math.sqrt(strength * strength - 2 * jerk * abs(velocity))) / jerk
+                turn = here + velocity * turns_s
+                low, high = min(low, turn), max(high, turn)
+            lower.append(low)
+            upper.append(high)
+        return tuple(lower), tuple(upper)
+
+
 class JointLimiter:
     """The limits of position, velocity, acceleration and jerk of each joint, and the rules of guards."""
 
@@ -76,6 +142,9 @@ class JointLimiter:
         self._last = Setpoint.at_rest((0.0,) * len(limits.velocity))
         self._last_s = 0.0
         self._is_first = True
+        self._stepped: Setpoint | None = None
+        """The setpoint that `step` has returned last."""
+        self._still = [0.0] * len(limits.velocity)
         self._braking: tuple[Any, float] | None = None
         self._ruckig = Ruckig(len(limits.velocity))
         self._inputs = InputParameter(len(limits.velocity))
@@ -108,7 +177,12 @@ class JointLimiter:
 
     def limit(self, setpoint: Setpoint, now_s: float) -> Setpoint:
         """Return the setpoint. Raises `RobotFault` for one that violates a limit."""
-        self._ask_guards(setpoint, self._violation(setpoint, now_s))
+        reason = self._violation(setpoint, now_s)
+        if setpoint is self._stepped and reason is None:
+            for guard in self.guards:
+                guard.note(setpoint)
+        else:
+            self._ask_guards(setpoint, reason)
         self._permit(setpoint, now_s)
         return setpoint
 
@@ -127,7 +201,10 @@ class JointLimiter:
 
     def step(self, velocity: Joints, now_s: float) -> Setpoint:
         """Return the next setpoint towards joint velocities, within all limits."""
-        dt_s = max(now_s - self._last_s, 0.0)
+        self._stepped = self._next(velocity, max(now_s - self._last_s, 0.0))
+        return self._stepped
+
+    def _next(self, velocity: Joints, dt_s: float) -> Setpoint:
         for share in SHARES:
             wanted = [
                 min(max(share * one, -limit), limit)
@@ -152,10 +229,18 @@ class JointLimiter:
     def _violation(self, setpoint: Setpoint, now_s: float) -> str | None:
         """Return which limit a setpoint violates; None for none."""
         last, dt_s = self._last, max(now_s - self._last_s, 0.0) * TOLERANCE
-        for number, (lower, upper) in enumerate(self._ranges):
-            position, velocity, acceleration = (values[number] for values in setpoint.derivatives)
-            before, velocity_before, acceleration_before = (values[number] for values in last.derivatives)
-            fastest, strongest, jerk = self._limits[number]
+        for number, (
+            (lower, upper),
+            (fastest, strongest, jerk),
+            position,
+            velocity,
+            acceleration,
+            before,
+            velocity_before,
+            acceleration_before,
+        ) in enumerate(
+            zip(self._ranges, self._limits, *setpoint.derivatives, *last.derivatives, strict=True)
+        ):
             reach = START_TOLERANCE_RAD if self._is_first else fastest * dt_s
             if not (
                 abs(velocity) <= fastest * TOLERANCE
@@ -183,31 +268,25 @@ class JointLimiter:
             if max(abs(velocity), abs(peak)) > fastest * (1 + EPSILON):
                 return False
         profile = self._to_velocity(setpoint)
-        for number, (extreme, (lower, upper), here) in enumerate(
-            zip(profile.position_extrema, self._ranges, self._last.positions, strict=True)
+        stop = WayToRest(setpoint, profile, self.limits.jerk)
+        for (lower, upper), here, least, most in zip(
+            self._ranges, self._last.positions, *stop.box, strict=True
         ):
-            # Ruckig gives 0 for the extremes of a joint that does not move: ask for the position then.
-            most, least = max(upper, here), min(lower, here)
-            if extreme.max > most and profile.at_time(extreme.t_max)[0][number] > most:
+            if (most > upper and most > here) or (least < lower and least < here):
                 return False
-            if extreme.min < least and profile.at_time(extreme.t_min)[0][number] < least:
-                return False
-        if not self.guards:
-            return True
-        step_s = profile.duration / STOP_SAMPLES
-        stop = [setpoint, *(_setpoint(profile, number * step_s) for number in range(1, STOP_SAMPLES + 1))]
         return all(guard.permits_stop(stop) for guard in self.guards)
 
     def _to_velocity(self, start: Setpoint, velocity: Sequence[float] | None = None) -> Any:
         """Return the quickest motion of each joint to a velocity; to rest by default. Raises `RobotFault`."""
-        count = len(start.positions)
         inputs = self._inputs
         inputs.current_position = start.positions
         inputs.current_velocity = start.velocities
-        inputs.target_velocity = velocity if velocity is not None else [0.0] * count
-        profile = RuckigProfile(count)
+        inputs.target_velocity = self._still if velocity is None else velocity
+        profile = RuckigProfile(len(start.positions))
         for share in ACCELERATION_SHARES:
-            inputs.current_acceleration = [share * one for one in start.accelerations]
+            inputs.current_acceleration = (
+                start.accelerations if share == 1.0 else [share * one for one in start.accelerations]
+            )
             try:
                 self._ruckig.calculate(inputs, profile)
             except RuckigError as error:

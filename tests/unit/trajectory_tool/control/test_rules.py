@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from handover.control.dead_man import TIMEOUT_S, DeadMan
 from handover.control.lease import Leases
+from services.trajectory_tool.control import tool_motion
 from services.trajectory_tool.control.intent import IntentPrediction
+from services.trajectory_tool.control.kinematics import Kinematics
 from services.trajectory_tool.control.shared_control import (
     BESIDE_AT_M,
     DEEP_M,
@@ -23,6 +25,7 @@ from services.trajectory_tool.control.shared_control import (
     steers_away,
 )
 from services.trajectory_tool.control.tool_motion import joint_velocities
+from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose, pointing_down
 from services.trajectory_tool.robots import ROBOTS
 
@@ -230,3 +233,33 @@ def test_joints_stay_within_their_speeds_and_the_tool_keeps_its_direction(
         moved = jacobian @ found
         cosine = float(moved @ twist) / (np.linalg.norm(moved) * np.linalg.norm(twist))
         assert cosine > 0.999
+
+
+@pytest.mark.skipif(not is_available(), reason="the extra motion has no wheels here")
+@pytest.mark.parametrize("robot", ["ur10", "panda"])
+def test_the_short_way_to_joint_velocities_is_that_of_the_singular_values(
+    robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = ROBOTS.load(robot)
+    kinematics, chance, short = Kinematics(model), np.random.default_rng(7), 0
+    for _ in range(300):
+        joints = tuple(
+            float(
+                chance.uniform(
+                    -2.5 if one.lower is None else one.lower, 2.5 if one.upper is None else one.upper
+                )
+            )
+            for one in model.joints
+        )
+        jacobian = kinematics.jacobian(joints)
+        in_python = np.array([(*linear, *angular) for linear, angular in model.jacobian(joints)]).T
+        np.testing.assert_allclose(jacobian, in_python, atol=1e-9)
+        assert kinematics.tool_pose(joints).distance_m(model.tool_pose(joints)) < 1e-9
+        twist = chance.uniform(-1, 1, 6)
+        fast = tool_motion.joint_velocities(jacobian, twist, model.limits.velocity)
+        with monkeypatch.context() as without:
+            short += tool_motion._undamped(jacobian, twist) is not None
+            without.setattr(tool_motion, "_undamped", lambda *_: None)
+            exact = tool_motion.joint_velocities(jacobian, twist, model.limits.velocity)
+        np.testing.assert_allclose(fast, exact, rtol=1e-7, atol=1e-9)
+    assert 30 < short < 300

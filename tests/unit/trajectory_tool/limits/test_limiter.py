@@ -16,7 +16,7 @@ from services.trajectory_tool.limits.guards import (
     tool_speed_mps,
 )
 from services.trajectory_tool.limits.jog import Jog
-from services.trajectory_tool.limits.limiter import JointLimiter
+from services.trajectory_tool.limits.limiter import JointLimiter, WayToRest
 from services.trajectory_tool.obstacles import Box, Obstacle, World
 from services.trajectory_tool.planning import is_available
 from services.trajectory_tool.poses import Pose
@@ -103,6 +103,29 @@ def test_a_joint_whose_brake_motion_ends_at_rest_but_for_rounding_can_stop() -> 
     limiter.resume(Setpoint((0.0,) * 7, rounded, accelerations), 0.0)
     assert limiter.step((0.0,) * 7, 0.1).velocities == (0.0,) * 7
     assert limiter.brake(0.2).velocities == (0.0,) * 7
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_box_of_a_way_to_rest_has_the_whole_way(seed: int) -> None:
+    chance, limiter = random.Random(seed), limiter_of()
+    for _ in range(300):
+        still = [chance.random() < 0.3 for _ in range(6)]
+        fastest = chance.choice([2.0, 0.1, 0.01])
+        velocities = tuple(0.0 if rests else chance.uniform(-fastest, fastest) for rests in still)
+        accelerations = tuple(0.0 if rests else chance.uniform(-8, 8) for rests in still)
+        start = Setpoint(tuple(chance.uniform(-3, 3) for _ in range(6)), velocities, accelerations)
+        profile = limiter._to_velocity(start)
+        way = WayToRest(start, profile, UR10.limits.jerk)
+        lower, upper = way.box
+        for number in range(101):
+            positions = profile.at_time(profile.duration * number / 100)[0]
+            for low, position, high in zip(lower, positions, upper, strict=True):
+                assert low - 1e-9 <= position <= high + 1e-9
+        assert way[0] is start
+        assert list(way)[-1].is_at_rest
+        assert way[::2] == [way[0], way[2], way[4], way[6]]
+        for low, high, velocity in zip(lower, upper, velocities, strict=True):
+            assert high - low < 1e-3 + 4 * profile.duration * (abs(velocity) + 1), "it is not much larger"
 
 
 def test_a_joint_that_is_jogged_to_its_end_stops_there() -> None:
