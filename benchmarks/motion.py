@@ -24,12 +24,13 @@ from benchmarks.steal_time import report_steal_time
 from handover.errors import HandoverError
 from services.trajectory_tool.limits.guards import TorqueGuard
 from services.trajectory_tool.obstacles import Box, Cylinder, Obstacle, World
-from services.trajectory_tool.planning import timing
+from services.trajectory_tool.planning import timing, tracked_distances
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions
 from services.trajectory_tool.planning.inverse import Inverse
 from services.trajectory_tool.planning.planner import Options, Planner
 from services.trajectory_tool.planning.torques import Torques
+from services.trajectory_tool.planning.tracked_distances import TrackedDistances
 from services.trajectory_tool.poses import Pose, pointing_down
 from services.trajectory_tool.robots import ROBOTS
 from services.trajectory_tool.trajectory import duration_s
@@ -41,7 +42,9 @@ REFERENCES = 40
 """The plans of each kind whose duration is compared with the optimum of their path."""
 OMPL_TIMEOUT_S = 5.0
 PINK_STEPS, PINK_STEP_S, PINK_TOLERANCE = 200, 0.1, 1e-4
-EVERY_S = 0.001
+EVERY_S, CYCLE_S = 0.001, 0.002
+DISTANCE_TOLERANCE_M = 1e-5
+"""The distances of coal for the same pair differ by that much."""
 HORIZON_M = 0.1
 """The distances below this one are computed exactly for what depends on them."""
 
@@ -295,6 +298,33 @@ def measure_checks(planner: Planner, random: Any) -> None:
     )
 
 
+def measure_tracked(planner: Planner, random: Any) -> None:
+    """Track all distances in cycles of 2 ms on straight lines between free configurations, at full speed.
+
+    The bounds are compared with all distances, computed from scratch in each hundredth cycle.
+    """
+    collisions = Collisions(planner.arm, planner.world)
+    low, high = np.maximum(planner.arm.lower, -math.pi), np.minimum(planner.arm.upper, math.pi)
+    states = random.uniform(low, high, (300, planner.arm.n))
+    free = [joints for joints in states if collisions.is_free(joints, 0.01)][:20]
+    lines = [timing.line(start, end, planner.limits) for start, end in pairwise(free)]
+    tracked = TrackedDistances(collisions)
+    spent, wrong, cycles = [], 0, 0
+    for joints in (joints for one in lines for joints in one.positions(CYCLE_S)):
+        spent.append(cpu_s(lambda here=joints: tracked.update(here)))  # type: ignore[misc]
+        cycles += 1
+        if cycles % 100 == 0:
+            exact = np.array([one.distance_m for one in collisions.distances(joints)])
+            wrong += int((np.abs(exact - tracked.distances_m) > tracked.radii_m + DISTANCE_TOLERANCE_M).sum())
+    p50, p95 = np.quantile(spent, [0.5, 0.95])
+    print(
+        f"  all {collisions.pairs} distances in each of {cycles} cycles at full speed, exact below "
+        f"{tracked_distances.HORIZON_M} m, else to {100 * tracked_distances.SHARE:.0f} % of the rest: "
+        f"p50 {1e6 * p50:.1f} µs, p95 {1e6 * p95:.1f} µs; {tracked.computed / cycles:.0f} computed a cycle; "
+        f"outside of the bounds {wrong}"
+    )
+
+
 def main() -> None:
     """Print the measurements of each robot."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.motion", description=__doc__)
@@ -319,6 +349,7 @@ def main() -> None:
             measure_inverse(name, random)
             measure_pink(name, random)
             measure_checks(planner, random)
+            measure_tracked(planner, random)
             measure_torques(planner, places)
 
 

@@ -102,6 +102,9 @@ def check(
             print(f"{state:<8} {one.duration_s:6.2f} s  {one.robot:<12} {one.operation:<11} {one.name}")
             for line in (*one.faults, *([one.skipped] if one.skipped else [])):
                 print(f"         {line}")
+            if one.nearest is not None:
+                near = one.nearest
+                print(f"         nearest: {near.first} to {near.second}, {1000 * near.distance_m:.0f} mm")
         print(f"cycle time of the robots: {cycle_s:.2f} s{' (too long)' if is_slow else ''}")
     if is_slow or any(one.faults for one in checked):
         raise typer.Exit(1)

@@ -13,14 +13,14 @@ from handover.errors import HandoverError, UsageError
 from services.task_orchestrator.model import Activity, Definition, Node, Scope, Value
 from services.task_orchestrator.notation.faults import BadBpmn
 from services.task_orchestrator.notation.file import read_bpmn
-from services.trajectory_tool.dry_run import DryRun
+from services.trajectory_tool.dry_run import DryRun, Nearest
 from services.trajectory_tool.operations import OPERATIONS
 from services.trajectory_tool.settings import TrajectorySettings
 
 
 @dataclass(frozen=True)
 class Checked:
-    """An activity of a robot: its duration, its faults, or why it was not checked."""
+    """An activity of a robot: its duration, its smallest distance, its faults, or why it was not checked."""
 
     element: str
     name: str
@@ -29,6 +29,7 @@ class Checked:
     duration_s: float = 0.0
     faults: tuple[str, ...] = ()
     skipped: str | None = None
+    nearest: Nearest | None = None
 
 
 def check_process(file: Path, settings: TrajectorySettings, given: Mapping[str, Any]) -> list[Checked]:
@@ -107,7 +108,9 @@ async def _perform(run: DryRun, activity: Activity, variables: dict[str, Any]) -
     step = await run.perform(robot, str(operation), values)
     if step.result or activity.variable not in variables:
         variables[activity.variable] = dict(step.result)
-    return Checked(activity.id, name, robot, str(operation), step.duration_s, step.faults)
+    return Checked(
+        activity.id, name, robot, str(operation), step.duration_s, step.faults, nearest=step.nearest
+    )
 
 
 def _robot_of(run: DryRun, activity: Activity, variables: dict[str, Any]) -> str | None:

@@ -28,14 +28,28 @@ CONTROL_HZ = 125.0
 
 
 @dataclass(frozen=True)
+class Nearest:
+    """The two things that were nearest to each other on the way of a robot, and their distance in m."""
+
+    first: str
+    second: str
+    distance_m: float
+
+
+@dataclass(frozen=True)
 class Step:
-    """One performed operation: its duration, its result, or why it cannot be done."""
+    """One performed operation: its duration, its result, or why it cannot be done.
+
+    `nearest` is the smallest distance on the way, with its pair; None without the extra `motion`, and where
+    nothing can touch.
+    """
 
     robot: str
     operation: str
     duration_s: float
     result: Mapping[str, Any] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
+    nearest: Nearest | None = None
 
 
 class _JumpingTime:
@@ -127,8 +141,20 @@ class DryRun:
             faults.append(str(fault))
         finally:
             time.observed = None
-        faults += await self._faults_of(cell, time.joints[::CHECK_EVERY_CYCLES])
-        return Step(robot, operation, time.now_s - began_s, result, tuple(dict.fromkeys(faults)))
+        path = time.joints[::CHECK_EVERY_CYCLES]
+        faults += await self._faults_of(cell, path)
+        nearest = await self._nearest(cell, path)
+        return Step(robot, operation, time.now_s - began_s, result, tuple(dict.fromkeys(faults)), nearest)
+
+    async def _nearest(self, cell: Cell, path: list[Joints]) -> Nearest | None:
+        if not is_available():
+            return None
+
+        def found(planner: Any) -> Any:
+            return planner.least_clearance(path)
+
+        least = await cell.planning.plan(found)
+        return None if least is None else Nearest(least.first, least.second, round(least.distance_m, 4))
 
     async def _faults_of(self, cell: Cell, path: list[Joints]) -> list[str]:
         found = []

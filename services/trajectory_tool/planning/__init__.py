@@ -5,6 +5,7 @@ this folder imports those. Lengths are in m, angles in rad, times in s, in the f
 
     arm          kinematics of a robot model: forward, Jacobian, bounds of its motion
     collision    the robot among obstacles: checks with a margin, distances, colliding pairs
+    tracked_distances  all distances along a motion, in a tenth of the time of computing each
     inverse      inverse kinematics: joint positions for a pose of the tool
     motions      certified checks of joint-space lines, shortcuts
     search       RRT-Connect of OMPL

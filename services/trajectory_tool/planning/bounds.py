@@ -14,6 +14,7 @@ import coal
 import numpy as np
 
 from services.trajectory_tool.planning.arm import Arm, Array
+from services.trajectory_tool.planning.link_points import LinkPoints
 
 MAX_SPHERES = 4
 """The spheres for one geometry; more cost more than they exclude."""
@@ -29,22 +30,13 @@ class DistanceBounds:
         items = geometry.geometryObjects
         moving = [number for number, item in enumerate(items) if item.parentJoint > 0]
         fixed = [number for number, item in enumerate(items) if item.parentJoint == 0]
-        joints = sorted({items[number].parentJoint for number in moving})
-        # Views of the placements of the joints: forward kinematics changes what they show.
-        self._rotations = [arm.data.oMi[joint].rotation.T for joint in joints]
-        self._translations = [arm.data.oMi[joint].translation for joint in joints]
-        self._frames = np.zeros((len(joints), 4, 4))
-        """For each joint the transposed rotation above the translation, as homogeneous coordinates."""
-        self._frames[:, 3, 3] = 1.0
-        self._make_spheres(items, moving, joints)
+        self._make_spheres(arm, [items[number] for number in moving])
         self._make_boxes([items[number] for number in fixed])
         self._number_pairs(geometry, moving, fixed)
 
     def __call__(self) -> Array:
         """Return a bound for each pair at the configuration of the last forward kinematics."""
-        self._frames[:, :3, :3] = self._rotations
-        self._frames[:, 3, :3] = self._translations
-        centres = self._weights @ self._frames.reshape(-1, 4)
+        centres = self._centres()
         outside = self._axes @ centres.T
         np.abs(outside, out=outside)
         outside -= self._halves
@@ -67,27 +59,23 @@ class DistanceBounds:
         bounds -= ROUNDING_M
         return np.asarray(bounds)
 
-    def _make_spheres(self, items: Any, moving: list[int], joints: list[int]) -> None:
-        weights: list[Array] = []
+    def _make_spheres(self, arm: Arm, items: list[Any]) -> None:
+        points: list[tuple[int, Array]] = []
         radii: list[float] = []
         first: list[int] = []
-        for number in moving:
-            item = items[number]
-            first.append(len(weights))
+        for item in items:
+            first.append(len(points))
             centres, radius_m = _spheres(item.geometry)
-            for centre in centres:
-                row = np.zeros((len(joints), 4))
-                row[joints.index(item.parentJoint)] = [*item.placement.act(centre), 1.0]
-                weights.append(row.ravel())
-                radii.append(radius_m)
-        self._weights = np.array(weights).reshape(len(weights), 4 * len(joints))
+            points += [(item.parentJoint, item.placement.act(centre)) for centre in centres]
+            radii += [radius_m] * len(centres)
+        self._centres = LinkPoints(arm, points)
         self._radii, self._first = np.array(radii), np.array(first, dtype=np.int64)
 
     def _make_boxes(self, items: list[Any]) -> None:
         self._boxes = len(items)
         axes, halves = [], []
         for item in items:
-            centre, half = _local_box(item.geometry)
+            centre, half = local_box(item.geometry)
             turned = item.placement.rotation.T
             axes.append(np.column_stack([turned, -turned @ item.placement.act(centre)]))
             halves.append(half)
@@ -123,7 +111,7 @@ class DistanceBounds:
 
 def _spheres(shape: Any) -> tuple[list[Array], float]:
     """Return the centres and the radius of spheres that cover a shape, along its longest axis."""
-    centre, half = _local_box(shape)
+    centre, half = local_box(shape)
     if isinstance(shape, coal.Sphere):
         return [centre], float(shape.radius)
     longest = int(half.argmax())
@@ -140,7 +128,7 @@ def _spheres(shape: Any) -> tuple[list[Array], float]:
     return [centre + place * direction for place in places.tolist()], radius_m
 
 
-def _local_box(shape: Any) -> tuple[Array, Array]:
+def local_box(shape: Any) -> tuple[Array, Array]:
     """Return the centre and the half sides of the box of a shape in its own axes."""
     shape.computeLocalAABB()
     box = shape.aabb_local

@@ -80,7 +80,11 @@ class Collisions:
         reaches = np.array([arm.reach_of(item) for item in items]).reshape(-1, arm.n)
         self.reach = reaches.max(axis=0, initial=0.0)
         """How far any point moves at most for 1 rad (or 1 m) of each joint."""
-        self._shares = self._pair_shares(reaches)
+        self.approaches = self._approaches(reaches)
+        """How far the two geometries of each pair approach at most for 1 rad (or 1 m) of each joint."""
+        travels = self.approaches / np.maximum(self.reach, 1e-9)
+        self._shares = travels.max(axis=1, initial=0.0)
+        """For each pair, how much of the travel of a motion the pair approaches at most."""
         self._lower_bounds = DistanceBounds(arm, self.geometry)
 
     @property
@@ -128,8 +132,8 @@ class Collisions:
             computed.add(number)
         if bounds[number] <= 0:
             number = self.closest_index(joints)
-            return self._clearance(number, float(self._distance_data().distanceResults[number].min_distance))
-        return self._clearance(number, float(bounds[number]))
+            return self.clearance(number, float(self._distance_data().distanceResults[number].min_distance))
+        return self.clearance(number, float(bounds[number]))
 
     def distances(self, joints: Array) -> list[Clearance]:
         """Return the distances of all pairs that are checked; empty without any."""
@@ -158,7 +162,7 @@ class Collisions:
         else:
             distances_m = [self._distance_m(number) for number in near]
         return [
-            self._clearance(number, distance_m)
+            self.clearance(number, distance_m)
             for number, distance_m in zip(near, distances_m, strict=True)
             if distance_m < horizon_m
         ]
@@ -176,7 +180,8 @@ class Collisions:
     def _distance_m(self, number: int) -> float:
         return float(pin.computeDistance(self.geometry, self._distance_data(), number).min_distance)
 
-    def _clearance(self, number: int, distance_m: float) -> Clearance:
+    def clearance(self, number: int, distance_m: float) -> Clearance:
+        """Return a distance with the names of its pair."""
         pair = self.geometry.collisionPairs[number]
         return Clearance(self._names[pair.first], self._names[pair.second], distance_m)
 
@@ -188,20 +193,18 @@ class Collisions:
             near.setdefault((one.first, one.second), one)
         return list(near.values())
 
-    def _pair_shares(self, reaches: Array) -> Array:
-        """Return for each pair how much of the travel of a motion the pair approaches at most.
+    def _approaches(self, reaches: Array) -> Array:
+        """Return a row for each pair: only the joints between two geometries change their distance.
 
-        The travel is the sum of `reach` times the motion of each joint. Only the joints between the two
-        geometries change their distance, each by the reach of the outer one.
+        Each joint does by the reach of the outer geometry.
         """
         items = self.geometry.geometryObjects
-        shares = []
-        for pair in self.geometry.collisionPairs:
+        rows = np.zeros((self.pairs, self.arm.n))
+        for row, pair in zip(rows, self.geometry.collisionPairs, strict=True):
             inner, outer = sorted((pair.first, pair.second), key=lambda number: items[number].parentJoint)
-            between = reaches[outer].copy()
-            between[: items[inner].parentJoint] = 0.0
-            shares.append(float((between / np.maximum(self.reach, 1e-9)).max()))
-        return np.array(shares)
+            first = items[inner].parentJoint
+            row[first:] = reaches[outer][first:]
+        return rows
 
     def _distance_data(self) -> Any:
         if self._exact is None:

@@ -30,6 +30,7 @@ from services.trajectory_tool.planning.motions import Motions
 from services.trajectory_tool.planning.search import search, shorten
 from services.trajectory_tool.planning.straight import Obstructed, ToolLine, tool_line
 from services.trajectory_tool.planning.torques import Overload, Torques
+from services.trajectory_tool.planning.tracked_distances import TrackedDistances
 from services.trajectory_tool.poses import Pose, Vector
 from services.trajectory_tool.robot import Joints, NoPath, Unreachable
 from services.trajectory_tool.robot_model import RobotModel
@@ -229,6 +230,16 @@ class Planner:
         """Return what touches at joint positions, None if nothing does."""
         values = np.array(joints)
         return None if self.collisions.is_free(values, margin_m) else self._contact(values, margin_m)
+
+    def least_clearance(self, path: Sequence[Joints]) -> Clearance | None:
+        """Return the closest pair on a path whose joints follow each other closely; None without pairs."""
+        distances, least = TrackedDistances(self.collisions), None
+        for joints in path:
+            distances.update(np.array(joints))
+            closest = distances.closest()
+            if closest is not None and (least is None or closest.distance_m < least.distance_m):
+                least = closest
+        return least
 
     def _use(self, world: World) -> None:
         if world not in self._worlds:

@@ -23,6 +23,7 @@ from services.trajectory_tool.obstacles import (
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions, geometry_of
 from services.trajectory_tool.planning.motions import Motions
+from services.trajectory_tool.planning.tracked_distances import HORIZON_M, SHARE, TrackedDistances
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robots import ROBOTS
 
@@ -100,6 +101,47 @@ def test_the_distances_below_a_horizon_are_exact(
         assert sorted(one.distance_m for one in found) == pytest.approx(
             sorted(one.distance_m for one in expected), abs=GJK_TOLERANCE_M
         )
+
+
+turned_by = st.one_of(st.floats(0.0, 0.01), st.floats(0.0, 3.0))
+
+
+@given(
+    st.lists(obstacles, max_size=4),
+    st.lists(held, max_size=1),
+    st.lists(turned_by, min_size=2, max_size=12),
+    st.integers(0, 10_000),
+)
+def test_tracked_distances_are_exact_below_the_horizon_and_within_their_radius_elsewhere(
+    arm: Arm, world: list[Obstacle], carried: list[Attached], turns_rad: list[float], seed: int
+) -> None:
+    collisions = Collisions(arm, World(tuple(world), tuple(carried)))
+    tracked = TrackedDistances(collisions)
+    random = np.random.default_rng(seed)
+    (joints,) = samples(arm, 1, seed)
+    for turn_rad in turns_rad:
+        joints = np.clip(joints + turn_rad * random.uniform(-1, 1, arm.n), arm.lower, arm.upper)
+        tracked.update(joints)
+        exact_m = np.array([one.distance_m for one in collisions.distances(joints)])
+        error_m = np.abs(exact_m - tracked.distances_m)
+        assert np.all(error_m <= tracked.radii_m + GJK_TOLERANCE_M)
+        assert np.all(error_m[exact_m < HORIZON_M] <= GJK_TOLERANCE_M)
+        assert np.all(tracked.radii_m <= SHARE * np.maximum(tracked.distances_m - HORIZON_M, 0.0))
+        closest = tracked.closest()
+        assert closest is not None
+        assert closest.distance_m == pytest.approx(exact_m.min(), abs=GJK_TOLERANCE_M)
+
+
+def test_along_a_slow_motion_few_distances_are_computed(arm: Arm, cell: World) -> None:
+    collisions = Collisions(arm, cell)
+    tracked = TrackedDistances(collisions)
+    home, cycles = np.array(arm.model.home), 200
+    for turn_rad in np.linspace(0.0, 0.2, cycles):
+        tracked.update(home + turn_rad)
+    assert tracked.computed < 0.3 * cycles * collisions.pairs
+    here = tracked.computed
+    tracked.update(home + 0.2)
+    assert tracked.computed == here, "at rest, everything is known"
 
 
 @pytest.mark.parametrize("kept", ["", "forearm_tube|wrist_3", "foot"])
