@@ -1,7 +1,8 @@
 """A simulated controller for dry runs; lines of input are what a person does at the arm.
 
 The lines: `power-on`, `brakes`, `emergency-stop`, `protective-stop`, `safeguard`, `safeguard-end`, `clear`,
-`slider 0.3`, `local`, `remote`, `push 0.1 0 0 0 0 0`, `drop`, `delay 0.05`, `restart 2`, `state`.
+`slider 0.3`, `local`, `remote`, `push 0.1 0 0 0 0 0`, `force 0 0 60`, `drop`, `delay 0.05`, `restart 2`,
+`state`.
 """
 
 import asyncio
@@ -54,6 +55,8 @@ async def _do(simulator: Simulator, words: list[str]) -> str:
                 controller.in_remote_control = control == "remote"
             case ["push", *values] if len(values) == 6:
                 controller.move_by_hand(tuple(map(float, values)))
+            case ["force", x, y, z]:
+                controller.tcp_force_n = (float(x), float(y), float(z))
             case ["delay", value]:
                 simulator.rtde.output_delay_s = max(float(value), 0.0)
             case ["restart", value]:
@@ -61,8 +64,8 @@ async def _do(simulator: Simulator, words: list[str]) -> str:
             case ["state"] | []:
                 pass
             case _:
-                known = [*actions, "protective-stop", "slider", "local", "remote", "push", "delay", "restart"]
-                return f"unknown; known: {', '.join([*known, 'state'])}"
+                others = "protective-stop, slider, local, remote, push, force, delay, restart, state"
+                return f"unknown; known: {', '.join(actions)}, {others}"
     except ValueError as error:
         return str(error)
     positions = " ".join(f"{value:.4f}" for value in controller.positions)

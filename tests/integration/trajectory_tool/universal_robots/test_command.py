@@ -48,6 +48,8 @@ async def test_the_command_serves_a_driver_and_lines_of_input_are_acts_at_the_ar
             efforts = robot.state().efforts
             assert efforts is not None
             assert len(efforts) == 6
+            process.stdin.write(b"force 0 0 x\nforce 0 30 40\n")
+            await until(lambda: robot.wrist_force_n() == 50.0)
     finally:
         process.kill()
         await process.wait()
