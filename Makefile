@@ -184,9 +184,9 @@ bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker,
 	@$(BIN)/python -m benchmarks.ros_graph
 	@$(BIN)/python -m benchmarks.ros_bridge $(ARGS)
 
-bench-motion: setup  ## motion planning, and bin picking in simulated physics (ARGS="--problems 100")
-	@$(BIN)/python -m benchmarks.motion $(ARGS)
-	@$(BIN)/python -m benchmarks.random_moves
+bench-motion: setup  ## motion planning, and bin picking in simulated physics (SHORT=1: 12 minutes; ARGS="--problems 100")
+	@$(BIN)/python -m benchmarks.motion $(if $(SHORT),--problems 334 --peers 20) $(ARGS)
+	@$(BIN)/python -m benchmarks.random_moves $(if $(SHORT),--moves 2000)
 	@$(BIN)/python -m benchmarks.limits
 	@$(BIN)/python -m benchmarks.universal_robots
 	@$(BIN)/python -m benchmarks.physics
