@@ -469,7 +469,7 @@ def are_finite(values: Array) -> bool:
 
 
 @machine_code
-def examined(rows: Array, targets: Array, matrix: Array, lower: Array, upper: Array, is_started: bool) -> int:
+def examined(rows: Array, targets: Array, matrix: Array, lower: Array, upper: Array) -> int:
     """Return whether the problem has a meaning, and whether zero obeys its bounds."""
     if not (are_finite(rows.reshape(-1)) and are_finite(targets) and are_finite(matrix.reshape(-1))):
         return NOT_FINITE
@@ -478,7 +478,7 @@ def examined(rows: Array, targets: Array, matrix: Array, lower: Array, upper: Ar
         if not (-np.inf < lower[index] <= upper[index] < np.inf):
             return NOT_FINITE
         is_outside = is_outside or lower[index] > 0.0 or upper[index] < 0.0
-    return ZERO_IS_OUTSIDE if is_outside and not is_started else SOLVED
+    return ZERO_IS_OUTSIDE if is_outside else SOLVED
 
 
 @machine_code
@@ -520,6 +520,15 @@ def are_held(low: Array, high: Array, is_equal: Indices, reached: Array) -> bool
     for index in range(low.shape[0]):
         value = reached[index]
         if is_equal[index] == 0 and (value < low[index] - FEASIBLE or value > high[index] + FEASIBLE):
+            return False
+    return True
+
+
+@machine_code
+def are_obeyed(lower: Array, upper: Array, reached: Array) -> bool:
+    """Return whether all bounds are obeyed, those that are equal too."""
+    for index in range(lower.shape[0]):
+        if not lower[index] - FEASIBLE <= reached[index] <= upper[index] + FEASIBLE:
             return False
     return True
 
@@ -596,13 +605,16 @@ def solve(
     vectors: Array,
     whole: Indices,
 ) -> int:
-    """Solve all levels. `rows` and `targets` are overwritten; `velocity` obeys the bounds before and after.
+    """Solve all levels. `rows` and `targets` are overwritten; `velocity` obeys the bounds afterwards.
+
+    It does so before where `is_started`; otherwise it is zero. Where neither zero nor the smallest velocity
+    with the bounds that are equal obeys all, this returns ZERO_IS_OUTSIDE, and has overwritten nothing else.
 
     Shapes: rows (R, n), targets (R,), ends (levels + 1,), matrix (m, n), squares (5, n, n), equal_rows
     (m, n), reduced (n, R), vectors (15, max(R, m, n)), whole (5, max(R, m, n)).
     """
-    state = examined(rows, targets, matrix, lower, upper, is_started)
-    if state != SOLVED:
+    state = examined(rows, targets, matrix, lower, upper)
+    if state == NOT_FINITE:
         return state
     n, m, levels = matrix.shape[1], matrix.shape[0], ends.shape[0] - 1
     reflections, hessian, inverse, triangular = squares[0], squares[1], squares[2], squares[3]
@@ -619,10 +631,12 @@ def solve(
     if done < 0:
         return STUCK
     last = done  # the number of reflections
-    reflect_rows(rows[:turned], reflections, scales, 0, done)
     velocity[:] = z
     reflect_back(velocity, reflections, scales, done)
     multiply(matrix, columns, velocity, reached)
+    if state == ZERO_IS_OUTSIDE and not is_started and not are_obeyed(lower, upper, reached):
+        return state
+    reflect_rows(rows[:turned], reflections, scales, 0, done)
 
     for level in range(levels):
         jacobian, target = rows[ends[level] : ends[level + 1]], targets[ends[level] : ends[level + 1]]
