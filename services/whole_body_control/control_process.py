@@ -33,7 +33,7 @@ log = get_logger(__name__)
 
 WISH_PORT, STATE_PORT = "wish", "state"
 PHASES = ("standing", "double", "single")
-MAX_CYCLES_TO_STAND = 1000
+STAND_TIMEOUT_S = 4.0
 _VECTORS = ("com", "reference", "wanted_zmp", "measured_zmp")
 
 
@@ -118,7 +118,7 @@ def run(deployment: Deployment) -> None:
             log.error("control stopped; the joints hold the last command", reason=loop.fault)
             is_reported = True
     loop.stand()
-    for _ in range(MAX_CYCLES_TO_STAND):
+    for _ in range(round(STAND_TIMEOUT_S / loop.robot.period_s)):
         loop.cycle()
         if loop.mode is Mode.HOLDING or (state.read() and state.value("phase") == PHASES.index("standing")):
             break

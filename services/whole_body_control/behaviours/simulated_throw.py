@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from services.whole_body_control.behaviours.throwing import Phase, ThrowingController
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.components.robot import Interpolation, JointCommand, RobotSensors
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.regions import turn
@@ -46,6 +46,9 @@ class SimulatedThrow:
         self.controller = ThrowingController(humanoid, solver)
         self.robot = RobotWithBall(humanoid, self.controller.start, noise, seed, model)
         self._sensors, self._command = RobotSensors(humanoid), JointCommand(humanoid)
+        self._between = Interpolation(
+            humanoid, self.controller.start[7:], self.controller.settings.control_s, self.robot.period_s
+        )
 
     def throw(self, throw: Throw) -> ThrowRecord:
         """Put the ball into the hand and throw it."""
@@ -61,11 +64,12 @@ class SimulatedThrow:
             state = controller.step(self._sensors, self._command)
             if state.phase is not phases[-1]:
                 phases.append(state.phase)
-            robot.write(self._command)
+            self._between.start(self._command)
             if state.opens:
                 predicted = state.predicted
                 robot.release()
-            for _ in range(round(controller.settings.control_s / robot.period_s)):
+            for _ in range(self._between.steps):
+                robot.write(self._between.next())
                 before = robot.ball
                 robot.wait()
                 if not before.held_by and np.isnan(landed[0]):

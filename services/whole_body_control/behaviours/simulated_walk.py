@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.whole_body_control.behaviours.walking import SIDES, WalkingController, WalkingState
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.components.robot import Interpolation, JointCommand, RobotSensors
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.footsteps import Wish
 from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
@@ -55,7 +55,9 @@ class SimulatedWalk:
         self.controller, self.robot = controller, robot
         self.sensors, self.command = RobotSensors(robot.humanoid), JointCommand(robot.humanoid)
         self.command.positions[:] = controller.start[7:]
-        self._steps = round(controller.settings.control_s / robot.period_s)
+        self._between = Interpolation(
+            robot.humanoid, controller.start[7:], controller.settings.control_s, robot.period_s
+        )
         self._height_m = float(controller.start[2])
         self._foot = np.array(robot.humanoid.contacts[controller.settings.contacts["left"]].corners)[:, :2]
 
@@ -63,8 +65,9 @@ class SimulatedWalk:
         """Run one control period."""
         self.robot.read(self.sensors)
         state = self.controller.step(self.sensors, self.command)
-        self.robot.write(self.command)
-        for _ in range(self._steps):
+        self._between.start(self.command)
+        for _ in range(self._between.steps):
+            self.robot.write(self._between.next())
             self.robot.wait()
         return state
 

@@ -34,7 +34,7 @@ from services.whole_body_control.tasks.tasks import (
     posture,
 )
 
-SMOOTHED = 5
+SMOOTHED = 3
 """The landing place at the release is that of a line through the last so many predictions."""
 TURNS = (False, False, False, True, True, True)
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -68,7 +68,7 @@ class ThrowingSettings:
     """The parameters of throwing; `reach_s` is the time for reaching back and for returning."""
 
     pose: str = "stand"
-    control_s: float = 0.004
+    control_s: float = 0.01
     reach_s: float = 1.2
     capture_gain: float = 1.5
     sole_margin_m: float = 0.015

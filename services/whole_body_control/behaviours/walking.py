@@ -33,7 +33,7 @@ from services.whole_body_control.tasks.base import Constraint, Level
 from services.whole_body_control.tasks.constraints import Contact, JointLimits
 from services.whole_body_control.tasks.tasks import CentreOfMassTask, OrientationTask, PoseTask, posture
 
-ACCELERATION_SHARE, MAX_ACCELERATION = 0.3, 60.0
+ACCELERATION_SHARE, MAX_ACCELERATION = 0.6, 60.0
 """Of the newest difference of velocities in their moving mean; in rad/s² or m/s²."""
 ZMP_MARGIN_M = 0.01
 """How far inside of the soles the ZMP is planned."""
@@ -47,7 +47,7 @@ class WalkingSettings:
     """The parameters of walking."""
 
     pose: str = "stand"
-    control_s: float = 0.004
+    control_s: float = 0.01
     capture_gain: float = 2.5
     """How far the ZMP moves for an error of the capture point; above 1 the error shrinks."""
     sole_margin_m: float = 0.02

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.kinematics import Array
 
 
 class RobotSensors:
@@ -46,6 +47,51 @@ class JointCommand:
         self.velocities, self.torques = np.zeros(len(gains)), np.zeros(len(gains))
         self.stiffness = np.array([each.stiffness for each in gains])
         self.damping = np.array([each.damping for each in gains])
+
+
+class Interpolation:
+    """Spreads the commands of a controller over the shorter periods of the robot.
+
+    A controller commands where the joints are at the end of its period, and their velocity until then. Each
+    call of `next` moves `command` one period of the robot further; after the last it stays there.
+    """
+
+    def __init__(self, humanoid: Humanoid, start: Array, control_s: float, period_s: float) -> None:
+        self.steps = round(control_s / period_s)
+        if self.steps < 1 or abs(self.steps * period_s - control_s) > 1e-9:
+            raise ValueError(
+                f"the period of a controller is {control_s} s; it must be a multiple of that of the robot, "
+                f"{period_s} s"
+            )
+        self.command = JointCommand(humanoid)
+        self.command.positions[:] = start
+        self._end = self.command.positions.copy()
+        self._period_s, self._left = period_s, 0
+
+    @property
+    def is_due(self) -> bool:
+        """Return whether the controller is to compute the next command."""
+        return self._left == 0
+
+    def start(self, wanted: JointCommand) -> None:
+        """Accept a command of the controller."""
+        command = self.command
+        self._end[:], command.velocities[:] = wanted.positions, wanted.velocities
+        command.torques[:] = wanted.torques
+        command.stiffness[:], command.damping[:] = wanted.stiffness, wanted.damping
+        self._left = self.steps
+
+    def rest(self) -> None:
+        """Stay at the end of the last command for a period of the controller."""
+        self.command.velocities[:] = 0.0
+        self._left = self.steps
+
+    def next(self) -> JointCommand:
+        """Return the command of the next period of the robot."""
+        self._left = max(self._left - 1, 0)
+        np.multiply(self.command.velocities, -self._left * self._period_s, out=self.command.positions)
+        self.command.positions += self._end
+        return self.command
 
 
 class Robot(Protocol):

@@ -1,9 +1,13 @@
 """The loop of the control cycle: ports in, sensors, controller, command, ports out; no other I/O.
 
+A cycle is a period of the robot (500 Hz): the joints get a command in each. The controller with its stack of
+tasks has a longer period (100 Hz), and the pattern generator within it a still longer one (10 Hz); in the
+cycles between, the joints follow the velocities of the last command.
+
 The wish comes from a process that may stall or be killed. When it is older than `WISH_TIMEOUT_S`, or not
 finite, the robot is to stand still: the controller finishes its step and stands on both feet. A
-controller that raises an error, or has no valid sensors for `MAX_FAULTS` cycles, is stopped for good: the
-joints hold the last command.
+controller that raises an error, or has no valid sensors for `MAX_FAULTS` of its periods, is stopped for good:
+the joints hold the last command.
 """
 
 from collections.abc import Sequence
@@ -13,14 +17,14 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from services.whole_body_control.components.robot import JointCommand, Robot, RobotSensors
+from services.whole_body_control.components.robot import Interpolation, JointCommand, Robot, RobotSensors
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
 from services.whole_body_control.cycle.timing import FIGURES, Timing
 from services.whole_body_control.model.kinematics import Array
 
 WISH_TIMEOUT_S = 0.3
-MAX_FAULTS = 25
-WARM_UP_CYCLES = 50
+MAX_FAULTS = 10
+WARM_UP_CYCLES = 250
 WISH = ("ahead_mps", "left_mps", "yaw_radps")
 STATUS = ("robot_time_s", "mode", "wish_age_s")
 
@@ -79,8 +83,8 @@ class ControlLoop(Generic[R, C]):
         self.robot, self.controller, self._ports = robot, controller, ports
         self._sensors, self._command = RobotSensors(robot.humanoid), JointCommand(robot.humanoid)
         self._command.positions[:] = start
-        self._periods = round(controller.control_s / robot.period_s)
-        self.timing, self._is_paced = Timing(controller.control_s), is_paced
+        self._between = Interpolation(robot.humanoid, start, controller.control_s, robot.period_s)
+        self.timing, self._is_paced = Timing(robot.period_s), is_paced
         self._still, self._faults = np.zeros(3), 0
         self._state = np.zeros(len(state_fields(controller)))
         self.mode, self.fault = Mode.STANDING, ""
@@ -91,7 +95,7 @@ class ControlLoop(Generic[R, C]):
         is_paced, self._is_paced = self._is_paced, False
         for _ in range(WARM_UP_CYCLES):
             self.cycle()
-        self.timing, self._is_paced = Timing(self.controller.control_s), is_paced
+        self.timing, self._is_paced = Timing(self.robot.period_s), is_paced
 
     def stand(self) -> None:
         """Follow no wish from now on."""
@@ -99,21 +103,27 @@ class ControlLoop(Generic[R, C]):
 
     def cycle(self) -> None:
         """Run one cycle, and wait for the next."""
-        age_s = self._read_wish()
-        self.robot.read(self._sensors)
-        if self.mode is not Mode.HOLDING:
-            self._control()
-        for _ in range(self._periods):
-            self.robot.wait()
-        state, status = self._state, len(STATUS)
-        state[0], state[1], state[2] = self._sensors.time_s, self.mode, age_s
-        state[status : status + len(FIGURES)] = self.timing.figures()
-        self.controller.write_state(state[status + len(FIGURES) :])
-        self._ports.state.write(state)
+        if self._between.is_due:
+            self._control_period()
+        self._send()
+        self.robot.wait()
         if self._is_paced:
             self.timing.wait()
         else:
             self.timing.cycles += 1
+
+    def _control_period(self) -> None:
+        age_s = self._read_wish()
+        self.robot.read(self._sensors)
+        if self.mode is Mode.HOLDING:
+            self._between.rest()
+        else:
+            self._control()
+        state, status = self._state, len(STATUS)
+        state[0], state[1], state[2] = self._sensors.time_s, self.mode, age_s
+        self.timing.write_figures(state[status : status + len(FIGURES)])
+        self.controller.write_state(state[status + len(FIGURES) :])
+        self._ports.state.write(state)
 
     def _read_wish(self) -> float:
         wish = self._ports.wish
@@ -127,15 +137,27 @@ class ControlLoop(Generic[R, C]):
         return age_s
 
     def _control(self) -> None:
-        """Compute and send a command; after too many faults, or an error, hold the joints."""
+        """Compute a command; after too many faults, or an error, rest."""
         try:
             fault = self.controller.step(self._sensors, self._command)
-            if not fault:
-                self.robot.write(self._command)
         except Exception as error:  # noqa: BLE001 - whatever is wrong, the joints must hold
-            fault, self._faults = f"the controller failed: {error!r}", MAX_FAULTS
-        self._faults = self._faults + 1 if fault else 0
-        if fault:
-            self.fault = fault
+            self._stop(f"the controller failed: {error!r}")
+            return
+        if not fault:
+            self._faults = 0
+            self._between.start(self._command)
+            return
+        self.fault, self._faults = fault, self._faults + 1
+        self._between.rest()
         if self._faults >= MAX_FAULTS:
-            self.mode = Mode.HOLDING
+            self._stop(fault)
+
+    def _send(self) -> None:
+        try:
+            self.robot.write(self._between.next())
+        except Exception as error:  # noqa: BLE001 - as above; the robot keeps the last command
+            self._stop(f"the robot refused a command: {error!r}")
+
+    def _stop(self, fault: str) -> None:
+        self.mode, self.fault = Mode.HOLDING, fault
+        self._between.rest()

@@ -63,10 +63,11 @@ class Timing:
             self._due += lost * self._period_ns
         self._began, self._cpu_began = now, self._cpu_clock()
 
-    def figures(self) -> Array:
-        """Return `FIGURES` as numbers."""
-        whole = [self.cycles, self.late, self.lost, *self.causes]
-        return np.array([*whole, self.max_late_s, self.last_busy_s, self.max_busy_s], dtype=np.float64)
+    def write_figures(self, figures: Array) -> None:
+        """Write `FIGURES` as numbers."""
+        figures[0], figures[1], figures[2] = self.cycles, self.late, self.lost
+        figures[3 : 3 + len(CAUSES)] = self.causes
+        figures[-3], figures[-2], figures[-1] = self.max_late_s, self.last_busy_s, self.max_busy_s
 
     def _cause(self, ahead: int, used: int) -> int:
         if used > self._period_ns:

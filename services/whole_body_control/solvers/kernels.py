@@ -536,26 +536,35 @@ def are_obeyed(lower: Array, upper: Array, reached: Array) -> bool:
 @machine_code
 def start(
     matrix: Array,
+    columns: Indices,
     lower: Array,
     upper: Array,
+    is_outside: bool,
     is_equal: Indices,
     equal_rows: Array,
     values: Array,
     z: Array,
+    velocity: Array,
+    reached: Array,
     reflections: Array,
     scales: Array,
     norms: Array,
     hessian: Array,
 ) -> int:
-    """Set z to what the bounds that are equal ask for, and return how many coordinates they fix, or -1."""
-    count = equalities(matrix, lower, upper, is_equal, equal_rows, values)
-    if count == 0:
-        return 0
-    done = triangle(equal_rows[:count], values, 0, reflections, scales, norms)
-    reflect(z, reflections, scales, 0, done)
-    if not solve_equalities(equal_rows[:count], values, z, done, hessian):
-        return -1
-    return done
+    """Set z and velocity = Q z to what the bounds that are equal ask for, and reached = matrix @ velocity.
+
+    Returns how many coordinates they fix, or -STUCK, or -ZERO_IS_OUTSIDE if zero `is_outside` and so is this.
+    """
+    done, count = 0, equalities(matrix, lower, upper, is_equal, equal_rows, values)
+    if count > 0:
+        done = triangle(equal_rows[:count], values, 0, reflections, scales, norms)
+        reflect(z, reflections, scales, 0, done)
+        if not solve_equalities(equal_rows[:count], values, z, done, hessian):
+            return -STUCK
+    velocity[:] = z
+    reflect_back(velocity, reflections, scales, done)
+    multiply(matrix, columns, velocity, reached)
+    return -ZERO_IS_OUTSIDE if is_outside and not are_obeyed(lower, upper, reached) else done
 
 
 @machine_code
@@ -626,16 +635,25 @@ def solve(
     turned = ends[max(levels - 1, 0)]  # the rows below are those of the last level
     z[:] = velocity
     done = start(
-        matrix, lower, upper, is_equal, equal_rows, vectors[6], z, reflections, scales, norms, hessian
+        matrix,
+        columns,
+        lower,
+        upper,
+        state == ZERO_IS_OUTSIDE and not is_started,
+        is_equal,
+        equal_rows,
+        vectors[6],
+        z,
+        velocity,
+        reached,
+        reflections,
+        scales,
+        norms,
+        hessian,
     )
     if done < 0:
-        return STUCK
+        return -done
     last = done  # the number of reflections
-    velocity[:] = z
-    reflect_back(velocity, reflections, scales, done)
-    multiply(matrix, columns, velocity, reached)
-    if state == ZERO_IS_OUTSIDE and not is_started and not are_obeyed(lower, upper, reached):
-        return state
     reflect_rows(rows[:turned], reflections, scales, 0, done)
 
     for level in range(levels):

@@ -102,11 +102,14 @@ def test_the_cycle_outlives_the_process_that_commands_it(
 def test_a_controller_without_valid_values_is_stopped_and_the_joints_hold(tmp_path: Path) -> None:
     deployment = read_deployment(written(tmp_path))
     loop, state = control_loop(deployment)
+    periods = round(loop.controller.control_s / loop.robot.period_s)
+    assert periods > 1  # the joints get a command in each cycle, the stack runs in some
     wish = PortWriter(deployment.folder / "wish", WISH)
     modes = []
     for values in (np.array([np.nan, 0.0, 0.0]), np.zeros(3)):  # a wish that is not finite is none
         wish.write(values)
-        loop.cycle()
+        for _ in range(periods):
+            loop.cycle()
         modes.append(loop.mode)
     assert modes == [Mode.STANDING, Mode.FOLLOWING]
 
@@ -116,12 +119,12 @@ def test_a_controller_without_valid_values_is_stopped_and_the_joints_hold(tmp_pa
             return super().step(sensors, command)
 
     loop.controller = Broken(loop.controller.controller)
-    for _ in range(MAX_FAULTS):
+    for _ in range(MAX_FAULTS * periods - periods):
+        loop.cycle()
         assert loop.mode is not Mode.HOLDING
+    for _ in range(50 * periods):
         loop.cycle()
     assert "not finite" in loop.fault
-    for _ in range(50):
-        loop.cycle()
     assert state.read()
     assert state.value("mode") == Mode.HOLDING
     assert loop.robot.true_configuration()[2] > 0.4
