@@ -2,7 +2,8 @@
 
     python -m benchmarks.whole_body_throwing [--throws 100] [--seed 1]
 
-Targets lie at 0.8 m and a height of 0.5 m in random directions. Each hand begins without practice. CoSiMA
+Targets lie at 0.8 m and a height of 0.5 m in random directions. Each hand begins with its rehearsal in
+simulation, without noise, or with --unpractised without. CoSiMA
 shows its throws in Figures 6c and 6d, without a table of errors to compare with.
 """
 
@@ -11,6 +12,7 @@ import time
 
 import numpy as np
 
+from services.whole_body_control.behaviours.rehearsal import rehearse
 from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
 from services.whole_body_control.behaviours.throwing import Practice
 from services.whole_body_control.model.kinematics import Array, Kinematics
@@ -23,7 +25,7 @@ from services.whole_body_control.solvers.compiled import fastest_solver
 COMAN = humanoid("coman")
 DISTANCE_M, HEIGHT_M, SPREAD_RAD = 0.8, 0.5, 0.25
 FIRST = 5
-"""Throws with which a hand practises: they are listed, and count."""
+"""The first throws are listed; they count."""
 
 
 def target(random: np.random.Generator) -> Array:
@@ -32,9 +34,13 @@ def target(random: np.random.Generator) -> Array:
     return np.array([DISTANCE_M * np.cos(direction), DISTANCE_M * np.sin(direction), HEIGHT_M])
 
 
-def measure_hand(hand: str, count: int, seed: int) -> None:
+def measure_hand(hand: str, count: int, seed: int, *, is_rehearsed: bool) -> None:
     """Print the landing errors of one hand."""
     random, practice = np.random.default_rng(seed), Practice()
+    if is_rehearsed:
+        began = time.thread_time()
+        rehearse(practice, COMAN, [hand], np.array([DISTANCE_M, 0.0, HEIGHT_M]), fastest_solver())
+        print(f"{hand}: rehearsal took {time.thread_time() - began:.1f} s CPU")
     game = SimulatedThrow(COMAN, build_with_ball(COMAN), fastest_solver(), TYPICAL_NOISE, seed)
     base = game.controller.start[:2]
     planner = ThrowPlanner(Kinematics(COMAN), game.controller.start, COMAN.grips[hand])
@@ -70,9 +76,10 @@ def main() -> None:
     )
     parser.add_argument("--throws", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--unpractised", action="store_true", help="without a rehearsal")
     options = parser.parse_args()
     for hand in COMAN.grips:
-        measure_hand(hand, options.throws, options.seed)
+        measure_hand(hand, options.throws, options.seed, is_rehearsed=not options.unpractised)
 
 
 if __name__ == "__main__":

@@ -122,9 +122,17 @@ class ZmpControl:
         """Return the rows for the inputs, x before y, and their upper bounds."""
         rows, upper = [], []
         for k, region in enumerate(regions):
-            rows.append(np.kron(region.normals, self._of_input[k, 2]))
+            rows.append(_for_both_axes(region.normals, self._of_input[k, 2]))
             upper.append(region.offsets - self.margin_m - region.normals @ drift[k, 2])
         last, to_capture = regions[-1], np.array([1.0, 1.0 / self.pendulum.omega])
-        rows.append(np.kron(last.normals, to_capture @ self._of_input[-1, :2]))
+        rows.append(_for_both_axes(last.normals, to_capture @ self._of_input[-1, :2]))
         upper.append(last.offsets - self.margin_m - last.normals @ (to_capture @ drift[-1, :2]))
         return np.ascontiguousarray(np.vstack(rows)), np.concatenate(upper)
+
+
+def _for_both_axes(normals: Array, effects: Array) -> Array:
+    """Return rows (k, 2 n) for normals (k, 2), where each axis has the effects (n,) of its own inputs.
+
+    It is their Kronecker product; that of numpy takes ten times as long.
+    """
+    return np.asarray((normals[:, :, None] * effects).reshape(len(normals), -1))

@@ -1,10 +1,12 @@
 """The control cycle is a process of its own: what commands it may be killed, and the robot stands."""
 
+import gc
 import os
 import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -39,6 +41,8 @@ while True:
     time.sleep(0.02)
 """
 BOUND_S = 120.0
+MEMORY_BYTES, OBJECTS = 16_384, 100
+"""What 600 cycles may keep: records of the plan differ with the phase of a step."""
 
 
 def written(folder: Path, text: str = DEPLOYMENT) -> Path:
@@ -128,6 +132,29 @@ def test_a_controller_without_valid_values_is_stopped_and_the_joints_hold(tmp_pa
     assert state.read()
     assert state.value("mode") == Mode.HOLDING
     assert loop.robot.true_configuration()[2] > 0.4
+
+
+def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path) -> None:
+    """Two equal parts of a walk: the second one ends with the memory that the first one ended with."""
+    deployment = read_deployment(written(tmp_path))
+    loop, _ = control_loop(deployment)
+    wish, held, known = PortWriter(deployment.folder / "wish", WISH), [], []
+    gc.collect()
+    gc.disable()
+    tracemalloc.start()
+    try:
+        for _ in range(4):
+            for _ in range(600):
+                wish.write(np.array([0.05, 0.0, 0.0]))
+                loop.cycle()
+            held.append(tracemalloc.get_traced_memory()[0])
+            known.append(len(gc.get_objects()))
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+    assert loop.mode is Mode.FOLLOWING
+    assert held[-1] - held[-2] < MEMORY_BYTES
+    assert known[-1] - known[-2] < OBJECTS
 
 
 @pytest.mark.parametrize(

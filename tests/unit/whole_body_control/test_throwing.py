@@ -7,6 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
+from services.whole_body_control.behaviours.rehearsal import rehearse
 from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
 from services.whole_body_control.behaviours.throwing import Phase, Practice, ThrowingController
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Kinematics
@@ -159,6 +160,17 @@ def test_coman_throws_and_the_second_throw_lands_nearer() -> None:
     assert game.robot.ball.position[2] < 3 * RADIUS_M, "the ball lies on the ground"
     rotation = game.robot.true_configuration()[3:7]
     assert 2 * np.hypot(rotation[0], rotation[1]) < 0.05, "the robot stands"
+
+
+@pytest.mark.slow
+def test_the_first_throw_lands_after_a_rehearsal() -> None:
+    practice = Practice()
+    rehearse(practice, COMAN, ["right_hand"], TARGET)
+    game = SimulatedThrow(COMAN, build_with_ball(COMAN), noise=TYPICAL_NOISE, seed=1)
+    record = game.throw(
+        planner("right_hand").plan(practice.aim("right_hand", game.controller.start[:2], TARGET))
+    )
+    assert np.linalg.norm(record.landed - TARGET) < 0.03
 
 
 def test_one_throw_at_a_time() -> None:
