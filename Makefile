@@ -210,10 +210,10 @@ $(PEERS_VENV)/.ready: requirements/bench.lock | setup
 	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(PEERS_VENV)/bin/python --require-hashes -r requirements/bench.lock
 	@touch $@
 
-bench-whole-body: setup $(PEERS_VENV)/.ready  ## the stack of tasks on COMAN and its peers, then walking for five minutes, pushes, lateness, throws (ARGS="--problems 400")
+bench-whole-body: setup $(PEERS_VENV)/.ready  ## the stack of tasks on COMAN and its peers, then walking for five minutes, pushes, lateness, throws (ARGS="--problems 400" CYCLE_SECONDS=600)
 	@$(BIN)/python -m benchmarks.whole_body $(ARGS)
 	@$(BIN)/python -m benchmarks.whole_body_peers $(PEERS_VENV)/bin/python $(ARGS)
-	@$(BIN)/python -m benchmarks.whole_body_walking $(if $(SECONDS_OF_CYCLE),--seconds $(SECONDS_OF_CYCLE))
+	@$(BIN)/python -m benchmarks.whole_body_walking $(if $(CYCLE_SECONDS),--seconds $(CYCLE_SECONDS))
 	@$(BIN)/python -m benchmarks.whole_body_throwing
 
 bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas behind HAProxy, sign-ins, latency (ARGS="--replicas 1")

@@ -149,8 +149,7 @@ def report_cycle(folder: Path, seconds: float, how: str) -> None:
     share = 100 * state.value("late") / max(state.value("cycles"), 1.0)
     load = os.getloadavg()[0]
     print(
-        f"cycle of 2 ms {how} SCHED_FIFO at load {load:.0f}: {share:.3f} % late by more than 1 ms (aim: 0.1); "
-        f"{figures}",
+        f"cycle of 2 ms {how} SCHED_FIFO, load {load:.0f}: {share:.3f} % late by 1 ms (aim: 0.1); {figures}",
         flush=True,
     )
 

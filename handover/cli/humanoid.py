@@ -72,10 +72,11 @@ def throw(  # noqa: PLR0917 - options of a command
     throws: Annotated[int, typer.Option("--throws", min=1, max=1000)] = 3,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the sensor noise.")] = 1,
 ) -> None:
-    """Throw a ball in simulated physics, each time corrected by what was measured at the last release."""
+    """Throw a ball in simulated physics, rehearsed, and corrected by what was measured at each release."""
     import numpy as np  # noqa: PLC0415 - only this command needs them
 
     robots = _imported()
+    from services.whole_body_control.behaviours.rehearsal import rehearse  # noqa: PLC0415
     from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow  # noqa: PLC0415
     from services.whole_body_control.behaviours.throwing import Practice  # noqa: PLC0415
     from services.whole_body_control.model.kinematics import Kinematics  # noqa: PLC0415
@@ -90,6 +91,7 @@ def throw(  # noqa: PLR0917 - options of a command
     game = SimulatedThrow(humanoid, build_with_ball(humanoid), fastest_solver(), TYPICAL_NOISE, seed)
     start, practice, target = game.controller.start, Practice(), np.array([x, y, z])
     planner = ThrowPlanner(Kinematics(humanoid), start, humanoid.grips[hand])
+    rehearse(practice, humanoid, [hand], target, fastest_solver())
     for number in range(1, throws + 1):
         planned = planner.plan(practice.aim(hand, start[:2], target))
         record = game.throw(planned)
