@@ -1,10 +1,11 @@
 """People who move robots by hand: from an input to the motion command, for one user and for many.
 
-    python -m benchmarks.control [--users 50] [--seconds 20]
+    python -m benchmarks.control [--users 50] [--seconds 20] [--tools 2] [--send-hz 50]
 
-Every robot is a trajectory tool of its own, as a process, with a kinematic UR10 at 125 Hz: in a cell with
-several robots only one moves by hand at a time. A user is a client that sends an input 50 times a second over
-the WebSocket, with the dead-man control held. All processes share the cores of this machine, the clients too.
+The robots are kinematic UR10s at 125 Hz, in cells of one trajectory tool each; a tool is a process. They
+stand 4.5 m apart, so they are not compared with each other. A user is a client that sends inputs over the
+WebSocket, with the dead-man control held; inputs count from the time at which they are due. All processes
+share the cores of this machine, the clients too, whose share is printed.
 
 The tools record each control cycle: when it began, and the input that it used. An input counts once, from the
 moment before it is sent to the begin of the first cycle that uses it; an input that a newer one replaced
@@ -22,6 +23,7 @@ import asyncio
 import contextlib
 import csv
 import os
+import random
 import statistics
 import subprocess
 import sys
@@ -42,8 +44,7 @@ from benchmarks.steal_time import report_steal_time
 
 AIM_P50_MS, AIM_P99_MS = 15.0, 40.0
 AIM_MANY_P99_MS = 100.0
-ROBOT = "ur10-1"
-SEND_EVERY_S = 0.02
+GRID_M, GRID_COLUMNS = 4.5, 8
 TURN_INPUTS = 50
 """A user moves one way for this many inputs, then back."""
 SLOWEST_MPS, STEP_MPS = 0.02, 0.001
@@ -55,20 +56,39 @@ CLOCK_S = 0.001
 
 @dataclass
 class Tool:
-    """A trajectory tool with one robot."""
+    """A trajectory tool with `count` robots."""
 
     folder: Path
     port: int
     process: subprocess.Popen[bytes]
+    count: int
 
     @property
     def url(self) -> str:
         """The address of the service."""
         return f"http://127.0.0.1:{self.port}"
 
+    @property
+    def robots(self) -> list["DrivenRobot"]:
+        """The robots of its cell."""
+        return [DrivenRobot(self, f"ur10-{number}") for number in range(1, self.count + 1)]
+
+
+@dataclass(frozen=True)
+class DrivenRobot:
+    """One robot of a tool."""
+
+    tool: Tool
+    name: str
+
+    @property
+    def address(self) -> str:
+        """The path of the robot."""
+        return f"{self.tool.port}/robots/{self.name}"
+
     def rows(self) -> list[dict[str, str]]:
         """Return the control cycles that were recorded."""
-        (file,) = (self.folder / "control-recordings" / ROBOT).glob("*.csv")
+        (file,) = (self.tool.folder / "control-recordings" / self.name).glob("*.csv")
         with file.open(encoding="utf-8") as opened:
             return list(csv.DictReader(opened))
 
@@ -91,10 +111,12 @@ class User:
         """Return the velocity along x that this user sends with an input."""
         return self.speed_mps if sequence // TURN_INPUTS % 2 == 0 else -self.speed_mps
 
-    async def drive(self, tool: Tool, seconds: float) -> None:
+    async def drive(
+        self, robot: DrivenRobot, seconds: float, every_s: float, all_ready: asyncio.Barrier
+    ) -> None:
         """Hold the dead-man control and move to and fro; begin again after a stop."""
         state: dict[str, Any] = {}
-        address = f"ws://127.0.0.1:{tool.port}/robots/{ROBOT}/control?record=true"
+        address = f"ws://127.0.0.1:{robot.address}/control?record=true"
         async with connect(address, proxy=None, compression=None) as socket:
 
             async def receive() -> None:
@@ -102,8 +124,11 @@ class User:
                     state.update(orjson.loads(text))
 
             receiving = asyncio.create_task(receive())
+            while not state:  # the tool is ready to move this robot
+                await asyncio.sleep(0.01)
+            await all_ready.wait()
             end_s = time.perf_counter() + seconds
-            due_s = time.perf_counter()
+            due_s = time.perf_counter() + every_s * random.random()  # users are not in step
             sequence, was_released = 0, True
             try:
                 while time.perf_counter() < end_s:
@@ -117,9 +142,10 @@ class User:
                         "held": held,
                         "linear": [self.velocity_mps(sequence), 0.0, 0.0],
                     }
-                    self.sent_s[sequence] = time.time()
+                    late_s = max(time.perf_counter() - due_s, 0.0)
+                    self.sent_s[sequence] = time.time() - late_s
                     await socket.send(orjson.dumps(given).decode())
-                    due_s = max(due_s + SEND_EVERY_S, time.perf_counter() - SEND_EVERY_S)
+                    due_s = max(due_s + every_s, time.perf_counter() - every_s)
                     await asyncio.sleep(max(due_s - time.perf_counter(), 0.0))
             finally:
                 receiving.cancel()
@@ -182,8 +208,8 @@ class Result:
 
 
 @contextlib.contextmanager
-def tools(count: int) -> Iterator[list[Tool]]:
-    """Run tools as processes of this machine, and end them."""
+def tools(robots: int, count: int) -> Iterator[list[Tool]]:
+    """Run tools with so many robots in all as processes of this machine, and end them."""
     with tempfile.TemporaryDirectory() as name:
         *ports, broker = free_ports(count + 1)
         running: list[Tool] = []
@@ -192,11 +218,13 @@ def tools(count: int) -> Iterator[list[Tool]]:
             for number, port in enumerate(ports):
                 folder = Path(name) / str(number)
                 folder.mkdir()
+                own = robots // count + (number < robots % count)
                 environment = plain | {
                     "HANDOVER_DATA_DIR": str(folder),
                     "HANDOVER_TRAJECTORY_PORT": str(port),
                     "HANDOVER_BROKER_URL": f"http://127.0.0.1:{broker}",
                     "HANDOVER_LOG_LEVEL": "error",
+                    "HANDOVER_CELL_FILE": str(_cell_file(folder, own)),
                 }
                 with (folder / "log").open("wb") as log:
                     process = subprocess.Popen(
@@ -205,7 +233,7 @@ def tools(count: int) -> Iterator[list[Tool]]:
                         stdout=log,
                         stderr=log,
                     )
-                running.append(Tool(folder, port, process))
+                running.append(Tool(folder, port, process, own))
                 if len(running) % STARTED_AT_ONCE == 0:
                     _wait_until_ready(running[-STARTED_AT_ONCE:])
             _wait_until_ready(running)
@@ -220,12 +248,27 @@ def tools(count: int) -> Iterator[list[Tool]]:
                 tool.process.wait()
 
 
+def _cell_file(folder: Path, count: int) -> Path:
+    places = (
+        (GRID_M * (number % GRID_COLUMNS), GRID_M * (number // GRID_COLUMNS)) for number in range(count)
+    )
+    robots = {
+        f"ur10-{number}": {"model": "ur10", "base": {"position": [x, y, 0.0]}}
+        for number, (x, y) in enumerate(places, 1)
+    }
+    file = folder / "cell.yaml"
+    file.write_bytes(
+        orjson.dumps({"name": "hall", "robots": robots, "scene": {"name": "hall"}})
+    )  # JSON is YAML
+    return file
+
+
 def _wait_until_ready(started: Sequence[Tool]) -> None:
     end_s = time.monotonic() + READY_TIMEOUT_S
     for tool in started:
         while True:
             with contextlib.suppress(httpx.TransportError):
-                if httpx.get(f"{tool.url}/robots/{ROBOT}", trust_env=False).is_success:
+                if httpx.get(f"{tool.url}/robots", trust_env=False).is_success:
                     break
             if tool.process.poll() is not None or time.monotonic() > end_s:
                 raise SystemExit(
@@ -234,36 +277,47 @@ def _wait_until_ready(started: Sequence[Tool]) -> None:
             time.sleep(0.1)
 
 
-async def measure(started: Sequence[Tool], seconds: float, aims: tuple[float | None, float]) -> bool:
-    """Let one user drive each of the tools; print the result and return whether every check holds."""
-    users = [User(number) for number in range(len(started))]
+async def measure(
+    started: Sequence[Tool], seconds: float, every_s: float, aims: tuple[float | None, float]
+) -> bool:
+    """Let a user drive each robot; print the result and return whether every check holds."""
+    robots = [robot for tool in started for robot in tool.robots]
+    users = [User(number) for number in range(len(robots))]
     processes = [psutil.Process(tool.process.pid) for tool in started]
-    before_s = sum(sum(process.cpu_times()[:2]) for process in processes)
-    own_s, began_s = time.process_time(), time.perf_counter()
+    all_ready = asyncio.Barrier(len(users) + 1)
     async with asyncio.TaskGroup() as group:
-        for user, tool in zip(users, started, strict=True):
-            group.create_task(user.drive(tool, seconds))
+        for user, robot in zip(users, robots, strict=True):
+            group.create_task(user.drive(robot, seconds, every_s, all_ready))
+        await all_ready.wait()
+        before_s = sum(sum(process.cpu_times()[:2]) for process in processes)
+        own_s, began_s = time.process_time(), time.perf_counter()
     took_s = time.perf_counter() - began_s
+    clients_s = time.process_time() - own_s
     used_s = sum(sum(process.cpu_times()[:2]) for process in processes) - before_s
-    for tool in started:
-        await _until_free(tool)
+    for robot in robots:
+        await _until_free(robot)
     result = Result()
-    for user, tool in zip(users, started, strict=True):
-        result.add(user, await asyncio.to_thread(tool.rows))
-    print(f"{len(users)} user(s) on {len(started)} robot(s), {took_s:.0f} s, {os.cpu_count()} cores:")
-    holds = result.show(aims)
+    for user, robot in zip(users, robots, strict=True):
+        result.add(user, await asyncio.to_thread(robot.rows))
     print(
-        f"  CPU: {100 * used_s / took_s / len(users):.0f} % of a core for each tool, "
-        f"{100 * (time.process_time() - own_s) / took_s:.0f} % for all clients; "
+        f"{len(users)} user(s) on {len(robots)} robot(s) of {len(started)} tool(s), {took_s:.0f} s, "
+        f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}:"
+    )
+    holds = result.show(aims)
+    cycle_us = 1e6 * used_s / max(result.cycles, 1)
+    print(
+        f"  CPU: {used_s / took_s:.2f} cores for the tools, {cycle_us:.0f} us for each cycle with its "
+        f"share of inputs and states; {clients_s / took_s:.2f} cores for the clients; "
         f"stops because inputs came late: {sum(user.stops for user in users)}"
     )
     return holds
 
 
-async def _until_free(tool: Tool) -> None:
+async def _until_free(robot: DrivenRobot) -> None:
     """Wait until the control has ended: the recording is complete then."""
-    async with asyncio.timeout(60), httpx.AsyncClient(base_url=tool.url, trust_env=False) as http:
-        while (await http.get(f"/robots/{ROBOT}/control", timeout=30)).json()["holder"] is not None:
+    async with asyncio.timeout(60), httpx.AsyncClient(trust_env=False) as http:
+        address = f"http://127.0.0.1:{robot.address}/control"
+        while (await http.get(address, timeout=30)).json()["holder"] is not None:
             await asyncio.sleep(0.05)
 
 
@@ -274,13 +328,17 @@ def main() -> None:
     )
     parser.add_argument("--users", type=int, default=50, help="users and robots at the same time")
     parser.add_argument("--seconds", type=float, default=20.0, help="how long each user drives")
+    parser.add_argument("--tools", type=int, default=2, help="trajectory tools that share the robots")
+    parser.add_argument("--send-hz", type=float, default=50.0, help="inputs of a user in a second")
     asked = parser.parse_args()
+    every_s = 1 / asked.send_hz
     print(f"load before: {os.getloadavg()[0]:.1f}")
     with report_steal_time():
-        with tools(1) as started:
-            holds = asyncio.run(measure(started, asked.seconds, (AIM_P50_MS, AIM_P99_MS)))
-        with tools(asked.users) as started:
-            holds = asyncio.run(measure(started, asked.seconds, (None, AIM_MANY_P99_MS))) and holds
+        with tools(1, 1) as started:
+            holds = asyncio.run(measure(started, asked.seconds, every_s, (AIM_P50_MS, AIM_P99_MS)))
+        with tools(asked.users, asked.tools) as started:
+            many = measure(started, asked.seconds, every_s, (None, AIM_MANY_P99_MS))
+            holds = asyncio.run(many) and holds
     if not holds:
         raise SystemExit("a robot got a command that was not the newest one of its user")
 

@@ -156,7 +156,7 @@ async def stress(site: Site, replicas: int, clients: int, per_s: float) -> int:
         results, allowed, survivors = Results(), 0, list(site.replicas)
         cpu_s = {replica.pid: cpu_time_s(replica) for replica in site.replicas}
         shared_s = {name: cpu_time_s(process) for name, process in site.shared.items()}
-        began_s = time.perf_counter()
+        own_s, began_s = time.process_time(), time.perf_counter()
 
         async def visit(number: int, due_s: float) -> None:
             nonlocal allowed
@@ -169,11 +169,13 @@ async def stress(site: Site, replicas: int, clients: int, per_s: float) -> int:
 
         await open_loop(clients, per_s, visit)
         took_s = time.perf_counter() - began_s
+        own_s = time.process_time() - own_s
         for replica in survivors:
             cpu_s[replica.pid] = cpu_time_s(replica) - cpu_s[replica.pid]
         used_s = {"page servers": sum(cpu_s.values())} | {
             name: cpu_time_s(process) - shared_s[name] for name, process in site.shared.items()
         }
+        used_s |= {"all": sum(used_s.values()), "the clients of this bench": own_s}
         errors = sum(results.faults.values())
         print(
             f"{replicas} replica(s), {clients} clients in {took_s:.1f} s "

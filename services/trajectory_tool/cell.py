@@ -10,11 +10,14 @@ from handover.telemetry import get_logger
 from services.trajectory_tool.cell_file import RobotEntry
 from services.trajectory_tool.contents import Contents, Grip, Lying
 from services.trajectory_tool.control.kinematics import Kinematics
+from services.trajectory_tool.control.manual_mode import ManualMode
+from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.drivers import DRIVERS, Clock, RobotContext, RobotFactory
 from services.trajectory_tool.limits.contact_force import ContactForce
 from services.trajectory_tool.limits.contact_table import ContactSpeed, read_contact_speed
 from services.trajectory_tool.limits.guards import CollisionGuard, Guard, ToolSpeedGuard, TorqueGuard
 from services.trajectory_tool.limits.limiter import JointLimiter, Limiter
+from services.trajectory_tool.limits.neighbours import NeighbourGuard
 from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.memory import Act, BegunAct, RobotMemory
 from services.trajectory_tool.motion import MotionPlanning
@@ -122,8 +125,20 @@ class Cell:
         except OSError:
             log.exception("state of the cell not stored", file=str(self.file.path))
 
+    def _joints_at_rest(self) -> Joints | None:
+        robot = self.robot
+        if isinstance(robot, CyclicRobot):
+            return None if robot.is_moving else robot.state().positions
+        state = robot.state()
+        return None if any(state.velocities) else state.positions
+
     def _wrist_force_n(self) -> float | None:
         return self.robot.wrist_force_n()
+
+    @property
+    def manual(self) -> ManualMode:
+        """Return the manual mode of the cell."""
+        return self._workcell.manual
 
     @property
     def home(self) -> Joints:
@@ -337,6 +352,10 @@ class Cell:
             guards.append(CollisionGuard(self.model, self.planning.world))
         if self.planning.avoids_obstacles and is_available():
             guards.append(TorqueGuard(self.model, self.planning.world))
+        if self._workcell.has_several_robots:
+            robots = self._workcell.moving
+            robots.add(self.name, self.model, self._joints_at_rest, lambda: self.planning.world().attached)
+            guards.append(NeighbourGuard(self.name, robots))
         return JointLimiter(self.limits, ranges, guards)
 
     def _between_fingers(self, tool: Pose) -> str | None:

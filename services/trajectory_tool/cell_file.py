@@ -41,7 +41,7 @@ Positive = Annotated[FiniteFloat, Field(gt=0)]
 PerJoint = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
 MAX_FILE_BYTES = 1024 * 1024
-MAX_ROBOTS = 16
+MAX_ROBOTS = 64
 
 
 class _Written(BaseModel):

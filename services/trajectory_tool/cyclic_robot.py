@@ -5,17 +5,19 @@ the motion at this time passes the limiter and is given to `command`. A motion i
 line in joint space (`Course`), a planned trajectory (`PlannedCourse`), or commanded velocities (`Jog`).
 
 A motion is a generator (`Cycles`) that yields until when to wait. By default a thread of the robot runs it; a
-simulation runs those of all its robots in one thread.
+`ControlThread` or a simulation runs those of all its robots in one thread.
 """
 
 import asyncio
 from abc import abstractmethod
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 from typing import Protocol, Self, TypeVar
 
 from handover.messages import message
+from services.trajectory_tool.control_thread import ControlThread
+from services.trajectory_tool.cycles import Cycles
 from services.trajectory_tool.drivers import Clock
 from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.limits.jog import Jog
@@ -34,9 +36,6 @@ from services.trajectory_tool.robot import (
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
 T = TypeVar("T")
-
-Cycles = Generator[float, None, T]
-"""Work in control cycles: it yields the time on the clock of the robot at which it continues."""
 
 
 class Motion(Protocol):
@@ -60,7 +59,7 @@ class CyclicRobot(Robot):
     """Joints that follow the setpoint of each cycle; a driver has `command`, `measured` and the gripper.
 
     `joints` are the joints at rest before the first motion. Every setpoint passes `limiter` before `command`;
-    by default it has the joint limits.
+    by default it has the joint limits. `thread` runs the cycles, those of `name` one after the other.
     """
 
     def __init__(
@@ -71,6 +70,8 @@ class CyclicRobot(Robot):
         limiter: Limiter | None = None,
         control_hz: float = 125.0,
         clock: Clock | None = None,
+        name: str = "robot",
+        thread: ControlThread | None = None,
     ) -> None:
         self.limits = limits
         self.limiter = limiter or JointLimiter(limits)
@@ -81,6 +82,8 @@ class CyclicRobot(Robot):
         self._cycle_s = 1.0 / control_hz
         self._motion: Motion | None = None
         self._stopping: Event | None = None
+        self._name = name
+        self._thread = thread
         self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="robot-control")
 
     @abstractmethod
@@ -99,6 +102,8 @@ class CyclicRobot(Robot):
 
     async def __aexit__(self, *_: object) -> None:
         self.switched_off.set()
+        if self._thread is not None:
+            await asyncio.to_thread(self._thread.drain, self._name)
         await asyncio.to_thread(self._control.shutdown)
 
     def state(self) -> JointState:
@@ -108,6 +113,11 @@ class CyclicRobot(Robot):
     def commanded(self) -> Joints:
         """Return the joints of the last setpoint."""
         return self.setpoint.positions
+
+    @property
+    def is_moving(self) -> bool:
+        """Return whether a motion has begun and not ended; thread-safe."""
+        return self._motion is not None
 
     def remaining_s(self) -> float:
         """Return the remaining time of the motion."""
@@ -191,6 +201,8 @@ class CyclicRobot(Robot):
 
     def submit(self, cycles: Cycles[T]) -> "Future[T]":
         """Run `cycles` in the control thread, after what runs there."""
+        if self._thread is not None:
+            return self._thread.submit(self._name, cycles)
         return self._control.submit(self._run_cycles, cycles)
 
     def _run_cycles(self, cycles: Cycles[T]) -> T:
@@ -215,6 +227,8 @@ class CyclicRobot(Robot):
             return 0.0 if stopping.is_set() or self.switched_off.is_set() else pace()
 
         try:
+            if self.limiter.needs_preparation():
+                await asyncio.to_thread(self.limiter.prepare)
             return await self.in_cycles(self._drive(make, allowed), stopping.set)
         finally:
             self._stopping = None
@@ -222,7 +236,7 @@ class CyclicRobot(Robot):
     def _drive(self, make: Callable[[Joints, float], Motion], pace: Pace) -> Cycles[bool]:
         start = self._start()
         self.setpoint = Setpoint.at_rest(start)
-        self.limiter.start(start, self.clock.now_s())  # the first time it builds the collision model
+        self.limiter.start(start, self.clock.now_s())
         started_s = self.clock.now_s()
         self._motion = motion = make(start, started_s)
         self.limiter.start(start, started_s)
@@ -242,6 +256,8 @@ class CyclicRobot(Robot):
     def _follow(self, motion: Motion, pace: Pace, now_s: float) -> Cycles[None]:
         """Command the setpoints of a motion; after a fault of the limiter, come to rest, then raise it."""
         due_s = now_s
+        if self._thread is not None:  # all robots of the thread are due at the same times
+            due_s -= now_s % self._cycle_s
         fault: RobotFault | None = None
         while True:
             if fault is None:

@@ -34,7 +34,8 @@ from handover.messages import message
 from handover.notifications import REQUIRES_NOTIFICATION_KEY, NotificationReceiver
 from handover.resync import Resync
 from handover.telemetry import get_logger
-from services.trajectory_tool.cyclic_robot import Cycles, CyclicRobot, Motion
+from services.trajectory_tool.cycles import Cycles
+from services.trajectory_tool.cyclic_robot import CyclicRobot, Motion
 from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.limits.jog import Jog

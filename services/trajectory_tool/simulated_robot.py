@@ -4,12 +4,16 @@ import time
 from collections.abc import Callable
 from typing import Self
 
+from services.trajectory_tool.control_thread import ControlThread
+from services.trajectory_tool.cycles import Cycles
 from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.drivers import Clock, RobotContext
 from services.trajectory_tool.limits.limiter import Limiter
 from services.trajectory_tool.position_file import PositionFile
 from services.trajectory_tool.robot import Joints, JointState
 from services.trajectory_tool.trajectory import Limits, Setpoint
+
+THREAD = "controlThread"
 
 
 class SimulatedRobot(CyclicRobot):
@@ -30,8 +34,12 @@ class SimulatedRobot(CyclicRobot):
         clock: Clock | None = None,
         limiter: Limiter | None = None,
         positions: PositionFile | None = None,
+        name: str = "robot",
+        thread: ControlThread | None = None,
     ) -> None:
-        super().__init__(joints, limits, limiter=limiter, control_hz=control_hz, clock=clock)
+        super().__init__(
+            joints, limits, limiter=limiter, control_hz=control_hz, clock=clock, name=name, thread=thread
+        )
         self._positions = positions
         self._something_there = something_there
         self._gripper_closed = gripper_closed
@@ -40,6 +48,9 @@ class SimulatedRobot(CyclicRobot):
     @classmethod
     def from_context(cls, context: RobotContext) -> Self:
         """Return the robot of a cell, where it was when the tool stopped."""
+        thread = None
+        if context.clock is None:
+            thread = context.shared.setdefault(THREAD, ControlThread())
         return cls(
             context.joints if context.positions is None else context.positions.open(),
             context.limits,
@@ -50,6 +61,8 @@ class SimulatedRobot(CyclicRobot):
             clock=context.clock,
             limiter=context.limiter,
             positions=context.positions,
+            name=context.robot_id,
+            thread=thread,
         )
 
     def command(self, setpoint: Setpoint) -> None:
@@ -62,6 +75,9 @@ class SimulatedRobot(CyclicRobot):
         setpoint = self.setpoint
         return JointState(time.time(), setpoint.positions, setpoint.velocities)
 
+    def _act(self) -> Cycles[None]:
+        yield self.clock.now_s() + self._gripper_s
+
     @property
     def gripper_closed(self) -> bool:
         """Return whether the gripper is closed."""
@@ -69,11 +85,11 @@ class SimulatedRobot(CyclicRobot):
 
     async def close_gripper(self) -> bool:
         """Close the gripper; return True when it grips an object."""
-        await self.in_control(lambda: self.clock.wait_s(self._gripper_s))
+        await self.in_cycles(self._act())
         self._gripper_closed = True
         return self._something_there(self.setpoint.positions)
 
     async def open_gripper(self) -> None:
         """Open the gripper."""
-        await self.in_control(lambda: self.clock.wait_s(self._gripper_s))
+        await self.in_cycles(self._act())
         self._gripper_closed = False

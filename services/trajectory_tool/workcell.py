@@ -15,7 +15,9 @@ from services.trajectory_tool.camera import Camera
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.cell_file import Base, CellPlan, RobotEntry, cell_plan
 from services.trajectory_tool.contents import Contents, initial
+from services.trajectory_tool.control.manual_mode import ManualMode
 from services.trajectory_tool.drivers import Clock, Peer
+from services.trajectory_tool.limits.neighbours import MovingRobots
 from services.trajectory_tool.limits.store import LimitStore
 from services.trajectory_tool.memory import Memory, MemoryFile
 from services.trajectory_tool.metrics import SCENE_CHANGES
@@ -79,6 +81,8 @@ class Workcell:
         known = self.file.load(self.scene.digest, {name: model.joint_names for name, model in models.items()})
         self.contents: Contents = known.contents if known else initial(self.scene)
         self.space = SharedSpace()
+        self.manual = ManualMode()
+        self.moving = MovingRobots()
         self.limit_store = LimitStore(settings.data_dir / "trajectory_tool" / "limits.json")
         self._saving = asyncio.Lock()
         self._on = AsyncExitStack()
@@ -94,6 +98,11 @@ class Workcell:
         )
         if known is None and any(cell.robot.vision is not None for cell in self.cells.values()):
             self.contents = Contents()  # where the parts are is known when they have been seen
+
+    @property
+    def has_several_robots(self) -> bool:
+        """Return whether robots may meet."""
+        return len(self._models) > 1
 
     def home_of(self, model: RobotModel) -> Joints:
         """Return the home position of a robot in the scene."""

@@ -34,7 +34,7 @@ from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.cell_file import CellPlan, RobotEntry
 from services.trajectory_tool.control.recording import Recording
 from services.trajectory_tool.control.session import ControlSession
-from services.trajectory_tool.cyclic_robot import Cycles
+from services.trajectory_tool.cycles import Cycles
 from services.trajectory_tool.drivers import Clock
 from services.trajectory_tool.physics.robot import PhysicsRobot
 from services.trajectory_tool.physics.world_model import STEP_S, fingers_of

@@ -1,7 +1,7 @@
 """A control session: one person moves one robot by velocities, alone or shared with an autonomous motion.
 
-The session owns the robot: it holds the lock under which Tasks perform (`Cell.in_hand`), so that a Task and a
-person never command the same robot, and in a cell with several robots the other ones rest. The control thread
+The session owns the robot: the cell is in manual mode (`ManualMode`), so that a Task and a person never
+command robots of the same cell; other people may move the other robots. The control thread
 asks for velocities in each cycle (`_velocity`); the event loop only stores the latest input. The motion ends
 at rest when the dead-man control does not permit it, and begins again with the next permitted input.
 """
@@ -32,6 +32,7 @@ from services.trajectory_tool.control.shared_control import (
     steers_away,
 )
 from services.trajectory_tool.control.tool_motion import in_base, joint_velocities, scaled
+from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.joint_states import written
 from services.trajectory_tool.metrics import CONTROL_LATENCY, CONTROL_STOP, CONTROL_STOP_BEGIN
 from services.trajectory_tool.poses import Pose
@@ -84,10 +85,10 @@ class MeasuredStop:
 
 
 class ControlSession:
-    """The control of the robot of `cell`; `others` are the other robots that rest meanwhile.
+    """The control of the robot of `cell`; `others` are the other robots, which perform no Task meanwhile.
 
-    An asynchronous context manager; it raises `RobotBusy` when a robot performs a Task, or moves for another
-    session, for longer than `patience_s`.
+    An asynchronous context manager; it raises `RobotBusy` when a robot performs a Task, or this one moves for
+    another session, for longer than `patience_s`.
     """
 
     def __init__(
@@ -136,31 +137,34 @@ class ControlSession:
         self._locks = AsyncExitStack()
 
     async def __aenter__(self) -> "ControlSession":
+        cells = (self.cell, *self._others)
+        locks = {cell.name: cell.in_hand for cell in cells}
         try:
-            for cell in (self.cell, *self._others):
-                await self._acquire(cell)
-        except BaseException:
-            await self._locks.aclose()
-            raise
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self.end()
-        await self._locks.aclose()
-
-    async def _acquire(self, cell: Cell) -> None:
-        try:
-            async with asyncio.timeout(self._patience_s):
-                await cell.in_hand.acquire()
+            await self._locks.enter_async_context(
+                self.cell.manual.joined(self.cell.name, locks, self._patience_s)
+            )
         except TimeoutError:
+            busy = next((cell for cell in cells if cell.in_hand.locked()), self.cell)
             raise RobotBusy(
                 message(
                     "robot.control_busy",
                     "{robot} performs a Task; wait for its end, or cancel it, before you take control",
-                    robot=cell.name,
+                    robot=busy.name,
                 )
             ) from None
-        self._locks.callback(cell.in_hand.release)
+        await asyncio.to_thread(self._prepare)
+        return self
+
+    def _prepare(self) -> None:
+        """Build models now: while they are built, the event loop receives no input in time."""
+        self._kinematics.prepare()
+        robot = self.cell.robot
+        if isinstance(robot, CyclicRobot) and robot.limiter.needs_preparation():
+            robot.limiter.prepare()
+
+    async def __aexit__(self, *_: object) -> None:
+        self.end()
+        await self._locks.aclose()
 
     def receive(self, given: HumanInput) -> None:
         """Take an input. Raises `RobotFault` for joints that the robot does not have."""

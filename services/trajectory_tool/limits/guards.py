@@ -43,6 +43,12 @@ log = logging.getLogger(__name__)
 class Guard(Protocol):
     """A rule for setpoints."""
 
+    def needs_preparation(self) -> bool:
+        """Return whether `start` would take long."""
+
+    def prepare(self) -> None:
+        """Build what `start` needs."""
+
     def start(self, joints: Joints) -> None:
         """Begin a motion at rest at `joints`."""
 
@@ -70,14 +76,26 @@ class CollisionGuard:
         self._is_leaving = False
         self._last: Any = None
 
-    def start(self, joints: Joints) -> None:
-        """Begin a motion; take the present surroundings."""
+    def needs_preparation(self) -> bool:
+        """Return whether the surroundings differ from those of the model."""
+        return self._collisions is None or self._collisions.world != self._world()
+
+    def prepare(self) -> None:
+        """Build the model of the present surroundings."""
         from services.trajectory_tool.planning.arm import Arm  # noqa: PLC0415 - needs the extra
         from services.trajectory_tool.planning.collision import Collisions  # noqa: PLC0415
 
-        world = self._world()
-        if self._collisions is None or self._collisions.world != world:
-            self._collisions = Collisions(Arm(self._model), world)
+        collisions = Collisions(Arm(self._model), self._world())
+        for travel_m in (0.0, *LADDER_M[:4]):  # those of a slow motion
+            collisions.is_free_within(
+                np.zeros(len(self._model.joints)), travel_m, MARGIN_M if travel_m else 0.0
+            )
+        self._collisions = collisions
+
+    def start(self, joints: Joints) -> None:
+        """Begin a motion; take the present surroundings."""
+        if self.needs_preparation():
+            self.prepare()
         self._last = np.array(joints)
         self._is_leaving = not self._collisions.is_free(self._last)
 
@@ -148,19 +166,26 @@ class TorqueGuard:
         self._inverse: Any = None
         self._at_start = 0.0
 
-    def start(self, joints: Joints) -> None:
-        """Begin a motion; take the present payload."""
+    def needs_preparation(self) -> bool:
+        """Return whether the payload differs from that of the model."""
+        return self._torques is None or self._torques.payload_kg != self._world().payload_kg
+
+    def prepare(self) -> None:
+        """Build the model with the present payload."""
         from services.trajectory_tool.planning.arm import Arm  # noqa: PLC0415 - needs the extra
         from services.trajectory_tool.planning.torques import Torques  # noqa: PLC0415
 
-        payload_kg = self._world().payload_kg
-        if self._torques is None or self._torques.payload_kg != payload_kg:
-            self._torques = Torques(Arm(self._model), payload_kg)
-            self._inverse = 1.0 / self._torques.limits
-            if self._torques.unchecked is not None:
-                log.warning(
-                    "torque not checked", extra={"robot": self._model.name, "reason": self._torques.unchecked}
-                )
+        self._torques = Torques(Arm(self._model), self._world().payload_kg)
+        self._inverse = 1.0 / self._torques.limits
+        if self._torques.unchecked is not None:
+            log.warning(
+                "torque not checked", extra={"robot": self._model.name, "reason": self._torques.unchecked}
+            )
+
+    def start(self, joints: Joints) -> None:
+        """Begin a motion; take the present payload."""
+        if self.needs_preparation():
+            self.prepare()
         self._at_start = self._highest(Setpoint.at_rest(joints))
 
     def violation(self, setpoint: Setpoint) -> str | None:
@@ -220,13 +245,21 @@ class ToolSpeedGuard:
         self._last: Setpoint | None = None
         self._arm: Any = None
 
-    def start(self, joints: Joints) -> None:
-        """Begin a motion at rest."""
-        self._last = Setpoint.at_rest(joints)
-        if self._arm is None and is_available() and (self._zones() or self._max_mps() < math.inf):
+    def needs_preparation(self) -> bool:
+        """Return whether a model is needed, and missing."""
+        return self._arm is None and is_available() and bool(self._zones() or self._max_mps() < math.inf)
+
+    def prepare(self) -> None:
+        """Build the model."""
+        if self.needs_preparation():
             from services.trajectory_tool.planning.arm import Arm  # noqa: PLC0415 - needs the extra
 
             self._arm = Arm(self._model)
+
+    def start(self, joints: Joints) -> None:
+        """Begin a motion at rest."""
+        self._last = Setpoint.at_rest(joints)
+        self.prepare()
 
     def violation(self, setpoint: Setpoint) -> None:
         """Permit every setpoint of a planned motion."""

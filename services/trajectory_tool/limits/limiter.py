@@ -46,6 +46,12 @@ Ranges = Sequence[tuple[float | None, float | None]]
 class Limiter(Protocol):
     """Passes or changes what is commanded; used by one thread."""
 
+    def needs_preparation(self) -> bool:
+        """Return whether `start` would take long; call it, and `prepare`, while nothing moves."""
+
+    def prepare(self) -> None:
+        """Build what `start` needs, such as a model of the surroundings."""
+
     def start(self, joints: Joints, now_s: float) -> None:
         """Begin a motion at rest at `joints`."""
 
@@ -152,6 +158,15 @@ class JointLimiter:
         self._inputs.synchronization = Synchronization.No
         self._inputs.max_acceleration = limits.acceleration
         self._inputs.max_jerk = limits.jerk
+
+    def needs_preparation(self) -> bool:
+        """Return whether a guard is not prepared for the present surroundings."""
+        return any(guard.needs_preparation() for guard in self.guards)
+
+    def prepare(self) -> None:
+        """Prepare the guards."""
+        for guard in self.guards:
+            guard.prepare()
 
     def start(self, joints: Joints, now_s: float) -> None:
         """Begin a motion at rest at `joints`."""

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from handover.messages import message
 from handover.telemetry import get_logger
-from services.trajectory_tool.cyclic_robot import Cycles
+from services.trajectory_tool.cycles import Cycles
 from services.trajectory_tool.metrics import SIMULATED_SECONDS, SIMULATION_CPU_SECONDS
 from services.trajectory_tool.physics.simulation import Simulation
 from services.trajectory_tool.physics.world_model import STEP_S

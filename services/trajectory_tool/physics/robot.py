@@ -14,7 +14,8 @@ from concurrent.futures import Future
 from typing import Self, TypeVar
 
 from handover.messages import message
-from services.trajectory_tool.cyclic_robot import Cycles, CyclicRobot
+from services.trajectory_tool.cycles import Cycles
+from services.trajectory_tool.cyclic_robot import CyclicRobot
 from services.trajectory_tool.drivers import Clock, RobotContext
 from services.trajectory_tool.limits.limiter import JointLimiter, Limiter
 from services.trajectory_tool.physics.cameras import Cameras

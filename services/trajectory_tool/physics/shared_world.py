@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from typing import TypeVar
 
 from handover.errors import UsageError
-from services.trajectory_tool.cyclic_robot import Cycles
+from services.trajectory_tool.cycles import Cycles
 from services.trajectory_tool.drivers import RobotContext
 from services.trajectory_tool.physics.pacing import PacedSimulation
 from services.trajectory_tool.physics.parts import Parts

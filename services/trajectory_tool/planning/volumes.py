@@ -77,7 +77,7 @@ def grown(shape: Shape, by_m: float) -> Shape:
 def _parts(arm: Arm, attached: Sequence[Attached]) -> Iterator[_Part]:
     """Yield everything that moves with the robot, and its base."""
     for item in arm.geometry.geometryObjects:
-        shape, local = _plain(item.geometry)
+        shape, local = plain(item.geometry)
         item.geometry.computeLocalAABB()
         radius_m = float(item.geometry.aabb_radius)
         yield _Part(link_of(item.name), item.parentJoint, item.placement * local, shape, radius_m)
@@ -89,7 +89,7 @@ def _parts(arm: Arm, attached: Sequence[Attached]) -> Iterator[_Part]:
         yield _Part(one.name, tip.parentJoint, placement, one.shape, float(geometry.aabb_radius))
 
 
-def _plain(shape: Any) -> tuple[Shape, Any]:
+def plain(shape: Any) -> tuple[Shape, Any]:
     """Return a shape of coal as a value, and its pose in its own frame; a hull is replaced by its box."""
     here = pin.SE3.Identity()
     match shape:
