@@ -18,7 +18,7 @@ from handover.errors import UsageError
 from services.trajectory_tool.onboarding.sources import find_mesh
 from services.trajectory_tool.onboarding.urdf import Examined, Finding
 from services.trajectory_tool.planning.arm import Array
-from services.trajectory_tool.planning.collision import MAX_MESH_BYTES
+from services.trajectory_tool.planning.collision import MAX_MESH_BYTES, mesh_fault
 
 MIN_RADIUS_M, MIN_SIZE_M = 0.005, 0.01
 ROD_OF_LENGTH = 0.15
@@ -105,7 +105,7 @@ def _fit_mesh(shape: Any, urdf: Path, link: str, findings: list[Finding]) -> Fit
     try:
         points = np.asarray(coal.MeshLoader().load(str(file), scale).vertices(), dtype=np.float64)
     except (ValueError, RuntimeError) as error:
-        findings.append(Finding("warning", link, f"the mesh {file.name} cannot be read: {error}"))
+        findings.append(Finding("warning", link, f"the mesh {file.name} cannot be read: {mesh_fault(error)}"))
         return None
     points = points.reshape(-1, 3)
     if len(points) < 4 or not np.isfinite(points).all():

@@ -6,6 +6,7 @@ requests for each margin; sets are made when they are first used.
 """
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -238,8 +239,14 @@ def _hull(file: Path, scale: tuple[float, float, float]) -> Any:
     except OSError as error:
         raise UsageError(f"the mesh {file} cannot be read: {error.strerror}") from None
     except (ValueError, RuntimeError) as error:
-        raise UsageError(f"the mesh {file} cannot be used: {error}") from None
+        raise UsageError(f"the mesh {file} cannot be used: {mesh_fault(error)}") from None
     return mesh.convex
+
+
+def mesh_fault(error: Exception) -> str:
+    """Return in one line what coal says about a mesh, without the place in its source."""
+    said = re.search(r"^message: (.+)$", str(error), re.MULTILINE)
+    return said[1] if said else str(error).partition("\n")[0]
 
 
 def _joined(arm: Arm, world: World) -> tuple[Any, list[str]]:

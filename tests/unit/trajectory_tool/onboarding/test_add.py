@@ -211,6 +211,16 @@ def test_a_urdf_without_a_unique_meaning_is_refused_by_name_and_nothing_is_writt
     assert not (tmp_path / "robots" / "arm-1").exists()
 
 
+def test_a_mesh_that_is_none_is_named_in_one_line(added: Any, tmp_path: Path) -> None:
+    (tmp_path / "given").mkdir()
+    (tmp_path / "given" / "text.stl").write_text("no mesh")
+    shape = '<collision><geometry><mesh filename="text.stl"/></geometry></collision>'
+    (said,) = (line for line in texts(added(arm(l3=link("l3", shape)))).splitlines() if "text.stl" in line)
+    assert said.startswith("warning l3: the mesh text.stl cannot be read: ")
+    assert "assimp" not in said
+    assert "/project" not in said
+
+
 def test_a_mesh_of_400_mb_is_refused(added: Any, tmp_path: Path) -> None:
     mesh = tmp_path / "given" / "huge.stl"
     mesh.parent.mkdir()
