@@ -40,8 +40,8 @@ class Nearest:
 class Step:
     """One performed operation: its duration, its result, or why it cannot be done.
 
-    `nearest` is the smallest distance on the way, with its pair; None without the extra `motion`, and where
-    nothing can touch.
+    `nearest` is the smallest distance on the way, with its pair; None without the extra `motion`, without a
+    motion, and where nothing can touch.
     """
 
     robot: str
@@ -147,7 +147,7 @@ class DryRun:
         return Step(robot, operation, time.now_s - began_s, result, tuple(dict.fromkeys(faults)), nearest)
 
     async def _nearest(self, cell: Cell, path: list[Joints]) -> Nearest | None:
-        if not is_available():
+        if not is_available() or not any(joints != path[0] for joints in path):
             return None
 
         def found(planner: Any) -> Any:
