@@ -15,7 +15,7 @@ the end as a client that has disconnected.
 
 import asyncio
 from contextlib import suppress
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -78,6 +78,7 @@ class _WebSocketStream:
         self._send = send
         self._is_open = False
         self._ended: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self._receiving: set[asyncio.Timeout] = set()
 
     async def run(self, app: ASGIApp) -> None:
         watching = asyncio.create_task(self._watch())
@@ -92,19 +93,24 @@ class _WebSocketStream:
         code = _CODES_FROM + problem.status
         was_open, self._is_open = self._is_open, False
         self._ended.set_result(code)
+        for limit in self._receiving:
+            limit.reschedule(asyncio.get_running_loop().time())
         if was_open:
             with suppress(OSError, RuntimeError):
                 await self._send({"type": "websocket.close", "code": code, "reason": problem.title})
 
     async def _receive_until_ended(self) -> Message:
         if not self._ended.done():
-            received: asyncio.Future[Any] = asyncio.ensure_future(self._receive())
+            # Not a task for each message: a person who moves a robot sends 50 in a second.
             try:
-                await asyncio.wait([received, self._ended], return_when=asyncio.FIRST_COMPLETED)
-                if received.done():
-                    return cast("Message", received.result())
+                async with asyncio.timeout(None) as limit:
+                    self._receiving.add(limit)
+                    return await self._receive()
+            except TimeoutError:
+                if not self._ended.done():
+                    raise
             finally:
-                received.cancel()
+                self._receiving.discard(limit)
         return {"type": "websocket.disconnect", "code": self._ended.result(), "reason": ""}
 
     async def _send_until_ended(self, message: Message) -> None:
