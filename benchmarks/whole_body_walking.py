@@ -23,8 +23,8 @@ import numpy as np
 from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk, WalkRecord
 from services.whole_body_control.behaviours.walking import WalkingController
 from services.whole_body_control.components.robot import JointCommand
-from services.whole_body_control.cycle.loop import WISH
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
+from services.whole_body_control.cycle.wish import WISH
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.footsteps import Wish
 from services.whole_body_control.robots import humanoid
@@ -139,9 +139,11 @@ def report_cycle(folder: Path, seconds: float, how: str) -> None:
         time.sleep(0.1)
     time.sleep(1.0)
     wish, state = PortWriter(folder / "wish", WISH), PortReader(folder / "state")
+    wanted = {"ahead_mps": 0.05, "speed_share": 1.0}
+    ahead = np.array([wanted.get(name, 0.0) for name in WISH])
     until = time.monotonic() + seconds
     while time.monotonic() < until:
-        wish.write(np.array([0.05, 0.0, 0.0]))
+        wish.write(ahead)
         time.sleep(0.02)
     state.read()
     names = (name for name in state.names if name.startswith(("cycles", "late", "lost", "max")))

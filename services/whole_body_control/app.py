@@ -75,6 +75,7 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
                     yield
                 await session_writer.flush()
         finally:
+            control.throws.close()
             await control.process.stop()
             engine.dispose()
 

@@ -1,7 +1,7 @@
 """The process of the control cycle: python -m services.whole_body_control.control_process DEPLOYMENT.yaml
 
-It reads the port `wish`, and writes the port `state`, in the folder of the deployment. It ends with SIGTERM
-or SIGINT, after the robot stands. Everything else may stall, end or be killed.
+It reads the ports `wish` and `person`, and writes the port `state`, in the folder of the deployment. It ends
+with SIGTERM or SIGINT, after the robot stands. Everything else may stall, end or be killed.
 """
 
 import argparse
@@ -11,19 +11,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from handover.errors import UsageError
 from handover.telemetry import get_logger
-from services.whole_body_control.behaviours.walking import WalkingController
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.behaviours.humanoid_component import PHASES, HumanoidComponent
+from services.whole_body_control.behaviours.walking import WalkingSettings
 from services.whole_body_control.cycle.deployment import Deployment, read_deployment
-from services.whole_body_control.cycle.loop import WISH, ControlLoop, CyclePorts, Mode, state_fields
+from services.whole_body_control.cycle.loop import ControlLoop, CyclePorts, state_fields
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
 from services.whole_body_control.cycle.privileges import stop_collecting, use_real_time
-from services.whole_body_control.model.kinematics import Array
-from services.whole_body_control.patterns.footsteps import Wish
+from services.whole_body_control.cycle.wish import PERSON, WISH
+from services.whole_body_control.model.kinematics import Kinematics
 from services.whole_body_control.robots import humanoid
+from services.whole_body_control.simulation.ball import RobotWithBall
 from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
 from services.whole_body_control.solvers.compiled import fastest_solver
 from services.whole_body_control.solvers.hierarchical import Hierarchical
@@ -31,65 +30,39 @@ from services.whole_body_control.solvers.problem import Solver
 
 log = get_logger(__name__)
 
-WISH_PORT, STATE_PORT = "wish", "state"
-PHASES = ("standing", "double", "single")
+WISH_PORT, PERSON_PORT, STATE_PORT = "wish", "person", "state"
 STAND_TIMEOUT_S = 4.0
-_VECTORS = ("com", "reference", "wanted_zmp", "measured_zmp")
 
 
-class WalkingComponent:
-    """Walking as a component of the control cycle."""
-
-    def __init__(self, controller: WalkingController) -> None:
-        self.controller = controller
-        self.control_s = controller.settings.control_s
-        joints = [f"joint.{name}" for name in controller.humanoid.joint_names]
-        base = [f"base.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-        planar = [f"{name}.{axis}" for name in _VECTORS for axis in "xy"]
-        self.fields: Sequence[str] = ("phase", "support_left", "support_right", *planar, *base, *joints)
-
-    def follow(self, wish: Array) -> None:
-        """Walk with a velocity ahead and to the left in m/s, and a yaw rate in rad/s."""
-        ahead, left, yaw_rate = wish.tolist()
-        stance = self.controller.state.stance
-        heading = (stance.left.yaw + stance.right.yaw) / 2
-        cosine, sine = np.cos(heading), np.sin(heading)
-        ground = np.array([cosine * ahead - sine * left, sine * ahead + cosine * left])
-        self.controller.wish = Wish(ground, yaw_rate)
-
-    def step(self, sensors: RobotSensors, command: JointCommand) -> str:
-        """Compute the next command."""
-        return self.controller.step(sensors, command).fault
-
-    def write_state(self, state: Array) -> None:
-        """Write phase, shares of the weight, places on the ground in m, and the configuration."""
-        controller = self.controller
-        now, estimator = controller.state, controller.estimator
-        state[0] = PHASES.index(now.stance.phase)
-        names = controller.settings.contacts
-        state[1], state[2] = (estimator.feet[names[side]].share for side in ("left", "right"))
-        state[3:5], state[5:7] = now.com[:2], now.reference.com
-        state[7:9], state[9:11] = now.wanted_zmp, now.measured_zmp
-        state[11:] = estimator.q
-
-
-def control_loop(deployment: Deployment) -> tuple[ControlLoop[SimulatedRobot, WalkingComponent], PortReader]:
+def control_loop(
+    deployment: Deployment,
+) -> tuple[ControlLoop[SimulatedRobot, HumanoidComponent], PortReader]:
     """Return the loop of a deployment, and a reader of its state. Raises `UsageError`."""
     model = humanoid(deployment.robot.humanoid)
     solver: Solver = fastest_solver() if deployment.controller.solver == "fastest" else Hierarchical()
-    controller = WalkingController(model, solver)
-    component = WalkingComponent(controller)
+    start = Kinematics(model).standing(WalkingSettings().pose)
+    robot = RobotWithBall(model, start) if model.grips else SimulatedRobot(model, start)
+    world = robot if isinstance(robot, RobotWithBall) else None
+    component = HumanoidComponent(model, solver, world)
     deployment.folder.mkdir(parents=True, exist_ok=True)
     state = PortWriter(deployment.folder / STATE_PORT, state_fields(component))
-    wish = deployment.folder / WISH_PORT
-    if not wish.exists():
-        PortWriter(wish, WISH).close()  # a place for a writer to come
-    ports = CyclePorts(PortReader(wish), state)
-    if ports.wish.names != WISH:
-        raise UsageError(f"the port {wish} has the values {ports.wish.names}; a wish has {WISH}")
-    robot = SimulatedRobot(model, controller.start)
-    loop = ControlLoop(robot, component, ports, controller.start[7:], is_paced=deployment.paced)
+    ports = CyclePorts(
+        _to_read(deployment.folder / WISH_PORT, WISH),
+        _to_read(deployment.folder / PERSON_PORT, PERSON),
+        state,
+    )
+    loop = ControlLoop(robot, component, ports, component.start[7:], is_paced=deployment.paced)
     return loop, PortReader(state.path)
+
+
+def _to_read(path: Path, names: Sequence[str]) -> PortReader:
+    """Return the reader of a port that another process writes; it is made here, as a place for a writer."""
+    if not path.exists():
+        PortWriter(path, names).close()
+    port = PortReader(path)
+    if port.names != tuple(names):
+        raise UsageError(f"the port {path} has the values {port.names}; {path.name} has {tuple(names)}")
+    return port
 
 
 class _End:
@@ -114,13 +87,13 @@ def run(deployment: Deployment) -> None:
     is_reported = False
     while not end.is_wanted:
         loop.cycle()
-        if loop.mode is Mode.HOLDING and not is_reported:
+        if loop.mode.is_final and not is_reported:
             log.error("control stopped; the joints hold the last command", reason=loop.fault)
             is_reported = True
     loop.stand()
     for _ in range(round(STAND_TIMEOUT_S / loop.robot.period_s)):
         loop.cycle()
-        if loop.mode is Mode.HOLDING or (state.read() and state.value("phase") == PHASES.index("standing")):
+        if loop.mode.is_final or (state.read() and state.value("phase") == PHASES.index("standing")):
             break
     timing = loop.timing
     log.info("control cycle ended", cycles=timing.cycles, late=timing.late, lost=timing.lost)

@@ -47,6 +47,7 @@ class FootState:
     def __post_init__(self) -> None:
         self.pressure = self.corners[:, :2].mean(axis=0)
         self.anchor = np.zeros(3)
+        self.sideways_n = np.zeros(2)
         self.is_standing = False
 
 
@@ -75,6 +76,22 @@ class StateEstimator:
             foot.anchor = np.array(kinematics.pose(foot.link).translation)
             foot.is_standing = True
         self.com, self.com_velocity = kinematics.centre_of_mass(), np.zeros(3)
+
+    def take_tilt(self, other: "StateEstimator") -> None:
+        """Take roll, pitch and the bias of the gyroscope from another estimator of the same robot."""
+        yaw_here, yaw_there = _yaw(self._rotation), _yaw(other._rotation)
+        self._rotation = pin.exp3(np.array([0.0, 0.0, yaw_here - yaw_there])) @ other._rotation
+        self._bias = other._bias.copy()
+
+    def feet_frame(self) -> Array:
+        """Return place (2,) and yaw of the frame between the soles: x ahead, y to the left."""
+        places, yaw = np.zeros(2), 0.0
+        for foot in self.feet.values():
+            pose = self.kinematics.pose(foot.link)
+            places += (pose.translation + pose.rotation @ foot.corners.mean(axis=0))[:2]
+            yaw += _yaw(pose.rotation) - _yaw(self._rotation)
+        count = len(self.feet)
+        return np.array([*(places / count), _yaw(self._rotation) + yaw / count])
 
     @property
     def rotation(self) -> Array:
@@ -111,6 +128,14 @@ class StateEstimator:
         points = sum((foot.share * self._point(foot)[:2] for foot in self.feet.values()), np.zeros(2))
         return points if any(foot.is_standing for foot in self.feet.values()) else np.full(2, np.nan)
 
+    def force_of(self, foot: FootState) -> Array:
+        """Return the force (3,) of the ground on a foot in N: across the sole as measured, in its frame."""
+        return np.array([*foot.sideways_n, foot.force_n])
+
+    def pressure_of(self, foot: FootState) -> Array:
+        """Return the centre of pressure (2,) of a foot on the ground in m; NaN while it does not stand."""
+        return self._point(foot)[:2] if foot.is_standing else np.full(2, np.nan)
+
     def _turn(self, sensors: RobotSensors, dt_s: float) -> Array:
         """Integrate the gyroscope and return the angular velocity of the base in its own frame."""
         spin = self._of_inertial @ sensors.gyroscope - self._bias
@@ -130,6 +155,7 @@ class StateEstimator:
             wrench = sensors.wrenches[foot.sensor_row]
             foot.force_n = max(float(wrench[2]) + foot.weight_below_n, 0.0)
             foot.is_standing = foot.force_n > MIN_CONTACT_N
+            foot.sideways_n = wrench[:2].copy()
             if foot.is_standing:
                 total += foot.force_n
                 force, torque = wrench[:3], wrench[3:] - cross(foot.to_sole, wrench[:3])
@@ -162,6 +188,10 @@ class StateEstimator:
             place = self.kinematics.pose(foot.link).translation + step
             if foot.share < 0.3:
                 foot.anchor = np.array([*place[:2], 0.0])
+
+
+def _yaw(rotation: Array) -> float:
+    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
 def _foot(kinematics: Kinematics, link: str, corners: Array) -> FootState:

@@ -14,8 +14,8 @@ import numpy as np
 
 from services.whole_body_control.balance.contact_forces import FeedForward, shares
 from services.whole_body_control.balance.estimation import StateEstimator
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.engines.stack_engine import StackEngine
+from services.whole_body_control.components.robot import NOT_FINITE, JointCommand, RobotSensors
+from services.whole_body_control.engines.stack_engine import StackEngine, Step
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
 from services.whole_body_control.patterns.ballistics import landing_point
@@ -34,6 +34,7 @@ from services.whole_body_control.tasks.tasks import (
     posture,
 )
 
+HAND, ARM = "hand", "arm"
 SMOOTHED = 3
 """The landing place at the release is that of a line through the last so many predictions."""
 TURNS = (False, False, False, True, True, True)
@@ -131,24 +132,30 @@ class ThrowingController:
     ) -> None:
         self.settings = settings or ThrowingSettings()
         self._humanoid = humanoid
-        self._kinematics = Kinematics(humanoid)
-        self.start = self._kinematics.standing(self.settings.pose)
-        self._q = self.start.copy()
-        self._velocity = np.zeros(self._kinematics.n_velocities)
-        self._acceleration = np.zeros(self._kinematics.n_velocities)
-        self._kinematics.update(self._q)
-        self.estimator = StateEstimator(Kinematics(humanoid), self.start)
-        self._start_soles = self._sole_places()
+        self._kinematics, self._plan = Kinematics(humanoid), Kinematics(humanoid)
+        self._estimated = Kinematics(humanoid)
         self._feed_forward = FeedForward(self._kinematics)
         self._solver = solver
         gains = JointCommand(humanoid)
         self._stiffness = gains.stiffness * self.settings.stiffer
         self._damping = gains.damping * self.settings.stiffer**0.5
+        self.stand_at(self._kinematics.standing(self.settings.pose))
+
+    def stand_at(self, q: Array) -> None:
+        """Stand from now on as `q`, at rest, in a frame of its own with the origin between the soles."""
+        self.start = q.copy()
+        self._q = self.start.copy()
+        self._velocity = np.zeros(self._kinematics.n_velocities)
+        self._acceleration = np.zeros(self._kinematics.n_velocities)
+        self._kinematics.update(self._q)
+        self.estimator = StateEstimator(self._estimated, self.start)
+        self._start_soles = self._sole_places()
         self._centre = self._kinematics.centre_of_mass()
         self._pendulum = Pendulum(float(self._centre[2]))
         self._feet, self._sole = self._footprints()
         self._throw: Throw | None = None
-        self._time_s, self._has_opened = 0.0, False
+        self._time_s, self._has_opened, self._is_cancelled = 0.0, False, False
+        self.last_step = Step(self._q, self._velocity, {})
         self._stand()
 
     @property
@@ -156,25 +163,46 @@ class ThrowingController:
         """Return whether a throw is under way."""
         return self._throw is not None
 
+    @property
+    def reference(self) -> Array:
+        """Return the configuration that is commanded."""
+        return self._q
+
+    @property
+    def com_reference(self) -> Array:
+        """Return where the centre of mass (2,) is to be, in the frame between the soles."""
+        return self._com.target[:2]
+
+    @property
+    def level_names(self) -> tuple[tuple[str, ...], ...]:
+        """Return the names of the levels of each stack, from the first level on: standing, and throwing."""
+        standing = tuple(level.name for level in self._engine.stack.levels)
+        return standing, (*standing[:2], HAND, standing[2], ARM, standing[3])
+
+    def cancel(self) -> None:
+        """Open no hand in this throw: what has begun is followed through, and the arm returns."""
+        self._is_cancelled = True
+
     def throw(self, throw: Throw) -> None:
         """Begin a throw; the hand has the ball. Raises `ValueError` while another one is under way."""
         if self._throw is not None:
             raise ValueError("a throw is under way; wait until the robot stands again")
-        self._throw, self._time_s, self._has_opened = throw, 0.0, False
+        self._throw, self._time_s, self._has_opened, self._is_cancelled = throw, 0.0, False, False
         self._predictions: deque[Array] = deque(maxlen=SMOOTHED)
         self._soles_before = self._sole_places()
         self._arm = np.array(self._humanoid.indices(throw.grip.arm))
         self._home = self._q[BASE_POSITIONS + self._arm].copy()
-        self._plan = Kinematics(self._humanoid)
         place = self._plan.point(self.start, throw.grip.link, np.array(throw.grip.point))[0]
-        self._hand = PointTask("hand", throw.grip.link, np.array(throw.grip.point), place, gain=20.0)
-        self._swing = JointTask("arm", self._arm.tolist(), self._home, gain=10.0)
+        self._hand = PointTask(HAND, throw.grip.link, np.array(throw.grip.point), place, gain=20.0)
+        self._swing = JointTask(ARM, self._arm.tolist(), self._home, gain=10.0)
         stack = self._soles() / self._com / self._hand / self._waist
         stack = stack / self._swing / self._posture << self._limits
         self._engine = StackEngine(self._kinematics, stack, self._solver)
 
     def step(self, sensors: RobotSensors, command: JointCommand) -> ThrowingState:
         """Compute the command of the next `control_s`; holds the last one for values that are not finite."""
+        if not sensors.is_finite:
+            return ThrowingState(Phase.STANDING, False, np.full(3, np.nan), NOT_FINITE)
         dt_s = self.settings.control_s
         self.estimator.update(sensors, dt_s)
         self._time_s += dt_s
@@ -182,7 +210,7 @@ class ThrowingController:
         predicted, opens = self._release(phase)
         step = self._engine.step(self._q, dt_s)
         self._acceleration = (step.velocity - self._velocity) / dt_s
-        self._q, self._velocity = step.q, step.velocity
+        self._q, self._velocity, self.last_step = step.q, step.velocity, step
         self._send(command)
         if phase is Phase.STANDING and self._throw is not None:
             self._throw = None
@@ -254,6 +282,8 @@ class ThrowingController:
         if late_s < -self.settings.control_s / 2:
             return predicted, False
         self._has_opened = True
+        if self._is_cancelled:
+            return predicted, False
         return _at_the_end(np.array(self._predictions)), True
 
     def _on_feet(self, place: Array, velocity: Array) -> tuple[Array, Array]:

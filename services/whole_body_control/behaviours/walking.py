@@ -18,14 +18,14 @@ import pinocchio as pin
 
 from services.whole_body_control.balance.contact_forces import FeedForward, shares
 from services.whole_body_control.balance.estimation import StateEstimator
-from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.engines.stack_engine import StackEngine
+from services.whole_body_control.components.robot import NOT_FINITE, JointCommand, RobotSensors
+from services.whole_body_control.engines.stack_engine import StackEngine, Step
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array, Kinematics
 from services.whole_body_control.patterns.footsteps import Stance, StepLimits, Wish, swing_position
 from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
-from services.whole_body_control.patterns.regions import Footprint, Side
+from services.whole_body_control.patterns.regions import Footprint, Side, turn
 from services.whole_body_control.patterns.walking import Pattern, WalkingPattern
 from services.whole_body_control.patterns.zmp_control import PERIOD_S, ZmpControl
 from services.whole_body_control.solvers.problem import Solver
@@ -35,6 +35,7 @@ from services.whole_body_control.tasks.tasks import CentreOfMassTask, Orientatio
 
 ACCELERATION_SHARE, MAX_ACCELERATION = 0.6, 60.0
 """Of the newest difference of velocities in their moving mean; in rad/s² or m/s²."""
+REST_MPS = 0.005
 ZMP_MARGIN_M = 0.01
 """How far inside of the soles the ZMP is planned."""
 FOOT_GAIN, MAX_OFFSET_M = 10.0, 0.02
@@ -110,15 +111,53 @@ class WalkingController:
         self._shift = np.zeros(2)
         self._foot_offset, self._foot_wanted = np.zeros(3), np.zeros(3)
 
+    @property
+    def reference(self) -> Array:
+        """Return the configuration that is commanded."""
+        return self._q
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Return whether the robot stands on both feet, and its centre of mass hardly moves."""
+        is_standing = self.state.stance.phase == "standing"
+        return is_standing and float(np.linalg.norm(self.state.reference.velocity)) < REST_MPS
+
+    @property
+    def heading(self) -> float:
+        """Return the mean yaw of the footprints in rad."""
+        stance = self.state.stance
+        return (stance.left.yaw + stance.right.yaw) / 2
+
+    def soles_frame(self, q: Array) -> tuple[Array, float]:
+        """Return place (2,) and yaw of the frame between the soles in a configuration `q`."""
+        self._kinematics.update(q)
+        middle = self._sole.mean(axis=0)
+        feet = [self._footprint_at(side) for side in SIDES]
+        places = [foot.place + turn(foot.yaw) @ middle for foot in feet]
+        return np.mean(places, axis=0), (feet[0].yaw + feet[1].yaw) / 2
+
+    @property
+    def level_names(self) -> tuple[tuple[str, ...], ...]:
+        """Return the names of the levels of each stack, from the first level on."""
+        stacks = (engine.stack for engine in self._engines.values())
+        return tuple(tuple(level.name for level in stack.levels) for stack in stacks)
+
+    def draw_joints(self, joints: Array, target: Array) -> None:
+        """Draw the joints (n,) of these numbers to `target` (n,) in the posture."""
+        self._posture.target[joints] = target
+
+    def observe(self, sensors: RobotSensors) -> None:
+        """Estimate the state while something else controls the standing robot."""
+        if sensors.is_finite:
+            self.estimator.update(sensors, self.settings.control_s)
+
     def step(self, sensors: RobotSensors, command: JointCommand) -> WalkingState:
         """Compute the command of the next `control_s`.
 
         Sensors with values that are not finite change nothing: the last command holds, and `fault` says why.
         """
         if not sensors.is_finite:
-            return replace(
-                self.state, fault="a sensor has a value that is not finite; the last command holds"
-            )
+            return replace(self.state, fault=NOT_FINITE)
         dt_s = self.settings.control_s
         self.estimator.update(sensors, dt_s)
         if self._phase_s >= PERIOD_S - dt_s / 2:
@@ -161,6 +200,7 @@ class WalkingController:
             self._engines[standing] = StackEngine(self._kinematics, stack, self._solver)
         self._velocity = np.zeros(self._kinematics.n_velocities)
         self._acceleration = np.zeros(self._kinematics.n_velocities)
+        self.last_step = Step(self._q, self._velocity, {})
 
     def _move(self, pattern: Pattern, reference: PendulumState, dt_s: float) -> str:
         """Advance the joint references; return what is wrong."""
@@ -179,7 +219,7 @@ class WalkingController:
         self._acceleration += ACCELERATION_SHARE * (
             np.clip(change, -MAX_ACCELERATION, MAX_ACCELERATION) - self._acceleration
         )
-        self._q, self._velocity = step.q, step.velocity
+        self._q, self._velocity, self.last_step = step.q, step.velocity, step
         return step.fault
 
     def _swing_foot(self, stance: Stance, dt_s: float) -> None:
@@ -235,6 +275,9 @@ class WalkingController:
 
     def _footprint(self, side: Side) -> Footprint:
         return Footprint.below(side, self._start_feet[side])
+
+    def _footprint_at(self, side: Side) -> Footprint:
+        return Footprint.below(side, self._kinematics.pose(self._links[side]))
 
     def _on_ground(self, foot: Footprint, height_m: float) -> pin.SE3:
         start = self._start_feet[foot.side]

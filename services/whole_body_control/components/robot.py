@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.humanoid import Grip, Humanoid
 from services.whole_body_control.model.kinematics import Array
 
 
@@ -36,6 +36,10 @@ class RobotSensors:
         """Return whether every value is a finite number."""
         parts = (self.positions, self.velocities, self.gyroscope, self.accelerometer, self.wrenches)
         return all(bool(np.isfinite(part).all()) for part in parts)
+
+
+NOT_FINITE = "a sensor has a value that is not finite; the last command holds"
+"""What a controller says that holds the last command."""
 
 
 class JointCommand:
@@ -110,4 +114,28 @@ class Robot(Protocol):
 
     def wait(self) -> None:
         """Return when the next period of `period_s` begins."""
+        ...
+
+
+class World(Protocol):
+    """What a simulation offers beside the joints: a ball, and people who hold the hands of the robot.
+
+    Places and forces (3,) are in the frame of the root link, so that the robot's own estimate moves them to
+    the ground. A robot without it neither juggles nor feels people.
+    """
+
+    def hold(self, grip: Grip) -> None:
+        """Put the ball into a hand, at rest in it."""
+        ...
+
+    def release(self) -> None:
+        """Open the hand that holds the ball."""
+        ...
+
+    def ball_from_root(self) -> Array:
+        """Return where the ball is, in m."""
+        ...
+
+    def pull(self, link: str, force: Array) -> None:
+        """Pull at a link with a force in N until the next call."""
         ...

@@ -7,7 +7,7 @@ cycles between, the joints follow the velocities of the last command.
 The wish comes from a process that may stall or be killed. When it is older than `WISH_TIMEOUT_S`, or not
 finite, the robot is to stand still: the controller finishes its step and stands on both feet. A
 controller that raises an error, or has no valid sensors for `MAX_FAULTS` of its periods, is stopped for good:
-the joints hold the last command.
+the joints hold the last command. So do those of a robot that has fallen.
 """
 
 from collections.abc import Sequence
@@ -25,16 +25,22 @@ from services.whole_body_control.model.kinematics import Array
 WISH_TIMEOUT_S = 0.3
 MAX_FAULTS = 10
 WARM_UP_CYCLES = 250
-WISH = ("ahead_mps", "left_mps", "yaw_radps")
 STATUS = ("robot_time_s", "mode", "wish_age_s")
 
 
 class Mode(IntEnum):
-    """What the cycle does: follows the wish, stands since there is none, or holds the joints for good."""
+    """What the cycle does: follows the wish, stands since there is none, or holds the joints for good, after
+    a fault or a fall. The page has 3 for a robot that a person has stopped."""
 
     FOLLOWING = 0
     STANDING = 1
     HOLDING = 2
+    DOWN = 4
+
+    @property
+    def is_final(self) -> bool:
+        """Return whether the joints hold for good."""
+        return self in {Mode.HOLDING, Mode.DOWN}
 
 
 class Controller(Protocol):
@@ -43,9 +49,11 @@ class Controller(Protocol):
     control_s: float
     fields: Sequence[str]
     """The names of its state."""
+    is_down: bool
+    """Whether the robot has fallen."""
 
-    def follow(self, wish: Array) -> None:
-        """Accept a wish (3,) as `WISH` says."""
+    def follow(self, wish: Array | None, person: Array | None) -> None:
+        """Accept the values of `WISH` and `PERSON`; None for those that are too old, or not finite."""
         ...
 
     def step(self, sensors: RobotSensors, command: JointCommand) -> str:
@@ -59,9 +67,10 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CyclePorts:
-    """The ports of a cycle: the wish that it reads, and the state that it writes."""
+    """The ports of a cycle: the wish and the person that it reads, and the state that it writes."""
 
     wish: PortReader
+    person: PortReader
     state: PortWriter
 
 
@@ -85,7 +94,7 @@ class ControlLoop(Generic[R, C]):
         self._command.positions[:] = start
         self._between = Interpolation(robot.humanoid, start, controller.control_s, robot.period_s)
         self.timing, self._is_paced = Timing(robot.period_s), is_paced
-        self._still, self._faults = np.zeros(3), 0
+        self._faults = 0
         self._state = np.zeros(len(state_fields(controller)))
         self.mode, self.fault = Mode.STANDING, ""
         self._is_ending = False
@@ -115,7 +124,7 @@ class ControlLoop(Generic[R, C]):
     def _control_period(self) -> None:
         age_s = self._read_wish()
         self.robot.read(self._sensors)
-        if self.mode is Mode.HOLDING:
+        if self.mode.is_final:
             self._between.rest()
         else:
             self._control()
@@ -126,14 +135,13 @@ class ControlLoop(Generic[R, C]):
         self._ports.state.write(state)
 
     def _read_wish(self) -> float:
-        wish = self._ports.wish
-        is_read = wish.read()
-        age_s = wish.age_s()
-        is_valid = is_read and age_s < WISH_TIMEOUT_S and bool(np.isfinite(wish.values).all())
-        is_valid = is_valid and not self._is_ending
-        self.controller.follow(wish.values if is_valid else self._still)
-        if self.mode is not Mode.HOLDING:
-            self.mode = Mode.FOLLOWING if is_valid else Mode.STANDING
+        ports = self._ports
+        wish, age_s = _newest(ports.wish)
+        if self._is_ending:
+            wish = None
+        self.controller.follow(wish, _newest(ports.person)[0])
+        if not self.mode.is_final:
+            self.mode = Mode.STANDING if wish is None else Mode.FOLLOWING
         return age_s
 
     def _control(self) -> None:
@@ -142,6 +150,9 @@ class ControlLoop(Generic[R, C]):
             fault = self.controller.step(self._sensors, self._command)
         except Exception as error:  # noqa: BLE001 - whatever is wrong, the joints must hold
             self._stop(f"the controller failed: {error!r}")
+            return
+        if self.controller.is_down:
+            self._stop("the robot has fallen", Mode.DOWN)
             return
         if not fault:
             self._faults = 0
@@ -158,6 +169,14 @@ class ControlLoop(Generic[R, C]):
         except Exception as error:  # noqa: BLE001 - as above; the robot keeps the last command
             self._stop(f"the robot refused a command: {error!r}")
 
-    def _stop(self, fault: str) -> None:
-        self.mode, self.fault = Mode.HOLDING, fault
+    def _stop(self, fault: str, mode: Mode = Mode.HOLDING) -> None:
+        self.mode, self.fault = mode, fault
         self._between.rest()
+
+
+def _newest(port: PortReader) -> tuple[Array | None, float]:
+    """Return the values of a port, None for those that are too old or not finite, and their age in s."""
+    is_read = port.read()
+    age_s = port.age_s()
+    is_valid = is_read and age_s < WISH_TIMEOUT_S and bool(np.isfinite(port.values).all())
+    return (port.values if is_valid else None), age_s

@@ -5,6 +5,7 @@ still for the cycle in the first case and reports both. Tasks write their rows i
 when the engine is made.
 """
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,8 @@ class Step:
     residuals: dict[str, float]
     relaxed: tuple[str, ...] = ()
     fault: str = ""
+    solve_s: float = 0.0
+    """The time that the solver took."""
 
 
 class _Rows:
@@ -100,15 +103,19 @@ class StackEngine:
         constraints = self.stack.constraints
         try:
             bounds = [each.bounds(self._kinematics, q, dt_s) for each in constraints]
-            solution = self._solver.solve(self._problem(bounds))
+            problem = self._problem(bounds)
+            began_s = time.perf_counter()
+            solution = self._solver.solve(problem)
+            solve_s = time.perf_counter() - began_s
         except Unsolvable as error:
             return Step(q, np.zeros(self._kinematics.n_velocities), {}, fault=str(error))
         moved = self._kinematics.integrate(q, solution.velocity, dt_s)
         residuals = dict(zip(self._names, solution.residuals, strict=True))
         if not solution.is_relaxed:
-            return Step(moved, solution.velocity, residuals)
+            return Step(moved, solution.velocity, residuals, solve_s=solve_s)
         owners = [(one.name, len(rows.lower)) for one, rows in zip(constraints, bounds, strict=True)]
-        return Step(moved, solution.velocity, residuals, tuple(_relaxed(solution, owners)))
+        relaxed = tuple(_relaxed(solution, owners))
+        return Step(moved, solution.velocity, residuals, relaxed, solve_s=solve_s)
 
     def _problem(self, bounds: Sequence[Bounds]) -> Problem:
         self._rows.write(self._kinematics)

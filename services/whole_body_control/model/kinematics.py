@@ -178,6 +178,12 @@ class Kinematics:
         forces = pin.rnea(self.pin_model, self.data, self._q, self._v, wanted)
         return np.asarray(np.asarray(forces)[self._columns])
 
+    def gravity_torques(self) -> Array:
+        """Return the torques (n_joints,) that carry the weight of all limbs in the state of `update`."""
+        self.pin_model.gravity = pin.Motion(np.array([0.0, 0.0, -GRAVITY_MPS2]), np.zeros(3))
+        forces = pin.computeGeneralizedGravity(self.pin_model, self.data, self._q)
+        return np.asarray(np.asarray(forces)[self._v_of])
+
     def integrate(self, q: Array, v: Array, dt_s: float) -> Array:
         """Return the configuration after moving with `v` for `dt_s`."""
         moved = np.empty_like(q)

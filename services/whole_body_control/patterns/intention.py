@@ -125,6 +125,11 @@ def _weakest(jacobian: Array) -> tuple[Array, float, float]:
     return np.asarray(left[:, -1]), float(values[-1]), float(np.prod(values))
 
 
+def manipulability(arm: ArmState) -> float:
+    """Return the product of the singular values of an arm's Jacobian, in m³/rad³."""
+    return _weakest(arm.jacobian)[2]
+
+
 def _capped(vector: Array, longest: float) -> Array:
     length = float(np.linalg.norm(vector))
     return vector if length <= longest else vector * (longest / length)

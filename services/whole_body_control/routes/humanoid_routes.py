@@ -91,8 +91,8 @@ def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
 
     @app.post("/restart", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
     async def restart() -> StateView:
-        """Start the control cycle again after it has ended; 409 while it runs."""
-        control.process.start()
+        """Start the control cycle again after it has ended, or after a fall; 409 while it runs."""
+        await control.restart()
         return _state_view(control)
 
     @app.post("/behaviour", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
@@ -103,8 +103,8 @@ def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
 
     @app.post("/throws", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
     async def throw(body: ThrowRequest) -> ThrowView:
-        """Throw a ball now; 409 while the robot is stopped or does not juggle."""
-        return ThrowView(number=control.motion.ask_throw(body.target, body.hand))
+        """Throw a ball now; 409 while the robot is stopped or does not juggle, 422 if it is out of reach."""
+        return ThrowView(number=await control.throws.throw(body.target, body.hand))
 
 
 def _add_limits(app: FastAPI, control: HumanoidControl) -> None:

@@ -118,8 +118,11 @@ class CycleProcess:
                 log.error("control cycle ended", pid=self.pid, status=status)
             await asyncio.sleep(POLL_S)
 
-    async def stop(self) -> None:
-        """Let the robot stand and the process end; wait a short time for it."""
+    async def stop(self, *, is_final: bool = False) -> None:
+        """Let the robot stand and the process end; wait a short time for it.
+
+        With `is_final` a process that is still there then is killed: nothing of the robot moves any more.
+        """
         if not self.is_running or self.pid is None:
             return
         with suppress(ProcessLookupError):
@@ -128,6 +131,11 @@ class CycleProcess:
             async with asyncio.timeout(STOP_WITHIN_S):
                 while self.is_running:  # noqa: ASYNC110 - a process, no event
                     await asyncio.sleep(POLL_S / 2)
+        if is_final and self.is_running:
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+            while self.is_running:  # noqa: ASYNC110 - a process, no event
+                await asyncio.sleep(POLL_S / 2)
         CYCLE_RUNS.set(0)
 
     def _left_pid(self) -> int | None:

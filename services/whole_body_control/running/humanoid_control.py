@@ -2,7 +2,8 @@
 
 import asyncio
 import time
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Final
 
 from handover.control.limit_link import LimitLink
 from handover.control.speed_limits import Allowed
@@ -10,17 +11,34 @@ from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.telemetry import get_logger
+from services.whole_body_control.behaviours.humanoid_component import Behaviour, Fault
+from services.whole_body_control.cycle.loop import Mode
 from services.whole_body_control.metrics import FRACTION
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.running.cycle_process import CycleProcess
 from services.whole_body_control.running.inputs import PersonInputs
 from services.whole_body_control.running.live import LiveDocument
-from services.whole_body_control.running.motion import NAMES, Behaviour, Motion
+from services.whole_body_control.running.motion import NAMES, Motion
 from services.whole_body_control.running.port_links import PortLinks
 from services.whole_body_control.running.store import Store
+from services.whole_body_control.running.throws import Throws
 from services.whole_body_control.settings import WholeBodySettings
 
 log = get_logger(__name__)
+
+FAULTS: Final[Mapping[int, str]] = {
+    Fault.SENSORS: message("humanoid.fault_sensors", "a sensor has no valid value; the last command holds"),
+    Fault.SOLVER: message("humanoid.fault_solver", "the motion of this cycle could not be computed"),
+    Fault.PULLED_HARD: message(
+        "humanoid.fault_pulled", "a hand was pulled too hard and has opened; let it go, and take it again"
+    ),
+    Fault.FALLEN: message(
+        "humanoid.fault_fallen", "the robot has fallen; restart the control cycle to put it on its feet"
+    ),
+    Fault.THROW_REFUSED: message(
+        "humanoid.fault_throw", "the control cycle refused the throw: the arm cannot do it"
+    ),
+}
 
 STANDING, SINGLE_SUPPORT = 0.0, 2.0
 
@@ -37,6 +55,8 @@ class HumanoidControl:
         self.inputs = PersonInputs()
         self.links = PortLinks(self.process, self._wish, self.inputs.port_values)
         self.live = LiveDocument(self.name, self.model.joint_names, self.motion)
+        self.live.shown.faults = FAULTS
+        self.throws = Throws(self.model, self.motion, lambda: self.links.values)
         self._store = store
 
     def open(self) -> None:
@@ -47,6 +67,20 @@ class HumanoidControl:
     def document(self) -> dict[str, Any]:
         """Return the live document of now."""
         return self.live.of(self.links.values, self.problem)
+
+    @property
+    def is_down(self) -> bool:
+        """Whether the joints hold for good, after a fault or a fall."""
+        return self.links.values.get("mode") in {Mode.HOLDING, Mode.DOWN}
+
+    async def restart(self) -> None:
+        """Start the control cycle again: one that has ended, or whose robot holds for good.
+
+        Raises `Problem` 409 while it runs.
+        """
+        if self.is_down and self.process.is_running:
+            await self.process.stop(is_final=True)
+        self.process.start()
 
     @property
     def problem(self) -> tuple[str, str] | None:
@@ -103,11 +137,11 @@ class HumanoidControl:
                     "the behaviour changes only while the humanoid stands on both feet; let it stand first",
                 ),
             )
-        if "behaviour" not in self.links.values:
+        if wanted is Behaviour.JUGGLING and not self.model.grips:
             raise Problem(
                 501,
-                "Walking only",
-                message("humanoid.walking_only", "the control cycle of this humanoid only walks"),
+                "Cannot juggle",
+                message("humanoid.no_grips", "no hand of this humanoid holds a ball; add grips to its model"),
             )
         self.motion.behaviour = wanted
 
@@ -119,4 +153,5 @@ class HumanoidControl:
     def _wish(self, names: tuple[str, ...]) -> list[float]:
         self.update_limit()
         self.inputs.values = self.links.values
+        self.throws.learn()
         return self.motion.values(names)

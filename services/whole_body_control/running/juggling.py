@@ -4,7 +4,7 @@ A throw that the robot refuses, or does not begin, is asked for again with anoth
 `MAX_REFUSALS` in a row the session ends.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -46,13 +46,12 @@ class Juggling:
 
     def tick(self, control: HumanoidControl, exercise: Exercise, now_s: float) -> None:
         """Advance by the newest state; `now_s` is of the clock of the exercise."""
-        values = control.links.values
         if not control.links.is_live:
             return
         if self._detector is not None:
             self._follow(control, exercise, now_s)
         elif self._asked is not None:
-            self._await_release(values, exercise, now_s)
+            self._await_release(control, exercise, now_s)
         elif self._may_throw(control, exercise, now_s):
             self._ask(control)
 
@@ -66,16 +65,23 @@ class Juggling:
     def _ask(self, control: HumanoidControl) -> None:
         wish = self._difficulty.next_throw()
         self._thrown_level = self._difficulty.level
-        self._asked = control.motion.ask_throw(wish.target.tolist(), wish.hand)
+        self._asked = control.throws.request(wish.target.tolist(), wish.hand)
         self._asked_s = control.links.values["robot_time_s"]
         self.shown_phase = None
 
-    def _await_release(self, values: Mapping[str, float], exercise: Exercise, now_s: float) -> None:
+    def _await_release(self, control: HumanoidControl, exercise: Exercise, now_s: float) -> None:
+        assert self._asked is not None  # noqa: S101 - the caller has looked
+        values = control.links.values
         time_s = values["robot_time_s"]
         is_of_this = values.get("throw_number") == self._asked
+        is_refused = control.throws.refusal(self._asked) is not None
         if is_of_this and values.get("ball_phase") == FLYING:
             self._detector, self._asked, self._refusals = CatchDetector(time_s, self._rules), None, 0
-        elif (is_of_this and values.get("throw_phase") == REFUSED) or time_s - self._asked_s > BEGIN_WITHIN_S:
+        elif (
+            is_refused
+            or (is_of_this and values.get("throw_phase") == REFUSED)
+            or time_s - self._asked_s > BEGIN_WITHIN_S
+        ):
             self._asked = None
             self._refusals += 1
             self._next_s = now_s + REST_S

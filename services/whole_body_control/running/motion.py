@@ -7,30 +7,23 @@ person with the right resets it, also when this service was restarted in between
 
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntEnum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 from handover.control.dead_man import DeadMan
 from handover.control.speed_limits import Allowed
 from handover.errors import Problem
 from handover.messages import message
+from services.whole_body_control.behaviours.humanoid_component import Behaviour
 from services.whole_body_control.metrics import STOPS
+from services.whole_body_control.patterns.throwing import Throw as PlannedThrow
 
 HOLD_TIMEOUT_S: Final = 0.25
 """Clients send 20 times a second or more."""
 MAX_AHEAD_MPS, MAX_LEFT_MPS, MAX_YAW_RADPS = 0.2, 0.1, 0.3
 """What a person may ask for; the pattern generator has limits of its own."""
 MAX_REACH_M: Final = 3.0
-
-
-class Behaviour(IntEnum):
-    """The codes of `behaviour` in the ports."""
-
-    WALKING = 0
-    ASSISTED_WALKING = 1
-    JUGGLING = 2
 
 
 NAMES: Final = {"walking": 0, "assistedWalking": 1, "juggling": 2}
@@ -48,11 +41,15 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class Throw:
-    """A throw of `hand` to `target` in m, in the frame of the feet: x ahead, y to the left, z up."""
+    """A throw of `hand` to `target` in m, in the frame of the feet: x ahead, y to the left, z up.
+
+    `plan` has the values of the wish that describe the motion, by their names.
+    """
 
     number: int
     target: tuple[float, float, float]
     hand: str
+    plan: Mapping[str, float] = field(default_factory=dict)
 
 
 class Motion:
@@ -91,8 +88,8 @@ class Motion:
         is_free = self.stopped is None and not self.is_paused and self.behaviour is Behaviour.WALKING
         return self._velocity if is_free and self._dead_man.permits(time.monotonic()) else (0.0, 0.0, 0.0)
 
-    def ask_throw(self, target: Sequence[float], hand: str) -> int:
-        """Ask for a throw now; return its number. Raises `Problem` 409 or 422."""
+    def require_throwing(self, target: Sequence[float]) -> None:
+        """Raise `Problem` 409 or 422 unless the robot may throw to a target now."""
         self.require_free()
         if self.behaviour is not Behaviour.JUGGLING:
             raise Problem(
@@ -100,8 +97,7 @@ class Motion:
                 "Not juggling",
                 message("humanoid.not_juggling", "the humanoid does not juggle; choose that behaviour first"),
             )
-        x, y, z = target
-        if not all(map(math.isfinite, target)) or math.hypot(x, y, z) > MAX_REACH_M:
+        if not all(map(math.isfinite, target)) or math.hypot(*target) > MAX_REACH_M:
             raise Problem(
                 422,
                 "Out of reach",
@@ -111,8 +107,14 @@ class Motion:
                     limit=f"{MAX_REACH_M:g}",
                 ),
             )
-        self.throw = Throw(self.throw.number + 1, (x, y, z), hand)
-        return self.throw.number
+
+    def set_throw(self, number: int, target: Sequence[float], hand: str, planned: PlannedThrow) -> None:
+        """Throw now, as planned."""
+        x, y, z = target
+        plan = {"flight_s": planned.flight_s, "swing_s": planned.swing_s, "follow_s": planned.follow_s}
+        plan |= {f"release_{index}_rad": float(value) for index, value in enumerate(planned.release)}
+        plan |= {f"velocity_{index}_radps": float(value) for index, value in enumerate(planned.velocity)}
+        self.throw = Throw(number, (x, y, z), hand, plan)
 
     def require_free(self) -> None:
         """Raise `Problem` 409 while a stop or a limit of 0 keeps the robot where it is."""
@@ -153,11 +155,9 @@ class Motion:
         self._dead_man.disarm()
 
     def values(self, names: Sequence[str]) -> list[float]:
-        """Return the wish as the values `names` of the port; a port without `speed_share` gets it applied."""
+        """Return the wish as the values `names` of the port."""
         share = max(0.0, min(1.0, self.limit.fraction))
-        has_share = "speed_share" in names
-        scale = 1.0 if has_share else share
-        ahead, left, yaw = (scale * each for each in self.velocity)
+        ahead, left, yaw = self.velocity
         is_stopped = self.stopped is not None or self.is_paused or share <= 0
         known = {
             "ahead_mps": ahead,
@@ -169,6 +169,7 @@ class Motion:
             "target_y_m": self.throw.target[1],
             "target_z_m": self.throw.target[2],
             "hand": float(HANDS[self.throw.hand]),
+            **self.throw.plan,
             "speed_share": share,
             "stop": float(is_stopped),
             "cancel": float(is_stopped),

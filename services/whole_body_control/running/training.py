@@ -17,10 +17,10 @@ import numpy as np
 from handover.errors import Problem
 from handover.messages import message
 from handover.telemetry import get_logger
+from services.whole_body_control.behaviours.humanoid_component import Behaviour
 from services.whole_body_control.patterns.regions import Side
 from services.whole_body_control.running.humanoid_control import HumanoidControl
 from services.whole_body_control.running.juggling import Juggling
-from services.whole_body_control.running.motion import Behaviour
 from services.whole_body_control.running.session_store import SessionStore
 from services.whole_body_control.running.signals import PatientSignals
 from services.whole_body_control.sessions.catching import CatchRules

@@ -86,6 +86,13 @@ class RobotWithBall(SimulatedRobot):
         position = data.qpos[self._q_ball : self._q_ball + 3].copy()
         return BallState(position, data.qvel[self._v_ball : self._v_ball + 3].copy(), self._held_by)
 
+    def ball_from_root(self) -> Array:
+        """Return where the ball is (3,) in m in the frame of the root link."""
+        data = self._data
+        rotation = data.xmat[self._root].reshape(3, 3)
+        ball = data.qpos[self._q_ball : self._q_ball + 3]
+        return np.asarray(rotation.T @ (ball - data.xpos[self._root]))
+
     def _set_ball(self, position: Array, velocity: Array) -> None:
         data = self._data
         data.qpos[self._q_ball : self._q_ball + 7] = [*position, 1.0, 0.0, 0.0, 0.0]

@@ -106,6 +106,11 @@ class SimulatedRobot:
         self._pushed[:3] = np.asarray(impulse_ns) / duration_s
         self._push_until_s = self._data.time + duration_s - STEP_S / 2
 
+    def pull(self, link: str, force: Array) -> None:
+        """Pull at a link with a force (3,) in N in the frame of the root link, until the next call."""
+        rotation = self._data.xmat[self._root].reshape(3, 3)
+        self._data.xfrc_applied[self.model.body(link).id, :3] = rotation @ force
+
     @property
     def time_s(self) -> float:
         """Return the simulated time."""

@@ -22,7 +22,7 @@ class HumanoidCell:
 
     def __init__(self, cell: Cell, folder: Path) -> None:
         self.cell, self.folder = cell, folder
-        self.http = httpx.Client(base_url=cell.url(SERVICE), trust_env=False, timeout=30)
+        self.http = httpx.Client(base_url=cell.url(SERVICE), trust_env=False, timeout=WITHIN_S)
 
     def start(self) -> None:
         """Start what does not run, and wait until the robot stands."""

@@ -2,7 +2,9 @@
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from threading import Event
 from typing import Any
 
 import orjson
@@ -61,3 +63,30 @@ def therapist_at(humanoid: HumanoidCell) -> Iterator[Therapist]:
         therapist = Therapist(humanoid, socket)
         therapist.release()
         yield therapist
+
+
+@contextmanager
+def catching_patient(humanoid: HumanoidCell) -> Iterator[None]:
+    """Connect a patient whose right hand is where the ball is, as soon as it flies."""
+    is_ended = Event()
+
+    def catch() -> None:
+        with (
+            connect(socket_url(humanoid, "/live?hz=60"), proxy=None) as live,
+            connect(socket_url(humanoid, "/input?role=patient"), proxy=None) as patient,
+        ):
+            while not is_ended.is_set():
+                state = orjson.loads(live.recv(timeout=WITHIN_S))
+                ball = state["ball"]
+                is_flying = ball is not None and ball["phase"] == "flying" and ball["position"]
+                hand = {"position": ball["position"] if is_flying else [1.0, -0.3, 0.9], "grip": 0.0}
+                pose = {"kind": "pose", "t": time.monotonic(), "hands": {"right": hand}}
+                patient.send(orjson.dumps(pose).decode())
+
+    with ThreadPoolExecutor(1) as thread:
+        catching = thread.submit(catch)
+        try:
+            yield
+        finally:
+            is_ended.set()
+            catching.result()

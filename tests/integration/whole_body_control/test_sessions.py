@@ -1,6 +1,10 @@
 """Sessions of persons: what is kept of them, and what ends, pauses and deletes them."""
 
-from tests.integration.whole_body_control.conftest import HumanoidCell
+from typing import Any
+
+from tests.integration.whole_body_control.conftest import WITHIN_S, HumanoidCell
+from tests.integration.whole_body_control.people import catching_patient
+from tests.kit.waiting import wait_for
 
 
 def test_what_cannot_be_a_session_is_refused_with_the_reason(humanoid: HumanoidCell) -> None:
@@ -13,3 +17,47 @@ def test_what_cannot_be_a_session_is_refused_with_the_reason(humanoid: HumanoidC
     humanoid.post("/reset")
     assert humanoid.http.get("/sessions/none/report").status_code == 404
     assert humanoid.post("/sessions/none/end", status=404)["title"] == "No such session"
+
+
+def test_a_patient_catches_what_the_robot_throws_and_the_report_says_so(humanoid: HumanoidCell) -> None:
+    humanoid.start()
+    asked = {
+        "application": "juggling",
+        "person": "aino",
+        "goal": {"throws": 2},
+        "target": [0.8, 0.0, 0.6],
+        "hand": "right",
+    }
+    session = humanoid.post("/sessions", asked, 201)["id"]
+    with catching_patient(humanoid):
+        wait_for(lambda: has_ended(humanoid, session), 4 * WITHIN_S, "both throws")
+    report = humanoid.http.get(f"/sessions/{session}/report").json()
+    assert (report["throws"], report["caught"], report["shareCaught"]) == (2, 2, 1.0)
+    assert [outcome["result"] for outcome in report["outcomes"]] == ["caught", "caught"]
+    (week,) = humanoid.http.get("/persons/aino/progress").json()
+    assert (week["sessions"], week["caught"]) == (1, 2)
+    wait_for(lambda: humanoid.state()["behaviour"] == "standing", WITHIN_S, "it stands again")
+    assert humanoid.http.delete("/persons/aino").json() == {"sessions": 1}
+    assert humanoid.http.get(f"/sessions/{session}").status_code == 404
+
+
+def test_a_place_out_of_reach_is_refused_with_the_farthest_that_is_not(humanoid: HumanoidCell) -> None:
+    humanoid.start()
+    far = {"target": [2.5, 0.0, 0.5], "hand": "right"}
+    assert humanoid.post("/throws", far, 409)["title"] == "Not juggling"
+    humanoid.post("/behaviour", {"behaviour": "juggling"})
+    wait_for(lambda: humanoid.state()["behaviour"] == "juggling", WITHIN_S, "it juggles")
+    assert "the farthest place on that line is" in humanoid.post("/throws", far, 422)["detail"]
+    number = humanoid.post("/throws", {"target": [0.8, 0.1, 0.5], "hand": "left"})["number"]
+    wait_for(lambda: (humanoid.state()["ball"] or {}).get("phase") == "landed", WITHIN_S, f"throw {number}")
+    x, y, _ = humanoid.state()["ball"]["landing"]
+    assert 0.4 < (x**2 + y**2) ** 0.5 < 1.2
+    humanoid.post("/behaviour", {"behaviour": "walking"})
+
+
+def has_ended(humanoid: HumanoidCell, session: str) -> bool:
+    """Return whether a session has reached its goal; on a slow machine it pauses for silence meanwhile."""
+    found: dict[str, Any] = humanoid.http.get(f"/sessions/{session}").json()
+    if (found["live"] or {}).get("state") == "paused":
+        humanoid.http.post(f"/sessions/{session}/resume")
+    return bool(found["endedBy"] == "goal")

@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
+from services.whole_body_control.behaviours.humanoid_component import HumanoidComponent
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.control_process import WalkingComponent, control_loop
+from services.whole_body_control.control_process import control_loop
 from services.whole_body_control.cycle.deployment import Deployment, read_deployment
-from services.whole_body_control.cycle.loop import MAX_FAULTS, WISH, Mode
+from services.whole_body_control.cycle.loop import MAX_FAULTS, Mode
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
+from services.whole_body_control.cycle.wish import WISH
 
 DEPLOYMENT = """
 folder: {folder}
@@ -33,11 +35,12 @@ COMMANDER = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from services.whole_body_control.cycle.loop import WISH
+from services.whole_body_control.cycle.wish import WISH
 from services.whole_body_control.cycle.ports import PortWriter
 port = PortWriter(Path(sys.argv[1]) / "wish", WISH)
+wish = {"ahead_mps": 0.05, "speed_share": 1.0}
 while True:
-    port.write(np.array([0.05, 0.0, 0.0]))
+    port.write(np.array([wish.get(name, 0.0) for name in WISH]))
     time.sleep(0.02)
 """
 BOUND_S = 120.0
@@ -110,19 +113,19 @@ def test_a_controller_without_valid_values_is_stopped_and_the_joints_hold(tmp_pa
     assert periods > 1  # the joints get a command in each cycle, the stack runs in some
     wish = PortWriter(deployment.folder / "wish", WISH)
     modes = []
-    for values in (np.array([np.nan, 0.0, 0.0]), np.zeros(3)):  # a wish that is not finite is none
+    for values in (np.full(len(WISH), np.nan), np.zeros(len(WISH))):  # a wish that is not finite is none
         wish.write(values)
         for _ in range(periods):
             loop.cycle()
         modes.append(loop.mode)
     assert modes == [Mode.STANDING, Mode.FOLLOWING]
 
-    class Broken(WalkingComponent):
+    class Broken(HumanoidComponent):
         def step(self, sensors: RobotSensors, command: JointCommand) -> str:
             sensors.gyroscope[0] = np.nan
             return super().step(sensors, command)
 
-    loop.controller = Broken(loop.controller.controller)
+    loop.controller = Broken(loop.robot.humanoid, None, loop.robot)
     for _ in range(MAX_FAULTS * periods - periods):
         loop.cycle()
         assert loop.mode is not Mode.HOLDING

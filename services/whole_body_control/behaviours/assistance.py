@@ -1,0 +1,202 @@
+"""Walking led by the hands of a person: where they are pulled to is where the robot goes.
+
+The arms are drawn to a pose from which they lose mobility when a hand is pulled away or pushed back, and are
+compliant. The direction comes from their manipulability (`patterns.intention`, CoSiMA, equation 3). Added to
+it: hands that are moved apart, one ahead and one back, turn the robot. A person who pulls with more than
+`MAX_PULL_N` may be falling, and would topple the robot: its hand opens and the robot stands still, until the
+person has let go of it as well.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from services.whole_body_control.behaviours.walking import SIDES, WalkingController
+from services.whole_body_control.cycle.wish import PERSON
+from services.whole_body_control.model.humanoid import Grip
+from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
+from services.whole_body_control.patterns.intention import (
+    ArmState,
+    IntentionLimits,
+    IntentionReference,
+    arm_state,
+    hand_place,
+    manipulability,
+)
+from services.whole_body_control.patterns.minimum_jerk import moved
+from services.whole_body_control.patterns.regions import Side, turn
+
+POSE: Final = "hold_hands"
+TAKE_S: Final = 1.5
+"""How long the arms take to their pose, and back."""
+SHOULDER_FIRMNESS, ARM_FIRMNESS, SHOULDER_JOINTS = 0.05, 0.017, 3
+"""The stiffness of the arms as shares of the gains of the model; the first joints of an arm are its shoulder.
+
+So the elbow gives way before the shoulder, and a pull ahead stretches the arm.
+"""
+UNDAMPED_SHARE: Final = 0.7
+"""Of the damping of the joints of the arms, what is compensated."""
+THRESHOLD_SHARE: Final = 0.93
+"""The threshold of manipulability as a share of that of the pose."""
+STIFFNESS_NPM, DAMPING_NSPM = 40.0, 8.0
+"""Of the hold of a hand that has a place: the arm of the person."""
+MAX_PULL_N: Final = 15.0
+"""At one hand. 30 N of both move the zero moment point by 8 cm, to the toes."""
+MAX_SIDEWAYS_N: Final = 14.0
+"""Of both hands; 14 N move it by 4 cm, to the edge of the sole that stands."""
+YAW_DEADBAND_M, YAW_GAIN, MAX_YAW_RADPS = 0.04, 1.5, 0.2
+EVERY_S: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Hands:
+    """What the hands of a person do, by the hand of the robot: each (7,) as the port has it."""
+
+    values: Mapping[Side, Array]
+
+    @classmethod
+    def of(cls, person: Array) -> "Hands":
+        """Return them from the values of `PERSON`."""
+        count = len(PERSON) // 2
+        return cls({side: person[index * count : (index + 1) * count] for index, side in enumerate(SIDES)})
+
+
+class AssistedWalking:
+    """Reads the hands. Not thread-safe; uses the estimate of the walking controller."""
+
+    def __init__(self, walking: WalkingController, control_s: float) -> None:
+        humanoid = walking.humanoid
+        self._walking, self._control_s = walking, control_s
+        self._grips: dict[Side, Grip] = {
+            side: humanoid.grips[f"{side}_hand"] for side in SIDES if f"{side}_hand" in humanoid.grips
+        }
+        pose = np.array(humanoid.pose(POSE if POSE in humanoid.poses else walking.settings.pose))
+        self._plan = kinematics = Kinematics(humanoid)
+        rest = kinematics.standing(walking.settings.pose)
+        self._arms = np.concatenate([np.array(humanoid.indices(grip.arm)) for grip in self._grips.values()])
+        self._home, self._pose = rest[BASE_POSITIONS + self._arms].copy(), pose[self._arms]
+        rest[BASE_POSITIONS + self._arms] = self._pose
+        kinematics.update(rest)
+        self._rest = {side: hand_place(kinematics, grip.link) for side, grip in self._grips.items()}
+        volumes = [
+            manipulability(arm_state(kinematics, *_names(grip), self._rest[side]))
+            for side, grip in self._grips.items()
+        ]
+        self._reference = IntentionReference(IntentionLimits(THRESHOLD_SHARE * min(volumes, default=1.0)))
+        self.firmness = np.ones(len(humanoid.joints))
+        self.firmness[self._arms] = ARM_FIRMNESS
+        for grip in self._grips.values():
+            shoulder = np.array(humanoid.indices(grip.arm)[:SHOULDER_JOINTS])
+            self.firmness[shoulder] = SHOULDER_FIRMNESS
+        self._damping = kinematics.joint_damping()[self._arms]
+        self.velocity = np.zeros(2)
+        """The reference (2,) of the centre of mass in m/s on the ground of the estimate."""
+        self._open: set[Side] = set()
+        """The hands that have opened, until the person lets go."""
+        self._yaw_rate, self._is_wanted, self._taken, self._since_s = 0.0, False, 0.0, 0.0
+        self._held: tuple[Side, ...] = ()
+        self._volumes: Mapping[str, float] = {}
+
+    def begin(self, *, is_wanted: bool) -> None:
+        """Draw the arms to their pose, or back."""
+        self._is_wanted = is_wanted
+        self._open.clear()
+
+    @property
+    def is_pulled_hard(self) -> bool:
+        """Return whether a hand has opened, since it was pulled too hard."""
+        return bool(self._open)
+
+    def link(self, side: Side) -> str:
+        """Return the link that a person holds."""
+        return self._grips[side].link
+
+    def rest(self, side: Side) -> Array:
+        """Return where a hand is that nobody pulls (3,) from the root, in the heading frame, in m."""
+        return self._rest[side]
+
+    def manipulability(self, side: Side) -> float:
+        """Return that of an arm in m³/rad³, NaN while nobody holds it."""
+        return self._volumes.get(side, np.nan)
+
+    def feel(self, hands: Hands) -> dict[Side, Array]:
+        """Return the forces (3,) in N at the hands, in the frame between the soles."""
+        forces: dict[Side, Array] = {side: np.zeros(3) for side in SIDES}
+        for side in self._grips:
+            values = hands.values[side]
+            if values[0] == 0 or not np.isfinite(values).all():
+                self._open.discard(side)
+            elif side not in self._open:
+                forces[side] = values[4:7].copy() if values[0] == 2 else self._hold(side, values[1:4])
+        sideways = abs(sum(float(force[1]) for force in forces.values()))
+        for side, force in forces.items():
+            if float(np.linalg.norm(force)) > MAX_PULL_N or (sideways > MAX_SIDEWAYS_N and force.any()):
+                self._open.add(side)
+                forces[side] = np.zeros(3)
+        self._held = tuple(side for side, force in forces.items() if force.any())
+        return forces
+
+    def carry(self, torques: Array, q: Array) -> None:
+        """Let the arms follow a hand: add to the torques (joints,) that hold the configuration `q`.
+
+        The weight of the arms is carried where they are, not where `q` has them, and most of the damping of
+        their joints is taken away; otherwise they would follow within seconds only.
+        """
+        estimator, arms = self._walking.estimator, self._arms
+        self._plan.update(q)
+        for side, grip in self._grips.items():
+            self._rest[side] = hand_place(self._plan, grip.link)
+        weight = estimator.kinematics.gravity_torques()[arms] - self._plan.gravity_torques()[arms]
+        moving = UNDAMPED_SHARE * self._damping * estimator.v[BASE_VELOCITIES + arms]
+        torques[arms] += self._taken * (weight + moving)
+
+    def wish(self, share: float) -> tuple[Array, float]:
+        """Return the velocity (2,) in m/s on the ground and the yaw rate after one control period."""
+        self._take()
+        self._since_s += self._control_s
+        if self._since_s >= EVERY_S - self._control_s / 2:
+            self._update(share, self._since_s)
+            self._since_s = 0.0
+        return self.velocity, self._yaw_rate
+
+    def _update(self, share: float, dt_s: float) -> None:
+        kinematics = self._walking.estimator.kinematics
+        may_walk = self._is_wanted and self._taken >= 1.0 and not self.is_pulled_hard
+        arms: dict[str, ArmState] = {
+            side: arm_state(kinematics, *_names(self._grips[side]), self._rest[side])
+            for side in (self._held if may_walk else ())
+        }
+        most = share * self._reference.limits.max_mps
+        intention = self._reference.update(arms, dt_s, most)
+        self._volumes = intention.manipulability
+        self.velocity = turn(self._walking.heading) @ intention.velocity
+        self._yaw_rate = 0.0
+        if len(arms) == len(SIDES):
+            apart = float(arms["right"].displacement[0] - arms["left"].displacement[0])
+            beyond = np.sign(apart) * max(abs(apart) - YAW_DEADBAND_M, 0.0)
+            self._yaw_rate = share * float(np.clip(YAW_GAIN * beyond, -MAX_YAW_RADPS, MAX_YAW_RADPS))
+
+    def _take(self) -> None:
+        """Draw the arms by a control period towards their pose, or back home."""
+        way = self._control_s / TAKE_S
+        self._taken = min(max(self._taken + (way if self._is_wanted else -way), 0.0), 1.0)
+        share = moved(self._taken)
+        self._walking.draw_joints(self._arms, self._home + share * (self._pose - self._home))
+
+    def _hold(self, side: Side, place: Array) -> Array:
+        """Return the force of a hand at `place`, which holds the hand of the robot softly."""
+        estimator = self._walking.estimator
+        feet = estimator.feet_frame()
+        back = turn(-feet[2])
+        link = self._grips[side].link
+        hand = np.array(estimator.kinematics.pose(link).translation)
+        hand[:2] = back @ (hand[:2] - feet[:2])
+        speed = estimator.kinematics.velocity(link)[:3]
+        speed = np.array([*(back @ speed[:2]), speed[2]])
+        return np.asarray(STIFFNESS_NPM * (place - hand) - DAMPING_NSPM * speed)
+
+
+def _names(grip: Grip) -> tuple[str, str]:
+    return grip.arm, grip.link

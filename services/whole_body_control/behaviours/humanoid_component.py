@@ -1,0 +1,397 @@
+"""What the humanoid does in the control cycle: walk by wishes, walk with a person by the hands, throw balls.
+
+How it works:
+
+1. One controller is active: that of walking, which stands as well, or that of throwing. Both know where the
+   robot is only from its sensors.
+2. The behaviour changes only while the robot is at rest on both feet. Throwing begins with the configuration
+   that walking commands, in a frame of its own between the soles; walking goes on with its own plan, since
+   the feet do not move meanwhile.
+3. Each behaviour wants joints of another stiffness; it changes within `GAINS_S`, so that nothing jumps.
+4. Where a ball should go has been planned elsewhere: a plan comes with the wish, and is checked again here.
+5. A stop ends the motion by standing on both feet: a step is finished, a throw followed through, and its ball
+   stays in the hand.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from services.whole_body_control.behaviours.assistance import AssistedWalking, Hands
+from services.whole_body_control.behaviours.throwing import Phase, ThrowingController
+from services.whole_body_control.behaviours.walking import SIDES, WalkingController
+from services.whole_body_control.components.robot import JointCommand, RobotSensors, World
+from services.whole_body_control.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
+from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.kinematics import Array
+from services.whole_body_control.patterns.footsteps import Wish
+from services.whole_body_control.patterns.regions import Side, turn
+from services.whole_body_control.patterns.throwing import Throw
+from services.whole_body_control.solvers.problem import Solver
+
+GAINS_S: Final = 0.5
+FALLEN_TILT_RAD: Final = 1.0
+"""A robot whose root leans by more has fallen."""
+MAX_THROW_S: Final = 2.0
+LIMIT_SLACK_RAD: Final = 0.01
+LANDED_M: Final = 0.03
+"""A ball that is lower, or below the height of its target, has landed."""
+LOST_M: Final = 6.0
+SOLVER_BOUNDS_US: Final = (20, 40, 60, 80, 100, 150, 200, 300, 400, 600, 1000, 2000)
+PHASES: Final = ("standing", "double", "single")
+THROW_PHASES: Final = (Phase.STANDING, Phase.REACHING, Phase.SWINGING, Phase.FOLLOWING, Phase.RETURNING)
+REFUSED: Final = 6.0
+
+
+class Behaviour(IntEnum):
+    """The codes of `behaviour` in the ports."""
+
+    WALKING = 0
+    ASSISTED_WALKING = 1
+    JUGGLING = 2
+
+
+class Fault(IntEnum):
+    """The codes of `fault` in the ports; the page says them in words."""
+
+    NONE = 0
+    SENSORS = 1
+    SOLVER = 2
+    PULLED_HARD = 3
+    FALLEN = 4
+    THROW_REFUSED = 5
+
+
+class BallPhase(IntEnum):
+    """The codes of `ball_phase` in the ports."""
+
+    NONE = 0
+    HELD = 1
+    FLYING = 2
+    LANDED = 3
+    LOST = 4
+
+
+@dataclass
+class _Ball:
+    """The ball as the ports show it, on the ground of the estimate."""
+
+    phase: BallPhase = BallPhase.NONE
+    number: float = 0.0
+    height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.place, self.landed = np.full(3, np.nan), np.full(3, np.nan)
+        self.target, self.predicted = np.full(3, np.nan), np.full(3, np.nan)
+
+
+class HumanoidComponent:
+    """All behaviours of a humanoid as one component of the control cycle. Not thread-safe.
+
+    Without a `world` it walks only: there is no ball, and nobody holds its hands.
+    """
+
+    def __init__(self, humanoid: Humanoid, solver: Solver | None = None, world: World | None = None) -> None:
+        self.humanoid = humanoid
+        self.walking = WalkingController(humanoid, solver)
+        self.control_s = self.walking.settings.control_s
+        self.start = self.walking.start
+        self.behaviour = Behaviour.WALKING
+        self.is_down = False
+        self._world = world
+        can_throw = world is not None and bool(humanoid.grips)
+        self._throwing = ThrowingController(humanoid, solver) if can_throw else None
+        self._assistance = AssistedWalking(self.walking, self.control_s) if world is not None else None
+        gains = JointCommand(humanoid)
+        self._stiffness, self._damping = gains.stiffness, gains.damping
+        self._firmness = np.ones(len(humanoid.joints))
+        """Share of the gains of the model, by joint."""
+        self._wanted, self._is_commanded, self._person = Wanted(), False, np.zeros(len(PERSON))
+        self._ball = _Ball()
+        self._throw_phase, self._fault = 0.0, Fault.NONE
+        self._hands: Mapping[Side, Array] = {side: np.zeros(3) for side in SIDES}
+        self._solver_counts = np.zeros(len(SOLVER_BOUNDS_US) + 1)
+        self._residuals = _residual_names(self.walking, self._throwing)
+        self.fields: Sequence[str] = _fields(humanoid, self._residuals)
+
+    @property
+    def behaviours(self) -> tuple[Behaviour, ...]:
+        """Return what this robot can do."""
+        found = [Behaviour.WALKING]
+        if self._assistance is not None:
+            found.append(Behaviour.ASSISTED_WALKING)
+        if self._throwing is not None:
+            found.append(Behaviour.JUGGLING)
+        return tuple(found)
+
+    def follow(self, wish: Array | None, person: Array | None) -> None:
+        """Accept the newest wish, and what a person does; None is one that is too old, or none."""
+        self._is_commanded = wish is not None
+        if wish is not None:
+            self._wanted = Wanted.of(wish)
+        self._person = np.zeros(len(PERSON)) if person is None else person
+
+    def step(self, sensors: RobotSensors, command: JointCommand) -> str:
+        """Compute the next command; return what is wrong, or nothing."""
+        self._switch()
+        self._feel()
+        if self.behaviour is Behaviour.JUGGLING:
+            fault = self._throw(sensors, command)
+        else:
+            fault = self._walk(sensors, command)
+        self._soften(command)
+        self._follow_ball()
+        self._count()
+        self._judge(fault)
+        return fault
+
+    def write_state(self, state: Array) -> None:
+        """Write the values of `fields`. Places are in m on the ground of the estimate."""
+        walking, ball, estimator = self.walking, self._ball, self.walking.estimator
+        now = walking.state
+        phase = 0 if self.behaviour is Behaviour.JUGGLING else PHASES.index(now.stance.phase)
+        feet = estimator.feet_frame()
+        of_feet = [estimator.feet[walking.settings.contacts[side]] for side in SIDES]
+        intention = self._assistance.velocity if self._assistance else np.zeros(2)
+        com, reference = now.com[:2], now.reference.com
+        if self.behaviour is Behaviour.JUGGLING and self._throwing is not None:
+            com, reference = estimator.com[:2], feet[:2] + turn(feet[2]) @ self._throwing.com_reference
+        values = [
+            self.behaviour,
+            phase,
+            *(foot.share for foot in of_feet),
+            *com,
+            *reference,
+            *now.wanted_zmp,
+            *estimator.centre_of_pressure,
+            *intention,
+            *feet,
+        ]
+        for foot in of_feet:
+            values += [*estimator.force_of(foot), *estimator.pressure_of(foot)]
+        for side in SIDES:
+            values += [
+                *self._hands[side],
+                self._assistance.manipulability(side) if self._assistance else np.nan,
+            ]
+        target = self._on_ground(ball.target, feet) if ball.phase is not BallPhase.NONE else ball.target
+        values += [*ball.place, ball.phase, *target, *ball.landed, *ball.predicted]
+        values += [ball.number, self._throw_phase, self._fault]
+        values += self._solver_counts.tolist()
+        residuals = self._active.last_step.residuals
+        level_of = {name: index for index, name in enumerate(residuals)}
+        values += [
+            residuals[name] if level_of.get(name) == index else np.nan for index, name in self._residuals
+        ]
+        state[: len(values)] = values
+        state[len(values) :] = estimator.q
+
+    @property
+    def _active(self) -> WalkingController | ThrowingController:
+        if self.behaviour is Behaviour.JUGGLING and self._throwing is not None:
+            return self._throwing
+        return self.walking
+
+    def _switch(self) -> None:
+        """Change the behaviour, when the robot is at rest on both feet."""
+        wanted = self._wanted.behaviour
+        if not self._is_commanded or wanted == self.behaviour or wanted not in self.behaviours:
+            return
+        if self.behaviour is Behaviour.JUGGLING:
+            if self._throwing is not None and self._throwing.is_busy:
+                return
+        elif not self.walking.is_at_rest:
+            return
+        if wanted == Behaviour.JUGGLING and self._throwing is not None:
+            self._throwing.stand_at(self._between_soles(self.walking.reference))
+            self._throwing.estimator.take_tilt(self.walking.estimator)
+            self._ball, self._throw_phase = _Ball(number=self._wanted.throw_number), 0.0
+        elif self.behaviour is Behaviour.JUGGLING:
+            self._throw_phase = 0.0
+        if self._assistance is not None:
+            self._assistance.begin(is_wanted=wanted == Behaviour.ASSISTED_WALKING)
+        self.behaviour = Behaviour(wanted)
+
+    def _between_soles(self, q: Array) -> Array:
+        """Return a configuration (base and joints) in the frame between its soles."""
+        place, yaw = self.walking.soles_frame(q)
+        moved = q.copy()
+        moved[:2] = turn(-yaw) @ (q[:2] - place)
+        turned = pin.Quaternion(pin.exp3(np.array([0.0, 0.0, -yaw]))) * pin.Quaternion(q[3:7])
+        moved[3:7] = turned.coeffs()
+        return moved
+
+    def _feel(self) -> None:
+        """Let the person pull at the hands of the simulated robot."""
+        if self._world is None or self._assistance is None:
+            return
+        if self.behaviour is Behaviour.ASSISTED_WALKING:
+            self._hands = self._assistance.feel(Hands.of(self._person))
+        else:
+            self._hands = {side: np.zeros(3) for side in SIDES}
+        for side in SIDES:
+            force = self._hands[side]
+            feet = self.walking.estimator.feet_frame()
+            ground = np.array([*(turn(feet[2]) @ force[:2]), force[2]])
+            self._world.pull(self._assistance.link(side), self.walking.estimator.rotation.T @ ground)
+
+    def _walk(self, sensors: RobotSensors, command: JointCommand) -> str:
+        wanted, walking = self._wanted, self.walking
+        share = wanted.speed_share if self._is_commanded and not wanted.stop else 0.0
+        ground, yaw_rate = np.zeros(2), 0.0
+        if self.behaviour is Behaviour.ASSISTED_WALKING and self._assistance is not None:
+            ground, yaw_rate = self._assistance.wish(share)
+        elif share > 0:
+            heading = walking.heading
+            ground = share * (turn(heading) @ np.array([wanted.ahead_mps, wanted.left_mps]))
+            yaw_rate = share * wanted.yaw_radps
+        walking.wish = Wish(ground, yaw_rate)
+        state = walking.step(sensors, command)
+        if self.behaviour is Behaviour.ASSISTED_WALKING and self._assistance is not None and not state.fault:
+            self._assistance.carry(command.torques, walking.reference)
+        return state.fault
+
+    def _throw(self, sensors: RobotSensors, command: JointCommand) -> str:
+        throwing, wanted, ball = self._throwing, self._wanted, self._ball
+        if throwing is None or self._world is None:  # `_switch` has looked
+            return ""
+        self.walking.observe(sensors)
+        if throwing.is_busy and (wanted.cancel or not self._is_commanded):
+            throwing.cancel()
+        is_new = self._is_commanded and wanted.throw_number > ball.number and not wanted.stop
+        if is_new and not throwing.is_busy:
+            self._begin_throw()
+        state = throwing.step(sensors, command)
+        if state.opens:
+            self._world.release()
+            ball.phase, ball.predicted = BallPhase.FLYING, state.predicted
+        if self._throw_phase != REFUSED or state.phase is not Phase.STANDING:
+            self._throw_phase = float(THROW_PHASES.index(state.phase))
+        return state.fault
+
+    def _begin_throw(self) -> None:
+        """Put the ball into the hand and begin, if the plan can be carried out."""
+        wanted, throwing, world = self._wanted, self._throwing, self._world
+        self._ball = _Ball(number=wanted.throw_number, height_m=wanted.target[2])
+        self._ball.target = wanted.target.copy()
+        throw = self._planned()
+        if throw is None or throwing is None or world is None:
+            self._throw_phase, self._fault = REFUSED, Fault.THROW_REFUSED
+            return
+        world.hold(throw.grip)
+        throwing.throw(throw)
+        self._ball.phase = BallPhase.HELD
+
+    def _planned(self) -> Throw | None:
+        """Return the throw of the wish, None if it is none that the arm can do."""
+        wanted = self._wanted
+        grip = self.humanoid.grips.get(f"{wanted.side}_hand")
+        if grip is None:
+            return None
+        arm = np.array(self.humanoid.indices(grip.arm))
+        if len(arm) > PLANNED_JOINTS:
+            return None
+        nothing = np.full(3, np.nan)
+        release, velocity = wanted.release[: len(arm)], wanted.velocity[: len(arm)]
+        throw = Throw(
+            grip,
+            wanted.target,
+            wanted.flight_s,
+            release,
+            velocity,
+            nothing,
+            nothing,
+            0.0,
+            wanted.swing_s,
+            wanted.follow_s,
+        )
+        joints = [self.humanoid.joints[index] for index in arm]
+        lower = np.array([joint.lower for joint in joints]) - LIMIT_SLACK_RAD
+        upper = np.array([joint.upper for joint in joints]) + LIMIT_SLACK_RAD
+        fastest = np.array([joint.max_velocity for joint in joints])
+        is_timed = 0 < wanted.swing_s <= MAX_THROW_S and 0 < wanted.follow_s <= MAX_THROW_S
+        is_within = all(
+            bool((each >= lower).all() and (each <= upper).all())
+            for each in (throw.start, release, throw.end)
+        )
+        return throw if is_timed and is_within and bool((np.abs(velocity) <= fastest).all()) else None
+
+    def _soften(self, command: JointCommand) -> None:
+        """Move the gains of the joints towards those of the behaviour."""
+        wanted: float | Array = 1.0
+        if self.behaviour is Behaviour.JUGGLING and self._throwing is not None:
+            wanted = self._throwing.settings.stiffer
+        elif self.behaviour is Behaviour.ASSISTED_WALKING and self._assistance is not None:
+            wanted = self._assistance.firmness
+        most = self.control_s / GAINS_S * 3.0
+        self._firmness += np.clip(wanted - self._firmness, -most, most)
+        command.stiffness[:] = self._stiffness * self._firmness
+        command.damping[:] = self._damping * np.sqrt(self._firmness)
+
+    def _follow_ball(self) -> None:
+        ball, estimator = self._ball, self.walking.estimator
+        if self._world is None or ball.phase is BallPhase.NONE:
+            return
+        before = ball.place
+        ball.place = estimator.rotation @ self._world.ball_from_root() + estimator.q[:3]
+        if ball.phase is not BallPhase.FLYING:
+            return
+        height_m = max(ball.height_m, LANDED_M)
+        if before[2] > height_m >= ball.place[2]:
+            share = (before[2] - height_m) / (before[2] - ball.place[2])
+            ball.landed, ball.phase = before + share * (ball.place - before), BallPhase.LANDED
+        elif ball.place[2] < LANDED_M:
+            ball.landed, ball.phase = ball.place.copy(), BallPhase.LANDED
+        elif float(np.linalg.norm(ball.place - estimator.q[:3])) > LOST_M:
+            ball.phase = BallPhase.LOST
+
+    def _on_ground(self, place: Array, feet: Array) -> Array:
+        """Return a place (3,) of the frame of the feet on the ground of the estimate."""
+        return np.array([*(feet[:2] + turn(feet[2]) @ place[:2]), place[2]])
+
+    def _count(self) -> None:
+        microseconds = self._active.last_step.solve_s * 1e6
+        self._solver_counts[int(np.searchsorted(SOLVER_BOUNDS_US, microseconds))] += 1
+
+    def _judge(self, fault: str) -> None:
+        """Say what is wrong, and notice a fall."""
+        self.is_down = bool(self.walking.estimator.rotation[2, 2] < np.cos(FALLEN_TILT_RAD))
+        if self.is_down:
+            self._fault = Fault.FALLEN
+        elif fault:
+            self._fault = Fault.SENSORS if "sensor" in fault else Fault.SOLVER
+        elif self._assistance is not None and self._assistance.is_pulled_hard:
+            self._fault = Fault.PULLED_HARD
+        elif self._throw_phase != REFUSED:
+            self._fault = Fault.NONE
+
+
+def _residual_names(walking: WalkingController, throwing: ThrowingController | None) -> list[tuple[int, str]]:
+    stacks = [*walking.level_names, *(throwing.level_names if throwing else ())]
+    return sorted({(index, name) for stack in stacks for index, name in enumerate(stack)})
+
+
+def _fields(humanoid: Humanoid, residuals: Sequence[tuple[int, str]]) -> tuple[str, ...]:
+    names = ["behaviour", "phase", *(f"support_{side}" for side in SIDES)]
+    names += [
+        f"{name}.{axis}"
+        for name in ("com", "reference", "wanted_zmp", "measured_zmp", "velocity_reference")
+        for axis in "xy"
+    ]
+    names += ["feet.x", "feet.y", "feet.yaw"]
+    for side in SIDES:
+        names += [f"{side}_foot.force.{axis}" for axis in "xyz"]
+        names += [f"{side}_foot.pressure.{axis}" for axis in "xy"]
+    for side in SIDES:
+        names += [*(f"{side}_hand.force.{axis}" for axis in "xyz"), f"{side}_hand.manipulability"]
+    names += [*(f"ball.{axis}" for axis in "xyz"), "ball_phase"]
+    names += [f"{name}.{axis}" for name in ("target", "ball_landed", "predicted") for axis in "xyz"]
+    names += ["throw_number", "throw_phase", "fault"]
+    names += [f"solver_us.{bound}" for bound in (*SOLVER_BOUNDS_US, "inf")]
+    names += [f"residual.{index}.{name}" for index, name in residuals]
+    names += [f"base.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    return (*names, *(f"joint.{name}" for name in humanoid.joint_names))

@@ -1,0 +1,156 @@
+"""In one control cycle the humanoid walks, throws balls, and is led by the hands of a person."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.whole_body_control.behaviours.humanoid_component import BallPhase, Behaviour, Fault
+from services.whole_body_control.behaviours.walking import SIDES
+from services.whole_body_control.control_process import control_loop
+from services.whole_body_control.cycle.deployment import Deployment
+from services.whole_body_control.cycle.loop import Mode
+from services.whole_body_control.cycle.ports import PortWriter
+from services.whole_body_control.cycle.wish import PERSON, WISH
+from services.whole_body_control.model.kinematics import Kinematics
+from services.whole_body_control.patterns.throwing import Throw, ThrowPlanner
+from services.whole_body_control.robots import humanoid
+
+COMPONENTS = {
+    "robot": {"kind": "mujoco", "realtime": True},
+    "walking": {"kind": "walking", "realtime": True},
+}
+TARGET = np.array([0.8, 0.1, 0.5])
+
+
+class Cycle:
+    """A control cycle without pauses, and who commands it."""
+
+    def __init__(self, folder: Path) -> None:
+        deployment = Deployment.model_validate(
+            {"folder": folder, "paced": False, "fifo": False, "components": COMPONENTS}
+        )
+        self.loop, self._state = control_loop(deployment)
+        self._wish, self._person = PortWriter(folder / "wish", WISH), PortWriter(folder / "person", PERSON)
+
+    def run(
+        self, seconds: float, wish: Mapping[str, float], person: Mapping[str, float] | None = None
+    ) -> dict[str, float]:
+        """Run with a wish and the hands of a person; return the state."""
+        wanted = np.array([wish.get(name, 0.0) for name in WISH])
+        done = np.array([(person or {}).get(name, 0.0) for name in PERSON])
+        for _ in range(round(seconds / self.loop.robot.period_s)):
+            self._wish.write(wanted)
+            self._person.write(done)
+            self.loop.cycle()
+        assert self._state.read()
+        return dict(zip(self._state.names, self._state.values.tolist(), strict=True))
+
+
+@pytest.fixture(scope="module")
+def cycle(tmp_path_factory: pytest.TempPathFactory) -> Cycle:
+    return Cycle(tmp_path_factory.mktemp("ports"))
+
+
+@pytest.fixture(scope="module")
+def throw() -> Throw:
+    model = humanoid("coman")
+    kinematics = Kinematics(model)
+    return ThrowPlanner(kinematics, kinematics.standing("stand"), model.grips["right_hand"]).plan(TARGET)
+
+
+WALKING = {"speed_share": 1.0, "behaviour": float(Behaviour.WALKING)}
+JUGGLING = {"speed_share": 1.0, "behaviour": float(Behaviour.JUGGLING)}
+ASSISTED = {"speed_share": 1.0, "behaviour": float(Behaviour.ASSISTED_WALKING)}
+
+
+def thrown(number: int, throw: Throw) -> dict[str, float]:
+    wish = {**JUGGLING, "throw_number": float(number), "hand": 1.0}
+    wish |= {f"target_{axis}_m": value for axis, value in zip("xyz", TARGET.tolist(), strict=True)}
+    wish |= {"flight_s": throw.flight_s, "swing_s": throw.swing_s, "follow_s": throw.follow_s}
+    wish |= {f"release_{index}_rad": float(value) for index, value in enumerate(throw.release)}
+    return wish | {f"velocity_{index}_radps": float(value) for index, value in enumerate(throw.velocity)}
+
+
+def on_feet(state: Mapping[str, float], name: str) -> tuple[float, float]:
+    """Return a place of the ground in the frame between the soles."""
+    x, y = state[f"{name}.x"] - state["feet.x"], state[f"{name}.y"] - state["feet.y"]
+    cosine, sine = np.cos(state["feet.yaw"]), np.sin(state["feet.yaw"])
+    return float(cosine * x + sine * y), float(cosine * y - sine * x)
+
+
+def test_it_walks_then_throws_from_where_it_stands_then_walks_again(cycle: Cycle, throw: Throw) -> None:
+    walked = cycle.run(3.0, {**WALKING, "ahead_mps": 0.1, "yaw_radps": 0.15})
+    while_walking = cycle.run(0.1, JUGGLING)
+    assert while_walking["behaviour"] == Behaviour.WALKING  # never while it takes a step
+    stands = cycle.run(4.0, WALKING)
+    assert stands["base.x"] > 0.1 < walked["base.x"]
+    assert abs(stands["feet.yaw"]) > 0.1
+    before = cycle.run(0.5, JUGGLING)
+    assert before["behaviour"] == Behaviour.JUGGLING
+    landed = cycle.run(4.5, thrown(1, throw))
+    assert (landed["ball_phase"], landed["throw_number"]) == (BallPhase.LANDED, 1)
+    x, y = on_feet(
+        {**landed, **{name: before[name] for name in ("feet.x", "feet.y", "feet.yaw")}}, "ball_landed"
+    )
+    assert np.hypot(x - TARGET[0], y - TARGET[1]) < 0.2  # nothing was practised
+    again = cycle.run(0.5, thrown(1, throw))
+    assert again["throw_phase"] == 0  # the same number is the same throw
+    walked = cycle.run(4.0, {**WALKING, "ahead_mps": 0.1})
+    assert (walked["mode"], walked["behaviour"]) == (Mode.FOLLOWING, Behaviour.WALKING)
+    assert walked["com.x"] > landed["com.x"] + 0.1
+    assert cycle.run(4.0, WALKING)["phase"] == 0
+
+
+def test_a_cancelled_throw_is_followed_through_with_the_ball_in_the_hand(cycle: Cycle, throw: Throw) -> None:
+    cycle.run(0.5, JUGGLING)
+    begun = cycle.run(0.8, thrown(2, throw))
+    assert begun["ball_phase"] == BallPhase.HELD
+    ended = cycle.run(4.0, {**thrown(2, throw), "stop": 1.0, "cancel": 1.0})
+    assert (ended["ball_phase"], ended["throw_phase"]) == (BallPhase.HELD, 0)
+    refused = cycle.run(0.2, thrown(3, throw) | {"release_0_rad": 9.0})
+    assert (refused["throw_phase"], refused["fault"]) == (6, Fault.THROW_REFUSED)
+    assert cycle.run(1.0, WALKING)["behaviour"] == Behaviour.WALKING
+
+
+def at_hands(state: Mapping[str, float], rest: Mapping[str, np.ndarray], ahead_m: float) -> dict[str, float]:
+    """Return the hands of a person who stands `ahead_m` farther than the rest pose of the arms."""
+    x, y = on_feet(state, "base")
+    person = {}
+    for side, (dx, dy, dz) in rest.items():
+        place = (x + dx + ahead_m, y + dy, state["base.z"] + dz)
+        person |= {f"{side}.held": 1.0}
+        person |= {f"{side}.{axis}_m": float(value) for axis, value in zip("xyz", place, strict=True)}
+    return person
+
+
+def test_hands_lead_it_ahead_and_back_and_a_hard_pull_opens_its_hands(cycle: Cycle) -> None:
+    assistance = cycle.loop.controller._assistance
+    assert assistance is not None
+    state = cycle.run(3.0, ASSISTED)
+    for ahead_m in (0.25, -0.15):
+        before = state["com.x"]
+        for _ in range(25):
+            rest = {side: assistance.rest(side) for side in SIDES}
+            state = cycle.run(0.2, ASSISTED, at_hands(state, rest, ahead_m))
+        assert np.hypot(state["velocity_reference.x"], state["velocity_reference.y"]) > 0.05
+        assert (state["com.x"] - before) * ahead_m > 0
+        state = cycle.run(4.0, ASSISTED)  # it is let go, and stands
+        assert state["phase"] == 0
+    hard: dict[str, float] = {}
+    for side in ("left", "right"):
+        hard |= {f"{side}.held": 2.0, f"{side}.force_x_n": 80.0}
+    state = cycle.run(1.0, ASSISTED, hard)
+    assert (state["fault"], state["left_hand.force.x"]) == (Fault.PULLED_HARD, 0)
+    assert (state["mode"], state["phase"]) == (Mode.FOLLOWING, 0)
+    assert cycle.run(0.2, ASSISTED)["fault"] == Fault.NONE
+
+
+def test_a_robot_that_has_fallen_holds_its_joints_and_says_so(tmp_path: Path) -> None:
+    cycle = Cycle(tmp_path)
+    cycle.run(0.2, WALKING)
+    cycle.loop.robot.push(np.array([40.0, 0.0, 0.0]))
+    state = cycle.run(3.0, WALKING)
+    assert (state["mode"], state["fault"]) == (Mode.DOWN, Fault.FALLEN)
+    assert cycle.loop.fault == "the robot has fallen"
