@@ -1,5 +1,6 @@
 """The web UI server: the page, its WebSocket, its own REST routes, and a proxy to the services."""
 
+import re
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime, timedelta
@@ -34,6 +35,7 @@ from handover.tls_trust import client_context
 from webui.http.control_proxy import ControlProxy
 from webui.http.page_files import PageFiles
 from webui.http.page_guard import CsrfCheck, PageGuard
+from webui.http.person_removal import PersonRemoval, add_person_removal
 from webui.http.provider_routes import add_provider_sign_in
 from webui.http.proxy import METHODS, ServiceProxy
 from webui.http.secure_headers import SecureHeaders
@@ -70,6 +72,8 @@ from webui.sources.source import run_sources
 from webui.sources.tasklist import CommentCounts, Tasklist
 from webui.sources.tasks import Tasks
 
+ACCOUNTS = "accounts"
+DELETED_USER = re.compile(r"users/([^/]+)")
 MAX_PROXIED_BODY_BYTES = 4 * 1024 * 1024
 MAX_ALERTS_BODY_BYTES = 256 * 1024
 """Enough for the ids of `MAX_ALERTS_AT_ONCE` Alerts."""
@@ -153,7 +157,9 @@ class Components:
         registered_devices = RegisteredDevices(context)
         comments = CommentCounts(self.state)
 
-        def on_write(service: str, path: str) -> None:
+        def on_write(method: str, service: str, path: str) -> None:
+            if (method, service) == ("DELETE", ACCOUNTS) and (user := DELETED_USER.fullmatch(path)):
+                self.user_settings.delete(user[1])
             people.on_write(service)
             registered_devices.on_write(service)
             processes.on_write(service, path)
@@ -165,6 +171,7 @@ class Components:
         self.control = ControlProxy(urls, guard, settings.ca_files)
         self.streams = StreamProxy(urls, guard, settings.ca_files)
         self.proxy = ServiceProxy(urls, on_write, settings.ca_files, headers_of)
+        self.removal = PersonRemoval(urls, http, self.broker, headers_of)
         on_demand = (Gloves(context), Robots(context), people, registered_devices)
         self._sources = (services, self.entities, self.alerts, processes, *on_demand)
         self.state.publish("cell", cell_view(settings))
@@ -204,6 +211,7 @@ def make_app(settings: WebuiSettings, page: PageFiles | None = None) -> ASGIApp:
     components.entities.mount(app)
     add_sessions(app, components.guard)
     add_user_settings(app, components.user_settings)
+    add_person_removal(app, components.removal)
     add_provider_sign_in(app, components.guard)
     _add_api(app, components)
     _add_proxy(app, components)

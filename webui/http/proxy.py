@@ -56,8 +56,8 @@ CONNECTION_LIMITS: Final = httpx.Limits(
 )
 HeadersOf = Callable[[Request], Awaitable[Mapping[str, str]]]
 """Returns headers that replace those of the browser: the credentials of its user."""
-OnWrite = Callable[[str, str], None]
-"""Called after a successful write, with the service and the path."""
+OnWrite = Callable[[str, str, str], None]
+"""Called after a successful write, with the method, the service and the path."""
 
 _OWN_HEADERS: Final = frozenset({"server", "date"})
 _NOTIFICATION_PATH: Final = re.compile(r"^notifications(/|$)")
@@ -151,7 +151,7 @@ class ServiceProxy:
             raise
         status = response.status_code if isinstance(response, httpx.Response) else response.status
         if request.method not in {"GET", "HEAD"} and 200 <= status < 300:
-            self._on_write(service, unquote(path))
+            self._on_write(request.method, service, unquote(path))
         if isinstance(response, httpx.Response):
             return _ProxiedResponse(
                 _chunks_of(response),

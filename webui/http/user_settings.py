@@ -51,6 +51,12 @@ class UserSettings:
         found: dict[str, Any] = {} if value is None else orjson.loads(value)
         return found
 
+    def delete(self, subject: str) -> None:
+        """Delete all settings of a user who was deleted."""
+        self._prepare()
+        with self._engine.begin() as connection:
+            connection.execute(delete(_settings).where(_settings.c.subject == subject))
+
     def write(self, subject: str, name: str, value: dict[str, Any]) -> None:
         """Write a setting; it is durable then. Raises `Problem` 409 for too many."""
         self._prepare()

@@ -1,8 +1,11 @@
 """Signing in through the page server: cookie, CSRF token, access tokens for services, and their end."""
 
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -190,12 +193,22 @@ def test_signing_out_ends_the_session_for_requests_and_for_the_live_page(cell: C
     assert replayed.status_code == 401
 
 
+def settings_of(database: Path, subject: str) -> int:
+    with closing(sqlite3.connect(database)) as connection:
+        query = "SELECT count(*) FROM webui_user_settings WHERE subject = ?"
+        return int(connection.execute(query, [subject]).fetchone()[0])
+
+
 def test_a_deleted_user_is_signed_out(cell: Cell, owner: Browser) -> None:
     chris = invited(cell, owner, "Chris", {"role": "researcher", "resource": "*"})
     wait_for(lambda: chris.send("GET", "/api/study/sessions").status_code == 200)
     users = owner.send("GET", "/api/accounts/users").json()
     subject = next(user["subject"] for user in users if user["name"] == "Chris")
+    assert chris.send("PUT", "/api/user-settings/control.panels", {"order": []}).status_code == 204
+    database = cell.data_dir / "webui.db"
+    assert settings_of(database, subject) == 1
     assert owner.send("DELETE", f"/api/accounts/users/{subject}").status_code == 200
+    assert settings_of(database, subject) == 0
     wait_for(lambda: chris.send("GET", "/api/study/sessions").status_code == 401, within_s=5)
     assert chris.http.get("/api/session").json()["user"] is None
 

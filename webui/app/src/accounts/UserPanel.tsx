@@ -5,12 +5,14 @@ import { useTranslation } from "react-i18next";
 import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
+import { Checkbox } from "~/design/Checkbox";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Select } from "~/design/Select";
+import { localizedText } from "~/i18n/server";
 import { shortName } from "~/live/urn";
 import { useSession } from "~/session/session";
-import { addGrants, deleteUser, makePasswordLink, removeGrant, setPerson, type UserView } from "./accounts";
+import { addGrants, deleteUser, makePasswordLink, removeGrant, removePerson, setPerson, type UserView } from "./accounts";
 import { GrantForm } from "./GrantForm";
 import { GrantList } from "./GrantList";
 import { grantsOf, NEW_DRAFT, useResources } from "./grants";
@@ -74,21 +76,40 @@ export function UserPanel({ user, onChange, onSecret, onDeleted }: UserPanelProp
         <PersonSelect user={user} onChange={(person) => void act(setPerson(user.subject, person))} />
       </Card>
       {isAdding && <AddGrant user={user} onClose={() => setAdding(false)} onAdded={onChange} />}
-      <ConfirmDialog
-        isOpen={isDeleting}
-        onClose={() => setDeleting(false)}
-        kind="stop"
-        title={t("users.deleteTitle", { name: user.name })}
-        act={t("users.delete")}
-        onAct={async () => {
-          const { remains } = await deleteUser(user.subject);
-          const [records, ...others] = remains;
-          onDeleted([t("users.deleted", { name: user.name, count: records?.count ?? 0 }), ...others.map(({ what }) => t("users.personRemains", { person: shortName(what) }))].join(" "));
-        }}
-      >
-        <p>{t("users.deleteMeans")}</p>
-      </ConfirmDialog>
+      {isDeleting && <DeleteUser user={user} onClose={() => setDeleting(false)} onDeleted={onDeleted} />}
     </>
+  );
+}
+
+function DeleteUser({ user, onClose, onDeleted }: { user: UserView; onClose: () => void; onDeleted: (remains: string) => void }) {
+  const { t } = useTranslation("accounts");
+  const [withPerson, setWithPerson] = useState(false);
+  const { person } = user;
+  const removed = async () => {
+    if (person === null || !withPerson) return [];
+    const { parts, remains } = await removePerson(person);
+    const kept = parts.filter(({ outcome }) => outcome === "refused" || outcome === "unreachable");
+    return [
+      t("users.personDeleted", { person: shortName(person) }),
+      ...kept.map(({ service, detail }) => t("users.partRemains", { service, detail: detail ?? "" })),
+      ...remains.flatMap((one) => localizedText(one, "why") ?? []),
+    ];
+  };
+  const remove = async () => {
+    const ofPerson = await removed(); // first, since it can be repeated while the account names the person
+    const [records, ...others] = (await deleteUser(user.subject)).remains;
+    const left = withPerson ? ofPerson : others.map(({ what }) => t("users.personRemains", { person: shortName(what) }));
+    onDeleted([t("users.deleted", { name: user.name, count: records?.count ?? 0 }), ...left].join(" "));
+  };
+  return (
+    <ConfirmDialog isOpen onClose={onClose} kind="stop" title={t("users.deleteTitle", { name: user.name })} act={t("users.delete")} onAct={remove}>
+      <p>{t("users.deleteMeans")}</p>
+      {person !== null && (
+        <Checkbox isSelected={withPerson} onChange={setWithPerson}>
+          {t("users.deletePerson", { person: shortName(person) })}
+        </Checkbox>
+      )}
+    </ConfirmDialog>
   );
 }
 

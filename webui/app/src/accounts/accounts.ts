@@ -3,7 +3,7 @@ import { useQuery } from "@tanstack/react-query";
 import type {
   AccountRequestView, DeletedUser, GrantBody, GrantView, IssuedToken, LinkView, NewInvitation, NewLink, NewToken, SessionView, TokenView, UserView,
 } from "~/api/generated/accounts";
-import { errorText, requestService } from "~/api/http";
+import { errorText, request, requestService } from "~/api/http";
 import { queryClient } from "~/api/useServiceQuery";
 import { shortName } from "~/live/urn";
 
@@ -46,6 +46,24 @@ export function setPerson(subject: string, person: string | null): Promise<unkno
 
 export function deleteUser(subject: string): Promise<DeletedUser> {
   return requestService(SERVICE, ofUser(subject), { method: "DELETE" });
+}
+
+/** What the page server says about the data of a Person in one service; its `detail` says why they remain. */
+export interface RemovedPart {
+  service: string;
+  outcome: "deleted" | "nothing" | "refused" | "unreachable";
+  detail: string | null;
+}
+
+export interface RemovedPerson {
+  parts: readonly RemovedPart[];
+  /** What remains everywhere: `why`, with its code. */
+  remains: readonly object[];
+}
+
+/** Delete a Person in every service: gestures, body signals, sessions and studies. */
+export function removePerson(person: string): Promise<RemovedPerson> {
+  return request(`persons/${encodeURIComponent(shortName(person))}`, { method: "DELETE" });
 }
 
 export function makePasswordLink(subject: string): Promise<NewLink> {

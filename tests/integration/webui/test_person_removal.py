@@ -1,0 +1,77 @@
+"""A Person is deleted everywhere, and the answer says what remains and why."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.integration.webui.test_signing_in import Browser, invited, set_up
+from tests.kit.cell import Cell, new_cell
+from tests.kit.waiting import wait_for
+
+pytestmark = pytest.mark.slow
+
+PERSON = "urn:ngsi-ld:Person:demo:anna"
+DELETING = ("gesture-controller", "human-state", "study")
+
+
+@pytest.fixture
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
+        made.start(
+            "context_broker", "accounts", "gesture_controller", "human_state", "study", "webui", within_s=90
+        )
+        yield made
+
+
+def add_person(cell: Cell, browser: Browser) -> None:
+    added = [
+        browser.send("PUT", "/api/gesture-controller/people/anna", {"title": "Anna"}),
+        browser.send("PUT", "/api/human-state/people/anna", {}),
+        browser.send("POST", "/api/study/sessions", {"pseudonym": "P-1", "person": "anna"}),
+    ]
+    assert [answer.is_success for answer in added] == [True] * 3, [answer.text for answer in added]
+    url = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
+    httpx.post(url, json={"id": PERSON, "type": "Person"}, timeout=120, trust_env=False)  # may exist
+
+
+def outcomes(answer: httpx.Response) -> dict[str, str]:
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    assert [one["whyCode"].partition(".")[0] for one in found["remains"]] == ["person"] * 3
+    assert all(part["detail"] for part in found["parts"] if part["outcome"] in {"refused", "unreachable"})
+    return {part["service"]: part["outcome"] for part in found["parts"]}
+
+
+def test_a_person_is_deleted_in_every_service_by_those_who_may(cell: Cell) -> None:
+    local = Browser(cell)
+    add_person(cell, local)
+    first = outcomes(local.send("DELETE", "/api/persons/anna"))
+    others = {"whole-body-control": "unreachable", "context-broker": "deleted"}
+    assert first == {**dict.fromkeys(DELETING, "deleted"), **others}
+    for path in ("gesture-controller/people/anna", "human-state/people/anna"):
+        assert local.send("GET", f"/api/{path}").status_code == 404
+    assert local.send("GET", "/api/study/sessions").json() == []
+    assert set(outcomes(local.send("DELETE", "/api/persons/anna")).values()) == {"nothing", "unreachable"}
+
+    add_person(cell, local)
+    link = set_up(cell)
+    wait_for(lambda: local.send("DELETE", "/api/persons/anna").status_code == 401)
+    owner = Browser(cell)
+    body = {"link": link, "name": "Olga", "password": "correct horse battery"}
+    assert owner.begin("/api/session/link-use", body).status_code == 200
+    vera = invited(cell, owner, "Vera", {"role": "researcher", "resource": "*"})
+    adam = invited(cell, owner, "Adam", {"role": "admin", "resource": "*"})
+    wait_for(lambda: vera.send("DELETE", "/api/persons/anna").status_code == 403)
+    by_admin: dict[str, str] = {}
+
+    def is_deleted() -> bool:
+        by_admin.update(outcomes(adam.send("DELETE", "/api/persons/anna")))
+        return by_admin["gesture-controller"] == "nothing"  # it was deleted the time before
+
+    wait_for(is_deleted)  # services refuse changes until they follow the revocations of accounts
+    assert (by_admin["human-state"], by_admin["study"]) == ("refused", "refused")
+    assert outcomes(owner.send("DELETE", "/api/persons/anna"))["human-state"] == "deleted"
+    for service in ("webui", "accounts", "study", "human-state"):
+        assert owner.send("GET", f"/api/{service}/audit/verification").json()["fault"] is None
