@@ -222,11 +222,10 @@ def test_what_accounts_acknowledged_survives_its_end(cell: Cell, owner: Browser)
 
 
 def test_too_many_attempts_are_answered_with_the_time_to_wait(cell: Cell, owner: Browser) -> None:
-    answers = [
-        Browser(cell).begin("/api/session", {"name": "Nobody", "password": "wrong password"})
-        for _ in range(7)
-    ]
+    wrong = {"name": "Nobody", "password": "wrong password"}
+    answers = [Browser(cell).begin("/api/session", wrong)]
+    while answers[-1].status_code == 401 and len(answers) < 20:  # delays double; a hash may take long here
+        answers.append(Browser(cell).begin("/api/session", wrong))
     assert answers[0].status_code == 401
-    limited = [answer for answer in answers if answer.status_code == 429]
-    assert limited
-    assert all(int(answer.headers["retry-after"]) >= 1 for answer in limited)
+    assert answers[-1].status_code == 429
+    assert int(answers[-1].headers["retry-after"]) >= 1
