@@ -1,13 +1,14 @@
 """`handover bridge device`: a robot of the ROS graph as a device of a gateway or an edge.
 
-A file says which fields of topics are its values, which services its commands call, and on which topic it
-takes velocities:
+A file says which fields of topics are its values, which services and actions its commands call, and on which
+topic it takes velocities:
 
     values:
       battery: {topic: /battery_state, type: sensor_msgs/msg/BatteryState, field: percentage}
       elbow: {topic: /joint_states, type: sensor_msgs/msg/JointState, field: position, joint: elbow}
     commands:
       dock: {service: /dock, type: std_srvs/srv/Trigger, timeoutS: 30}
+      spin: {action: /spin, type: nav2_msgs/action/Spin, progress: fraction}
     drive: {topic: /cmd_vel}
     periodS: 1.0
 
@@ -23,12 +24,14 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from pydantic.alias_generators import to_camel
 
 from handover.telemetry import get_logger
-from ros_fiware_bridge.graph.port import Publisher, Received, RosGraph
+from ros_fiware_bridge.graph.port import ActionClient, GoalStatus, Publisher, Received, RosGraph
 from services.device_gateway.device_client import DeviceClient, Run
 
 log = get_logger(__name__)
 
 TWIST: Final = "geometry_msgs/msg/Twist"
+CHECK_S: Final = 0.1
+"""How often an action looks whether its command was cancelled."""
 
 
 class _Part(BaseModel):
@@ -45,9 +48,7 @@ class TopicValue(_Part):
 
     def of(self, message: Mapping[str, Any]) -> float | None:
         """Return the value in a message; None if it has none."""
-        found: Any = message
-        for part in self.field.split("."):
-            found = found[part]
+        found = _field(message, self.field)
         if self.joint is not None:
             names = list(message["name"])
             if self.joint not in names or len(found) <= names.index(self.joint):
@@ -64,6 +65,18 @@ class ServiceCommand(_Part):
     timeout_s: FiniteFloat = Field(10.0, gt=0)
 
 
+class ActionCommand(_Part):
+    """An action that a command executes, with the parameters of the command as goal.
+
+    `progress` is a field of the feedback, from 0 to 1.
+    """
+
+    action: str
+    type: str
+    timeout_s: FiniteFloat = Field(3600.0, gt=0)
+    progress: str | None = None
+
+
 class DriveTopic(_Part):
     """A topic of geometry_msgs/Twist that moves the base."""
 
@@ -74,7 +87,7 @@ class RosDeviceFile(_Part):
     """What of a ROS graph makes the device."""
 
     values: dict[str, TopicValue] = Field(default_factory=dict)
-    commands: dict[str, ServiceCommand] = Field(default_factory=dict)
+    commands: dict[str, ServiceCommand | ActionCommand] = Field(default_factory=dict)
     drive: DriveTopic | None = None
     period_s: FiniteFloat = Field(1.0, ge=0.02)
 
@@ -96,7 +109,11 @@ class RosDevice:
 
             await self._graph.subscribe(topic, type_name, received)
         for name, command in self._file.commands.items():
-            self._client.command(name)(self._calling(command))
+            if isinstance(command, ActionCommand):
+                client = await self._graph.action_client(command.action, command.type)
+                self._client.command(name)(self._acting(command, client))
+            else:
+                self._client.command(name)(self._calling(command))
         if self._file.drive is not None:
             await self._follow_velocities(self._file.drive)
         self._client.start()
@@ -132,9 +149,40 @@ class RosDevice:
             response = asyncio.run_coroutine_threadsafe(calling, self._loop).result()
             if response.get("success") is False:
                 raise RuntimeError(response.get("message") or "the service reports no success")
-            return {name: value for name, value in response.items() if isinstance(value, str | int | float)}
+            return _scalars(response)
 
         return call
+
+    def _acting(self, command: ActionCommand, client: ActionClient) -> Any:
+        def act(parameters: Mapping[str, Any], run: Run) -> Mapping[str, Any]:
+            acting = self._act(command, client, dict(parameters), run)
+            return asyncio.run_coroutine_threadsafe(acting, self._loop).result()
+
+        return act
+
+    async def _act(
+        self, command: ActionCommand, client: ActionClient, goal: dict[str, Any], run: Run
+    ) -> Mapping[str, Any]:
+        """Execute a goal until its end; cancel it with the command, or after the timeout."""
+
+        def report(feedback: Mapping[str, Any]) -> None:
+            if command.progress is not None:
+                done = float(_field(feedback, command.progress))
+                self._loop.run_in_executor(None, run.progress, done)
+
+        sent = await client.send_goal(goal, on_feedback=report)
+        ending = asyncio.ensure_future(sent.result())
+        ends_s = self._loop.time() + command.timeout_s
+        is_cancelled = False
+        while not ending.done():
+            await asyncio.wait({ending}, timeout=CHECK_S)
+            is_late = self._loop.time() >= ends_s
+            if not is_cancelled and (run.is_cancelled or is_late):
+                is_cancelled = await sent.cancel()
+        ended = ending.result()
+        if ended.status is not GoalStatus.SUCCEEDED:
+            raise RuntimeError(f"the action {command.action} has ended as {ended.status.name.lower()}")
+        return _scalars(ended.result)
 
     async def _follow_velocities(self, drive: DriveTopic) -> None:
         publisher = await self._graph.publisher(drive.topic, TWIST)
@@ -144,6 +192,17 @@ class RosDevice:
             self._loop.call_soon_threadsafe(
                 _publish, publisher, None if motion is None else motion.get("base")
             )
+
+
+def _field(message: Mapping[str, Any], path: str) -> Any:
+    found: Any = message
+    for part in path.split("."):
+        found = found[part]
+    return found
+
+
+def _scalars(message: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in message.items() if isinstance(value, str | int | float)}
 
 
 def _publish(publisher: Publisher, base: Any) -> None:

@@ -475,6 +475,7 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
 ) -> None:
     pytest.importorskip("cyclonedds", reason="the extra [ros] is not installed")
     from ros_fiware_bridge.graph.joining import JoinSettings, join
+    from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus
     from ros_fiware_bridge.types.type_store import TypeStore
 
     site, domain = new_site(), ros_domain()
@@ -482,14 +483,15 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
         "kind": "mobileRobot",
         "edge": EDGE,
         "sensors": [{"name": "battery"}],
-        "commands": [{"name": "dock", "kind": "motion"}],
+        "commands": [{"name": "dock", "kind": "motion"}, {"name": "count", "kind": "motion"}],
     }
     body = {"name": "rover-1", "description": description}
     token = site.rest.post("/devices", json=body).raise_for_status().json()["token"]
     site.edge.start("device_gateway")
     (tmp_path / "rover.yaml").write_text(
         "values:\n  battery: {topic: /battery, type: sensor_msgs/msg/BatteryState, field: percentage}\n"
-        "commands:\n  dock: {service: /dock, type: std_srvs/srv/Trigger}\nperiodS: 0.1\n"
+        "commands:\n  dock: {service: /dock, type: std_srvs/srv/Trigger}\n"
+        "  count: {action: /count, type: example_interfaces/action/Fibonacci}\nperiodS: 0.1\n"
     )
     ros = {"HANDOVER_ROS_DOMAIN_ID": str(domain), "HANDOVER_ROS_INTERFACES": '["127.0.0.1"]'}
     arguments = ("bridge", "device", "rover-1", "--file", str(tmp_path / "rover.yaml"))
@@ -506,7 +508,14 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
         docked.append(True)
         return {"success": True, "message": "docked"}
 
+    async def count(goal: Any) -> dict[str, Any]:
+        if goal.request["order"] > 1:  # until it is cancelled
+            await goal.wait_cancel_requested()
+            raise GoalEnded(GoalStatus.CANCELED)
+        return {"sequence": [0, 1]}
+
     try:
+        await robot.serve_action("/count", "example_interfaces/action/Fibonacci", count)
         battery = await robot.publisher("/battery", "sensor_msgs/msg/BatteryState")
         await robot.serve("/dock", "std_srvs/srv/Trigger", dock)
 
@@ -519,6 +528,22 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
         made = (await asyncio.to_thread(site.order, "rover-1", "dock", timeoutS=600)).json()
         ended = await asyncio.to_thread(site.command, "rover-1", made["id"])
         assert (ended["state"], ended["result"]["message"], docked) == ("done", "docked", [True])
+
+        def counted(order: int) -> str:
+            members = {"parameters": {"order": order}, "timeoutS": 600}
+            identifier: str = site.order("rover-1", "count", **members).json()["id"]
+            return identifier
+
+        short = await asyncio.to_thread(counted, 1)
+        assert (await asyncio.to_thread(site.command, "rover-1", short))["state"] == "done"
+        long = await asyncio.to_thread(counted, 5)
+        await until(
+            lambda: asyncio.to_thread(lambda: site.command("rover-1", long, 0)["state"] == "accepted")
+        )
+        await asyncio.to_thread(lambda: site.rest.delete(f"/devices/rover-1/commands/{long}"))
+        ended = await asyncio.to_thread(site.command, "rover-1", long)
+        assert ended["state"] in {"failed", "cancelled"}, ended
+        assert "canceled" in ended["reason"]
     finally:
         processes.kill(process)
         await robot.close()
