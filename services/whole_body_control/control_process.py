@@ -15,14 +15,18 @@ from handover.errors import UsageError
 from handover.telemetry import get_logger
 from services.whole_body_control.behaviours.humanoid_component import PHASES, HumanoidComponent
 from services.whole_body_control.behaviours.walking import WalkingSettings
+from services.whole_body_control.components.robot import Robot
 from services.whole_body_control.cycle.deployment import Deployment, read_deployment
 from services.whole_body_control.cycle.loop import ControlLoop, CyclePorts, state_fields
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
 from services.whole_body_control.cycle.privileges import stop_collecting, use_real_time
+from services.whole_body_control.cycle.robot_link import PortRobot
 from services.whole_body_control.cycle.wish import PERSON, WISH
-from services.whole_body_control.model.kinematics import Kinematics
+from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.kinematics import Array, Kinematics
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.simulation.ball import RobotWithBall
+from services.whole_body_control.simulation.body_model import STEP_S
 from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
 from services.whole_body_control.solvers.compiled import fastest_solver
 from services.whole_body_control.solvers.hierarchical import Hierarchical
@@ -34,14 +38,21 @@ WISH_PORT, PERSON_PORT, STATE_PORT = "wish", "person", "state"
 STAND_TIMEOUT_S = 4.0
 
 
+def _robot(deployment: Deployment, model: Humanoid, start: Array) -> Robot:
+    """Return the robot of a deployment. Raises `UsageError`."""
+    if deployment.robot.kind == "driver":
+        return PortRobot(model, deployment.folder, STEP_S)
+    return RobotWithBall(model, start) if model.grips else SimulatedRobot(model, start)
+
+
 def control_loop(
     deployment: Deployment,
-) -> tuple[ControlLoop[SimulatedRobot, HumanoidComponent], PortReader]:
+) -> tuple[ControlLoop[Any, HumanoidComponent], PortReader]:
     """Return the loop of a deployment, and a reader of its state. Raises `UsageError`."""
     model = humanoid(deployment.robot.humanoid)
     solver: Solver = fastest_solver() if deployment.controller.solver == "fastest" else Hierarchical()
     start = Kinematics(model).standing(WalkingSettings().pose)
-    robot = RobotWithBall(model, start) if model.grips else SimulatedRobot(model, start)
+    robot = _robot(deployment, model, start)
     world = robot if isinstance(robot, RobotWithBall) else None
     component = HumanoidComponent(model, solver, world)
     deployment.folder.mkdir(parents=True, exist_ok=True)

@@ -20,11 +20,11 @@ from handover.errors import UsageError
 
 MAX_FILE_BYTES = 100_000
 
-REAL_TIME_KINDS = frozenset({"mujoco", "walking"})
+REAL_TIME_KINDS = frozenset({"driver", "mujoco", "walking"})
 """The kinds that belong into the control cycle, since they are made for it; all others must stay out."""
 
-ROBOT_KINDS = frozenset({"mujoco"})
-"""The kinds that are robots. A driver of a physical humanoid does not exist."""
+ROBOT_KINDS = frozenset({"driver", "mujoco"})
+"""The kinds that are robots: simulated within the cycle, or behind the ports of a process of its own."""
 
 
 class _Strict(BaseModel):

@@ -101,10 +101,9 @@ class ControlLoop(Generic[R, C]):
 
     def warm_up(self) -> None:
         """Run the first cycles, which load what is loaded once, and begin the schedule after them."""
-        is_paced, self._is_paced = self._is_paced, False
         for _ in range(WARM_UP_CYCLES):
             self.cycle()
-        self.timing, self._is_paced = Timing(self.robot.period_s), is_paced
+        self.timing = Timing(self.robot.period_s)
 
     def stand(self) -> None:
         """Follow no wish from now on."""

@@ -1,0 +1,73 @@
+"""The watchdog of a driver: what the joints do while no new command comes.
+
+It runs in the process of the driver, so that it acts when the process of the control cycle stalls or ends.
+Commands older than `COMMAND_TIMEOUT_S` are not followed: the joints hold the last one, at rest. A robot that
+tips over then is no longer held but damped, so that it falls softly, and stays so until it is started again.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.model.humanoid import Humanoid
+
+COMMAND_TIMEOUT_S = 0.05
+FALLING_RAD, FALLING_S = 0.5, 0.1
+"""A robot falls when its accelerometer is tilted by more than the first for the second."""
+DAMPING_FACTOR = 3.0
+"""Of the damping of the model, for joints without stiffness."""
+
+
+class Safety(IntEnum):
+    """What the joints do: follow commands, hold the last one, or turn freely against their damping."""
+
+    FOLLOWING = 0
+    HOLDING = 1
+    DAMPED = 2
+
+
+class Watchdog:
+    """Chooses the command of each period of a driver. Allocates nothing; not thread-safe."""
+
+    def __init__(self, humanoid: Humanoid, period_s: float) -> None:
+        self.state, self.stalls = Safety.HOLDING, 0
+        """`stalls` counts how often commands stopped coming."""
+        self._held = JointCommand(humanoid)
+        self._upwards, self._tilted_s, self._period_s = np.zeros(3), 0.0, period_s
+
+    def choose(self, command: JointCommand, age_s: float, sensors: RobotSensors) -> JointCommand:
+        """Return what to send: the newest command of an age in s, or a safe one."""
+        if not self._upwards.any():
+            self._upwards[:] = sensors.accelerometer
+            self._held.positions[:] = sensors.positions
+        if self.state is Safety.DAMPED:
+            return self._held
+        if age_s <= COMMAND_TIMEOUT_S and np.isfinite(command.positions).all():
+            self.state, self._tilted_s = Safety.FOLLOWING, 0.0
+            return command
+        if self.state is Safety.FOLLOWING:
+            self.stalls += 1
+            self._hold(command)
+        self.state = Safety.HOLDING
+        self._watch(sensors)
+        return self._held
+
+    def _hold(self, command: JointCommand) -> None:
+        held = self._held
+        held.positions[:] = command.positions
+        held.stiffness[:], held.damping[:] = command.stiffness, command.damping
+        # The last torques answer a moment of a motion; held, they may push the robot over.
+        held.velocities[:], held.torques[:] = 0.0, 0.0
+
+    def _watch(self, sensors: RobotSensors) -> None:
+        """Damp the joints of a robot that tips over."""
+        strength = np.sqrt(sensors.accelerometer.dot(sensors.accelerometer))
+        upright = np.sqrt(self._upwards.dot(self._upwards))
+        is_tilted = sensors.accelerometer.dot(self._upwards) < np.cos(FALLING_RAD) * strength * upright
+        self._tilted_s = self._tilted_s + self._period_s if is_tilted else 0.0
+        if self._tilted_s >= FALLING_S:
+            self.state = Safety.DAMPED
+            held = self._held
+            held.stiffness[:] = 0.0
+            held.damping *= DAMPING_FACTOR

@@ -1,0 +1,107 @@
+"""A driver notices by itself that commands stopped: the joints hold, and are damped while the robot falls."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover.errors import UsageError
+from services.whole_body_control.components.robot import JointCommand, RobotSensors
+from services.whole_body_control.cycle.ports import PortReader
+from services.whole_body_control.cycle.robot_link import SENSORS, Driver, PortRobot
+from services.whole_body_control.cycle.watchdog import Safety
+from services.whole_body_control.model.kinematics import Kinematics
+from services.whole_body_control.robots import humanoid
+from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
+
+COMAN = humanoid("coman")
+BOUND_S, FALL_CYCLES = 120.0, 5000
+DEPLOYMENT = """
+folder: {folder}
+fifo: false
+components:
+  robot: {{kind: driver, realtime: true}}
+  walking: {{kind: walking, solver: daqp, realtime: true}}
+"""
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    until = time.monotonic() + BOUND_S
+    while not condition():
+        assert time.monotonic() < until, "the condition never came true"
+
+
+def test_a_driver_without_commands_holds_the_robot_and_damps_its_fall(tmp_path: Path) -> None:
+    start = Kinematics(COMAN).standing("stand")
+    robot = SimulatedRobot(COMAN, start)
+    driver = Driver(robot, tmp_path)
+    assert driver.cycle() is Safety.HOLDING, "without any command yet"
+    link, sensors, command = (
+        PortRobot(COMAN, tmp_path, robot.period_s),
+        RobotSensors(COMAN),
+        JointCommand(COMAN),
+    )
+    command.positions[:] = start[7:]
+
+    def commanded() -> Safety:
+        link.write(command)
+        return driver.cycle()
+
+    wait_for(lambda: commanded() is Safety.FOLLOWING)
+    link.read(sensors)
+    assert sensors.positions == pytest.approx(start[7:], abs=0.01)
+    assert sensors.wrenches[:, 2].sum() > 100, "the feet carry the robot"
+    wait_for(lambda: driver.cycle() is Safety.HOLDING)
+    for _ in range(500):
+        assert driver.cycle() is Safety.HOLDING
+    assert robot.true_configuration()[2] == pytest.approx(start[2], abs=0.01)
+    wait_for(lambda: commanded() is Safety.FOLLOWING)
+    command.positions[3] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        link.write(command)
+    command.positions[3] = start[10]
+    wait_for(lambda: driver.cycle() is Safety.HOLDING)
+    robot.push(np.array([60.0, 0.0, 0.0]))
+    assert any(driver.cycle() is Safety.DAMPED for _ in range(FALL_CYCLES))
+    assert commanded() is Safety.DAMPED, "until the driver is started again"
+    assert driver.watchdog.stalls >= 2
+    with pytest.raises(UsageError, match="already has a writer"):
+        Driver(robot, tmp_path)
+
+
+def test_a_control_process_that_stalls_is_noticed_by_the_process_of_the_robot(tmp_path: Path) -> None:
+    file, folder = tmp_path / "deployment.yaml", tmp_path / "ports"
+    file.write_text(DEPLOYMENT.format(folder=folder), encoding="utf-8")
+    with ExitStack() as stack:
+
+        def started(module: str) -> subprocess.Popen[bytes]:
+            package = "services.whole_body_control"
+            process = subprocess.Popen([sys.executable, "-m", f"{package}.{module}", str(file)])
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            return process
+
+        started("robot_process")
+        wait_for((folder / "command").exists)
+        cycle = started("control_process")
+        port = PortReader(folder / SENSORS)
+
+        def safety() -> float:
+            time.sleep(0.01)
+            return port.value("safety") if port.read() else float("nan")
+
+        wait_for(lambda: safety() == Safety.FOLLOWING)
+        cycle.send_signal(signal.SIGSTOP)
+        wait_for(lambda: safety() == Safety.HOLDING)
+        before_s = port.value("time_s")
+        wait_for(lambda: safety() == Safety.HOLDING and port.value("time_s") > before_s + 0.5)
+        forces = [port.value(name) for name in port.names if name.endswith(".fz")]
+        assert sum(forces) > 200, "the feet still carry the robot"
+        cycle.send_signal(signal.SIGCONT)
+        wait_for(lambda: safety() == Safety.FOLLOWING)
