@@ -142,13 +142,14 @@ def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path)
     deployment = read_deployment(written(tmp_path))
     loop, _ = control_loop(deployment)
     wish, held, known = PortWriter(deployment.folder / "wish", WISH), [], []
+    wanted = {"ahead_mps": 0.05, "speed_share": 1.0}
     gc.collect()
     gc.disable()
     tracemalloc.start()
     try:
         for _ in range(4):
             for _ in range(600):
-                wish.write(np.array([0.05, 0.0, 0.0]))
+                wish.write(np.array([wanted.get(name, 0.0) for name in WISH]))
                 loop.cycle()
             held.append(tracemalloc.get_traced_memory()[0])
             known.append(len(gc.get_objects()))
