@@ -35,6 +35,9 @@ AllSolutions = Callable[[Frame, Joints], list[Joints]]
 MAX_URDF_BYTES = 4 * 1024 * 1024
 IDENTITY = Frame(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
 
+MAX_PLAIN_NUMBER = 1e6
+"""From here on a text has a power of ten: a mistyped position may have 300 digits."""
+
 
 MEASURING_ERROR = 0.002
 """A joint at its limit is measured at most this far beyond it, in rad or m."""
@@ -261,7 +264,7 @@ class RobotModel:
                     "{joint} cannot be at {position} {unit}: it moves from {lower} to {upper} {unit}; "
                     "choose a position in between",
                     joint=joint.name,
-                    position=f"{position:.3f}",
+                    position=f"{position:.3f}" if abs(position) < MAX_PLAIN_NUMBER else f"{position:.3g}",
                     lower=f"{joint.lower:.3f}",
                     upper=f"{joint.upper:.3f}",
                     unit=joint.unit,

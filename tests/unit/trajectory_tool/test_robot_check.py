@@ -116,6 +116,7 @@ def test_a_robot_away_from_the_origin_or_of_another_driver_has_no_scene_of_its_o
     ("target", "fault"),
     [
         ({"joints": [9, 0, 0, 0, 0, 0]}, "shoulder_pan_joint cannot be at 9.000 rad"),
+        ({"joints": [1e300, 0, 0, 0, 0, 0]}, "shoulder_pan_joint cannot be at 1e+300 rad"),
         ({"pose": {"position": [3, 0, 0.3]}}, "the wrist would be"),
         ({"named": "lunch"}, 'has no position "lunch"'),
         ({"joints": [0, -1.57, 2.9, 0, 0, 0]}, "touches"),
