@@ -39,6 +39,7 @@ class Throws:
         self._planners: dict[str, ThrowPlanner] = {}
         self._practice, self._base = Practice(), np.zeros(2)
         self._worker = ThreadPoolExecutor(1, "throw-planning")  # the planners are not thread-safe
+        self._number = 0
         self._refused: dict[int, str] = {}
         self._planning: asyncio.Task[None] | None = None
         self._aimed: dict[int, tuple[str, Array]] = {}
@@ -90,7 +91,9 @@ class Throws:
                 message("humanoid.throw_planned", "another throw is being planned; wait for it"),
             )
         self._motion.require_throwing(target)
-        return max(self._motion.throw.number, int(self._values().get("throw_number", 0.0))) + 1
+        known = int(self._values().get("throw_number", 0.0))  # of a cycle that an earlier service started
+        self._number = max(self._number, known) + 1
+        return self._number
 
     async def _plan(self, number: int, target: Sequence[float], hand: str) -> None:
         try:
