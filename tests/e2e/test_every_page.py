@@ -49,6 +49,7 @@ PAGES = {
     "sensors": "/sensors",
     "health": "/health",
     "cases": "/cases?case=treadmill",
+    "humanoid": "/humanoid",
     "devices": "/devices?device=page-arm",
     "alerting": "/alerting?add=yes",
 }
@@ -71,7 +72,8 @@ def screen(screen: Cell) -> Cell:
     if screen.runs("device_gateway"):
         return screen
     screen.extra["HANDOVER_ASSISTIVE_MACHINES"] = "wheelchair,treadmill"
-    screen.run("device_gateway", "human_state", "assistive_devices")
+    screen.extra |= {"HANDOVER_HUMANOID_MODEL": "coman", "HANDOVER_HUMANOID_FIFO": "false"}
+    screen.run("device_gateway", "human_state", "assistive_devices", "whole_body_control")
     with httpx.Client(base_url=screen.url("device_gateway"), timeout=120, trust_env=False) as rest:
 
         def add(name: str, description: dict[str, Any], values: dict[str, float] | None = None) -> None:
@@ -160,7 +162,18 @@ def test_engineer_pages_fit_a_phone(
     page = open_page(viewport=PHONE, has_touch=True, is_mobile=True)
     device = PAGES["devices"]
     devices = ("/sensors", "/devices", device, f"{device}&part=history", f"{device}&part=settings")
-    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study", "/health", "/cases", *devices):
+    for path in (
+        "/",
+        "/system",
+        "/calibrate",
+        "/people",
+        "/test",
+        "/study",
+        "/health",
+        "/cases",
+        "/humanoid",
+        *devices,
+    ):
         page.goto(path)
         settled(page)
         nothing_is_cut_off(page)

@@ -54,7 +54,7 @@ class HumanoidControl:
         self.limits = limits
         self.inputs = PersonInputs()
         self.links = PortLinks(self.process, self._wish, self.inputs.port_values)
-        self.live = LiveDocument(self.name, self.model.joint_names, self.motion)
+        self.live = LiveDocument(self.name, self.model.joint_names, self.motion, self.inputs)
         self.live.shown.faults = FAULTS
         self.throws = Throws(self.model, self.motion, lambda: self.links.values)
         self._store = store

@@ -107,6 +107,13 @@ class PersonInputs:
         """Return whether neither poses nor pulls arrive."""
         return now_s - max(self.pose_s, self.pull_s) > SILENT_S
 
+    def shown(self, now_s: float) -> dict[str, Any] | None:
+        """Return the newest pose as the live document shows it, None while no pose arrives."""
+        pose = self.pose
+        if pose is None or now_s - self.pose_s > SILENT_S:
+            return None
+        return pose.model_dump(by_alias=True, exclude={"kind", "t"})
+
     def hands(self, now_s: float) -> dict[Side, HandPose]:
         """Return the hands that are tracked now, by the side of the patient."""
         pose = self.pose

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from handover.messages import with_code
+from services.whole_body_control.running.inputs import PersonInputs
 from services.whole_body_control.running.motion import Motion
 
 MODES: Final = ("following", "standing", "holding", "stopped", "down")
@@ -32,8 +34,8 @@ class Shown:
 class LiveDocument:
     """Makes documents for one humanoid with these joints."""
 
-    def __init__(self, humanoid: str, joints: Sequence[str], motion: Motion) -> None:
-        self._humanoid, self._motion = humanoid, motion
+    def __init__(self, humanoid: str, joints: Sequence[str], motion: Motion, inputs: PersonInputs) -> None:
+        self._humanoid, self._motion, self._inputs = humanoid, motion, inputs
         self._joints = tuple(f"joint.{name}" for name in joints)
         self.shown = Shown()
 
@@ -45,12 +47,15 @@ class LiveDocument:
         motion, shown = self._motion, self.shown
         stopped, limit = motion.stopped, motion.limit
         mode = _name(MODES, values.get("mode"))
-        fault = _fault(values, shown) if problem is None else {"code": problem[0], "message": problem[1]}
+        is_still = mode in {"following", "standing"} and values.get("phase") == 0.0
+        fault = _fault(values, shown)
+        if problem is not None:
+            fault = {"code": problem[0], **with_code("message", problem[1])}
         return {
             "t": _round(values.get("robot_time_s")),
             "sentAt": time.time(),
             "humanoid": self._humanoid,
-            "mode": "stopped" if mode == "standing" and stopped is not None else mode,
+            "mode": "stopped" if is_still and stopped is not None else mode,
             "behaviour": self._behaviour(values),
             "phase": _name(PHASES, values.get("phase")),
             "base": _vector(values, "base", ("x", "y", "z", "qx", "qy", "qz", "qw")),
@@ -60,6 +65,7 @@ class LiveDocument:
             "zmp": _vector(values, "measured_zmp", "xy"),
             "zmpReference": _vector(values, "wanted_zmp", "xy"),
             "velocityReference": _vector(values, "velocity_reference", "xy"),
+            "stance": _vector(values, "feet", ("x", "y", "yaw")),
             "feet": {side: _foot(values, side) for side in SIDES},
             "hands": {side: _hand(values, side) for side in SIDES},
             "ball": self._ball(values),
@@ -69,7 +75,7 @@ class LiveDocument:
             "limit": {
                 "factor": round(limit.fraction, 4),
                 "rule": limit.rule,
-                "reason": str(limit.reason),
+                **with_code("reason", limit.reason),
                 "needsReset": limit.needs_reset,
             },
             "stop": {
@@ -78,6 +84,7 @@ class LiveDocument:
                 "reason": stopped.reason if stopped else "",
             },
             "needsRelease": motion.needs_release,
+            "patient": self._inputs.shown(time.monotonic()),
             "session": shown.session,
             "fault": fault,
         }
@@ -103,7 +110,7 @@ class LiveDocument:
 def _fault(values: Mapping[str, float], shown: Shown) -> Mapping[str, Any] | None:
     code = _count(values, "fault")
     if code:
-        return {"code": f"fault{code}", "message": shown.faults.get(code, "")}
+        return {"code": f"fault{code}", **with_code("message", shown.faults.get(code, ""))}
     if _name(MODES, values.get("mode")) == "holding":
         return {"code": "holding", "message": "the controller has stopped; the joints hold the last command"}
     return shown.fault

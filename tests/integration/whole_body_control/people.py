@@ -65,6 +65,13 @@ def therapist_at(humanoid: HumanoidCell) -> Iterator[Therapist]:
         yield therapist
 
 
+def resume(humanoid: HumanoidCell) -> None:
+    """Resume a session that has paused, since poses were late on a slow machine."""
+    session = humanoid.state()["session"]
+    if session is not None and session["state"] == "paused":
+        humanoid.http.post(f"/sessions/{session['id']}/resume")
+
+
 @contextmanager
 def catching_patient(humanoid: HumanoidCell) -> Iterator[None]:
     """Connect a patient whose right hand is where the ball is, as soon as it flies."""

@@ -21,23 +21,24 @@ export interface Humanoid3dProps {
   urdf: string;
   model: HumanoidModel;
   source: DocumentSource;
-  /** Called for a press on the plane at `pickHeightM`; null where nothing is chosen. */
+  /** Called for a press on the horizontal plane through `target`; null where nothing is chosen. */
   onPick: ((place: Place) => void) | null;
-  pickHeightM: number;
+  /** Where the next ball is to land, in the frame of the feet. */
+  target: Place | null;
 }
 
-export default function Humanoid3d({ name, urdf, model, source, onPick, pickHeightM }: Humanoid3dProps) {
+export default function Humanoid3d({ name, urdf, model, source, onPick, target }: Humanoid3dProps) {
   const { t } = useTranslation(["humanoid", "system"]);
   const theme = useShownTheme();
   const host = useRef<HTMLDivElement>(null);
   const view = useRef<DeskView | null>(null);
   const [showing, setShowing] = useState<"loading" | "shown" | "noDescription" | "noWebgl">("loading");
-  const pick = useRef({ onPick, pickHeightM });
+  const pick = useRef({ onPick, target, pickHeightM: target?.[2] ?? 0 });
 
   useEffect(() => {
-    pick.current = { onPick, pickHeightM };
+    pick.current = { onPick, target, pickHeightM: target?.[2] ?? 0 };
     if (view.current !== null) Object.assign(view.current, pick.current);
-  }, [onPick, pickHeightM]);
+  }, [onPick, target]);
 
   useEffect(() => {
     const place = host.current;

@@ -1,6 +1,6 @@
 /** Humanoid: the robot live, the therapist's throws, walks and sessions, and what engineers look at. */
 import { Bot } from "lucide-react";
-import { lazy, Suspense, useMemo, useSyncExternalStore } from "react";
+import { lazy, Suspense, useCallback, useMemo, useState, useSyncExternalStore } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import type { HumanoidView } from "~/api/generated/whole-body-control";
@@ -9,17 +9,22 @@ import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
-import type { HumanoidModel } from "./humanoid";
+import { mayDo } from "~/session/session";
+import { ForcesCard, ModelCard, SolverCard, StackCard } from "./EngineCards";
+import { inFrame, SERVICE, type HumanoidModel, type Place } from "./humanoid";
+import { LimitsCard } from "./LimitsCard";
 import { HumanoidLive } from "./liveState";
 import { modeTone, throttled } from "./snapshots";
+import { MotionCard } from "./MotionCard";
+import { SessionCard, SessionsCard } from "./SessionCard";
 import { StopBar } from "./StopBar";
-import { SERVICE } from "./humanoid";
 import "./HumanoidPage.css";
 
 const Humanoid3d = lazy(() => import("./Humanoid3d"));
 const MODELS_EVERY_MS = 10_000;
 /** The figures of the panels change less often than the picture. */
 const PANELS_EVERY_MS = 200;
+const FIRST_TARGET: Place = [0.8, 0, 0.5];
 
 export default function HumanoidPage() {
   const { t } = useTranslation(["humanoid", "health", "system", "common"]);
@@ -47,6 +52,16 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
   const live = useMemo(() => new HumanoidLive(), []);
   const panels = useMemo(() => throttled(live, PANELS_EVERY_MS), [live]);
   const { phase, document } = useSyncExternalStore(panels.subscribe, panels.snapshot);
+  const [target, setTarget] = useState<Place>(FIRST_TARGET);
+  const isFree = document?.session == null || document.session.state === "ended";
+  const mayThrow = document?.behaviour === "juggling" && isFree && mayDo("moveRobots");
+  const onPick = useCallback(
+    (place: Place) => {
+      const stance = live.snapshot().document?.stance ?? null;
+      if (stance !== null) setTarget(inFrame(stance, place));
+    },
+    [live],
+  );
   const name = humanoid.name ?? humanoid.model;
   const mode = document?.fault !== null && document !== null ? "fault" : (document?.mode ?? "unknown");
   return (
@@ -64,11 +79,32 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
           <div className="humanoid__stage">
             {model !== null && urdf !== null && (
               <Suspense fallback={<p className="quiet">{t("common:loading")}</p>}>
-                <Humanoid3d name={name} urdf={urdf} model={model} source={live} onPick={null} pickHeightM={0} />
+                <Humanoid3d name={name} urdf={urdf} model={model} source={live} onPick={mayThrow ? onPick : null} target={mayThrow ? target : null} />
               </Suspense>
             )}
           </div>
+          <p className="humanoid__legend small quiet">{t(mayThrow ? "legendThrow" : "legend")}</p>
         </Card>
+        {document !== null && (
+          <div className="humanoid__side">
+            {mayDo("performTasks") && <SessionCard document={document} behaviours={humanoid.behaviours} />}
+            {mayDo("moveRobots") && <MotionCard document={document} behaviours={humanoid.behaviours} target={target} onTarget={setTarget} />}
+            <LimitsCard document={document} />
+          </div>
+        )}
+        {document !== null && model !== null && (
+          <div className="humanoid__engine">
+            <StackCard document={document} />
+            <SolverCard document={document} />
+            <ForcesCard document={document} massKg={model.massKg} />
+            <div className="humanoid__wide">
+              <ModelCard document={document} model={model} />
+            </div>
+          </div>
+        )}
+        <div className="humanoid__wide">
+          <SessionsCard />
+        </div>
       </div>
       <StopBar document={document} />
     </>

@@ -6,7 +6,7 @@ import {
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { stepOf, stepped } from "~/robot3d/orbit";
 import { HumanoidFigure, type FigureColours } from "./figure";
-import type { HumanoidModel, LiveDocument, Place } from "./humanoid";
+import { onGround, type HumanoidModel, type LiveDocument, type Place } from "./humanoid";
 
 const MAX_PIXEL_RATIO = 2;
 const DISTANCES = { least: 0.5, most: 8 };
@@ -41,6 +41,8 @@ export class DeskView {
   /** Where a person pressed, on the horizontal plane at `pickHeightM`; null ignores presses. */
   onPick: ((place: Place) => void) | null = null;
   pickHeightM = 0;
+  /** Where the next ball is to land, in the frame of the feet; null shows nothing. */
+  target: Place | null = null;
 
   /** Throws where the browser has no WebGL, or for a URDF that cannot be drawn. */
   constructor(host: HTMLElement, urdf: string, model: HumanoidModel, colours: DeskColours) {
@@ -87,6 +89,8 @@ export class DeskView {
   /** Show a document; the camera follows the robot. */
   show(live: LiveDocument): void {
     this.figure.show(live);
+    const { stance } = live;
+    this.figure.preview(this.target === null || stance === null ? null : onGround(stance, this.target));
     const [x, y] = live.base ?? [];
     if (x !== undefined && y !== undefined) this.#follow(x, y);
     this.draw();

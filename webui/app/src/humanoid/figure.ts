@@ -8,7 +8,7 @@ import {
 } from "three";
 import type { URDFRobot } from "urdf-loader";
 import { parsed, release } from "~/robot3d/urdf";
-import { cornersAt, SIDES, supportPolygon, type Footprint, type HumanoidModel, type LiveDocument, type Pair, type PatientState, type Place, type Side } from "./humanoid";
+import { SIDES, supportPolygon, type HumanoidModel, type LiveDocument, type Pair, type PatientState, type Place, type Side } from "./humanoid";
 
 export const BALL_RADIUS_M = 0.025;
 /** Above the ground, so that flat things do not flicker in it; a drawing order of millimetres. */
@@ -16,7 +16,10 @@ const LIFTED_M = { polygon: 0.002, steps: 0.003, points: 0.005 };
 /** The length of the arrow of a force. */
 const M_PER_N = 1 / 500;
 const MAX_FOOTSTEPS = 24;
-const MOVED_M = 0.01;
+/** A foot that steps moves farther than the estimate drifts. */
+const MOVED_M = 0.02;
+/** A foot with this share of the weight stands. */
+const STANDS = 0.2;
 
 /** The colours of what is drawn beside the body. */
 export interface FigureColours {
@@ -45,16 +48,16 @@ export class HumanoidFigure {
   readonly #polygon = new LineLoop(new BufferGeometry(), new LineBasicMaterial());
   readonly #area = new Mesh(new BufferGeometry(), flat(0.25));
   readonly #steps = new Group();
-  readonly #landing: Record<Side, LineLoop>;
   readonly #feet: Record<Side, ArrowHelper>;
   readonly #hands: Record<Side, ArrowHelper>;
   readonly #ball = new Mesh(new SphereGeometry(BALL_RADIUS_M, 24, 16), new MeshStandardMaterial({ roughness: 0.5 }));
   readonly #target: Mesh;
   readonly #landed: Mesh;
+  readonly #preview: Mesh;
   readonly #head: Group;
   readonly #palms: Record<Side, Mesh>;
   readonly #stepMaterial = new LineBasicMaterial();
-  readonly #last: Partial<Record<Side, Footprint>> = {};
+  readonly #last: Partial<Record<Side, readonly Pair[]>> = {};
 
   /** Throws `InvalidDescription` for a URDF that cannot be drawn. */
   constructor(urdf: string, model: HumanoidModel, colours: FigureColours) {
@@ -64,14 +67,14 @@ export class HumanoidFigure {
     this.#zmp = new Mesh(new CircleGeometry(0.012, 24), flat(1));
     this.#zmpReference = new Mesh(new RingGeometry(0.014, 0.018, 24), flat(1));
     this.#target = new Mesh(new RingGeometry(0.04, 0.055, 32), flat(1));
+    this.#preview = new Mesh(new RingGeometry(0.05, 0.06, 32), flat(0.7));
     this.#landed = new Mesh(new RingGeometry(0, 0.02, 4), flat(1));
-    this.#landing = { left: this.#outline(), right: this.#outline() };
     this.#feet = { left: arrow(), right: arrow() };
     this.#hands = { left: arrow(), right: arrow() };
     this.#head = headOf();
     this.#palms = { left: palm(), right: palm() };
-    this.overlays.add(this.#com, this.#plumb, this.#zmp, this.#zmpReference, this.#area, this.#polygon, this.#steps, this.#target, this.#landed);
-    for (const side of SIDES) this.overlays.add(this.#landing[side], this.#feet[side], this.#hands[side]);
+    this.overlays.add(this.#com, this.#plumb, this.#zmp, this.#zmpReference, this.#area, this.#polygon, this.#steps, this.#target, this.#landed, this.#preview);
+    for (const side of SIDES) this.overlays.add(this.#feet[side], this.#hands[side]);
     this.person.add(this.#head, this.#palms.left, this.#palms.right);
     this.#ball.castShadow = true;
     this.root.add(this.#robot, this.overlays, this.#ball, this.person);
@@ -94,12 +97,12 @@ export class HumanoidFigure {
     this.#stepMaterial.color.set(colours.steps);
     for (const side of SIDES) {
       for (const force of [this.#feet[side], this.#hands[side]]) force.setColor(new Color(colours.force));
-      paint(this.#landing[side], colours.target);
       paint(this.#palms[side], colours.person);
     }
     paint(this.#ball, colours.ball);
     paint(this.#target, colours.target);
     paint(this.#landed, colours.ball);
+    paint(this.#preview, colours.target);
     paint(this.#head, colours.person);
   }
 
@@ -111,6 +114,11 @@ export class HumanoidFigure {
     this.#hand(document);
     this.#throwing(document);
     this.#patient(document.patient ?? null);
+  }
+
+  /** Show where the next ball is to land, on the ground; null shows nothing. */
+  preview(at: Place | null): void {
+    place(this.#preview, at);
   }
 
   dispose(): void {
@@ -138,7 +146,7 @@ export class HumanoidFigure {
     if (com !== null) draw(this.#plumb, [[...com, 0], [...com, base?.[2] ?? 0.5]]);
     place(this.#zmp, zmp, LIFTED_M.points);
     place(this.#zmpReference, zmpReference, LIFTED_M.points);
-    const polygon = supportPolygon(document, this.#model);
+    const polygon = supportPolygon(document, { left: this.#sole("left"), right: this.#sole("right") });
     this.#polygon.visible = this.#area.visible = polygon.length > 2;
     if (polygon.length > 2) {
       draw(this.#polygon, polygon.map(([x, y]) => [x, y, LIFTED_M.polygon]));
@@ -147,18 +155,16 @@ export class HumanoidFigure {
   }
 
   #foot(side: Side, { feet }: LiveDocument): void {
-    const { force, pressure, place: stands, landing } = feet[side];
+    const { force, pressure, share } = feet[side];
     point(this.#feet[side], force, pressure === null ? null : [...pressure, 0]);
-    const corners = this.#model.contacts.find(({ name }) => name.startsWith(side))?.corners ?? [];
-    const next = this.#landing[side];
-    next.visible = landing != null && corners.length > 2;
-    if (landing != null && next.visible) draw(next, cornersAt(landing, corners).map(([x, y]) => [x, y, LIFTED_M.steps]));
-    if (stands == null || corners.length < 3) return;
+    const corners = this.#sole(side);
+    if ((share ?? 0) < STANDS || corners.length < 3) return;
+    const stands = corners.map(([x, y]) => [x, y] as const);
     const before = this.#last[side];
-    if (before !== undefined && Math.hypot(before[0] - stands[0], before[1] - stands[1]) < MOVED_M && Math.abs(before[2] - stands[2]) < MOVED_M) return;
+    if (before?.every(([x, y], index) => Math.hypot(x - (stands[index]?.[0] ?? x), y - (stands[index]?.[1] ?? y)) < MOVED_M) === true) return;
     this.#last[side] = stands;
     const print = new LineLoop(new BufferGeometry(), this.#stepMaterial);
-    draw(print, cornersAt(stands, corners).map(([x, y]) => [x, y, LIFTED_M.steps]));
+    draw(print, stands.map(([x, y]) => [x, y, LIFTED_M.steps]));
     this.#steps.visible = true;
     this.#steps.add(print);
     const oldest = this.#steps.children[0];
@@ -197,8 +203,15 @@ export class HumanoidFigure {
     }
   }
 
-  #outline(): LineLoop {
-    return new LineLoop(new BufferGeometry(), new LineBasicMaterial());
+  /** The corners of a sole on the ground, where the body has it. */
+  #sole(side: Side): Pair[] {
+    const contact = this.#model.contacts.find(({ name }) => name.startsWith(side));
+    const link = contact === undefined ? undefined : this.#robot.links[contact.link];
+    if (contact === undefined || link === undefined) return [];
+    return contact.corners.map((corner) => {
+      const { x, y } = this.root.worldToLocal(link.localToWorld(new Vector3(...corner)));
+      return [x, y] as const;
+    });
   }
 }
 

@@ -18,10 +18,6 @@ export interface FootState {
   pressure: Pair | null;
   /** Of the weight, from 0 to 1. */
   share: number | null;
-  /** Where the sole stands, or stood before it was lifted. */
-  place: Footprint | null;
-  /** Where a foot in the air will stand. */
-  landing: Footprint | null;
 }
 
 export interface HandState {
@@ -83,6 +79,8 @@ export interface LiveDocument {
   zmp: Pair | null;
   zmpReference: Pair | null;
   velocityReference: Pair | null;
+  /** Between the soles: the frame of targets of throws. */
+  stance: Footprint | null;
   feet: Readonly<Record<Side, FootState>>;
   hands: Readonly<Record<Side, HandState>>;
   ball: BallState | null;
@@ -112,14 +110,6 @@ export interface HumanoidModel extends ModelView {
   chains: (Record<string, unknown> & { name: string; base: string; tip: string; joints: JointModel[] })[];
   contacts: { name: string; link: string; corners: Place[]; friction: number }[];
   hands: Record<string, { arm: string; link: string; point: Place }>;
-}
-
-/** The frame of the feet: their middle on the ground, and the mean of their yaws; null while not known. */
-export function stanceOf(document: Pick<LiveDocument, "feet">): Footprint | null {
-  const [left, right] = [document.feet.left.place ?? null, document.feet.right.place ?? null];
-  if (left === null || right === null) return null;
-  const yaw = Math.atan2(Math.sin(left[2]) + Math.sin(right[2]), Math.cos(left[2]) + Math.cos(right[2]));
-  return [(left[0] + right[0]) / 2, (left[1] + right[1]) / 2, yaw];
 }
 
 /** A place of the ground in the frame of `stance`. */
@@ -156,26 +146,13 @@ function turn([ax, ay]: Pair, [bx, by]: Pair, [cx, cy]: Pair): number {
   return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
 }
 
-/** The corners of a sole that stands at `place`, on the ground. */
-export function cornersAt(place: Footprint, corners: readonly Place[]): Pair[] {
-  return corners.map((corner) => {
-    const [x, y] = onGround(place, corner);
-    return [x, y] as const;
-  });
-}
-
 /** The feet that carry the robot: in single support the one with more of the weight. */
 export function standingSides({ phase, feet }: Pick<LiveDocument, "phase" | "feet">): readonly Side[] {
   if (phase !== "single") return SIDES;
   return [(feet.left.share ?? 0) >= (feet.right.share ?? 0) ? "left" : "right"];
 }
 
-/** The corners of the support polygon; empty while the feet are not known. */
-export function supportPolygon(document: Pick<LiveDocument, "phase" | "feet">, model: Pick<HumanoidModel, "contacts">): Pair[] {
-  const points = standingSides(document).flatMap((side) => {
-    const { place } = document.feet[side];
-    const sole = model.contacts.find(({ name }) => name.startsWith(side));
-    return place == null || sole === undefined ? [] : cornersAt(place, sole.corners);
-  });
-  return hullOf(points);
+/** The corners of the support polygon, of the soles at these places; empty while they are not known. */
+export function supportPolygon(document: Pick<LiveDocument, "phase" | "feet">, soles: Readonly<Partial<Record<Side, readonly Pair[]>>>): Pair[] {
+  return hullOf(standingSides(document).flatMap((side) => soles[side] ?? []));
 }

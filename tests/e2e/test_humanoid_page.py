@@ -1,0 +1,94 @@
+"""The page Humanoid: the robot live, a throw, a stop, and a session with its report, on real processes."""
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpenPage
+from tests.integration.whole_body_control.conftest import HumanoidCell
+from tests.integration.whole_body_control.people import catching_patient, resume
+from tests.kit.cell import Cell
+from tests.kit.waiting import wait_for
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+WITHIN_S = 180.0
+
+
+@pytest.fixture
+def humanoid(cell: Cell, tmp_path: Path) -> Iterator[HumanoidCell]:
+    """A screen with a humanoid that stands."""
+    folder = tmp_path / "ports"
+    cell.extra = {"HANDOVER_HUMANOID_PORTS_DIR": str(folder), "HANDOVER_HUMANOID_FIFO": "false"}
+    made = HumanoidCell(cell, folder)
+    try:
+        made.start()
+        cell.run("webui")
+        yield made
+    finally:
+        made.end()
+
+
+def is_ended(humanoid: HumanoidCell) -> bool:
+    resume(humanoid)
+    return bool(humanoid.state()["session"]["state"] == "ended")
+
+
+def test_a_therapist_throws_stops_and_leads_a_session(
+    humanoid: HumanoidCell,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
+) -> None:
+    page = open_page("/humanoid", forgives=("status of 409", "status of 422"))
+    picture = page.get_by_role("application", name=re.compile("coman-1 in 3D"))
+    expect(picture).to_be_visible()
+    expect(page.get_by_role("link", name="Humanoid")).to_have_attribute("aria-current", "page")
+    page.get_by_text("left_leg").click()
+    expect(page.get_by_role("rowheader", name="LHipSag")).to_be_visible()
+
+    page.get_by_role("radio", name="Throw").click()
+    act = page.get_by_role("button", name="Throw the ball")
+    expect(act).to_be_visible()
+    page.get_by_role("slider", name="Ahead").fill("2")
+    act.click()
+    expect(page.get_by_role("alert")).to_contain_text("farthest place on that line")
+    page.get_by_role("slider", name="Ahead").fill("0.8")
+    before = page.get_by_role("slider", name="To the left").input_value()
+    picture.locator("canvas").click(position={"x": 420, "y": 300})
+    expect(page.get_by_role("slider", name="To the left")).not_to_have_value(before)
+    page.get_by_role("slider", name="Ahead").fill("0.8")
+    page.get_by_role("slider", name="To the left").fill("0.1")
+    act.click()
+    expect(page.get_by_text(re.compile(r"cm off$"))).to_be_visible()
+    expect(page.get_by_role("row", name=re.compile("centre of mass"))).to_be_visible()
+    keep(page, "humanoid-throw")
+    accessible(page)
+
+    page.get_by_role("button", name="Stop", exact=True).click()
+    expect(page.get_by_text(re.compile("^Stopped by"))).to_be_visible()
+    act.click()
+    expect(page.get_by_role("alert")).to_contain_text("reset it first")
+    page.get_by_role("button", name="Release the stop").click()
+    expect(page.get_by_text("Stop: it finishes its step")).to_be_visible()
+
+    with catching_patient(humanoid):
+        page.get_by_role("textbox", name="Person (optional)").fill("anna")
+        page.get_by_role("slider", name="Goal: throws").fill("1")
+        page.get_by_role("button", name="Begin Juggling").click()
+        expect(page.get_by_role("button", name="End the session")).to_be_visible()
+        wait_for(lambda: is_ended(humanoid), WITHIN_S, "the goal is reached")
+    sessions = page.get_by_role("region", name="Sessions and progress")
+    expect(sessions).to_contain_text("goal reached")
+    sessions.get_by_role("button").first.click()
+    expect(page.get_by_role("region", name="Report")).to_contain_text("Caught")
+    sessions.get_by_label("Person").select_option("anna")
+    expect(page.get_by_role("img", name=re.compile("^Week .*: sessions 1"))).to_be_visible()
+    keep(page, "humanoid-session")
+    accessible(page)
+    sessions.get_by_role("button", name="Delete all sessions").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete all sessions").click()
+    expect(sessions).to_contain_text("No session yet")

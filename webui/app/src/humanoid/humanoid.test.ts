@@ -1,0 +1,82 @@
+import { describe, expect, it, vi } from "vitest";
+import { Driver } from "~/control/driver";
+import { hullOf, inFrame, onGround, supportPolygon, type FootState, type Pair } from "./humanoid";
+import { wishOf } from "./wish";
+import { throttled } from "./snapshots";
+
+const foot = (share: number): FootState => ({ force: null, pressure: null, share });
+const sole = (y: number): Pair[] => [[-0.05, y - 0.02], [0.1, y - 0.02], [0.1, y + 0.02], [-0.05, y + 0.02]];
+const soles = { left: sole(0.1), right: sole(-0.1) };
+
+function area(polygon: readonly Pair[]): number {
+  return polygon.reduce((sum, [x, y], index) => {
+    const [nextX, nextY] = polygon[(index + 1) % polygon.length] ?? [x, y];
+    return sum + (x * nextY - nextX * y) / 2;
+  }, 0);
+}
+
+describe("the ground of the humanoid", () => {
+  it("turns places into the frame of the feet and back", () => {
+    const frame = [1, 0, Math.PI] as const;
+    expect(inFrame(frame, [0.2, 0, 0.5])[0]).toBeCloseTo(0.8);
+    const there = onGround(frame, inFrame(frame, [0.3, -0.7, 0.4]));
+    [0.3, -0.7, 0.4].forEach((value, index) => expect(there[index]).toBeCloseTo(value));
+  });
+
+  it("spans the support between both soles, or one in single support", () => {
+    const feet = { left: foot(0.2), right: foot(0.8) };
+    expect(area(supportPolygon({ phase: "standing", feet }, soles))).toBeCloseTo(0.15 * 0.24);
+    const single = supportPolygon({ phase: "single", feet }, soles);
+    expect(area(single)).toBeCloseTo(0.15 * 0.04);
+    expect(Math.max(...single.map(([, y]) => y))).toBeCloseTo(-0.08);
+    expect(supportPolygon({ phase: "single", feet }, {})).toEqual([]);
+  });
+
+  it("has every point within its hull", () => {
+    const points: Pair[] = Array.from({ length: 60 }, (_, index) => [Math.sin(index * 12.9898) * 2, Math.cos(index * 78.233)]);
+    const hull = hullOf(points);
+    for (const [x, y] of points) {
+      hull.forEach(([ax, ay], index) => {
+        const [bx, by] = hull[(index + 1) % hull.length] ?? [ax, ay];
+        expect((bx - ax) * (y - ay) - (by - ay) * (x - ax)).toBeGreaterThanOrEqual(-1e-12);
+      });
+    }
+  });
+});
+
+describe("the wish of the therapist", () => {
+  it("is at rest unless the control is held, and full speed is that of the service", () => {
+    const driver = new Driver(() => []);
+    driver.set({ speed: 1 });
+    expect(wishOf(driver.input())).toEqual({ kind: "wish", ahead: 0, left: 0, yaw: 0, held: false });
+    driver.hold(true);
+    driver.push("x", 1);
+    driver.push("rz", -0.5);
+    const wish = wishOf(driver.input());
+    expect(wish.held).toBe(true);
+    expect(wish.ahead).toBeCloseTo(0.2);
+    expect(wish.yaw).toBeCloseTo(-0.15);
+  });
+});
+
+describe("snapshots for panels", () => {
+  it("change less often than the store, and end with the newest", () => {
+    vi.useFakeTimers();
+    const listeners = new Set<() => void>();
+    let value = 0;
+    const store = throttled({ subscribe: (listener) => (listeners.add(listener), () => listeners.delete(listener)), snapshot: () => value }, 100);
+    const seen: number[] = [];
+    const end = store.subscribe(() => seen.push(store.snapshot()));
+    for (let count = 0; count < 20; count += 1) {
+      value += 1;
+      for (const listener of listeners) listener();
+      vi.advanceTimersByTime(10);
+    }
+    vi.advanceTimersByTime(200);
+    end();
+    expect(seen.length).toBeLessThan(5);
+    expect(seen.at(-1)).toBe(20);
+    expect(listeners.size).toBe(0);
+    vi.useRealTimers();
+  });
+});
