@@ -89,6 +89,7 @@ class VitalView(Body):
     quality: float
     status: str
     age_s: float
+    is_calibrated: bool
 
 
 class MachineLimitView(Body):

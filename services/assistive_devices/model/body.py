@@ -19,6 +19,7 @@ class Reading:
     quality: float = 1.0
     status: str = VALID
     disagree: bool = False
+    is_calibrated: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,7 @@ class Body:
                 "quality": one.quality,
                 "status": one.status,
                 "age_s": max(now_s - one.at_s, 0.0),
+                "is_calibrated": one.is_calibrated,
             }
             for name, one in self.readings.items()
             if OF_SENSOR not in name
@@ -80,4 +82,5 @@ def _reading(one: Mapping[str, Any], received_s: float) -> Reading:
         float(one["quality"] or 0.0),
         "implausible" if value is None else str(one["status"]),
         bool(one.get("disagree", False)),
+        bool(one.get("isCalibrated", True)),
     )

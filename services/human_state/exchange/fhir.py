@@ -13,7 +13,8 @@ implausible is `preliminary`, a valid one `final`.
 
 import math
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -34,6 +35,7 @@ SOURCE: Final = "https://w3id.org/handover/sensor"
 _CATEGORY: Final = "http://terminology.hl7.org/CodeSystem/observation-category"
 _NAMESPACE: Final = uuid.UUID("0d1c7c1e-5a1f-5d1b-9f0e-2f4f3a6b7c8d")
 MAX_ENTRIES: Final = 1_000_000
+MAX_WAVE_S: Final = 60.0
 
 _LOINC_OF: Final[Mapping[FeatureName, tuple[tuple[str, str], ...]]] = {
     FeatureName.HEART_RATE: (("8867-4", "Heart rate"),),
@@ -270,19 +272,25 @@ def bundle_of(observations: Iterable[Mapping[str, Any]], session: str, at_s: flo
     `session` is the id of the PhysiologicalSession, `at_s` the time of the export. An Observation that occurs
     twice is there once. Raises `ExchangeError` beyond `MAX_ENTRIES`.
     """
+    return _bundle((_checked(one) for one in observations), session, at_s)
+
+
+def _bundle(observations: Iterable[Mapping[str, Any]], session: str, at_s: float) -> dict[str, Any]:
+    """Return a Bundle of Observations that were checked; checking all of them again would double the cost."""
     entries: dict[str, dict[str, Any]] = {}
     for one in observations:
         entries[str(one["id"])] = {"fullUrl": f"urn:uuid:{one['id']}", "resource": dict(one)}
         if len(entries) > MAX_ENTRIES:
             raise ExchangeError(f"a Bundle has at most {MAX_ENTRIES:,} entries; export a shorter time")
-    bundle = {
+    every = list(entries.values())
+    bundle = _checked({
         "resourceType": "Bundle",
         "identifier": {"system": "urn:ietf:rfc:3986", "value": session},
         "type": "collection",
         "timestamp": _time(at_s),
-        "entry": list(entries.values()),
-    }
-    return _checked(bundle)
+        "entry": every[:1],
+    })  # fmt: skip
+    return bundle | {"entry": every}
 
 
 def session_bundle(
@@ -291,11 +299,12 @@ def session_bundle(
     """Return the Bundle of a recording, and how many of its signals and features FHIR cannot hold.
 
     These are features that are not finite, and signals without a rate or with a unit without a UCUM code.
-    Reports of sensors and markers are no observations of the person and are not counted.
+    Reports of sensors and markers are no observations of the person and are not counted. The packets of a
+    signal become Observations of up to `MAX_WAVE_S` each.
     """
     observations: list[dict[str, Any]] = []
     left_out = 0
-    for item in items:
+    for item in _joined(items):
         if isinstance(item, Feature):
             is_written = isinstance(item.value, str) or math.isfinite(item.value)
             if is_written:
@@ -307,7 +316,38 @@ def session_bundle(
         else:
             continue
         left_out += not is_written
-    return bundle_of(observations, session, at_s), left_out
+    return _bundle(observations, session, at_s), left_out
+
+
+def _joined(items: Iterable[Recorded]) -> Iterator[Recorded]:
+    """Join packets of a signal that continue each other; samples stay within half a period of their times."""
+    waves: dict[tuple[str, SignalInfo], list[Samples]] = {}
+    counts: dict[tuple[str, SignalInfo], int] = {}
+    for item in items:
+        if not isinstance(item, Samples) or item.info.rate_hz is None:
+            yield item
+            continue
+        key = (item.source, item.info)
+        parts = waves.setdefault(key, [])
+        if parts and not _continues(parts[0], counts[key], item, item.info.rate_hz):
+            yield _one_of(parts)
+            parts.clear()
+        counts[key] = (counts[key] if parts else 0) + len(item.values)
+        parts.append(item)
+    for parts in waves.values():
+        yield _one_of(parts)
+
+
+def _continues(first: Samples, count: int, following: Samples, rate_hz: float) -> bool:
+    return (
+        abs(following.start_s - first.start_s - count / rate_hz) <= 0.5 / rate_hz
+        and count + len(following.values) <= MAX_WAVE_S * rate_hz
+        and (following.quality, following.has_contact) == (first.quality, first.has_contact)
+    )
+
+
+def _one_of(parts: list[Samples]) -> Samples:
+    return replace(parts[0], values=np.vstack([part.values for part in parts])) if parts[1:] else parts[0]
 
 
 def read_bundle(bundle: Mapping[str, Any]) -> tuple[list[Feature], list[Samples]]:

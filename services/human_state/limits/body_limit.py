@@ -158,6 +158,8 @@ class BodyLimit:
             seen = f"no valid heart rate for {age_s:.0f} s"
         elif self.curve.fraction(newest.bpm) < 1.0:
             seen = "the heart rate is high"
+        elif self.fraction < 1.0 and not self.is_stopped:
+            seen = "the heart rate is normal, and the limit rises slowly"
         else:
             seen = "the heart rate is normal"
         return f"stopped; a person must reset it ({seen})" if self.is_stopped else seen

@@ -114,6 +114,7 @@ def _value(value: FusedValue, now_s: float) -> dict[str, Any]:
         "status": value.status,
         "ageS": round(max(now_s - value.at_s, 0.0), 3),
         "disagree": value.disagree,
+        "isCalibrated": value.is_calibrated,
         "sensors": [
             {
                 "sensor": each.source,

@@ -172,3 +172,18 @@ def test_a_recording_becomes_a_bundle_and_says_what_is_left_out() -> None:
     bundle, left_out = fhir.session_bundle(items, "p-1", "urn:ngsi-ld:PhysiologicalSession:demo:s", 0.0)
     assert (len(bundle["entry"]), left_out) == (2, 2)
     assert bundle["identifier"]["value"] == "urn:ngsi-ld:PhysiologicalSession:demo:s"
+
+
+def test_packets_become_observations_of_up_to_a_minute_and_a_gap_begins_another() -> None:
+    info = SignalInfo(SignalKind.ECG, "D82", 130.0, method="chest")
+    values = np.random.default_rng(1).normal(size=(130 * 90, 1))
+    packets = [
+        Samples("h10", info, 100.0 + at / 130 + (5.0 if at >= 130 * 80 else 0.0), values[at : at + 65])
+        for at in range(0, len(values), 65)
+    ]
+    bundle, left_out = fhir.session_bundle(packets, "P-1", "urn:ngsi-ld:PhysiologicalSession:x:1", 1.0)
+    _, waves = fhir.read_bundle(bundle)
+    assert left_out == 0
+    assert [round(len(wave.values) / 130, 1) for wave in waves] == [60.0, 20.0, 10.0]
+    assert [wave.start_s for wave in waves] == pytest.approx([100.0, 160.0, 185.0])
+    np.testing.assert_array_equal(np.vstack([wave.values for wave in waves]), values)

@@ -27,7 +27,7 @@ describe("the chart of a machine", () => {
 });
 
 it("shows values without a number as none, and no minus zero", () => {
-  const vital = { name: "heartRate", quality: 1, status: "valid", ageS: 0 };
+  const vital = { name: "heartRate", quality: 1, status: "valid", ageS: 0, isCalibrated: true };
   expect(stateOf({ person: "p", vitals: [{ ...vital, value: null }, { ...vital, value: 70 }] }).values.map(({ value }) => value)).toEqual([70]);
   expect(valueText(-0.001, "MTS", "en")).toBe("0 m/s");
   expect(valueText(0.5, "P1", "en")).toBe("50%");

@@ -70,7 +70,7 @@ export function stateOf({ person, vitals }: Pick<MachineView, "person" | "vitals
     strain: 0,
     isStrained: false,
     limit: null,
-    values: vitals.filter(hasValue).map((vital) => ({ ...vital, unit: UNITS[vital.name] ?? null, status: vital.status as never, name: vital.name as never, method: "", isCalibrated: true, disagree: false, sensors: [] })),
+    values: vitals.filter(hasValue).map((vital) => ({ ...vital, unit: UNITS[vital.name] ?? null, status: vital.status as never, name: vital.name as never, method: "", disagree: false, sensors: [] })),
   };
 }
 

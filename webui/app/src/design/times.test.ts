@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { ago, duration, rate } from "./times";
+import { ago, clockTime, duration, rate } from "./times";
 
 describe("times as people say them", () => {
   it.each([
@@ -20,6 +20,14 @@ describe("times as people say them", () => {
     [4_320_000, "1 h 12 min"],
   ])("%i ms last %s", (ms, text) => {
     expect(duration(ms, "en")).toBe(text);
+  });
+
+  it("is a time without a date only in the last day, or later today", () => {
+    const now = new Date(2026, 4, 4, 14, 0).getTime();
+    const at = (day: number, hour: number) => clockTime(new Date(2026, 4, day, hour, 3).toISOString(), "en-GB", now);
+    expect([at(4, 9), at(3, 15), at(4, 16)]).toEqual(["09:03", "15:03", "16:03"]);
+    expect(at(5, 8)).toContain("5 May 2026");
+    expect(at(2, 8)).toContain("2 May 2026");
   });
 
   it("is said in the order of the language", () => {

@@ -41,9 +41,10 @@ export function exactTime(at: string, language: string): string {
   return new Date(at).toLocaleString(language, { dateStyle: "medium", timeStyle: "medium", hourCycle: "h23" });
 }
 
-/** "14:03" for a moment of the last day, else with the date, in the time zone of the reader. */
+/** "14:03" for a moment of the last day or later today, else with the date, in the time zone of the reader. */
 export function clockTime(at: string, language: string, nowMs = Date.now()): string {
   const then = new Date(at);
-  const isRecent = Math.abs(nowMs - then.getTime()) < 86_400_000;
+  const agoMs = nowMs - then.getTime();
+  const isRecent = agoMs >= 0 ? agoMs < 86_400_000 : then.toDateString() === new Date(nowMs).toDateString();
   return then.toLocaleString(language, { ...(isRecent ? {} : { dateStyle: "medium" }), timeStyle: "short", hourCycle: "h23" });
 }

@@ -1,6 +1,6 @@
 import { describe, expect, it, test } from "vitest";
 import type { PersonView, ValueView } from "~/api/generated/human-state";
-import { consentFaults, consentState, dateText, endOfDay, numberText, pointsOf, pressureGrid, reasonOf, sensorFault, trustOf, vitalSigns } from "./health";
+import { consentFaults, consentState, dateText, endOfDay, numberText, pointsOf, pressureGrid, reasonOf, sensorFault, trustOf, vitalSigns, wavePlace } from "./health";
 
 const value = (over: Partial<ValueView> = {}): ValueView => ({
   name: "heartRate", value: 72, unit: "BPM", quality: 0.9, status: "valid", ageS: 0.4, method: "ecg", isCalibrated: true, disagree: false, sensors: [], ...over,
@@ -12,6 +12,13 @@ test("a value is trusted while it is valid, good and new", () => {
   expect(trustOf(value({ status: "stale" }), 0)).toBe("stale");
   expect(trustOf(value({ status: "implausible" }), 60)).toBe("implausible");
   expect(trustOf(value(), 3.5), "the connection is silent").toBe("stale");
+});
+
+test("waveforms of the heart come first, and a small negative number is no minus zero", () => {
+  const kinds = ["acceleration", "respiration", "ecg"].sort((a, b) => wavePlace(a, "s").localeCompare(wavePlace(b, "s")));
+  expect(kinds).toEqual(["ecg", "respiration", "acceleration"]);
+  expect(numberText("edaPhasic", -0.001, "en")).toBe("0");
+  expect(numberText("edaPhasic", 0.022, "en")).toBe("0.02");
 });
 
 test("vital signs have a fixed order, and values of unknown names come last", () => {
@@ -30,6 +37,7 @@ test.each([
   ["no heart rate yet", "none", 0],
   ["stopped; a person must reset it (the heart rate is high)", "high", 0],
   ["the heart rate is normal", "normal", 0],
+  ["the heart rate is normal, and the limit rises slowly", "rising", 0],
   ["stopped; a person must reset it (no valid heart rate for 12 s)", "silent", 12],
   ["a reason of a later version", "other", 0],
 ])("the reason %j is known", (reason, key, seconds) => {

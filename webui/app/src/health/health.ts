@@ -20,11 +20,19 @@ export const POSITIONS = ["activity", "dailyActivity", "posture", "sleepPosition
 const NOT_VITAL = new Set<string>([...POSITIONS, "copX", "copY", "load", "activeCells"]);
 const SHARES = new Set(["exertionLevel", "stress", "fatigue"]);
 const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", "2Z": "mV", C62: "", MSK: "m/s²", "2A": "rad/s", CEL: "°C", MMT: "mm" };
-const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, spo2: 0, steps: 0, cadence: 0, movement: 3, bodyMovement: 0 };
+const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, spo2: 0, steps: 0, cadence: 0, movement: 3, bodyMovement: 0, edaTonic: 2, edaPhasic: 2 };
 
 export function vitalSigns(state: StateView): ValueView[] {
   const place = ({ name }: ValueView) => (ORDER.indexOf(name) + ORDER.length + 1) % (ORDER.length + 1);
   return state.values.filter(({ name }) => !NOT_VITAL.has(name)).sort((a, b) => place(a) - place(b) || a.name.localeCompare(b.name));
+}
+
+/** Waveforms in the order in which they are shown: those of heart and breath first. */
+const WAVES = ["ecg", "ppg", "respiration", "eda", "emg", "eeg"];
+
+/** Sorts waveforms: by signal, then by sensor. */
+export function wavePlace(kind: string, sensor: string): string {
+  return `${String((WAVES.indexOf(kind) + WAVES.length + 1) % (WAVES.length + 1))} ${kind} ${sensor}`;
 }
 
 /** The features of which a history can be drawn. */
@@ -36,7 +44,7 @@ export function symbolOf(name: string, unit: string | null): string {
 
 /** The value without its unit; a share is a percentage. */
 export function numberText(name: string, value: number, language: string): string {
-  return SHARES.has(name) ? percent(value, language) : number(value, language, { maximumFractionDigits: DIGITS[name] ?? 1 });
+  return SHARES.has(name) ? percent(value, language) : number(value, language, { maximumFractionDigits: DIGITS[name] ?? 1, signDisplay: "negative" });
 }
 
 export type Trust = "valid" | "weak" | "stale" | "implausible";
@@ -58,7 +66,7 @@ export function sensorFault({ link, hasContact, fault }: SensorStateView): { kin
 }
 
 export interface Reason {
-  key: "none" | "high" | "normal" | "silent" | "other";
+  key: "none" | "high" | "normal" | "rising" | "silent" | "other";
   seconds: number;
   text: string;
 }
@@ -68,7 +76,7 @@ export function reasonOf({ reason }: Pick<LimitView, "reason">): Reason {
   const text = /^stopped; a person must reset it \((.*)\)$/.exec(reason)?.[1] ?? reason;
   const silent = /^no valid heart rate for (\d+) s$/.exec(text);
   if (silent !== null) return { key: "silent", seconds: Number(silent[1]), text };
-  const keys: Record<string, Reason["key"]> = { "no heart rate yet": "none", "the heart rate is high": "high", "the heart rate is normal": "normal" };
+  const keys: Record<string, Reason["key"]> = { "no heart rate yet": "none", "the heart rate is high": "high", "the heart rate is normal": "normal", "the heart rate is normal, and the limit rises slowly": "rising" };
   return { key: keys[text] ?? "other", seconds: 0, text };
 }
 

@@ -6,6 +6,7 @@
  */
 import type { StateView } from "~/api/generated/human-state";
 import { requestService } from "~/api/http";
+import { wavePlace } from "./health";
 import { isWave, keyOf, WaveBuffer, type Packet } from "./waveform";
 import { pathOf, SERVICE } from "./health";
 
@@ -98,7 +99,7 @@ export class LiveSignals {
     if (others.length >= MAX_WAVES) return;
     const wave = new WaveBuffer(packet);
     wave.push(packet, nowMs);
-    this.#change({ waves: [...others, wave].sort((a, b) => keyOf(a).localeCompare(keyOf(b))) });
+    this.#change({ waves: [...others, wave].sort((a, b) => wavePlace(a.kind, a.sensor).localeCompare(wavePlace(b.kind, b.sensor))) });
   }
 
   #takeMap({ sensor, channels, values }: Packet, nowMs: number): void {

@@ -91,4 +91,5 @@ export interface VitalView {
   quality: number;
   status: string;
   ageS: number;
+  isCalibrated: boolean;
 }
