@@ -20,8 +20,11 @@ from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.service import create_app
 from services.whole_body_control.metrics import REJECTED
+from services.whole_body_control.recording.recordings import Keep, Recordings
+from services.whole_body_control.recording.store import RecordingStore
 from services.whole_body_control.routes.humanoid_routes import add_humanoid_routes
 from services.whole_body_control.routes.input_socket import add_input_socket
+from services.whole_body_control.routes.recording_routes import add_recording_routes
 from services.whole_body_control.routes.session_routes import add_session_routes
 from services.whole_body_control.running.device import HumanoidDevice
 from services.whole_body_control.running.device_tasks import HumanoidTasks
@@ -58,10 +61,25 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
     performer = HumanoidTasks(settings, control, training, session_writer, broker)
     device = HumanoidDevice(settings, control, broker, writer)
 
+    recordings = Recordings(
+        settings.humanoid_name,
+        settings.ports_folder,
+        Keep(
+            settings.recordings_folder,
+            settings.humanoid_recording_days,
+            settings.humanoid_recordings_mb * 2**20,
+            settings.humanoid_recording_minutes * 60,
+            settings.humanoid_recording_hz,
+        ),
+        RecordingStore(engine),
+        control.document,
+    )
+
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         await asyncio.to_thread(store.prepare)
         await asyncio.to_thread(sessions.prepare)
+        await asyncio.to_thread(recordings.prepare)
         await asyncio.to_thread(control.open)
         try:
             async with broker, writer, tasks:
@@ -70,11 +88,13 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
                 tasks.start_restarting(limits.run)
                 tasks.start_restarting(device.run)
                 tasks.start_restarting(session_writer.run)
+                tasks.start_restarting(recordings.run)
                 await performer.act_for(device.id)
                 async with performer:
                     yield
                 await session_writer.flush()
         finally:
+            await recordings.close()
             control.throws.close()
             await control.process.stop()
             engine.dispose()
@@ -90,5 +110,6 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
     add_humanoid_routes(app, control)
     add_input_socket(app, control, signals)
     add_session_routes(app, training, session_writer)
+    add_recording_routes(app, recordings)
     performer.mount(app)
     return app

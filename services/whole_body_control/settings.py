@@ -41,6 +41,20 @@ class WholeBodySettings(Settings):
     humanoid_required_limits: Names = Field(
         (), description="sources of speed limits without which the humanoid does not move, with commas"
     )
+    humanoid_recording_hz: float = Field(
+        100.0, ge=1, le=250, description="how often a recording of the humanoid reads the control cycle"
+    )
+    humanoid_recording_minutes: float = Field(
+        60.0, gt=0, le=1440, description="a recording of the humanoid ends after so long"
+    )
+    humanoid_recording_days: float = Field(
+        30.0, gt=0, description="a recording of the humanoid is deleted so many days after its end"
+    )
+    humanoid_recordings_mb: int = Field(
+        2048,
+        ge=1,
+        description="the disk space of all recordings of the humanoid; the oldest are deleted beyond it",
+    )
     human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
     human_state_url: str | None = Field(
         None, description="where others reach human state; http://host:port of it if absent"
@@ -59,6 +73,11 @@ class WholeBodySettings(Settings):
         base = SHARED_MEMORY if SHARED_MEMORY.is_dir() else Path(tempfile.gettempdir())
         place = f"{self.data_dir.absolute()}\n{self.humanoid_name}".encode()
         return base / f"handover-{hashlib.sha256(place).hexdigest()[:16]}"
+
+    @property
+    def recordings_folder(self) -> Path:
+        """The directory of recordings."""
+        return self.data_dir.absolute() / "humanoid-recordings"
 
     @property
     def whole_body(self) -> str:

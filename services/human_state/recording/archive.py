@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from services.human_state.exchange.mcap import McapWriter, rewrite
+from handover.mcap_files import rewrite
+from services.human_state.exchange.mcap import McapWriter
 from services.human_state.formats.json_messages import Recorded
 from services.human_state.recording.sealed import SealedReader, SealedWriter, SealError, chunks_of
 
@@ -93,7 +94,7 @@ class Archive:
     def finish(self, name: str) -> Finished:
         """Make the complete file of a journal, also of one that was cut off. The journal stays.
 
-        Raises `OSError`, `SealError` for another key, and `ExchangeError`.
+        Raises `OSError`, `SealError` for another key, and `McapFileError`.
         """
         unfinished, complete = self._path(name, _UNFINISHED), self._path(name, SUFFIX)
         with self._path(name, JOURNAL).open("rb") as source, unfinished.open("wb") as target:

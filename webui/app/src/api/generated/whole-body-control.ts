@@ -37,6 +37,19 @@ export interface DeletedView {
   sessions: number;
 }
 
+/** A live document, `t` in s after the start of the recording. */
+export interface FrameView {
+  t: number;
+  document: Record<string, unknown>;
+}
+
+/** At most 600 live documents; `nextFrom` is where the rest of the span begins. */
+export interface FramesView {
+  durationS: number;
+  frames: FrameView[];
+  nextFrom: number | null;
+}
+
 /** What ends a session; the first one that is reached. */
 export interface GoalRequest {
   throws?: number | null;
@@ -71,6 +84,28 @@ export interface ModelView {
   joints: string[];
   chains: Record<string, unknown>[];
   [more: string]: unknown;
+}
+
+/** What the recording is called. */
+export interface RecordingStart {
+  label?: string;
+}
+
+/** A recording; digest, size in bytes and messages are those of the MCAP file of an ended one. */
+export interface RecordingView {
+  id: string;
+  humanoid: string;
+  label: string;
+  state: string;
+  startedBy: string;
+  started: string;
+  ended: string | null;
+  endReason: string | null;
+  durationS: number | null;
+  sha256: string | null;
+  size: number;
+  messages: number;
+  deletedAfter: string | null;
 }
 
 /** A session: its application, who exercises, its goal, and how difficult it is. */
