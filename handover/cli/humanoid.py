@@ -20,7 +20,11 @@ def list_humanoids() -> None:
     """List the humanoids, ours and those of other packages."""
     robots = _imported()
     for name in robots.HUMANOIDS.names():
-        humanoid = robots.humanoid(name)
+        try:
+            humanoid = robots.humanoid(name)
+        except UsageError as error:
+            print(f"{name:<12} not usable: {error}")
+            continue
         print(
             f"{name:<12} {len(humanoid.joints)} joints, {humanoid.mass_kg:.1f} kg; "
             f"chains: {', '.join(humanoid.chains)}; hands: {', '.join(humanoid.grips) or 'none'}"

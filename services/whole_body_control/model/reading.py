@@ -8,6 +8,11 @@ contacts:
 drive_inertia: 0.05              # of a drive behind its gear, seen from its joint, in kg m²
 grips: {right_hand: {arm: right_arm, link: RSoftHand, point: [0, 0.03, 0]}}   # where a hand holds a ball
 notes: [The velocity limits are placeholders.]
+
+Instead of a file, `urdf` may name one of an installed package, and what changes in it (see `packaged`):
+
+urdf: {package: example-robot-data, path: robots/…/talos.urdf, extra: talos, locked: [gripper_joint],
+       capsules: {leg_3_link: [[[0, 0, 0], [0, 0, -0.3], 0.07]]}}
 """
 
 from collections.abc import Iterator, Mapping
@@ -28,6 +33,7 @@ from services.whole_body_control.model.humanoid import (
     LinkPair,
     Sensors,
 )
+from services.whole_body_control.model.packaged import adapted, packaged_file
 from services.whole_body_control.model.urdf import Tree, number, parsed
 
 FILE = "robot.yaml"
@@ -60,9 +66,20 @@ class _Grip(_Strict):
     point: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
+_Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class _PackagedUrdf(_Strict):
+    package: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
+    path: Annotated[str, Field(pattern=r"^([A-Za-z0-9_-][A-Za-z0-9._-]*/)*[A-Za-z0-9_-][A-Za-z0-9._-]*$")]
+    extra: str
+    locked: tuple[str, ...] = ()
+    capsules: dict[str, tuple[tuple[_Point, _Point, Positive], ...]] = Field(default_factory=dict)
+
+
 class _RobotFile(_Strict):
     name: Annotated[str, Field(min_length=1)]
-    urdf: Path
+    urdf: Path | _PackagedUrdf
     srdf: Path
     gains: dict[str, _Gains]
     contacts: dict[str, _Contact]
@@ -77,7 +94,13 @@ def read_folder(folder: Path) -> Humanoid:
         entry = _RobotFile.model_validate(yaml.safe_load(_text(folder / FILE)))
     except (ValidationError, yaml.YAMLError) as error:
         raise UsageError(f"{folder / FILE}: {error}") from None
-    return read(entry, _text(folder / entry.urdf), _text(folder / entry.srdf))
+    return read(entry, _urdf(entry.urdf, folder), _text(folder / entry.srdf))
+
+
+def _urdf(given: Path | _PackagedUrdf, folder: Path) -> str:
+    if isinstance(given, Path):
+        return _text(folder / given)
+    return adapted(_text(packaged_file(given.package, given.path, given.extra)), given.locked, given.capsules)
 
 
 def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:

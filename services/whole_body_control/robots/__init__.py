@@ -16,9 +16,15 @@ from services.whole_body_control.model.reading import read_folder
 HERE = Path(__file__).parent
 
 HUMANOIDS: Final = ExtensionPoint(
-    "humanoid", "handover.humanoids", {"coman": "services.whole_body_control.robots:COMAN"}
+    "humanoid",
+    "handover.humanoids",
+    {
+        "coman": "services.whole_body_control.robots:COMAN",
+        "talos": "services.whole_body_control.robots:TALOS",
+    },
 )
 COMAN: Final = HERE / "coman"
+TALOS: Final = HERE / "talos"
 
 
 def humanoid(name: str) -> Humanoid:

@@ -10,7 +10,7 @@ import orjson
 from fastapi import FastAPI, Response, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
-from handover.errors import Problem
+from handover.errors import Problem, UsageError
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require, require_somewhere
@@ -49,8 +49,8 @@ def _add_models(app: FastAPI, control: HumanoidControl) -> None:
 
     @app.get("/humanoids", tags=["humanoid"], dependencies=[require_somewhere(Permission.READ)])
     async def humanoids() -> list[HumanoidView]:
-        """Return the installed models; all are simulated."""
-        return [_humanoid_view(name, control) for name in HUMANOIDS.names()]
+        """Return the installed models; all are simulated. `problem` says what a model lacks."""
+        return await asyncio.to_thread(lambda: [_humanoid_view(name, control) for name in HUMANOIDS.names()])
 
     @app.get("/model", tags=["humanoid"], dependencies=see)
     async def model() -> ModelView:
@@ -175,8 +175,21 @@ def _rate(given: str | None) -> float:
 
 
 def _humanoid_view(name: str, control: HumanoidControl) -> HumanoidView:
-    model = humanoid(name)
     runs = name == control.model.name
+    try:
+        model = control.model if runs else humanoid(name)
+    except UsageError as error:  # for example without the package of its URDF
+        return HumanoidView(
+            model=name,
+            name=None,
+            is_running=False,
+            joints=0,
+            mass_kg=0.0,
+            hands=[],
+            behaviours=[],
+            drivers=[],
+            problem=str(error),
+        )
     return HumanoidView(
         model=name,
         name=control.name if runs else None,

@@ -1,0 +1,116 @@
+"""Both applications on both robots, with nothing different but the name and the gains of the robot."""
+
+import numpy as np
+import pytest
+
+from handover.errors import UsageError
+from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
+from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk
+from services.whole_body_control.behaviours.walking import WalkingController
+from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.kinematics import Array, Kinematics
+from services.whole_body_control.model.packaged import adapted, packaged_file
+from services.whole_body_control.patterns.footsteps import Wish
+from services.whole_body_control.patterns.intention import (
+    ArmState,
+    IntentionLimits,
+    IntentionReference,
+    arm_state,
+    hand_place,
+)
+from services.whole_body_control.patterns.throwing import ThrowPlanner
+from services.whole_body_control.robots import humanoid
+from services.whole_body_control.simulation.ball import RADIUS_M, build_with_ball
+from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
+
+ROBOTS = ("coman", "talos")
+SIDES = ("left", "right")
+CONTROL_S = 0.004
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def robot(request: pytest.FixtureRequest) -> Humanoid:
+    """Return a humanoid, or skip with the reason why its model is not there."""
+    try:
+        return humanoid(request.param)
+    except UsageError as error:
+        pytest.skip(str(error))
+
+
+class Person:
+    """Moves both hands of the robot ahead, by kinematics: what intention detection sees of a person."""
+
+    def __init__(self, robot: Humanoid) -> None:
+        self._kinematics = Kinematics(robot)
+        self._q = self._kinematics.standing("stand")
+        self._hands = {f"{side}_arm": robot.end_effectors[f"{side}_hand"] for side in SIDES}
+        self._kinematics.update(self._q)
+        self._rest = {arm: hand_place(self._kinematics, hand) for arm, hand in self._hands.items()}
+        states = {arm: self._state(arm) for arm in self._hands}
+        volumes = [np.prod(np.linalg.svd(each.jacobian, compute_uv=False)) for each in states.values()]
+        self._reference = IntentionReference(IntentionLimits(0.7 * float(min(volumes))))
+        assert not self._reference.update(states, CONTROL_S).is_active
+
+    def _state(self, arm: str) -> ArmState:
+        return arm_state(self._kinematics, arm, self._hands[arm], self._rest[arm])
+
+    def pull(self, ahead_m: float) -> None:
+        """Move the hands ahead of their rest pose, or as far as the arms go."""
+        robot = self._kinematics.humanoid
+        for _ in range(300):
+            for arm in self._hands:
+                state = self._state(arm)
+                error = np.array([ahead_m, 0.0, 0.0]) - state.displacement
+                step = np.linalg.lstsq(state.jacobian, 0.05 * error, rcond=0.05)[0]
+                joints = np.array(robot.indices(arm))
+                lower, upper = (
+                    np.array([getattr(robot.joints[each], end) for each in joints])
+                    for end in ("lower", "upper")
+                )
+                self._q[7 + joints] = np.clip(self._q[7 + joints] + step, lower, upper)
+                self._kinematics.update(self._q)
+
+    def velocity(self) -> Array:
+        """Return the reference of the centre of mass after one control period."""
+        return self._reference.update({arm: self._state(arm) for arm in self._hands}, CONTROL_S).velocity
+
+
+def test_it_walks_where_a_person_pulls_its_hands_and_stops(robot: Humanoid) -> None:
+    controller = WalkingController(robot)
+    walk = SimulatedWalk(controller, SimulatedRobot(robot, controller.start))
+    person, span_m = Person(robot), 0.6 * controller.start[2]
+    start = walk.robot.true_configuration()[0]
+    person.pull(span_m)
+    record = walk.run(3.5, lambda time_s: Wish(person.velocity() if time_s > 0.2 else np.zeros(2)))
+    assert not record.has_fallen
+    assert not {state.fault for state in record.states} - {""}
+    assert walk.robot.true_configuration()[0] > start + 0.1
+    assert record.planned_room_m.min() > 0.0099
+    assert record.tracking_rms_m() < 0.02
+    still = walk.run(2.4, lambda _: Wish(np.zeros(2)))
+    assert not still.has_fallen
+    assert still.states[-1].stance.phase == "standing"
+
+
+def test_it_throws_a_ball_to_where_it_is_asked(robot: Humanoid) -> None:
+    kinematics = Kinematics(robot)
+    planner = ThrowPlanner(kinematics, kinematics.standing("stand"), robot.grips["right_hand"])
+    game = SimulatedThrow(robot, build_with_ball(robot))
+    target = np.array([0.8, 0.0, 0.5])
+    record = game.throw(planner.plan(target))
+    assert np.linalg.norm(record.landed - target) < 0.1
+    assert np.linalg.norm(record.landed - record.predicted) < 0.06
+    assert game.robot.ball.position[2] < 3 * RADIUS_M
+    rotation = game.robot.true_configuration()[3:7]
+    assert 2 * np.hypot(rotation[0], rotation[1]) < 0.05, "the robot stands"
+
+
+def test_a_model_of_a_package_that_is_not_there_names_the_extra() -> None:
+    with pytest.raises(UsageError, match=r'no-such-data; pip install "handover\[talos\]"'):
+        packaged_file("no-such-data", "robot.urdf", "talos")
+
+
+def test_names_that_the_urdf_lacks_are_listed() -> None:
+    urdf = '<robot name="r"><link name="base"/></robot>'
+    with pytest.raises(UsageError, match=r'no joint "wrist".*\n.*no link "hand"'):
+        adapted(urdf, ["wrist"], {"hand": [((0, 0, 0), (0, 0, 1), 0.1)]})
