@@ -54,7 +54,7 @@ def control_loop(
     start = Kinematics(model).standing(WalkingSettings().pose)
     robot = _robot(deployment, model, start)
     world = robot if isinstance(robot, RobotWithBall) else None
-    component = HumanoidComponent(model, solver, world)
+    component = HumanoidComponent(model, solver, world, engine=deployment.controller.engine)
     deployment.folder.mkdir(parents=True, exist_ok=True)
     state = PortWriter(deployment.folder / STATE_PORT, state_fields(component))
     ports = CyclePorts(

@@ -26,6 +26,7 @@ from services.whole_body_control.behaviours.throwing import Phase, ThrowingContr
 from services.whole_body_control.behaviours.walking import SIDES, WalkingController
 from services.whole_body_control.components.robot import JointCommand, RobotSensors, World
 from services.whole_body_control.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
+from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.footsteps import Wish
@@ -95,16 +96,23 @@ class HumanoidComponent:
     Without a `world` it walks only: there is no ball, and nobody holds its hands.
     """
 
-    def __init__(self, humanoid: Humanoid, solver: Solver | None = None, world: World | None = None) -> None:
+    def __init__(
+        self,
+        humanoid: Humanoid,
+        solver: Solver | None = None,
+        world: World | None = None,
+        *,
+        engine: EngineName = DEFAULT_ENGINE,
+    ) -> None:
         self.humanoid = humanoid
-        self.walking = WalkingController(humanoid, solver)
+        self.walking = WalkingController(humanoid, solver, engine=engine)
         self.control_s = self.walking.settings.control_s
         self.start = self.walking.start
         self.behaviour = Behaviour.WALKING
         self.is_down = False
         self._world = world
         can_throw = world is not None and bool(humanoid.grips)
-        self._throwing = ThrowingController(humanoid, solver) if can_throw else None
+        self._throwing = ThrowingController(humanoid, solver, engine=engine) if can_throw else None
         self._assistance = AssistedWalking(self.walking, self.control_s) if world is not None else None
         gains = JointCommand(humanoid)
         self._stiffness, self._damping = gains.stiffness, gains.damping

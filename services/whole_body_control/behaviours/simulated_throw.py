@@ -7,6 +7,7 @@ import numpy as np
 
 from services.whole_body_control.behaviours.throwing import Phase, ThrowingController
 from services.whole_body_control.components.robot import Interpolation, JointCommand, RobotSensors
+from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.regions import turn
@@ -42,8 +43,10 @@ class SimulatedThrow:
         solver: Solver | None = None,
         noise: SensorNoise = QUIET,
         seed: int = 0,
+        *,
+        engine: EngineName = DEFAULT_ENGINE,
     ) -> None:
-        self.controller = ThrowingController(humanoid, solver)
+        self.controller = ThrowingController(humanoid, solver, engine=engine)
         self.robot = RobotWithBall(humanoid, self.controller.start, noise, seed, model)
         self._sensors, self._command = RobotSensors(humanoid), JointCommand(humanoid)
         self._between = Interpolation(

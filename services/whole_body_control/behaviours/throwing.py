@@ -15,7 +15,8 @@ import numpy as np
 from services.whole_body_control.balance.contact_forces import FeedForward, shares
 from services.whole_body_control.balance.estimation import StateEstimator
 from services.whole_body_control.components.robot import NOT_FINITE, JointCommand, RobotSensors
-from services.whole_body_control.engines.stack_engine import StackEngine, Step
+from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName, engine_maker
+from services.whole_body_control.engines.stack_engine import Step
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
 from services.whole_body_control.patterns.ballistics import landing_point
@@ -128,14 +129,19 @@ class ThrowingController:
     """Stands, and throws when it is asked to. Not thread-safe; `step` performs no I/O."""
 
     def __init__(
-        self, humanoid: Humanoid, solver: Solver | None = None, settings: ThrowingSettings | None = None
+        self,
+        humanoid: Humanoid,
+        solver: Solver | None = None,
+        settings: ThrowingSettings | None = None,
+        *,
+        engine: EngineName = DEFAULT_ENGINE,
     ) -> None:
         self.settings = settings or ThrowingSettings()
         self._humanoid = humanoid
         self._kinematics, self._plan = Kinematics(humanoid), Kinematics(humanoid)
         self._estimated = Kinematics(humanoid)
         self._feed_forward = FeedForward(self._kinematics)
-        self._solver = solver
+        self._engine_of = engine_maker(engine, solver)
         gains = JointCommand(humanoid)
         self._stiffness = gains.stiffness * self.settings.stiffer
         self._damping = gains.damping * self.settings.stiffer**0.5
@@ -197,7 +203,7 @@ class ThrowingController:
         self._swing = JointTask(ARM, self._arm.tolist(), self._home, gain=10.0)
         stack = self._soles() / self._com / self._hand / self._waist
         stack = stack / self._swing / self._posture << self._limits
-        self._engine = StackEngine(self._kinematics, stack, self._solver)
+        self._engine = self._engine_of(self._kinematics, stack)
 
     def step(self, sensors: RobotSensors, command: JointCommand) -> ThrowingState:
         """Compute the command of the next `control_s`; holds the last one for values that are not finite."""
@@ -236,7 +242,7 @@ class ThrowingController:
         self._posture = posture(self._kinematics, self.settings.pose)
         self._limits = JointLimits(self._kinematics)
         stack = self._soles() / self._com / self._waist / self._posture << self._limits
-        self._engine = StackEngine(self._kinematics, stack, self._solver)
+        self._engine = self._engine_of(self._kinematics, stack)
 
     def _follow(self) -> Phase:
         """Set the targets of hand and arm for the end of this period, and return the phase."""

@@ -19,7 +19,8 @@ import pinocchio as pin
 from services.whole_body_control.balance.contact_forces import FeedForward, shares
 from services.whole_body_control.balance.estimation import StateEstimator
 from services.whole_body_control.components.robot import NOT_FINITE, JointCommand, RobotSensors
-from services.whole_body_control.engines.stack_engine import StackEngine, Step
+from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName, MotionEngine, engine_maker
+from services.whole_body_control.engines.stack_engine import Step
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array, Kinematics
 from services.whole_body_control.patterns.footsteps import Stance, StepLimits, Wish, swing_position
@@ -78,6 +79,8 @@ class WalkingController:
         solver: Solver | None = None,
         settings: WalkingSettings | None = None,
         limits: StepLimits | None = None,
+        *,
+        engine: EngineName = DEFAULT_ENGINE,
     ) -> None:
         self.humanoid = humanoid
         self.settings = settings or WalkingSettings()
@@ -105,7 +108,7 @@ class WalkingController:
         self.state = WalkingState(stance, first, com, np.zeros(3), first.zmp, first.zmp)
         self._phase_s = 0.0
         self._feed_forward = FeedForward(self._kinematics)
-        self._solver = solver
+        self._engine_of = engine_maker(engine, solver)
         self._tasks(humanoid)
         self.wish = Wish(np.zeros(2))
         self._shift = np.zeros(2)
@@ -188,7 +191,7 @@ class WalkingController:
             for side in SIDES
         }
         self._contacts = {side: Contact(self._links[side], self._start_feet[side]) for side in SIDES}
-        self._engines: dict[tuple[Side, ...], StackEngine] = {}
+        self._engines: dict[tuple[Side, ...], MotionEngine] = {}
         supports: tuple[tuple[Side, ...], ...] = (SIDES, ("left",), ("right",))
         for standing in supports:
             top: Level = self._com
@@ -197,7 +200,7 @@ class WalkingController:
                     top = top & self._swing[side]
             constraints: list[Constraint] = [self._contacts[side] for side in standing]
             stack = top / self._waist / self._posture << [*constraints, limits]
-            self._engines[standing] = StackEngine(self._kinematics, stack, self._solver)
+            self._engines[standing] = self._engine_of(self._kinematics, stack)
         self._velocity = np.zeros(self._kinematics.n_velocities)
         self._acceleration = np.zeros(self._kinematics.n_velocities)
         self.last_step = Step(self._q, self._velocity, {})

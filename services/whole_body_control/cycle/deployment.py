@@ -3,7 +3,7 @@
 folder: /dev/shm/coman          # of the ports
 components:
   robot: {kind: mujoco, humanoid: coman, realtime: true}      # the one that is exchanged
-  walking: {kind: walking, solver: fastest, realtime: true}
+  walking: {kind: walking, engine: stack, solver: fastest, realtime: true}   # or engine: projections
   recorder: {kind: recorder, realtime: false}
 
 A component that performs I/O cannot be real-time, and one that controls the joints must be.
@@ -17,6 +17,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from handover.errors import UsageError
+from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 
 MAX_FILE_BYTES = 100_000
 
@@ -38,6 +39,7 @@ class Component(_Strict):
     realtime: bool
     humanoid: str = "coman"
     solver: Literal["fastest", "daqp"] = "fastest"
+    engine: EngineName = DEFAULT_ENGINE
 
 
 class Deployment(_Strict):

@@ -161,6 +161,15 @@ class Kinematics:
         """Return the centroidal momentum matrix: (6, n_velocities), linear first."""
         return np.asarray(pin.computeCentroidalMap(self.pin_model, self.data, self._q))[:, self._columns]
 
+    def mass_matrix(self) -> Array:
+        """Return the mass matrix (n_velocities, n_velocities), with the inertia of the drives."""
+        upper = np.triu(pin.crba(self.pin_model, self.data, self._q))
+        full = upper + np.triu(upper, 1).T
+        found = np.asarray(full[np.ix_(self._columns, self._columns)])
+        joints = np.arange(BASE_VELOCITIES, self.n_velocities)
+        found[joints, joints] += self.humanoid.drive_inertia
+        return found
+
     def joint_damping(self) -> Array:
         """Return the viscous damping of each joint as the URDF has it, in N m s/rad."""
         return np.asarray(np.array(self.pin_model.damping)[self._v_of])
