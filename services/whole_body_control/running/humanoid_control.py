@@ -154,4 +154,5 @@ class HumanoidControl:
         self.update_limit()
         self.inputs.values = self.links.values
         self.throws.learn()
+        self.inputs.feel()
         return self.motion.values(names)

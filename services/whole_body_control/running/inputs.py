@@ -13,13 +13,13 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from pydantic.alias_generators import to_camel
 
 from services.whole_body_control.patterns.regions import Side
+from services.whole_body_control.sessions.plausible import HEAD, Plausibility, Problem
 
 SILENT_S: Final = 0.5
 """After so long without a pose the session pauses."""
 HELD_S: Final = 0.3
 """After so long without a message the hands of the person have let go."""
 CLOSED_GRIP: Final = 0.5
-MAX_FORCE_N: Final = 150.0
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 OTHER: Final[Mapping[Side, Side]] = {"left": "right", "right": "left"}
 """The patient faces the robot: the left hand of one is before the right hand of the other."""
@@ -61,6 +61,8 @@ class PoseMessage(_Message):
     hands: HandPoses = HandPoses()
     tracking: Literal["ok", "lost"] = "ok"
     in_bounds: bool = True
+    recentred: bool = False
+    """Whether the person has recentred the view, which moves all places at once."""
 
 
 class PullMessage(_Message):
@@ -95,29 +97,46 @@ class PersonInputs:
     pull_s: float = float("-inf")
     values: Mapping[str, float] = field(default_factory=dict)
     """The newest state of the robot, which says where its feet are."""
+    plausibility: Plausibility = field(default_factory=Plausibility)
 
     def receive(self, given: PoseMessage | PullMessage) -> None:
         """Take a message."""
+        now_s = time.monotonic()
         if isinstance(given, PoseMessage):
-            self.pose, self.pose_s = given, time.monotonic()
+            self.pose, self.pose_s = given, now_s
+            robot = (self.values.get("base.x", 0.0), self.values.get("base.y", 0.0))
+            self.plausibility.see(now_s, _places(given), robot, is_moved=given.recentred)
         else:
-            self.pull, self.pull_s = given, time.monotonic()
+            self.pull, self.pull_s = given, now_s
+            self.plausibility.feel(now_s, [force for force in (given.left, given.right) if force is not None])
+
+    def feel(self) -> None:
+        """Take the forces at the hands that the robot measures."""
+        forces = [[self.values.get(f"{side}_hand.force.{axis}", 0.0) for axis in "xyz"] for side in SIDES]
+        finite = [force for force in forces if all(map(math.isfinite, force))]
+        self.plausibility.feel(time.monotonic(), finite)
+
+    def problem(self, now_s: float) -> Problem | None:
+        """Return what is wrong with what the person sends: then no hand counts."""
+        return self.plausibility.problem(now_s)
+
+    def shown(self, now_s: float) -> dict[str, Any] | None:
+        """Return the person as the live document shows them, None while no poses arrive."""
+        pose = self.pose
+        if pose is None or now_s - self.pose_s > SILENT_S:
+            return None
+        keys = {"t", "headset", "hands", "tracking", "in_bounds"}
+        return {**pose.model_dump(by_alias=True, include=keys), "problem": self.problem(now_s)}
 
     def is_silent(self, now_s: float) -> bool:
         """Return whether neither poses nor pulls arrive."""
         return now_s - max(self.pose_s, self.pull_s) > SILENT_S
 
-    def shown(self, now_s: float) -> dict[str, Any] | None:
-        """Return the newest pose as the live document shows it, None while no pose arrives."""
-        pose = self.pose
-        if pose is None or now_s - self.pose_s > SILENT_S:
-            return None
-        return pose.model_dump(by_alias=True, exclude={"kind", "t"})
-
     def hands(self, now_s: float) -> dict[Side, HandPose]:
         """Return the hands that are tracked now, by the side of the patient."""
         pose = self.pose
-        if pose is None or now_s - self.pose_s > HELD_S or pose.tracking != "ok":
+        is_old = pose is None or now_s - self.pose_s > HELD_S
+        if pose is None or is_old or pose.tracking != "ok" or self.problem(now_s) is not None:
             return {}
         both: dict[Side, HandPose | None] = {"left": pose.hands.left, "right": pose.hands.right}
         return {side: hand for side, hand in both.items() if hand is not None}
@@ -129,9 +148,10 @@ class PersonInputs:
             return None
         known: dict[str, float] = {}
         hands = self.hands(now_s)
+        pulls = self.pull is not None and now_s - self.pull_s <= HELD_S and self.problem(now_s) is None
         for side in SIDES:
             hand = hands.get(OTHER[side])
-            if self.pull is not None and now_s - self.pull_s <= HELD_S:
+            if self.pull is not None and pulls:
                 force = self.pull.left if side == "left" else self.pull.right
                 known.update(_pulled(side, force))
             elif hand is not None and hand.grip >= CLOSED_GRIP:
@@ -151,7 +171,10 @@ class PersonInputs:
 def _pulled(side: Side, force: Place | None) -> dict[str, float]:
     if force is None:
         return {f"{side}.held": 0.0}
-    size = math.hypot(*force)
-    scale = min(1.0, MAX_FORCE_N / size) if size > 0 else 1.0
-    forces = {f"{side}.force_{axis}_n": scale * value for axis, value in zip("xyz", force, strict=True)}
+    forces = {f"{side}.force_{axis}_n": value for axis, value in zip("xyz", force, strict=True)}
     return {f"{side}.held": 2.0, **forces}
+
+
+def _places(pose: PoseMessage) -> dict[str, Place]:
+    parts = {HEAD: pose.headset, "left": pose.hands.left, "right": pose.hands.right}
+    return {name: part.position for name, part in parts.items() if part is not None}

@@ -1,8 +1,8 @@
 """The session that runs: throws at the patient and their outcomes, or walking led by the patient's hands.
 
 `tick` is called 50 times a second with the newest state of the robot. It pauses the session for its causes:
-no input, tracking lost, out of bounds, a stop; a speed limit of 0 ends it. In each case the robot finishes
-its step and stands on both feet, and it continues only when a person resumes the session.
+no input, tracking lost, out of bounds, too much force, a stop; a speed limit of 0 ends it. In each case the
+robot finishes its step and stands on both feet, and it continues only when a person resumes the session.
 """
 
 import time
@@ -57,6 +57,11 @@ class Plan:
     space: CatchingSpace = field(default_factory=CatchingSpace)
     needs_grip: bool = False
 
+    @property
+    def catch(self) -> CatchRules:
+        """When a ball counts as caught."""
+        return CatchRules(needs_grip=self.needs_grip)
+
 
 @dataclass
 class Session:
@@ -94,6 +99,18 @@ class Session:
             "distanceM": round(self.walk.distance_m, 2),
             "pauseReason": ", ".join(sorted(exercise.reasons)),
             "endedBy": exercise.ended_by.value if exercise.ended_by else None,
+            "catch": self._catch(),
+        }
+
+    def _catch(self) -> dict[str, Any] | None:
+        """Return the rules that the headset shows: the reach of a palm, and whether it must close."""
+        if self.juggling is None:
+            return None
+        rules = self.plan.catch
+        return {
+            "radiusM": rules.radius_m,
+            "needsGrip": rules.needs_grip,
+            "closedGrip": rules.closed_grip,
         }
 
     def figures(self) -> dict[str, Any]:
@@ -164,7 +181,7 @@ class Training:
         juggling = None
         if plan.application == "juggling":
             difficulty = Difficulty(plan.space, plan.rules, seed=time.monotonic_ns() % 2**32)
-            juggling = Juggling(difficulty, CatchRules(needs_grip=plan.needs_grip), self._on_catch)
+            juggling = Juggling(difficulty, plan.catch, self._on_catch)
         exercise = Exercise(plan.application, plan.goal, time.monotonic())
         self.current = Session(plan, exercise, juggling)
         log.info("session begins", session=self.current.id, application=plan.application)
@@ -221,11 +238,15 @@ class Training:
         control, exercise, now_s = self._control, session.exercise, time.monotonic()
         inputs, pose = control.inputs, control.inputs.pose
         is_new = now_s - exercise.started_s < GRACE_S and inputs.is_silent(exercise.started_s)
-        is_silent = inputs.is_silent(now_s)
+        is_silent, problem = inputs.is_silent(now_s), inputs.problem(now_s)
+        sent = None if is_silent else pose
+        is_lost = problem == "jump" or (sent is not None and sent.tracking == "lost")
+        is_outside = problem == "far" or (sent is not None and not sent.in_bounds)
         causes = {
             PauseReason.SILENT: is_silent and not is_new,
-            PauseReason.TRACKING_LOST: not is_silent and pose is not None and pose.tracking == "lost",
-            PauseReason.OUT_OF_BOUNDS: not is_silent and pose is not None and not pose.in_bounds,
+            PauseReason.TRACKING_LOST: is_lost,
+            PauseReason.OUT_OF_BOUNDS: is_outside,
+            PauseReason.FORCE: problem == "force",
             PauseReason.STOPPED: control.motion.stopped is not None or control.problem is not None,
         }
         for reason, is_there in causes.items():

@@ -34,6 +34,7 @@ class PauseReason(StrEnum):
     TRACKING_LOST = "trackingLost"
     OUT_OF_BOUNDS = "outOfBounds"
     SILENT = "silent"
+    FORCE = "force"
     LIMIT = "limit"
     STOPPED = "stopped"
 
