@@ -66,6 +66,7 @@ class HumanoidControl:
 
     def document(self) -> dict[str, Any]:
         """Return the live document of now."""
+        self.links.refresh()
         return self.live.of(self.links.values, self.problem)
 
     @property

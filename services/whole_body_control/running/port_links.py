@@ -58,6 +58,11 @@ class PortLinks:
         finally:
             self._close()
 
+    def refresh(self) -> None:
+        """Read the state now: a headset asks more often than the wish is written."""
+        if self._state is not None and not self._process.problem:
+            self._read()
+
     def _tick(self) -> None:
         if self._starts != self._process.starts:
             self._close()

@@ -18,6 +18,7 @@ const PeoplePage = lazy(() => import("~/people/PeoplePage"));
 const HealthPage = lazy(() => import("~/health/HealthPage"));
 const CasesPage = lazy(() => import("~/cases/CasesPage"));
 const HumanoidPage = lazy(() => import("~/humanoid/HumanoidPage"));
+const VrPage = lazy(() => import("~/humanoid/vr/VrPage"));
 const DevicesPage = lazy(() => import("~/devices/DevicesPage"));
 const AlertingPage = lazy(() => import("~/alerting/AlertingPage"));
 const SensorsPage = lazy(() => import("~/sensors/SensorsPage"));
@@ -57,6 +58,7 @@ export function App() {
             <Route path="/health" component={HealthPage} />
             <Route path="/cases" component={CasesPage} />
             <Route path="/humanoid" component={HumanoidPage} />
+            <Route path="/humanoid/vr" component={VrPage} />
             <Route path="/devices" component={DevicesPage} />
             <Route path="/alerting" component={AlertingPage} />
             <Route path="/control" component={ControlPage} />

@@ -42,10 +42,14 @@ export interface TaskState {
 
 /** The headset and the hands of the person who exercises, on the ground of the robot. */
 export interface PatientState {
+  /** The time of the sender in s, of the pose that is shown. */
+  t: number;
   headset: { position: Place; rotation: Rotation } | null;
   hands: Readonly<Record<Side, { position: Place; rotation: Rotation; grip: number } | null>>;
   tracking: "ok" | "lost";
   inBounds: boolean;
+  /** Why no hand counts: a place that jumped, one out of the room, or too much force. */
+  problem: "jump" | "far" | "force" | null;
 }
 
 export interface SessionState {
@@ -60,8 +64,11 @@ export interface SessionState {
   caught: number;
   level: number;
   distanceM: number;
+  /** Reasons with commas. */
   pauseReason: string;
   endedBy: string | null;
+  /** When a ball counts as caught; null where none is thrown. */
+  catch: { radiusM: number; needsGrip: boolean; closedGrip: number } | null;
 }
 
 /** What `/live` sends; null is what is not known. Places are in m on the ground of the robot, z is up. */

@@ -26,6 +26,8 @@ export interface PoseMessage {
   hands: Record<Side, { position: Place; rotation: Rotation; grip: number } | null>;
   tracking: "ok" | "lost";
   inBounds: boolean;
+  /** The person has recentred the view, which moves all places at once. */
+  recentred?: boolean;
 }
 
 /** Forces on the hands of the robot by a person, by the robot's side, in N; null lets go. */
