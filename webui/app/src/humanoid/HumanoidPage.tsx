@@ -46,7 +46,7 @@ export default function HumanoidPage() {
 }
 
 function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
-  const { t } = useTranslation(["humanoid", "common"]);
+  const { t } = useTranslation(["humanoid", "common", "humanoidVr"]);
   const { value: model } = useServiceQuery<HumanoidModel>(SERVICE, "model");
   const { value: urdf } = useServiceQuery<string>(SERVICE, "model/urdf");
   const live = useMemo(() => new HumanoidLive(), []);
@@ -72,6 +72,7 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
           {name} · {t("simulated", { model: humanoid.model })}
         </p>
         <StatusBadge tone={phase === "open" ? modeTone(mode) : "attention"}>{phase === "open" ? t(`mode.${mode}`) : t(`link.${phase}`)}</StatusBadge>
+        <Link href="/humanoid/vr">{t("humanoidVr:title")}</Link>
       </header>
       <p className="small quiet">{t("notSafe")}</p>
       <div className="humanoid__body">

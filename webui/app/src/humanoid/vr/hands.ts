@@ -10,6 +10,12 @@ const COLOURS = { open: "#f0c9a8", closed: "#4d8bef", reach: "#3fbf7f" };
 const SQUEEZE = 1;
 const TRIGGER = 0;
 
+/** Where the space of the headset is in the scene. */
+export interface Rig {
+  position: Vector3;
+  quaternion: Quaternion;
+}
+
 export class TrackedHand {
   readonly side: Side;
   readonly root = new Group();
@@ -28,6 +34,7 @@ export class TrackedHand {
   readonly #reach: Mesh<TorusGeometry, MeshBasicMaterial>;
   readonly #joints = new InstancedMesh(new SphereGeometry(JOINT_M, 10, 8), new MeshStandardMaterial({ color: COLOURS.open, roughness: 0.8 }), JOINTS);
   readonly #matrix = new Matrix4();
+  readonly #joint = new Vector3();
   #isClosed = false;
 
   constructor(side: Side, reachM: number) {
@@ -54,7 +61,7 @@ export class TrackedHand {
   }
 
   /** Take the pose of an input source for this frame. */
-  read(frame: XRFrame, source: XRInputSource, space: XRReferenceSpace): void {
+  read(frame: XRFrame, source: XRInputSource, space: XRReferenceSpace, rig: Rig): void {
     this.source = source;
     const palm = source.hand === undefined ? source.gripSpace : (source.hand.get("middle-finger-metacarpal") ?? source.gripSpace);
     const pose = palm === undefined ? undefined : frame.getPose(palm, space);
@@ -64,15 +71,15 @@ export class TrackedHand {
       return;
     }
     const { position, orientation } = pose.transform;
-    this.position.set(position.x, position.y, position.z);
-    this.turn.set(orientation.x, orientation.y, orientation.z, orientation.w);
-    this.grip = source.hand !== undefined ? this.#pinch(frame, source.hand, space) : squeeze(source.gamepad);
+    this.position.set(position.x, position.y, position.z).applyQuaternion(rig.quaternion).add(rig.position);
+    this.turn.set(orientation.x, orientation.y, orientation.z, orientation.w).premultiply(rig.quaternion);
+    this.grip = source.hand !== undefined ? this.#pinch(frame, source.hand, space, rig) : squeeze(source.gamepad);
     const ray = frame.getPose(source.targetRaySpace, space);
     this.hasRay = ray !== undefined && isFinite3(ray.transform.position);
     if (ray !== undefined) {
       const { position: from, orientation: towards } = ray.transform;
-      this.rayFrom.set(from.x, from.y, from.z);
-      this.rayTurn.set(towards.x, towards.y, towards.z, towards.w);
+      this.rayFrom.set(from.x, from.y, from.z).applyQuaternion(rig.quaternion).add(rig.position);
+      this.rayTurn.set(towards.x, towards.y, towards.z, towards.w).premultiply(rig.quaternion);
     }
     this.#handle.visible = source.hand === undefined;
     this.#draw();
@@ -120,14 +127,15 @@ export class TrackedHand {
   }
 
   /** Draw the joints of a hand, and return how far it is closed. */
-  #pinch(frame: XRFrame, hand: XRHand, space: XRReferenceSpace): number {
+  #pinch(frame: XRFrame, hand: XRHand, space: XRReferenceSpace, rig: Rig): number {
     let index = 0;
     this.#joints.visible = true;
     for (const joint of hand.values()) {
       const pose = frame.getJointPose?.(joint, space);
       if (pose === undefined || index >= JOINTS) continue;
       const { x, y, z } = pose.transform.position;
-      this.#joints.setMatrixAt(index, this.#matrix.makeTranslation(x, y, z));
+      this.#joint.set(x, y, z).applyQuaternion(rig.quaternion).add(rig.position);
+      this.#joints.setMatrixAt(index, this.#matrix.makeTranslation(this.#joint));
       index += 1;
     }
     this.#joints.count = index;

@@ -1,5 +1,5 @@
-/** The headset: its session, its reference space around the seat, its area, and whether it tracks. */
-import { Quaternion, Vector3, type WebGLRenderer } from "three";
+/** The headset: its session, where its space is around the seat, its area, and whether it tracks. */
+import { Group, PerspectiveCamera, Quaternion, Vector3, type WebGLRenderer } from "three";
 import { SIDES, type Side } from "../humanoid";
 import { recentred, type Vector } from "./frames";
 import { isFinite3, type TrackedHand } from "./hands";
@@ -24,6 +24,9 @@ export async function hasHeadset(): Promise<boolean> {
 }
 
 export class Headset {
+  /** The space of the headset in the scene; recentring moves it. Its child is the camera of the eyes. */
+  readonly rig = new Group();
+  readonly camera = new PerspectiveCamera(70, 1, 0.05, 40);
   readonly head = new Vector3();
   readonly headTurn = new Quaternion();
   isTracked = false;
@@ -34,19 +37,17 @@ export class Headset {
   /** Of the right stick, up is positive. */
   stick = 0;
   readonly #session: XRSession;
-  readonly #renderer: WebGLRenderer;
   readonly #base: XRReferenceSpace;
   readonly #bounded: XRBoundedReferenceSpace | null;
   readonly #knowsGround: boolean;
   readonly #pressed: Record<Side, boolean[]> = { left: [], right: [] };
   readonly #events: HeadsetEvents;
-  #space: XRReferenceSpace;
   #isCentred = false;
 
-  private constructor(renderer: WebGLRenderer, session: XRSession, base: XRReferenceSpace, bounded: XRBoundedReferenceSpace | null, knowsGround: boolean, events: HeadsetEvents) {
-    this.#renderer = renderer;
+  private constructor(session: XRSession, base: XRReferenceSpace, bounded: XRBoundedReferenceSpace | null, knowsGround: boolean, events: HeadsetEvents) {
     this.#session = session;
-    this.#base = this.#space = base;
+    this.#base = base;
+    this.rig.add(this.camera);
     this.#bounded = bounded;
     this.#knowsGround = knowsGround;
     this.#events = events;
@@ -73,7 +74,7 @@ export class Headset {
     renderer.xr.setReferenceSpaceType(grounded === null ? "local" : "local-floor");
     await renderer.xr.setSession(session);
     renderer.xr.setReferenceSpace(base);
-    return new Headset(renderer, session, base, bounded, grounded !== null, events);
+    return new Headset(session, base, bounded, grounded !== null, events);
   }
 
   /** Put the head at the seat with the next pose. */
@@ -84,19 +85,19 @@ export class Headset {
   /** Read the poses of a frame; a headset that others use, or that lost its place, does not track. */
   read(frame: XRFrame, hands: Readonly<Record<Side, TrackedHand>>): void {
     if (!this.#isCentred) this.#centre(frame);
-    const pose = frame.getViewerPose(this.#space);
+    const pose = frame.getViewerPose(this.#base);
     this.isTracked = this.#session.visibilityState === "visible" && pose !== undefined && !pose.emulatedPosition && isFinite3(pose.transform.position);
     if (pose !== undefined && this.isTracked) {
       const { position, orientation } = pose.transform;
-      this.head.set(position.x, position.y, position.z);
-      this.headTurn.set(orientation.x, orientation.y, orientation.z, orientation.w);
+      this.head.set(position.x, position.y, position.z).applyQuaternion(this.rig.quaternion).add(this.rig.position);
+      this.headTurn.set(orientation.x, orientation.y, orientation.z, orientation.w).premultiply(this.rig.quaternion);
     }
     const seen = new Set<Side>();
     for (const source of this.#session.inputSources) {
       const { handedness } = source;
       if (handedness === "none" || !this.isTracked) continue;
       seen.add(handedness);
-      hands[handedness].read(frame, source, this.#space);
+      hands[handedness].read(frame, source, this.#base, this.rig);
       this.#buttons(handedness, source.gamepad);
     }
     for (const side of SIDES) if (!seen.has(side)) hands[side].lose();
@@ -111,13 +112,14 @@ export class Headset {
     if (pose === undefined) return;
     const origin = recentred(pose.transform.position, pose.transform.orientation, this.#knowsGround);
     if (origin === null) return;
-    const turn = new Quaternion().setFromAxisAngle(UP, origin.yaw);
-    this.#space = this.#base.getOffsetReferenceSpace(new XRRigidTransform({ x: origin.x, y: origin.y, z: origin.z }, { x: turn.x, y: turn.y, z: turn.z, w: turn.w }));
-    this.#renderer.xr.setReferenceSpace(this.#space);
+    // the rig undoes the origin; an offset reference space would do the same, but emulators ignore it
+    this.rig.quaternion.setFromAxisAngle(UP, -origin.yaw);
+    this.rig.position.set(-origin.x, -origin.y, -origin.z).applyQuaternion(this.rig.quaternion);
+    this.rig.updateMatrixWorld(true);
     this.#isCentred = this.wasRecentred = true;
-    const bounds = this.#bounded === null ? undefined : frame.getPose(this.#bounded, this.#space);
+    const bounds = this.#bounded === null ? undefined : frame.getPose(this.#bounded, this.#base);
     const corners = this.#bounded?.boundsGeometry ?? [];
-    this.area = bounds === undefined || corners.length < 3 ? null : [...corners].map(({ x, y, z }) => inSpace(bounds.transform, x, y, z));
+    this.area = bounds === undefined || corners.length < 3 ? null : [...corners].map(({ x, y, z }) => inSpace(bounds.transform, x, y, z).applyQuaternion(this.rig.quaternion).add(this.rig.position));
   }
 
   #buttons(side: Side, gamepad: Gamepad | undefined): void {
@@ -130,7 +132,7 @@ export class Headset {
   }
 }
 
-function inSpace({ position, orientation }: XRRigidTransform, x: number, y: number, z: number): Vector {
+function inSpace({ position, orientation }: XRRigidTransform, x: number, y: number, z: number): Vector3 {
   const turned = new Vector3(x, y, z).applyQuaternion(new Quaternion(orientation.x, orientation.y, orientation.z, orientation.w));
-  return { x: turned.x + position.x, y: turned.y + position.y, z: turned.z + position.z };
+  return turned.set(turned.x + position.x, turned.y + position.y, turned.z + position.z);
 }

@@ -7,7 +7,7 @@
 import { PCFShadowMap, Quaternion, type Vector3, WebGLRenderer } from "three";
 import { errorText, requestService } from "~/api/http";
 import { mayDo } from "~/session/session";
-import { inFrame, SERVICE, SIDES, stanceOf, type Footprint, type HumanoidModel, type LiveDocument, type Place, type Side } from "../humanoid";
+import { inFrame, SERVICE, SIDES, type Footprint, type HumanoidModel, type LiveDocument, type Place, type Side } from "../humanoid";
 import { InputLink, type Answer } from "../inputLink";
 import { HumanoidLive, OLD_MS } from "../liveState";
 import { BallPrediction } from "./ball";
@@ -125,6 +125,7 @@ export class VrView {
       onPauseButton: () => this.#pauseOrResume(),
       onHidden: () => this.#say(false),
     });
+    this.#room.scene.add(this.#headset.rig);
     this.#use("headset");
   }
 
@@ -189,9 +190,11 @@ export class VrView {
   }
 
   #leftHeadset(): void {
+    this.#headset?.rig.removeFromParent();
     this.#headset = null;
     this.#use("nothing");
     for (const side of SIDES) this.#room.hands[side].lose();
+    this.#fit(); // the headset had a picture of another size
   }
 
   #recentre(): void {
@@ -239,7 +242,7 @@ export class VrView {
     if (this.#using !== "nothing") this.#say(true);
     this.#aim();
     if (nowMs - this.#panelMs > PANEL_EVERY_MS) this.#showPanel(nowMs);
-    this.#renderer.render(this.#room.scene, this.#pointer.camera);
+    this.#renderer.render(this.#room.scene, this.#headset?.camera ?? this.#pointer.camera);
     this.measuring.worked(performance.now());
     if (this.waitsForPicture) this.#renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, PIXEL);
     this.measuring.drawn(performance.now());
@@ -365,7 +368,7 @@ export class VrView {
   #throw(): void {
     const document = this.#document;
     if (document === null) return;
-    const stance: Footprint = stanceOf(document) ?? this.#anchor;
+    const stance: Footprint = document.stance ?? this.#anchor;
     const target: Place = inFrame(stance, [this.#chosen.x, this.#chosen.y, this.#chosen.z]);
     this.#post("throws", { target, hand: target[1] >= 0 ? "left" : "right" });
   }
