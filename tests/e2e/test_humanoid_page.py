@@ -1,4 +1,4 @@
-"""The page Humanoid: the robot live, a throw, a stop, and a session with its report, on real processes."""
+"""The page Humanoid: the robot live, a throw, a replay, a stop, a session with its report; real processes."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -50,6 +50,11 @@ def test_a_therapist_throws_stops_and_leads_a_session(
     page.get_by_text("left_leg").click()
     expect(page.get_by_role("rowheader", name="LHipSag")).to_be_visible()
 
+    recordings = page.get_by_role("region", name="Recordings")
+    recordings.get_by_role("textbox", name="Name (optional)").fill("first throw")
+    recordings.get_by_role("button", name="Record").click()
+    expect(recordings.get_by_role("button", name="End the recording")).to_be_visible()
+
     page.get_by_role("radio", name="Throw").click()
     act = page.get_by_role("button", name="Throw the ball")
     expect(act).to_be_visible()
@@ -67,6 +72,18 @@ def test_a_therapist_throws_stops_and_leads_a_session(
     expect(page.get_by_role("row", name=re.compile("centre of mass"))).to_be_visible()
     keep(page, "humanoid-throw")
     accessible(page)
+
+    recordings.get_by_role("button", name="End the recording").click()
+    recordings.get_by_role("button", name="Replay").click()
+    replay = page.get_by_role("region", name="Replay of first throw")
+    replay.get_by_role("button", name="Pause").click()
+    replay.get_by_role("slider", name="Time").fill("1")
+    expect(replay).to_contain_text(re.compile(r"1 of \d+(\.\d)? s"))
+    expect(page.get_by_role("row", name=re.compile("centre of mass"))).to_be_visible()
+    keep(page, "humanoid-replay")
+    accessible(page)
+    replay.get_by_role("button", name="Back to the robot").click()
+    expect(replay).to_be_hidden()
 
     page.get_by_role("button", name="Stop", exact=True).click()
     expect(page.get_by_text(re.compile("^Stopped by"))).to_be_visible()

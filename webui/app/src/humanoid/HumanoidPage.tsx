@@ -3,7 +3,8 @@ import { Bot } from "lucide-react";
 import { lazy, Suspense, useCallback, useMemo, useState, useSyncExternalStore } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
-import type { HumanoidView } from "~/api/generated/whole-body-control";
+import type { FramesView, HumanoidView, RecordingView } from "~/api/generated/whole-body-control";
+import { errorText, requestService } from "~/api/http";
 import { useServiceQuery } from "~/api/useServiceQuery";
 import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
@@ -11,11 +12,14 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { mayDo } from "~/session/session";
 import { ForcesCard, ModelCard, SolverCard, StackCard } from "./EngineCards";
+import type { DocumentSource } from "./Humanoid3d";
 import { inFrame, SERVICE, type HumanoidModel, type Place } from "./humanoid";
 import { LimitsCard } from "./LimitsCard";
 import { HumanoidLive } from "./liveState";
 import { modeTone, throttled } from "./snapshots";
 import { MotionCard } from "./MotionCard";
+import { RecordingsCard, ReplayBar } from "./RecordingsCard";
+import { Replay } from "./replay";
 import { SessionCard, SessionsCard } from "./SessionCard";
 import { StopBar } from "./StopBar";
 import "./HumanoidPage.css";
@@ -45,6 +49,11 @@ export default function HumanoidPage() {
   );
 }
 
+interface Replayed {
+  replay: Replay;
+  name: string;
+}
+
 function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
   const { t } = useTranslation(["humanoid", "common", "humanoidVr"]);
   const { value: model } = useServiceQuery<HumanoidModel>(SERVICE, "model");
@@ -52,9 +61,20 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
   const live = useMemo(() => new HumanoidLive(), []);
   const panels = useMemo(() => throttled(live, PANELS_EVERY_MS), [live]);
   const { phase, document } = useSyncExternalStore(panels.subscribe, panels.snapshot);
+  const [replayed, setReplayed] = useState<Replayed | null>(null);
+  const [replayFailure, setReplayFailure] = useState<string | null>(null);
+  const source: DocumentSource = replayed?.replay ?? live;
+  const figures = useMemo(() => throttled(source, PANELS_EVERY_MS), [source]);
+  const { document: shown } = useSyncExternalStore(figures.subscribe, figures.snapshot);
+  const onReplay = (recording: RecordingView) => {
+    setReplayFailure(null);
+    const fetch = (fromS: number) => requestService<FramesView>(SERVICE, `recordings/${recording.id}/frames?from=${fromS}`);
+    const replay = new Replay(fetch, (error) => setReplayFailure(errorText(error)));
+    setReplayed({ replay, name: recording.label === "" ? t("recordings.untitled") : recording.label });
+  };
   const [target, setTarget] = useState<Place>(FIRST_TARGET);
   const isFree = document?.session == null || document.session.state === "ended";
-  const mayThrow = document?.behaviour === "juggling" && isFree && mayDo("moveRobots");
+  const mayThrow = replayed === null && document?.behaviour === "juggling" && isFree && mayDo("moveRobots");
   const onPick = useCallback(
     (place: Place) => {
       const stance = live.snapshot().document?.stance ?? null;
@@ -76,15 +96,16 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
       </header>
       <p className="small quiet">{t("notSafe")}</p>
       <div className="humanoid__body">
-        <Card className="humanoid__view" title={t("view")}>
+        <Card className="humanoid__view" title={t(replayed === null ? "view" : "recordings.replay")}>
           <div className="humanoid__stage">
             {model !== null && urdf !== null && (
               <Suspense fallback={<p className="quiet">{t("common:loading")}</p>}>
-                <Humanoid3d name={name} urdf={urdf} model={model} source={live} onPick={mayThrow ? onPick : null} target={mayThrow ? target : null} />
+                <Humanoid3d name={name} urdf={urdf} model={model} source={source} onPick={mayThrow ? onPick : null} target={mayThrow ? target : null} />
               </Suspense>
             )}
           </div>
           <p className="humanoid__legend small quiet">{t(mayThrow ? "legendThrow" : "legend")}</p>
+          {replayed !== null && <ReplayBar replay={replayed.replay} name={replayed.name} failure={replayFailure} onEnd={() => setReplayed(null)} />}
         </Card>
         {document !== null && (
           <div className="humanoid__side">
@@ -93,18 +114,21 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
             <LimitsCard document={document} />
           </div>
         )}
-        {document !== null && model !== null && (
+        {shown !== null && model !== null && (
           <div className="humanoid__engine">
-            <StackCard document={document} />
-            <SolverCard document={document} />
-            <ForcesCard document={document} massKg={model.massKg} />
+            <StackCard document={shown} />
+            <SolverCard document={shown} />
+            <ForcesCard document={shown} massKg={model.massKg} />
             <div className="humanoid__wide">
-              <ModelCard document={document} model={model} />
+              <ModelCard document={shown} model={model} />
             </div>
           </div>
         )}
         <div className="humanoid__wide">
           <SessionsCard />
+        </div>
+        <div className="humanoid__wide">
+          <RecordingsCard onReplay={onReplay} />
         </div>
       </div>
       <StopBar document={document} />

@@ -2,6 +2,7 @@ import { describe, expect, it, vi } from "vitest";
 import { Driver } from "~/control/driver";
 import { hullOf, inFrame, onGround, supportPolygon, type FootState, type Pair } from "./humanoid";
 import { wishOf } from "./wish";
+import { Replay } from "./replay";
 import { throttled } from "./snapshots";
 
 const foot = (share: number): FootState => ({ force: null, pressure: null, share });
@@ -78,5 +79,45 @@ describe("snapshots for panels", () => {
     expect(seen.at(-1)).toBe(20);
     expect(listeners.size).toBe(0);
     vi.useRealTimers();
+  });
+});
+
+describe("a replay", () => {
+  const part = (fromS: number, durationS: number) => {
+    const count = Math.max(0, Math.min(20, durationS - fromS));
+    const frames = Array.from({ length: count * 10 }, (_, index) => ({ t: fromS + index / 10, document: { t: fromS + index / 10 } }));
+    return { durationS, frames, nextFrom: fromS + count < durationS ? fromS + count : null };
+  };
+
+  it("shows the frame of its time, fetches what follows, and ends at the end", async () => {
+    const asked: number[] = [];
+    const replay = new Replay((fromS) => (asked.push(fromS), Promise.resolve(part(fromS, 30))), () => undefined);
+    replay.advance(0);
+    await vi.waitFor(() => expect(replay.snapshot().phase).toBe("open"));
+    expect(replay.snapshot().document?.t).toBe(0);
+    replay.advance(2050);
+    expect(replay.snapshot().positionS).toBeCloseTo(2.05);
+    expect(replay.snapshot().document?.t).toBe(2);
+    expect(asked).toEqual([0]);
+    replay.seek(18);
+    replay.advance(2060);
+    await vi.waitFor(() => expect(asked).toEqual([0, 20]));
+    let nowMs = 3000;
+    await vi.waitFor(() => {
+      replay.advance((nowMs += 5000));
+      expect(replay.snapshot()).toMatchObject({ positionS: 30, isPlaying: false });
+    });
+    expect(replay.snapshot().document?.t).toBeCloseTo(29.9);
+    replay.play(true);
+    expect(replay.snapshot()).toMatchObject({ positionS: 0, isPlaying: true });
+  });
+
+  it("says why frames cannot be fetched, and asks no further", async () => {
+    const failures: unknown[] = [];
+    const replay = new Replay(() => Promise.reject(new Error("it still runs")), (error) => failures.push(error));
+    replay.advance(0);
+    await vi.waitFor(() => expect(replay.snapshot().phase).toBe("lost"));
+    replay.advance(10);
+    expect(failures).toHaveLength(1);
   });
 });
