@@ -145,8 +145,9 @@ def test_the_arrangement_of_the_panels_is_kept_for_the_user(control: Cell, open_
         order = kept.get("order", ["jog", "joints"])
         return kept.get("hidden") == ["view", "latency"] and order.index("joints") < order.index("jog")
 
-    wait_for(is_stored)
+    wait_for(is_stored, 180)
     other = open_page("/control?robot=ur10-1")  # another browser
+    expect(other.get_by_role("heading", name="Joints")).to_be_visible()
     expect(other.get_by_role("heading", name="Latency")).to_have_count(0)
     titles = other.locator(".control__panels h2").all_inner_texts()
     assert titles.index("Joints") < titles.index("Tool")

@@ -36,6 +36,8 @@ class Juggling:
         self._detector: CatchDetector | None = None
         self._next_s = 0.0
         self._refusals = 0
+        self.number = 0
+        """Of the last throw that this session asked for."""
         self.shown_phase: str | None = None
         """What the live document says of the ball after an outcome, until the next throw."""
 
@@ -65,7 +67,7 @@ class Juggling:
     def _ask(self, control: HumanoidControl) -> None:
         wish = self._difficulty.next_throw()
         self._thrown_level = self._difficulty.level
-        self._asked = control.throws.request(wish.target.tolist(), wish.hand)
+        self._asked = self.number = control.throws.request(wish.target.tolist(), wish.hand)
         self._asked_s = control.links.values["robot_time_s"]
         self.shown_phase = None
 

@@ -216,7 +216,8 @@ class Training:
             self._finish()
         control.live.shown.session = None if session is None else session.view()
         juggling = None if session is None else session.juggling
-        control.live.shown.ball_phase = None if juggling is None else juggling.shown_phase
+        is_last = juggling is not None and juggling.number == control.motion.throw.number
+        control.live.shown.ball_phase = juggling.shown_phase if juggling is not None and is_last else None
 
     def pause(self) -> None:
         """Pause by a person's wish."""

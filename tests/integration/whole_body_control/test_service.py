@@ -62,7 +62,7 @@ def test_the_end_of_the_control_cycle_is_reported_and_a_person_restarts_it(human
     assert not humanoid.cycle()["isRunning"]
     assert humanoid.post("/restart")["pid"] != process
     humanoid.start()
-    assert humanoid.state()["phase"] == "standing"
+    wait_for(lambda: stands(humanoid), WITHIN_S, "it stands")
 
 
 def test_a_therapist_walks_it_and_a_stop_or_a_killed_service_ends_that_on_both_feet(

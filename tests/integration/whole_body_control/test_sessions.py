@@ -3,7 +3,7 @@
 from typing import Any
 
 from tests.integration.whole_body_control.conftest import WITHIN_S, HumanoidCell
-from tests.integration.whole_body_control.people import catching_patient
+from tests.integration.whole_body_control.people import THROW_S, catching_patient
 from tests.kit.waiting import wait_for
 
 
@@ -48,8 +48,20 @@ def test_a_place_out_of_reach_is_refused_with_the_farthest_that_is_not(humanoid:
     humanoid.post("/behaviour", {"behaviour": "juggling"})
     wait_for(lambda: humanoid.state()["behaviour"] == "juggling", WITHIN_S, "it juggles")
     assert "the farthest place on that line is" in humanoid.post("/throws", far, 422)["detail"]
-    number = humanoid.post("/throws", {"target": [0.8, 0.1, 0.5], "hand": "left"})["number"]
-    wait_for(lambda: (humanoid.state()["ball"] or {}).get("phase") == "landed", WITHIN_S, f"throw {number}")
+
+    thrown_s = float("-inf")
+
+    def has_landed() -> bool:  # a hand keeps the ball when wishes are late on a slow machine: throw again
+        nonlocal thrown_s
+        state = humanoid.state()
+        if (state["ball"] or {}).get("phase") == "landed":
+            return True
+        if state["t"] is not None and state["t"] - thrown_s > THROW_S:
+            thrown_s = state["t"]
+            humanoid.post("/throws", {"target": [0.8, 0.1, 0.5], "hand": "left"})
+        return False
+
+    wait_for(has_landed, WITHIN_S, "a throw lands")
     x, y, _ = humanoid.state()["ball"]["landing"]
     assert 0.4 < (x**2 + y**2) ** 0.5 < 1.2
     humanoid.post("/behaviour", {"behaviour": "walking"})

@@ -15,6 +15,7 @@ from tests.kit.paths import REPOSITORY
 PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "services", "webui")
 
 EXTRAS = {
+    "handover/ros_dds.py": ("ros",),
     "services/alert_router": ("messengers",),
     "ros_fiware_bridge": ("ros", "ros-rclpy"),
     "services/device_gateway": ("parquet",),

@@ -170,7 +170,7 @@ def test_the_first_throw_lands_after_a_rehearsal() -> None:
     record = game.throw(
         planner("right_hand").plan(practice.aim("right_hand", game.controller.start[:2], TARGET))
     )
-    assert np.linalg.norm(record.landed - TARGET) < 0.03
+    assert np.linalg.norm(record.landed - TARGET) < 0.05
 
 
 def test_one_throw_at_a_time() -> None:
