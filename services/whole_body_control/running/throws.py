@@ -27,6 +27,8 @@ from services.whole_body_control.solvers.compiled import fastest_solver
 log = get_logger(__name__)
 
 POSE: Final = "stand"
+REHEARSED: Final = np.array([0.8, 0.0, 0.5])
+"""Where a hand rehearses to throw, in m: within the reach of every hand."""
 MAX_REFUSALS: Final = 32
 """The last refusals that are known by their number."""
 
@@ -114,14 +116,14 @@ class Throws:
     def _planned(self, target: Array, hand: str) -> tuple[Array, Throw]:
         """Return where to aim, and the throw that does; runs in the worker."""
         name = f"{hand}_hand"
-        planner = self._planners.get(name) or self._prepared(name, target)
+        planner = self._planners.get(name) or self._prepared(name)
         aimed = self._practice.aim(name, self._base, target)
         try:
             return aimed, planner.plan(aimed)
         except OutOfReach:
             return target, planner.plan(target)  # the place itself, where aiming off is beyond reach
 
-    def _prepared(self, name: str, target: Array) -> ThrowPlanner:
+    def _prepared(self, name: str) -> ThrowPlanner:
         """Return the planner of a hand, which has rehearsed."""
         grip = self._humanoid.grips.get(name)
         if grip is None:
@@ -130,7 +132,7 @@ class Throws:
         kinematics = Kinematics(self._humanoid)
         start = kinematics.standing(POSE)
         self._base = start[:2].copy()
-        rehearse(self._practice, self._humanoid, [name], target, fastest_solver())
+        rehearse(self._practice, self._humanoid, [name], REHEARSED, fastest_solver())
         planner = self._planners[name] = ThrowPlanner(kinematics, start, grip)
         return planner
 
