@@ -5,7 +5,7 @@ How it works:
 1. One controller is active: that of walking, which stands as well, or that of throwing. Both know where the
    robot is only from its sensors.
 2. The behaviour changes only while the robot is at rest on both feet. Throwing begins with the configuration
-   that walking commands, in a frame of its own between the soles; walking goes on with its own plan, since
+   that walking commands, in a frame of its own between the soles; walking continues with its own plan, since
    the feet do not move meanwhile.
 3. Each behaviour wants joints of another stiffness; it changes within `GAINS_S`, so that nothing jumps.
 4. Where a ball should go has been planned elsewhere: a plan comes with the wish, and is checked again here.
