@@ -24,7 +24,7 @@ import pinocchio as pin
 from services.whole_body_control.behaviours.assistance import AssistedWalking, Hands
 from services.whole_body_control.behaviours.throwing import Phase, ThrowingController
 from services.whole_body_control.behaviours.walking import SIDES, WalkingController
-from services.whole_body_control.components.robot import JointCommand, RobotSensors, World
+from services.whole_body_control.components.robot import NOT_FINITE, JointCommand, RobotSensors, World
 from services.whole_body_control.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
 from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 from services.whole_body_control.model.humanoid import Humanoid
@@ -371,7 +371,7 @@ class HumanoidComponent:
         if self.is_down:
             self._fault = Fault.FALLEN
         elif fault:
-            self._fault = Fault.SENSORS if "sensor" in fault else Fault.SOLVER
+            self._fault = Fault.SENSORS if fault == NOT_FINITE else Fault.SOLVER
         elif self._assistance is not None and self._assistance.is_pulled_hard:
             self._fault = Fault.PULLED_HARD
         elif self._throw_phase != REFUSED:
