@@ -282,7 +282,7 @@ class ThrowingController:
         late_s = self._time_s - self.settings.reach_s - throw.swing_s
         estimate = self.estimator.kinematics
         place, jacobian = estimate.point(self.estimator.q, throw.grip.link, self._hand.point)
-        place, velocity = self._on_feet(place, jacobian @ self.estimator.v)
+        place, velocity = self._on_feet(place, jacobian @ self.estimator.v, self._soles_before)
         predicted = landing_point(place, velocity, float(throw.landing[2]))
         self._predictions.append(predicted)
         if late_s < -self.settings.control_s / 2:
@@ -292,12 +292,12 @@ class ThrowingController:
             return predicted, False
         return _at_the_end(np.array(self._predictions)), True
 
-    def _on_feet(self, place: Array, velocity: Array) -> tuple[Array, Array]:
-        """Return a place and a velocity (3,) of the estimate in the frame of the feet before the throw.
+    def _on_feet(self, place: Array, velocity: Array, soles: list[Array]) -> tuple[Array, Array]:
+        """Return a place and a velocity (3,) of the estimate in the frame in which the feet have not moved.
 
-        The estimate of place and yaw drifts, but not within a throw, whose swing may turn the feet.
+        `soles` are the places of the feet in the estimate. It drifts in place and yaw, but not within a throw,
+        whose swing may turn the feet.
         """
-        soles = self._soles_before
         now, then = soles[1] - soles[0], self._start_soles[1] - self._start_soles[0]
         yaw = float(np.arctan2(then[1], then[0]) - np.arctan2(now[1], now[0]))
         turned = turn(yaw)
@@ -310,7 +310,8 @@ class ThrowingController:
     def _send(self, command: JointCommand) -> None:
         estimator, omega = self.estimator, self._pendulum.omega
         reference = self._com.target + self._com.velocity / omega
-        error = (estimator.com + estimator.com_velocity / omega - reference)[:2]
+        com, velocity = self._on_feet(estimator.com, estimator.com_velocity, self._sole_places())
+        error = (com + velocity / omega - reference)[:2]
         self._kinematics.update(self._q)
         needed = self._feed_forward.needed(self._velocity, self._acceleration, np.zeros(3))
         wanted = needed.zmp + self.settings.capture_gain * error
