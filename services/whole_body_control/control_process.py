@@ -62,7 +62,14 @@ def control_loop(
         _to_read(deployment.folder / PERSON_PORT, PERSON),
         state,
     )
-    loop = ControlLoop(robot, component, ports, component.start[7:], is_paced=deployment.paced)
+    loop = ControlLoop(
+        robot,
+        component,
+        ports,
+        component.start[7:],
+        is_paced=deployment.paced,
+        mode=deployment.controller.mode,
+    )
     return loop, PortReader(state.path)
 
 

@@ -44,13 +44,16 @@ def run(deployment: Deployment) -> None:
         signal.signal(number, end)
     granted = use_real_time(fifo=deployment.fifo)
     log.info("driver started", folder=str(deployment.folder), **granted)
-    timing, state = Timing(running.robot.period_s), Safety.HOLDING
+    timing, state, refusal = Timing(running.robot.period_s), Safety.HOLDING, ""
     stop_collecting()
     while not ended:
         now = running.cycle()
         if now is not state:
             log.warning("safety changed", before=state.name, now=now.name, stalls=running.watchdog.stalls)
             state = now
+        if running.refusal != refusal:
+            refusal = running.refusal
+            log.error("command refused", reason=refusal) if refusal else log.info("commands followed again")
         timing.wait()
 
 

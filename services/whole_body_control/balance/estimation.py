@@ -2,9 +2,11 @@
 
 Roll and pitch integrate the gyroscope, and follow the accelerometer slowly (a complementary filter after
 Mahony 2008, with an estimate of the bias). Feet that carry weight do not move: the velocity of the base is
-what keeps the centres of pressure still, weighted by the force on each foot. The position integrates it, and
-follows the places where the feet came to stand, so that it does not drift while they stand. The ground is
-flat, at height 0. Yaw and position on the ground have no reference, and drift with the steps.
+what keeps the centres of pressure still, weighted by the force on each foot. A robot that leans at the first
+sample, as one does that was held by its drives, starts with the tilt of the accelerometer. The position
+integrates the velocity, and follows the places where the feet came to stand, so that it does not drift while
+they stand. The ground is flat, at height 0. Yaw and position on the ground have no reference, and drift with
+the steps.
 """
 
 from dataclasses import dataclass
@@ -29,6 +31,10 @@ ANCHOR_GAIN = 10.0
 MIN_CONTACT_N = 30.0
 """A foot with less force does not stand."""
 MAX_SHAKE_MPS2 = 3.0
+LEANS_RAD, MAX_LEAN_RAD = 0.015, 0.3
+"""More than what the noise of one sample looks like, and less than what is no lean but a fall."""
+REST_MPS2, REST_RADPS = 0.3, 0.1
+UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass
@@ -63,7 +69,7 @@ class StateEstimator:
         self.q, self.v = q.copy(), np.zeros(kinematics.n_velocities)
         self._rotation = pin.Quaternion(q[3:7]).toRotationMatrix()
         self._position = q[:3].copy()
-        self._bias = np.zeros(3)
+        self._bias, self._has_begun = np.zeros(3), False
         kinematics.update(q)
         base = kinematics.pose(humanoid.root)
         inertial = kinematics.pose(humanoid.sensors.inertial[0])
@@ -141,6 +147,10 @@ class StateEstimator:
         spin = self._of_inertial @ sensors.gyroscope - self._bias
         force = self._of_inertial @ sensors.accelerometer
         strength = float(np.linalg.norm(force))
+        if not self._has_begun:
+            self._has_begun = True
+            is_at_rest = abs(strength - GRAVITY_MPS2) < REST_MPS2 and spin @ spin < REST_RADPS**2
+            self._lean(force / max(strength, 1e-9), is_at_rest=is_at_rest)
         corrected = spin
         if abs(strength - GRAVITY_MPS2) < MAX_SHAKE_MPS2:
             error = cross(force / strength, self._rotation[2])
@@ -148,6 +158,15 @@ class StateEstimator:
             self._bias -= BIAS_GAIN * dt_s * error
         self._rotation = self._rotation @ pin.exp3(corrected * dt_s)
         return np.asarray(spin)
+
+    def _lean(self, upwards: Array, *, is_at_rest: bool) -> None:
+        """Turn the start so that `upwards` (3,), in the frame of the base, points up, if it is far off."""
+        measured = self._rotation @ upwards
+        turn = cross(measured, UP)
+        sine = float(np.linalg.norm(turn))
+        angle = float(np.arctan2(sine, measured[2]))
+        if is_at_rest and LEANS_RAD < angle < MAX_LEAN_RAD:
+            self._rotation = pin.exp3(turn * (angle / sine)) @ self._rotation
 
     def _measure_feet(self, sensors: RobotSensors) -> None:
         total = 0.0

@@ -9,7 +9,9 @@ How it works:
    the feet do not move meanwhile.
 3. Each behaviour wants joints of another stiffness; it changes within `GAINS_S`, so that nothing jumps.
 4. Where a ball should go has been planned elsewhere: a plan comes with the wish, and is checked again here.
-5. A stop ends the motion by standing on both feet: a step is finished, a throw followed through, and its ball
+5. It takes over gently: a robot that its drives held hangs in them, and full torques at once would make it
+   lurch.
+6. A stop ends the motion by standing on both feet: a step is finished, a throw followed through, and its ball
    stays in the hand.
 """
 
@@ -30,11 +32,14 @@ from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineNam
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.footsteps import Wish
+from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.regions import Side, turn
 from services.whole_body_control.patterns.throwing import Throw
 from services.whole_body_control.solvers.problem import Solver
 
 GAINS_S: Final = 0.5
+TAKE_OVER_S: Final = 0.5
+"""The first commands begin with the positions and torques of the drives as they are."""
 FALLEN_TILT_RAD: Final = 1.0
 """A robot whose root leans by more has fallen."""
 MAX_THROW_S: Final = 2.0
@@ -118,6 +123,7 @@ class HumanoidComponent:
         self._stiffness, self._damping = gains.stiffness, gains.damping
         self._firmness = np.ones(len(humanoid.joints))
         """Share of the gains of the model, by joint."""
+        self._taken, self._at_first = 0.0, JointCommand(humanoid)
         self._wanted, self._is_commanded, self._person = Wanted(), False, np.zeros(len(PERSON))
         self._ball = _Ball()
         self._throw_phase, self._fault = 0.0, Fault.NONE
@@ -152,6 +158,8 @@ class HumanoidComponent:
         else:
             fault = self._walk(sensors, command)
         self._soften(command)
+        if self._taken < 1.0:
+            self._take_over(sensors, command)
         self._follow_ball()
         self._count()
         self._judge(fault)
@@ -339,6 +347,20 @@ class HumanoidComponent:
         self._firmness += np.clip(wanted - self._firmness, -most, most)
         command.stiffness[:] = self._stiffness * self._firmness
         command.damping[:] = self._damping * np.sqrt(self._firmness)
+        command.is_led = self.behaviour is Behaviour.ASSISTED_WALKING
+
+    def _take_over(self, sensors: RobotSensors, command: JointCommand) -> None:
+        """Lead the drives from what they do to the command."""
+        first = self._at_first
+        if not sensors.is_finite:
+            return
+        if self._taken == 0.0:
+            first.positions[:] = sensors.positions
+            first.torques[:] = np.nan_to_num(sensors.torques)
+        self._taken = min(self._taken + self.control_s / TAKE_OVER_S, 1.0)
+        left = 1.0 - moved(self._taken)
+        command.positions += left * (first.positions - command.positions)
+        command.torques += left * (first.torques - command.torques)
 
     def _follow_ball(self) -> None:
         ball, estimator = self._ball, self.walking.estimator

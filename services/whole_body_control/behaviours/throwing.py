@@ -295,8 +295,8 @@ class ThrowingController:
     def _on_feet(self, place: Array, velocity: Array, soles: list[Array]) -> tuple[Array, Array]:
         """Return a place and a velocity (3,) of the estimate in the frame in which the feet have not moved.
 
-        `soles` are the places of the feet in the estimate. It drifts in place and yaw, but not within a throw,
-        whose swing may turn the feet.
+        `soles` are the places of the feet in the estimate, which drifts in place and yaw, but not within a
+        throw, whose swing may turn the feet.
         """
         now, then = soles[1] - soles[0], self._start_soles[1] - self._start_soles[0]
         yaw = float(np.arctan2(then[1], then[0]) - np.arctan2(now[1], now[0]))

@@ -4,14 +4,16 @@ Joint impedance runs below the interface, in the robot:
 
     torque = stiffness (position - q) + damping (velocity - q') + torque,  within the effort limits
 
-All arrays are allocated once and written in place, so that a control cycle allocates no memory.
+That is the mode `impedance`. Drives that accept positions or torques only get the same command converted
+(`components.modes`). All arrays are allocated once and written in place, so that a control cycle allocates
+no memory.
 """
 
 from typing import Protocol
 
 import numpy as np
 
-from services.whole_body_control.model.humanoid import Grip, Humanoid
+from services.whole_body_control.model.humanoid import Grip, Humanoid, JointMode
 from services.whole_body_control.model.kinematics import Array
 
 
@@ -43,9 +45,14 @@ NOT_FINITE = "a sensor has a value that is not finite; the last command holds"
 
 
 class JointCommand:
-    """What the joints do; starts with the gains of the model, and with positions that a caller must set."""
+    """What the joints do; starts with the gains of the model, and with positions that a caller must set.
+
+    In the mode `position` only the positions count, in `torque` only the torques. `is_led` says that a person
+    who holds the hands leads the motion.
+    """
 
     def __init__(self, humanoid: Humanoid) -> None:
+        self.mode, self.is_led = JointMode.IMPEDANCE, False
         gains = [joint.gains for joint in humanoid.joints]
         self.positions = np.zeros(len(gains))
         self.velocities, self.torques = np.zeros(len(gains)), np.zeros(len(gains))
@@ -83,6 +90,7 @@ class Interpolation:
         self._end[:], command.velocities[:] = wanted.positions, wanted.velocities
         command.torques[:] = wanted.torques
         command.stiffness[:], command.damping[:] = wanted.stiffness, wanted.damping
+        command.is_led = wanted.is_led
         self._left = self.steps
 
     def rest(self) -> None:
@@ -103,13 +111,20 @@ class Robot(Protocol):
 
     humanoid: Humanoid
     period_s: float
+    modes: tuple[JointMode, ...]
+    """The modes of commands that it follows."""
+    is_simulated: bool
+    """Whether nobody can be hurt: only then it may be led by the hands of a person."""
 
     def read(self, sensors: RobotSensors) -> None:
         """Write the newest measurements into `sensors`."""
         ...
 
     def write(self, command: JointCommand) -> None:
-        """Send a command, which holds until the next one."""
+        """Send a command, which holds until the next one.
+
+        Raises `ValueError` for values that are not finite, and for a mode that is none of `modes`.
+        """
         ...
 
     def wait(self) -> None:

@@ -3,10 +3,11 @@
 folder: /dev/shm/coman          # of the ports
 components:
   robot: {kind: mujoco, humanoid: coman, realtime: true}      # the one that is exchanged
-  walking: {kind: walking, engine: stack, solver: fastest, realtime: true}   # or engine: projections
+  walking: {kind: walking, engine: stack, solver: fastest, mode: impedance, realtime: true}
   recorder: {kind: recorder, realtime: false}
 
-A component that performs I/O cannot be real-time, and one that controls the joints must be.
+The engine may be `projections`, the solver `daqp`, the mode of the joints `position` or `torque`, where the
+robot has it. A component that performs I/O cannot be real-time, and one that controls the joints must be.
 """
 
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from handover.errors import UsageError
 from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
+from services.whole_body_control.model.humanoid import JointMode
 
 MAX_FILE_BYTES = 100_000
 
@@ -40,6 +42,7 @@ class Component(_Strict):
     humanoid: str = "coman"
     solver: Literal["fastest", "daqp"] = "fastest"
     engine: EngineName = DEFAULT_ENGINE
+    mode: JointMode = JointMode.IMPEDANCE
 
 
 class Deployment(_Strict):

@@ -17,9 +17,11 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from services.whole_body_control.components.modes import ModeConversion, require_mode
 from services.whole_body_control.components.robot import Interpolation, JointCommand, Robot, RobotSensors
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
 from services.whole_body_control.cycle.timing import FIGURES, Timing
+from services.whole_body_control.model.humanoid import JointMode
 from services.whole_body_control.model.kinematics import Array
 
 WISH_TIMEOUT_S = 0.3
@@ -84,11 +86,23 @@ def state_fields(controller: Controller) -> tuple[str, ...]:
 
 
 class ControlLoop(Generic[R, C]):
-    """The loop; everything that it needs is allocated when it is made."""
+    """The loop; everything that it needs is allocated when it is made.
+
+    Raises `UsageError` for a mode of the joints that the model or the robot does not have.
+    """
 
     def __init__(
-        self, robot: R, controller: C, ports: CyclePorts, start: Array, *, is_paced: bool = True
+        self,
+        robot: R,
+        controller: C,
+        ports: CyclePorts,
+        start: Array,
+        *,
+        is_paced: bool = True,
+        mode: JointMode = JointMode.IMPEDANCE,
     ) -> None:
+        self._modes = ModeConversion(robot.humanoid, mode)
+        require_mode(mode, robot.modes, f"the driver of {robot.humanoid.name}")
         self.robot, self.controller, self._ports = robot, controller, ports
         self._sensors, self._command = RobotSensors(robot.humanoid), JointCommand(robot.humanoid)
         self._command.positions[:] = start
@@ -164,7 +178,9 @@ class ControlLoop(Generic[R, C]):
 
     def _send(self) -> None:
         try:
-            self.robot.write(self._between.next())
+            if self._modes.needs_sensors:
+                self.robot.read(self._sensors)
+            self.robot.write(self._modes.convert(self._between.next(), self._sensors))
         except Exception as error:  # noqa: BLE001 - as above; the robot keeps the last command
             self._stop(f"the robot refused a command: {error!r}")
 

@@ -6,11 +6,20 @@ After CoSiMA (Figure 2): the URDF gives the tree, the SRDF groups, chains and po
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import cached_property
 
 from handover.errors import UsageError
 
 LinkPair = frozenset[str]
+
+
+class JointMode(StrEnum):
+    """What the drives of the joints accept: positions, joint impedance, or torques."""
+
+    POSITION = "position"
+    IMPEDANCE = "impedance"
+    TORQUE = "torque"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +41,8 @@ class Joint:
     max_velocity: float
     max_effort: float
     gains: Gains
+    servo: Gains | None = None
+    """Of the drive itself in the mode `position`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +110,8 @@ class Humanoid:
     """The inertia of a drive behind its gear, seen from its joint, in kg m²; the same for all joints."""
     grips: Mapping[str, Grip] = field(default_factory=dict)
     """The hands that can hold and throw a ball, by name."""
+    modes: tuple[JointMode, ...] = (JointMode.IMPEDANCE,)
+    """What its drives accept; a driver may have fewer."""
     notes: tuple[str, ...] = ()
     """What a reader should know, such as limits that are placeholders."""
 

@@ -7,6 +7,8 @@ contacts:
   left_sole: {link: l_sole, corners: [[0.13, 0.05, 0], …], friction: 0.7}
 drive_inertia: 0.05              # of a drive behind its gear, seen from its joint, in kg m²
 grips: {right_hand: {arm: right_arm, link: RSoftHand, point: [0, 0.03, 0]}}   # where a hand holds a ball
+modes: [position, impedance, torque]   # what its drives accept; impedance alone where this is left out
+servo: {default: {stiffness: 3000, damping: 60}}   # of the drives themselves in the mode position
 notes: [The velocity limits are placeholders.]
 
 Instead of a file, `urdf` may name one of an installed package, and what changes in it (see `packaged`):
@@ -30,6 +32,7 @@ from services.whole_body_control.model.humanoid import (
     Grip,
     Humanoid,
     Joint,
+    JointMode,
     LinkPair,
     Sensors,
 )
@@ -85,6 +88,8 @@ class _RobotFile(_Strict):
     contacts: dict[str, _Contact]
     drive_inertia: Annotated[FiniteFloat, Field(ge=0)] = 0.0
     grips: dict[str, _Grip] = Field(default_factory=dict)
+    modes: Annotated[tuple[JointMode, ...], Field(min_length=1)] = (JointMode.IMPEDANCE,)
+    servo: dict[str, _Gains] = Field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
@@ -131,6 +136,7 @@ def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
         srdf=srdf,
         drive_inertia=entry.drive_inertia,
         grips={name: Grip(name, grip.arm, grip.link, grip.point) for name, grip in entry.grips.items()},
+        modes=tuple(dict.fromkeys(entry.modes)),
         notes=entry.notes,
     )
 
@@ -250,7 +256,9 @@ def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Itera
         *semantics.groups,
         *(joint.get("name") for joint in tree.moving),
     }
-    for name in sorted(entry.gains.keys() - known):
+    if JointMode.POSITION in entry.modes and DEFAULT_GAINS not in entry.servo:
+        yield f'{FILE} has the mode position without "servo: {{{DEFAULT_GAINS}: …}}", the gains of its drives'
+    for name in sorted((entry.gains.keys() | entry.servo.keys()) - known):
         yield f'{FILE} has gains for "{name}", which is no chain, group or joint'
     for name, contact in entry.contacts.items():
         if contact.link not in tree.links:
@@ -267,13 +275,7 @@ def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Itera
 def _joint(element: Any, entry: _RobotFile, semantics: _Semantics) -> Joint:
     name = str(element.get("name"))
     limit = element.find("limit")
-    gains = entry.gains[DEFAULT_GAINS]
-    # The most specific entry holds: a joint's own, then its chain's or group's in the order of the file.
-    of_joint: Mapping[str, tuple[str, ...]] = {**semantics.groups, name: (name,)}
-    for key, each in entry.gains.items():
-        if name in of_joint.get(key, ()):
-            gains = each
-    gains = entry.gains.get(name, gains)
+    gains = _gains_of(name, entry.gains, semantics)
     return Joint(
         name=name,
         kind=str(element.get("type")),
@@ -281,8 +283,19 @@ def _joint(element: Any, entry: _RobotFile, semantics: _Semantics) -> Joint:
         upper=float(limit.get("upper")),
         max_velocity=float(limit.get("velocity")),
         max_effort=float(limit.get("effort")),
-        gains=Gains(gains.stiffness, gains.damping),
+        gains=gains,
+        servo=_gains_of(name, entry.servo, semantics) if DEFAULT_GAINS in entry.servo else None,
     )
+
+
+def _gains_of(joint: str, gains: Mapping[str, _Gains], semantics: _Semantics) -> Gains:
+    """Return the most specific entry: a joint's own, then its chain's or group's in the order of the file."""
+    found = gains[DEFAULT_GAINS]
+    for key, each in gains.items():
+        if joint in semantics.groups.get(key, ()):
+            found = each
+    found = gains.get(joint, found)
+    return Gains(found.stiffness, found.damping)
 
 
 def _text(path: Path) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from handover.errors import UsageError
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.model.humanoid import Humanoid
+from services.whole_body_control.model.humanoid import Humanoid, JointMode
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array
 from services.whole_body_control.simulation.body_model import FREE_JOINT, STEP_S, build
 
@@ -37,13 +37,22 @@ TYPICAL_NOISE = SensorNoise(1e-4, 0.01, 0.005, 0.001, 0.05, 1.0, 0.05)
 
 
 class SimulatedRobot:
-    """A humanoid in MuJoCo, which stands at `q` (base and joints, as in `Kinematics`) at rest."""
+    """A humanoid in MuJoCo, which stands at `q` (base and joints, as in `Kinematics`) at rest.
+
+    It has the modes of its model.
+    """
+
+    is_simulated = True
 
     def __init__(
         self, humanoid: Humanoid, q: Array, noise: SensorNoise = QUIET, seed: int = 0, model: Any = None
     ) -> None:
-        self.humanoid = humanoid
+        self.humanoid, self.modes = humanoid, humanoid.modes
         self.period_s = STEP_S
+        servo = [joint.servo or joint.gains for joint in humanoid.joints]
+        self._servo_stiffness = np.array([each.stiffness for each in servo])
+        self._servo_damping = np.array([each.damping for each in servo])
+        self._target, self._stiffness = np.zeros(len(servo)), np.zeros(len(servo))
         self.model = build(humanoid) if model is None else model
         self._data = mujoco.MjData(self.model)
         self._noise, self._random = noise, np.random.default_rng(seed)
@@ -83,15 +92,29 @@ class SimulatedRobot:
             self._disturb(sensors)
 
     def write(self, command: JointCommand) -> None:
-        """Set the drives. Raises `ValueError` for a command that is not finite; the last one holds."""
-        stiffness = np.maximum(command.stiffness, 1e-6)
-        target = command.positions + (command.damping * command.velocities + command.torques) / stiffness
+        """Set the drives. Raises `ValueError` for a command that it cannot follow; the last one holds."""
+        model = self.model
+        if command.mode not in self.modes:
+            raise ValueError(f'{self.humanoid.name} has no mode "{command.mode}" of joints')
+        target, stiffness, damping = self._target, self._servo_stiffness, self._servo_damping
+        if command.mode is JointMode.IMPEDANCE:
+            damping = command.damping
+            stiffness = np.maximum(command.stiffness, 1e-6, out=self._stiffness)
+            np.multiply(damping, command.velocities, out=target)
+            target += command.torques
+            target /= stiffness
+            target += command.positions
+        else:
+            target[:] = command.positions if command.mode is JointMode.POSITION else command.torques
         if not np.isfinite(target).all():
             raise ValueError("the command has a value that is not finite; the drives keep the last one")
         self._data.ctrl[:] = target
-        self.model.actuator_gainprm[:, 0] = stiffness
-        self.model.actuator_biasprm[:, 1] = -stiffness
-        self.model.actuator_biasprm[:, 2] = -command.damping
+        if command.mode is JointMode.TORQUE:
+            model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3] = 1.0, 0.0
+            return
+        model.actuator_gainprm[:, 0] = stiffness
+        np.negative(stiffness, out=model.actuator_biasprm[:, 1])
+        np.negative(damping, out=model.actuator_biasprm[:, 2])
 
     def wait(self) -> None:
         """Simulate one period."""

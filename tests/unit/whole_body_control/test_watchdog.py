@@ -21,7 +21,7 @@ from services.whole_body_control.robots import humanoid
 from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
 
 COMAN = humanoid("coman")
-BOUND_S, FALL_CYCLES = 120.0, 5000
+BOUND_S, FALL_CYCLES, TAKEN_OVER_CYCLES = 120.0, 5000, 500
 DEPLOYMENT = """
 folder: {folder}
 fifo: false
@@ -96,6 +96,10 @@ def test_a_control_process_that_stalls_is_noticed_by_the_process_of_the_robot(tm
             time.sleep(0.01)
             return port.value("safety") if port.read() else float("nan")
 
+        wait_for(lambda: safety() == Safety.FOLLOWING)
+        state = PortReader(folder / "state")
+        # Until then it takes over from the drives, whose robot hangs in them; a stall there may make it fall.
+        wait_for(lambda: state.read() and state.value("cycles") > TAKEN_OVER_CYCLES)
         wait_for(lambda: safety() == Safety.FOLLOWING)
         cycle.send_signal(signal.SIGSTOP)
         wait_for(lambda: safety() == Safety.HOLDING)
