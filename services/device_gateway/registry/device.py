@@ -78,6 +78,8 @@ class Device:
     battery_level: float | None = None
     event: tuple[str, Any, float] | None = None
     link: Link | None = None
+    linked_s: float = 0.0
+    """When the connection began, by the monotonic clock."""
     drives: bool = False
     """Whether the connected program follows velocities."""
     seen_at: float | None = None
