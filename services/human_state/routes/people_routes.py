@@ -4,9 +4,9 @@ import asyncio
 import time
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, NamedTuple
 
-from fastapi import FastAPI, Query, Request, Response
+from fastapi import Depends, FastAPI, Query, Request, Response
 from pydantic import ValidationError
 
 from handover.errors import HandoverError, Problem
@@ -195,7 +195,7 @@ def _add_consents(app: FastAPI, parts: Parts) -> None:
 
 
 def _add_state(app: FastAPI, parts: Parts) -> None:
-    people, monitoring, store = parts.people, parts.monitoring, parts.store
+    monitoring, store = parts.monitoring, parts.store
 
     @app.get("/people/{person}/state", tags=["state"])
     async def state(person: Name, caller: SignedIn, request: Request) -> StateView:
@@ -204,18 +204,8 @@ def _add_state(app: FastAPI, parts: Parts) -> None:
         return state_view(parts.monitor_of(person), monitoring)
 
     @app.get("/people/{person}/history/{feature}", tags=["state"])
-    async def history(  # noqa: PLR0917 - parameters of a route
-        person: Name,
-        feature: FeatureName,
-        caller: SignedIn,
-        request: Request,
-        start: datetime | None = None,
-        end: datetime | None = None,
-    ) -> list[HistoryValue]:
+    async def history(asked: Annotated[History, _history_of(parts)]) -> list[HistoryValue]:
         """Return the values of a feature, oldest first: the last day, or from `start` to `end`."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
-        subject = people.person(person).pseudonym
-        rows = await asyncio.to_thread(store.values, subject, feature, *_time(start, end))
         return [
             HistoryValue(
                 at=moment(row.at_us),
@@ -223,55 +213,63 @@ def _add_state(app: FastAPI, parts: Parts) -> None:
                 quality=row.quality,
                 status=row.status,
             )
-            for row in rows
+            for row in await asyncio.to_thread(store.values, *asked)
         ]
 
 
 def _add_summaries(app: FastAPI, parts: Parts) -> None:
-    people, store = parts.people, parts.store
+    store = parts.store
 
     @app.get("/people/{person}/history/{feature}/points", tags=["state"])
-    async def points(  # noqa: PLR0917 - parameters of a route
-        person: Name,
-        feature: FeatureName,
-        caller: SignedIn,
-        request: Request,
-        start: datetime | None = None,
-        end: datetime | None = None,
+    async def points(
+        asked: Annotated[History, _history_of(parts)],
         count: Annotated[int, Query(ge=1, le=MAX_POINTS)] = 600,
     ) -> list[HistoryPoint]:
         """Return the valid numbers of a time in `count` equal parts: least, mean and most of each."""
-        require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
-        subject = people.person(person).pseudonym
-        rows = await asyncio.to_thread(store.points, subject, feature, *_time(start, end), count)
         return [
             HistoryPoint(
                 at=moment(row.at_us), least=row.least, mean=row.mean, most=row.most, values=row.values
             )
-            for row in rows
+            for row in await asyncio.to_thread(store.points, *asked, count)
         ]
 
     @app.get("/people/{person}/history/{feature}/durations", tags=["state"])
-    async def durations(  # noqa: PLR0917 - parameters of a route
+    async def durations(asked: Annotated[History, _history_of(parts)]) -> list[HistoryDuration]:
+        """Return how long each text of a feature held, such as an activity or a sleep position."""
+        rows = await asyncio.to_thread(store.durations, *asked)
+        return [HistoryDuration(value=value, seconds=round(seconds, 3)) for value, seconds in rows]
+
+
+class History(NamedTuple):
+    """A feature of a person over a time, in us since 1970."""
+
+    subject: str
+    feature: str
+    from_us: int
+    to_us: int
+
+
+def _history_of(parts: Parts) -> Any:
+    """Return the dependency that reads which history is asked for, and whether the caller may read it.
+
+    The time is from `start` to `end`; the last day if none is given.
+    """
+
+    def asked(  # noqa: PLR0917 - parameters of routes
         person: Name,
         feature: FeatureName,
         caller: SignedIn,
         request: Request,
         start: datetime | None = None,
         end: datetime | None = None,
-    ) -> list[HistoryDuration]:
-        """Return how long each text of a feature held, such as an activity or a sleep position."""
+    ) -> History:
         require_own_or(request, caller, Permission.READ_HEALTH_DATA, person)
-        subject = people.person(person).pseudonym
-        rows = await asyncio.to_thread(store.durations, subject, feature, *_time(start, end))
-        return [HistoryDuration(value=value, seconds=round(seconds, 3)) for value, seconds in rows]
+        to_s = time.time() if end is None else end.timestamp()
+        from_s = to_s - DAY_S if start is None else start.timestamp()
+        subject = parts.people.person(person).pseudonym
+        return History(subject, feature, int(from_s * 1e6), int(to_s * 1e6))
 
-
-def _time(start: datetime | None, end: datetime | None) -> tuple[int, int]:
-    """Return a time in us since 1970: the last day if none is given."""
-    to_s = time.time() if end is None else end.timestamp()
-    from_s = to_s - DAY_S if start is None else start.timestamp()
-    return int(from_s * 1e6), int(to_s * 1e6)
+    return Depends(asked)
 
 
 def _add_limits(app: FastAPI, parts: Parts) -> None:
