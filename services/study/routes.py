@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, cast
 
-from fastapi import Body, FastAPI, Query, Response
+from fastapi import Body, FastAPI, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from handover.errors import Problem
 from handover.messages import message
 from handover.offload import Offload, OffloadFailed
-from handover.security.guard import require, require_somewhere
+from handover.security.guard import in_path, require, require_somewhere
 from handover.security.permissions import Permission
 from services.study.protocol import FINISHED, STEPS, Language, Session
 from services.study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
@@ -34,6 +34,7 @@ Study = Annotated[str, Query(min_length=1, max_length=64)]
 
 DEFAULT_STUDY = "gestures"
 MAX_ANALYSES_KEPT = 8
+of_person = in_path("Person", "person")
 
 
 class NewSession(BaseModel):
@@ -107,6 +108,21 @@ def add_study(app: FastAPI, sessions: StudySessions) -> None:
     async def delete(session: str) -> None:
         """Delete a session and all its answers beyond recovery."""
         await sessions.delete(session)
+
+    @app.delete(
+        "/persons/{person}",
+        status_code=204,
+        tags=["study"],
+        dependencies=[require(Permission.MANAGE_PEOPLE, of_person)],
+    )
+    async def delete_person(person: str, request: Request) -> None:
+        """Delete all sessions of a person with their answers beyond recovery; 404 if there are none."""
+        if not await sessions.delete_person({person, of_person(request)}):
+            raise Problem(
+                404,
+                "No session",
+                message("study.no_session_of_person", "{person} takes part in no study", person=person[:64]),
+            )
 
     @app.get("/analysis", tags=["study"], dependencies=[require(Permission.READ_STUDIES)])
     async def analysis(study: Study = DEFAULT_STUDY) -> StudyAnalysis:

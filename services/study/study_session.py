@@ -2,7 +2,8 @@
 
 import asyncio
 import random
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any, Final, Self
 from uuid import uuid4
@@ -92,6 +93,14 @@ class StudySessions:
             await self.one(session_id)
             await self._run(self._store.delete, session_id)
             await self._conditions.remove(session_id)
+
+    async def delete_person(self, names: Collection[str]) -> int:
+        """Delete the sessions of a person, who is named in one of these ways; return how many."""
+        theirs = [one.id for one in await self.sessions(None) if one.person in names]
+        for session_id in theirs:
+            with suppress(Problem):  # somebody else has deleted it meanwhile
+                await self.delete(session_id)
+        return len(theirs)
 
     async def one(self, session_id: str) -> Session:
         """Return a session; raises `Problem` 404."""

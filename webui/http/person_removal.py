@@ -1,7 +1,7 @@
 """Delete a Person everywhere: each service deletes what it has, and the answer says what remains and why.
 
-The services are asked with the credentials of the caller, so each requires its own permission. A service that
-refuses or does not answer keeps its part; the deletion can be repeated with the same name.
+The services are asked with the credentials of the caller, and each requires `managePeople` for the Person. A
+service that does not answer keeps its part; the deletion can be repeated with the same name.
 """
 
 from collections.abc import Awaitable, Callable, Mapping
@@ -19,12 +19,13 @@ from handover.security.guard import guard_of, in_path, require
 from handover.security.permissions import Permission
 
 PATHS: Final = {
+    "study": "persons/{person}",
     "gesture-controller": "people/{person}",
     "human-state": "people/{person}",
     "whole-body-control": "persons/{person}",
 }
-"""The route that deletes what a service knows of a person."""
-STUDY: Final = "study"
+"""The route that deletes what a service knows of a person. Studies first: while one uses the gestures of the
+person, these cannot be deleted."""
 TIMEOUT_S: Final = 30.0
 
 Name = Annotated[str, InPath(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
@@ -59,34 +60,21 @@ class PersonRemoval:
     async def remove(self, name: str, person: str, request: Request) -> RemovedPerson:
         """Delete the person `name` with the entity id `person`."""
         headers = await self._headers_of(request)
-        # Studies first: while one uses the gestures of the person, these cannot be deleted.
-        parts = [await self._studies({name, person}, headers)]
-        for service, path in PATHS.items():
-            parts.append(await self._part(service, path.format(person=quote(name, safe="")), headers))
+        parts = [
+            await self._part(service, path.format(person=quote(name, safe="")), headers)
+            for service, path in PATHS.items()
+        ]
         parts.append(await self._entity(person))
         return {"person": person, "parts": parts, "remains": [with_code("why", why) for why in _remains()]}
 
     async def _part(self, service: str, path: str, headers: Mapping[str, str]) -> RemovedPart:
         try:
-            answer = await self._ask("DELETE", service, path, headers)
+            answer = await self._http.request(
+                "DELETE", f"{self._urls[service]}/{path}", headers=headers, auth=None, timeout=TIMEOUT_S
+            )
         except httpx.HTTPError as error:
             return _unreachable(service, error)
         return _part_of(service, answer)
-
-    async def _studies(self, names: set[str], headers: Mapping[str, str]) -> RemovedPart:
-        """Delete the sessions of studies in which the person took part."""
-        try:
-            listed = await self._ask("GET", STUDY, "sessions", headers)
-            if not listed.is_success:
-                return _part_of(STUDY, listed)
-            theirs = [one["id"] for one in listed.json() if one["person"] in names]
-            for session in theirs:
-                answer = await self._ask("DELETE", STUDY, f"sessions/{quote(session, safe='')}", headers)
-                if not answer.is_success and answer.status_code != httpx.codes.NOT_FOUND:
-                    return _part_of(STUDY, answer)
-        except httpx.HTTPError as error:
-            return _unreachable(STUDY, error)
-        return {"service": STUDY, "outcome": "deleted" if theirs else "nothing", "detail": None}
 
     async def _entity(self, person: str) -> RemovedPart:
         outcome: Outcome = "deleted"
@@ -98,10 +86,6 @@ class PersonRemoval:
         except BrokerError as error:
             outcome, detail = "unreachable", str(error.detail)
         return {"service": "context-broker", "outcome": outcome, "detail": detail}
-
-    async def _ask(self, method: str, service: str, path: str, headers: Mapping[str, str]) -> httpx.Response:
-        url = f"{self._urls[service]}/{path}"
-        return await self._http.request(method, url, headers=headers, auth=None, timeout=TIMEOUT_S)
 
 
 def add_person_removal(app: FastAPI, removal: PersonRemoval) -> None:

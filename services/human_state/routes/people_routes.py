@@ -122,7 +122,7 @@ def _add_people(app: FastAPI, parts: Parts) -> None:
     @app.delete("/people/{person}", tags=["people"], status_code=204)
     async def delete_person(person: Name, caller: SignedIn, request: Request) -> Response:
         """Delete a person everywhere: here with the history, and the entities in the broker."""
-        require_own_or(request, caller, Permission.CONDUCT_STUDIES, person)
+        require_own_or(request, caller, Permission.MANAGE_PEOPLE, person)
         people.person(person)
         await removal.person(person)
         return Response(status_code=204)

@@ -162,7 +162,7 @@ def _add_persons(app: FastAPI, training: Training) -> None:
     async def delete(person: Name, caller: SignedIn, request: Request) -> DeletedView:
         """Delete all sessions of a person; one that runs is ended."""
         resource = guard_of(request).settings.entity_id("Person", person)
-        _require_own_or(request, caller, Permission.CONDUCT_STUDIES, resource)
+        _require_own_or(request, caller, Permission.MANAGE_PEOPLE, resource)
         current = training.current
         if current is not None and current.plan.person == resource:
             training.end(EndReason.PERSON)

@@ -71,7 +71,7 @@ def test_a_person_is_deleted_in_every_service_by_those_who_may(cell: Cell) -> No
         return by_admin["gesture-controller"] == "nothing"  # it was deleted the time before
 
     wait_for(is_deleted)  # services refuse changes until they follow the revocations of accounts
-    assert (by_admin["human-state"], by_admin["study"]) == ("refused", "refused")
-    assert outcomes(owner.send("DELETE", "/api/persons/anna"))["human-state"] == "deleted"
+    assert "refused" not in by_admin.values(), "managePeople is enough in every service"
+    assert set(outcomes(owner.send("DELETE", "/api/persons/anna")).values()) == {"nothing", "unreachable"}
     for service in ("webui", "accounts", "study", "human-state"):
         assert owner.send("GET", f"/api/{service}/audit/verification").json()["fault"] is None

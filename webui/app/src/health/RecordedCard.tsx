@@ -7,6 +7,8 @@ import { requestService } from "~/api/http";
 import { Button } from "~/design/Button";
 import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { clockTime } from "~/design/times";
+import { shortName } from "~/live/urn";
+import { mayDo, useSession } from "~/session/session";
 import { pathOf, PURPOSES, SERVICE } from "./health";
 
 const ACTS = {
@@ -20,7 +22,9 @@ export function RecordedCard({ person, onChange, onChangeConsent }: { person: Pe
   const { t, i18n } = useTranslation("health");
   const [asked, setAsked] = useState<Act | null>(null);
   const isOn = person.purposes.length > 0;
-  const offered = (Object.keys(ACTS) as Act[]).filter((act) => act !== "withdraw" || isOn);
+  const own = useSession().user?.person;
+  const mayDeletePerson = mayDo("managePeople") || (own != null && shortName(own) === person.person);
+  const offered = (Object.keys(ACTS) as Act[]).filter((act) => (act !== "withdraw" || isOn) && (act !== "deletePerson" || mayDeletePerson));
   return (
     <section className="health__recorded" aria-label={t("recorded.title")} data-on={isOn || undefined}>
       <p className="health__recorded-who">

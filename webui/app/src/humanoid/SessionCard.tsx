@@ -146,7 +146,7 @@ export function SessionsCard() {
         <>
           <div className="humanoid__acts">
             <Select label={t("sessions.of")} value={person} options={[{ value: "", name: t("sessions.all") }, ...people.map((name) => ({ value: name, name }))]} onChange={setPerson} />
-            {person !== "" && mayDo("conductStudies") && (
+            {person !== "" && mayDo("managePeople") && (
               <Button icon={<Trash2 aria-hidden size={18} />} onPress={() => setDeleting(true)}>{t("sessions.delete")}</Button>
             )}
           </div>
