@@ -40,7 +40,7 @@ class DeviceRegistry:
     """All devices; call `load` first. A change is durable when its method returns.
 
     `clock` is the time since 1970. A subclass has the connections: it ends that of a device whose credentials
-    have changed (`_end_link`), and is told what has changed.
+    have changed (`_end_link`), and overrides `_note_change` and `_forget`.
     """
 
     def __init__(self, engine: Engine, writer: HistoryWriter, clock: Callable[[], float] = time.time) -> None:
