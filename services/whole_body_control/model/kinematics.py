@@ -41,6 +41,7 @@ class Kinematics:
             raise UsageError(f"the URDF of {humanoid.name} cannot be used: {error}") from None
         self.pin_model = free
         self.data = free.createData()
+        self.total_mass_kg = float(pin.computeTotalMass(free))
         self.n_joints = len(humanoid.joints)
         self.n_velocities = BASE_VELOCITIES + self.n_joints
         # pinocchio sorts the children of a link by name; these say where it keeps each of our joints.

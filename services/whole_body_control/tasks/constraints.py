@@ -1,4 +1,4 @@
-"""The constraints: joint limits, contacts, and the support polygon."""
+"""The constraints: joint limits, contacts, the support polygon, and friction."""
 
 from typing import Any
 
@@ -98,3 +98,68 @@ class SupportPolygon(Constraint):
         reach_s = np.sqrt(height / GRAVITY_MPS2) if self._is_capture_point else dt_s
         rows = normals @ kinematics.centre_of_mass_jacobian()[:2]
         return Bounds(rows, np.full(len(room), -NO_BOUND), room / reach_s)
+
+
+class Friction(Constraint):
+    """The contacts can make the force that the motion needs: none has to slip, or to pull.
+
+    The force on the whole body is m (c'' + g), with c'' = (J v - c'_before) / dt for the centre of mass. It
+    has to lie in the sum of the friction cones of the contacts, each with the normal of its surface and
+    `SIDES` edges on the true cone; that is necessary and, without regard to moments, sufficient. `share` is
+    what part of the coefficients of friction may be used. The velocity before is that of the centre of mass
+    between two calls, or `velocity_before` (3,) where it is set; the first call takes it as zero.
+    """
+
+    SIDES = 8
+    SAME = 1e-6
+    """Normals that differ by less make the same cone."""
+
+    def __init__(self, contacts: tuple[str, ...], share: float = 1.0) -> None:
+        if not 0 < share <= 1:
+            raise ValueError(f"the share of the friction is {share}; it must be above 0, and 1 at most")
+        self.name = "friction"
+        self._contacts, self._share = contacts, share
+        self.velocity_before: Array | None = None
+        self._com_before: Array | None = None
+        self._normals, self._facets = np.full((len(contacts), 3), np.nan), np.zeros((0, 3))
+
+    def bounds(self, kinematics: Kinematics, q: Array, dt_s: float) -> Bounds:  # noqa: ARG002
+        """Return one row for each face of the sum of the cones; none where they make every force."""
+        com = kinematics.centre_of_mass()
+        before = self.velocity_before
+        if before is None:
+            before = np.zeros(3) if self._com_before is None else (com - self._com_before) / dt_s
+        self._com_before = com
+        facets = self._facets_of(kinematics)
+        rows = facets @ kinematics.centre_of_mass_jacobian()
+        at_most = facets @ (before - np.array([0.0, 0.0, GRAVITY_MPS2 * dt_s]))
+        return Bounds(rows, np.full(len(facets), -NO_BOUND), at_most)
+
+    def _facets_of(self, kinematics: Kinematics) -> Array:
+        """Return outward normals (k, 3); a force is possible if its product with none is positive."""
+        contacts = [kinematics.humanoid.contacts[name] for name in self._contacts]
+        rotations = [kinematics.pose(contact.link).rotation for contact in contacts]
+        normals = np.array([rotation[:, 2] for rotation in rotations])
+        if not np.abs(normals - self._normals).max(initial=0.0) < self.SAME:
+            coefficients = [self._share * contact.friction for contact in contacts]
+            self._facets = _facets(np.vstack([*map(_edges, rotations, coefficients)]))
+            self._normals = normals
+        return self._facets
+
+
+def _edges(rotation: Array, coefficient: float) -> Array:
+    """Return the edges (k, 3) of a friction cone about the z axis of a surface."""
+    angles = np.arange(Friction.SIDES) * (2 * np.pi / Friction.SIDES)
+    local = np.column_stack(
+        [coefficient * np.cos(angles), coefficient * np.sin(angles), np.ones(len(angles))]
+    )
+    return np.asarray(local @ rotation.T)
+
+
+def _facets(edges: Array) -> Array:
+    """Return the outward normals (k, 3) of the faces of the cone that edges span."""
+    if not np.isfinite(edges).all():
+        return np.zeros((0, 3))
+    faces = ConvexHull(np.vstack([np.zeros(3), edges])).equations
+    through_apex = faces[np.abs(faces[:, 3]) < 1e-9, :3]
+    return np.unique(np.round(through_apex, 9), axis=0)

@@ -151,6 +151,32 @@ class CentreOfMassTask(Task):
         velocity += self.velocity
 
 
+class LinearMomentumTask(Task):
+    """The linear momentum, mass times velocity of the centre of mass, follows `target` (3,) in kg m/s.
+
+    Against `CentreOfMassTask` it has no place to return to: zero brings the body to rest wherever it is.
+    """
+
+    def __init__(self, label: str, target: Array | None = None) -> None:
+        super().__init__(label, 0.0)
+        self.target = np.zeros(3) if target is None else target
+
+    def error(self, kinematics: Kinematics) -> Array:  # noqa: ARG002 - a momentum is no position
+        """Return zero: the task has no position to return to."""
+        return np.zeros(3)
+
+    @property
+    def size(self) -> int:
+        """The number of rows."""
+        return 3
+
+    def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
+        """Write the three rows."""
+        kinematics.write_centre_of_mass_jacobian(jacobian)
+        jacobian *= kinematics.total_mass_kg
+        velocity[:] = self.target
+
+
 class AngularMomentumTask(Task):
     """The angular momentum about the centre of mass follows `target` (3,) in kg m²/s; zero: no turning."""
 
