@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from services.human_state.checks.monitor import MAX_AHEAD_S
 from services.human_state.drivers.base import DriverSettings, SensorDriver
-from services.human_state.drivers.monitor import MAX_AHEAD_S
 from services.human_state.drivers.runner import RunnerTiming, SensorRunner
 from services.human_state.model.signals import ClockKind, LinkState, Samples, SensorReport
 

@@ -5,7 +5,7 @@
     person.step()                  # one packet of every signal passes all checks, analyses, fusion and limits
     person.heart_rate, person.limit.fraction
 
-Everything that a machine learns of the person comes from the samples: monitor of the driver, guard and
+Everything that a machine learns of the person comes from the samples: monitor of the driver,
 pipeline of the signal, fusion, limit, as in the service. Only the clock is simulated: `now_s`,
 in s since 1970.
 """
@@ -13,7 +13,7 @@ in s since 1970.
 from collections.abc import Sequence
 from typing import Final
 
-from services.human_state.drivers.monitor import SignalMonitor
+from services.human_state.checks.monitor import SignalMonitor
 from services.human_state.drivers.simulated.driver import SimulatedDriver
 from services.human_state.drivers.simulated.person import SimulatedPerson
 from services.human_state.fusion.person_state import FusedValue, PersonState

@@ -89,6 +89,9 @@ class SensorDriver(ABC):
     """At least one packet in 30 s is this fast: the uncertainty of a mapped device clock."""
     silence_limits_s: ClassVar[Mapping[SignalKind, float]] = {}
     """How long a signal may send nothing, where the default of the runner does not fit."""
+    stamps_oldest: ClassVar[bool] = False
+    """Whether the device may say only when a packet began. `start_s` is best computed from the newest sample
+    and the rate: a wrong rate then shows in the first packet."""
     max_silence_s: ClassVar[float] = 10.0
     """A connection that is silent for this long is closed and opened again."""
 

@@ -17,8 +17,8 @@ from typing import Final
 
 from handover.messages import Message, message, text_of
 from handover.retry import Backoff
+from services.human_state.checks.monitor import SignalMonitor
 from services.human_state.drivers.base import LinkLost, SensorDriver, Sink
-from services.human_state.drivers.monitor import SignalMonitor
 from services.human_state.model.signals import LinkState, Samples, SensorFault, SensorReport, SignalInfo
 
 log = logging.getLogger(__name__)
@@ -186,7 +186,11 @@ class SensorRunner:
     def _monitor(self, info: SignalInfo) -> SignalMonitor:
         driver = self.driver
         return SignalMonitor(
-            driver.source, info, driver.max_latency_s, driver.silence_limits_s.get(info.kind)
+            driver.source,
+            info,
+            driver.max_latency_s,
+            driver.silence_limits_s.get(info.kind),
+            stamps_oldest=driver.stamps_oldest,
         )
 
     def _take(self, item: Samples | SensorReport) -> None:

@@ -84,7 +84,12 @@ class PersonState:
         return given
 
     def report(self, report: SensorReport) -> None:
-        """Take a fault, a lost contact or a lost link: values before it do not continue after it."""
+        """Take a fault, a lost contact or a lost link of a sensor: no value continues after it.
+
+        What a fault of one signal ends comes as features, from whatever analyses the signal.
+        """
+        if report.kind is not None:
+            return
         if report.fault is None and report.has_contact is not False and report.link not in _ENDING:
             return
         for (_, source), kept in self._kept.items():

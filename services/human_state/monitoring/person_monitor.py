@@ -19,7 +19,6 @@ from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import (
     LinkState,
     Samples,
-    SensorFault,
     SensorReport,
     SignalInfo,
     SignalKind,
@@ -62,10 +61,8 @@ class SensorView:
     """Those that were received."""
 
     def take_fault(self, report: SensorReport, now_s: float) -> None:
-        """Take a fault; samples without quality say less than the report that took it from them."""
-        is_known = self.fault is not None and now_s - self.fault_at_s < FAULT_SHOWN_S
-        if not (is_known and report.fault is SensorFault.ARTEFACT):
-            self.fault, self.fault_at_s = report, now_s
+        """Take a fault that lasts, or begins."""
+        self.fault, self.fault_at_s = report, now_s
 
     def present_fault(self, now_s: float) -> SensorReport | None:
         """Return the last fault while it lasts, and for some seconds: people look up later."""
@@ -142,7 +139,7 @@ class PersonMonitor:
         pipeline = self._pipeline(item, sensor)
         if pipeline is not None:
             self._take_features(pipeline.feed(item))
-            self._take_faults(pipeline, sensor)
+            self._take_failures(pipeline, sensor)
         self._take_activity(item)
 
     def _take_activity(self, item: Samples) -> None:
@@ -166,14 +163,11 @@ class PersonMonitor:
                 sensor.text = str(error)[:300]
         return self._pipelines[key]
 
-    def _take_faults(self, pipeline: SignalPipeline, sensor: SensorView) -> None:
-        """Show what a pipeline has found; the values that end by it come as features."""
+    def _take_failures(self, pipeline: SignalPipeline, sensor: SensorView) -> None:
+        """Show which processors of a pipeline have failed."""
         for report in pipeline.take_reports():
             self._tap(report)
-            if report.fault is not None:
-                sensor.take_fault(report, time.monotonic())
-            else:
-                sensor.text = report.text
+            sensor.text = report.text
 
     def _take_report(self, report: SensorReport, sensor: SensorView) -> None:
         sensor.link = report.link or sensor.link

@@ -8,7 +8,7 @@ from services.human_state.processing.pipeline import SignalPipeline, processors_
 
 
 def pipeline_of(info: SignalInfo, kinds: Collection[SignalKind]) -> SignalPipeline:
-    """Return the guard and the processors of a signal of a sensor that sends `kinds`.
+    """Return the processors of a signal of a sensor that sends `kinds`.
 
     The heart rate of a device that sends an ECG is not used as well: two series of one sensor would mix.
     Raises `ValueError` for a signal that cannot be analysed, an ECG of 10 Hz for example.

@@ -1,13 +1,15 @@
-"""All analysis of one signal of one sensor: its guard, its processors, and what a fault does to their values.
+"""All analysis of one signal of one sensor: its processors, and what a fault does to their values.
 
     processors = processors_for(info)       # none, or one pipeline: a `Processor`
     pipeline = pipeline_for(info)           # the same, also for a signal that nobody analyses
     features = pipeline.feed(samples)       # each packet
-    features = pipeline.report(report)      # faults, lost contact and silence that the driver found
-    reports = pipeline.take_reports()       # the faults that were found
+    features = pipeline.report(report)      # faults, lost contact and silence that the monitor found
+    reports = pipeline.take_reports()       # processors that failed
 
-A fault resets every processor, and each feature that was valid is given out once more with quality 0, so that
-nobody keeps using it: as stale when the signal only ceased or came late, else as implausible.
+`checks.monitor` has checked the samples: those without quality are not analysed, and a report stands between
+samples that do not continue each other. A fault resets every processor, and each feature that was valid is
+given out once more with quality 0, so that nobody keeps using it: as stale when the signal only ceased or
+came late, else as implausible.
 
 A package adds a processor with an entry point:
 
@@ -28,12 +30,11 @@ from handover.extensions import ExtensionPoint
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import SILENT, Samples, SensorReport, SignalInfo, SignalKind
 from services.human_state.processing.base import Processor
-from services.human_state.processing.guard import SignalGuard
 
 SIGNAL_PROCESSORS: Final = ExtensionPoint("signal processor", "handover.signal_processors", {})
 
 MAX_REPORTS: Final = 64
-"""Faults that nobody takes; the oldest are dropped."""
+"""Reports that nobody takes; the oldest are dropped."""
 _HERE: Final = "services.human_state.processing"
 OWN: Final[dict[SignalKind, tuple[str, ...]]] = {
     SignalKind.ECG: ("ecg:EcgProcessor",),
@@ -62,7 +63,7 @@ def processors_for(info: SignalInfo) -> tuple[Processor, ...]:
 
 
 def pipeline_for(info: SignalInfo) -> "SignalPipeline":
-    """Return the guard and the processors of one signal of one sensor, ours first.
+    """Return the processors of one signal of one sensor, ours first.
 
     Raises `ValueError` if the signal cannot be analysed; the text says why.
     """
@@ -79,12 +80,11 @@ def pipeline_for(info: SignalInfo) -> "SignalPipeline":
 
 
 class SignalPipeline:
-    """A guard and processors of one signal of one sensor. It is itself a `Processor`."""
+    """The processors of one signal of one sensor. It is itself a `Processor`."""
 
     def __init__(self, info: SignalInfo, processors: Sequence[Processor]) -> None:
         self.info: Final = info
-        self._guard: Final = SignalGuard(info)
-        # A pipeline among them gives its processors: one guard is enough.
+        # A pipeline among them gives its processors.
         self._processors: list[Processor] = []
         for each in processors:
             self._processors += each.processors if isinstance(each, SignalPipeline) else [each]
@@ -101,35 +101,27 @@ class SignalPipeline:
         """Return whether anything analyses this signal."""
         return bool(self._processors)
 
-    @property
-    def is_faulty(self) -> bool:
-        """Return whether a fault lasts, or good samples have not lasted long enough after it."""
-        return self._guard.fault is not None
-
     def feed(self, samples: Samples) -> Sequence[Feature]:
-        """Take the next packet; return the features that it completes, or ends."""
-        checked = self._guard.check(samples)
-        found = [feature for fault in checked.faults for feature in self._end(fault)]
-        if checked.samples is not None:
-            usable = checked.samples
-            found += self._each(lambda processor: processor.feed(usable), usable.source, usable.end_s)
-        return found
+        """Take the next packet; return the features that it completes."""
+        if not samples.quality > 0 or not len(samples.values):
+            return []
+        return self._each(lambda processor: processor.feed(samples), samples.source, samples.end_s)
 
     def report(self, report: SensorReport) -> Sequence[Feature]:
-        """Take news of the driver: a fault, or lost contact, ends all values."""
+        """Take news of the sensor: a fault of this signal, or lost contact, ends all values."""
         if report.fault is None and report.has_contact is not False:
             return []
-        return self._end(report, is_new=False)
+        if report.kind not in {None, self.info.kind}:
+            return []
+        return self._end(report)
 
     def take_reports(self) -> list[SensorReport]:
-        """Return the faults found since the last call."""
+        """Return the processors that failed since the last call."""
         taken = list(self._reports)
         self._reports.clear()
         return taken
 
-    def _end(self, report: SensorReport, *, is_new: bool = True) -> list[Feature]:
-        if is_new:
-            self._reports.append(report)
+    def _end(self, report: SensorReport) -> list[Feature]:
         status = Status.STALE if report.fault in SILENT else Status.IMPLAUSIBLE
         ended = [
             replace(feature, at_s=report.at_s, quality=0.0, status=status) for feature in self._valid.values()

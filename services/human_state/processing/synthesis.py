@@ -216,8 +216,17 @@ FAULTS: Final[tuple[FaultName, ...]] = (
 )  # fmt: skip
 
 
-def with_fault(packets: list[Samples], name: FaultName, index: int, seed: int) -> tuple[list[Samples], float]:
-    """Return packets of a fast signal with a fault from the packet `index` on, and the time it begins in s.
+@dataclass(frozen=True, slots=True)
+class Faulty:
+    """Packets with a fault, the time it begins, and when each packet can be sent: its samples have passed."""
+
+    packets: list[Samples]
+    begin_s: float
+    sent_s: list[float]
+
+
+def with_fault(packets: list[Samples], name: FaultName, index: int, seed: int) -> Faulty:
+    """Return packets of a fast signal with a fault from the packet `index` on.
 
     `off`: the strap is off and the sensor reports lost contact; `quiet`: it is off and reports nothing.
     `rate`: packets are stamped with the time of their newest sample, as by a Polar H10, so the first one
@@ -227,9 +236,12 @@ def with_fault(packets: list[Samples], name: FaultName, index: int, seed: int) -
     found = list(packets)
     info = packets[0].info
     begin_s = packets[index].start_s
+    period_s = 1 / (info.rate_hz or 1.0)
+    sent_s = [packet.end_s + period_s for packet in packets]
     if name == "gap":
         lost = int(random.integers(1, 6))
-        return found[:index] + found[index + lost :], begin_s
+        del found[index : index + lost], sent_s[index : index + lost]
+        return Faulty(found, begin_s, sent_s)
     step_s = float(random.choice([-1, 1]) * random.uniform(0.1, 50))
     factor = (
         float(random.choice([0.001, 1000.0]))
@@ -255,13 +267,14 @@ def with_fault(packets: list[Samples], name: FaultName, index: int, seed: int) -
         elif name in {"rate", "rateOfOldest"}:
             stamped_s = packet.end_s if name == "rate" else start_s
             start_s += (stamped_s - begin_s) * (ratio - 1)
+            sent_s[number] = begin_s + (sent_s[number] - begin_s) * ratio
         elif name == "unit":
             values = values * factor
         else:
             values = values.copy()
             values[int(random.integers(len(values)))] = np.nan
         found[number] = replace(packet, values=values, start_s=start_s, has_contact=has_contact)
-    return found, begin_s
+    return Faulty(found, begin_s, sent_s)
 
 
 def packets_of(

@@ -87,7 +87,9 @@ class LslDriver(SensorDriver):
         array = np.asarray(values, dtype=np.float64).reshape(len(stamps_s), -1) * self.settings.scale
         if info.rate_hz is None:
             return Samples(self.source, info, float(stamps_s[0]), array, stamps_s, ClockKind.DEVICE)
-        return Samples(self.source, info, float(stamps_s[0]), array, clock=ClockKind.DEVICE)
+        # by the newest stamp: a wrong rate then shows at once
+        start_s = float(stamps_s[-1]) - (len(stamps_s) - 1) / info.rate_hz
+        return Samples(self.source, info, start_s, array, clock=ClockKind.DEVICE)
 
     def _open(self, lsl: Any) -> Any:
         settings: LslSettings = self.settings

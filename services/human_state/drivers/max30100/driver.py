@@ -39,7 +39,7 @@ class Max30100Driver(SensorDriver):
 
     settings_model: ClassVar[type[DriverSettings]] = Max30100Settings
     max_latency_s = 0.2
-    silence_limits_s = {SignalKind.HEART_RATE: 2.5, SignalKind.PPG: 0.9}  # noqa: RUF012
+    silence_limits_s = {SignalKind.HEART_RATE: 2.5, SignalKind.PPG: 0.85}  # noqa: RUF012
 
     def __init__(self, source: str, settings: Max30100Settings) -> None:
         super().__init__(source, settings)

@@ -45,6 +45,7 @@ class RosTopicDriver(SensorDriver):
 
     settings_model: ClassVar[type[DriverSettings]] = RosTopicSettings
     max_latency_s = 0.1
+    stamps_oldest = True
 
     @property
     def signals(self) -> tuple[SignalInfo, ...]:
@@ -90,7 +91,15 @@ class RosTopicDriver(SensorDriver):
                 f"the settings say {len(info.channels)} in {info.unit}"
             )
         times_s = samples.sample_times_s() if info.rate_hz is None else None
-        return replace(samples, source=self.source, info=info, times_s=times_s, clock=ClockKind.DEVICE)
+        start_s = samples.start_s
+        stamp = message["header"]["stamp"]
+        stamped_s = stamp["sec"] + stamp["nanosec"] * 1e-9
+        if info.rate_hz is not None and abs(stamped_s - start_s) > 0.5 / info.rate_hz:
+            # the header has the time of the newest sample: with it, a wrong rate shows at once
+            start_s = stamped_s - (len(samples.values) - 1) / info.rate_hz
+        return replace(
+            samples, source=self.source, info=info, start_s=start_s, times_s=times_s, clock=ClockKind.DEVICE
+        )
 
     def _open(self) -> tuple[Any, type[Exception]]:
         settings: RosTopicSettings = self.settings

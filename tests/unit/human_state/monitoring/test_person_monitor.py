@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from services.human_state.drivers.monitor import SignalMonitor
+from services.human_state.checks.monitor import SignalMonitor
 from services.human_state.model.features import FeatureName, Status
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 from services.human_state.monitoring.person_monitor import PersonMonitor

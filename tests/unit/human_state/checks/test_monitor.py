@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.human_state.drivers.monitor import MAX_AHEAD_S, Checked, SignalMonitor
+from services.human_state.checks.monitor import MAX_AHEAD_S, Checked, SignalMonitor
 from services.human_state.model.signals import (
     ClockKind,
     Samples,
@@ -182,7 +182,7 @@ def test_saturation_of_single_samples_in_many_packets_is_found() -> None:
     feed = Feed()
     values = wave(1)
     found = [feed.packet(np.full((1, 1), 10_000.0)).reports for _ in range(3)]
-    assert found[-1][0].fault is SensorFault.SATURATED
+    assert found[0][0].fault is SensorFault.SATURATED
     assert feed.packet(values).samples is not None
 
 

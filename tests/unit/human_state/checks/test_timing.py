@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.human_state.drivers.timing import WINDOW_S, ClockMap
+from services.human_state.checks.timing import WINDOW_S, ClockMap
 
 LATENCY_S = 0.1
 

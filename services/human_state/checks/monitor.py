@@ -1,12 +1,16 @@
 """Checks of one signal of one sensor, between the driver and everything else. Pure: time is an argument.
 
+Every check has one place: times, rates, gaps and silence are here, with `continuity` and `timing`; values are
+in `values`. What is behind the monitor (analysis, page, recording, streams) uses quality and reports, and
+checks nothing again.
+
 Invariants, whatever a device sends:
 
 - times that leave are finite, increase strictly (in recordings: between two clock jumps), and those of live
   sensors lie at most `MAX_AHEAD_S` after the arrival;
 - samples before and after a gap or a jump are never joined without a report in between;
-- samples with quality above 0 are finite or NaN, within the range of the sensor, at the stated rate, with
-  contact as far as the device knows, and not flat;
+- samples with quality above 0 have passed all checks of `values`: they are finite, within the range of the
+  sensor and of a body, at the stated rate, with contact as far as the device knows;
 - memory does not grow with the length of the signal.
 """
 
@@ -19,29 +23,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handover.messages import message
-from services.human_state.drivers.continuity import Continuity
-from services.human_state.drivers.timing import WINDOW_S, ClockMap
-from services.human_state.drivers.value_checks import Runs, Units
+from services.human_state.checks.continuity import Continuity
+from services.human_state.checks.timing import WINDOW_S, ClockMap
+from services.human_state.checks.values import ValueChecks
 from services.human_state.model.signals import (
     ClockKind,
     Samples,
     SensorFault,
     SensorReport,
     SignalInfo,
-    SignalKind,
 )
-
-_NEVER_ZERO: Final = frozenset(
-    {SignalKind.HEART_RATE, SignalKind.INTER_BEAT_INTERVAL, SignalKind.BREATHING_RATE, SignalKind.SPO2}
-)
-"""Values that devices send as 0 before they have measured anything."""
 
 MAX_AHEAD_S: Final = 0.5
 MAX_AGE_S: Final = 3600.0
 """Samples stamped at their arrival are not older."""
 MAX_TIME_S: Final = 1e11
 """Clocks of devices count less; a float resolves 15 microseconds there."""
-FAST_SILENCE_S: Final = 0.9
+FAST_SILENCE_S: Final = 0.85
 """Waveforms come in packets; silence of them is found within 1 s."""
 MAX_SLEW: Final = 0.01
 """Times of consecutive packets move by at most this share of their span towards the mapped clock."""
@@ -53,6 +51,8 @@ EXCUSED_S: Final = 1.0
 """After a pause of this machine, what waited arrives within this time and that of the pause."""
 DRAINING: Final = 0.5
 """Packets that come within this share of the time in which they were measured had to wait."""
+MIN_OFF_PACE_S: Final = (0.02, 0.05)
+"""So much earlier or later than all before, a packet that says only when it began has another rate."""
 MIN_PERIODS: Final = 3
 SILENT_PERIODS: Final = 1.9
 """With the time between two looks (`WATCH_S`), silence is found within two periods."""
@@ -69,7 +69,7 @@ class Checked:
 
 
 def default_silence_s(info: SignalInfo) -> float | None:
-    """Return how long a signal may be silent: 0.9 s from 10 Hz, else under two periods, None if irregular."""
+    """Return how long a signal may be silent: 0.85 s from 10 Hz, else under two periods; None: irregular."""
     if info.rate_hz is None:
         return None
     return FAST_SILENCE_S if info.rate_hz >= 10 else max(FAST_SILENCE_S, 1.8 / info.rate_hz)
@@ -79,9 +79,18 @@ class SignalMonitor:
     """The checks of one signal."""
 
     def __init__(
-        self, source: str, info: SignalInfo, max_latency_s: float = 0.1, silence_s: float | None = None
+        self,
+        source: str,
+        info: SignalInfo,
+        max_latency_s: float = 0.1,
+        silence_s: float | None = None,
+        *,
+        stamps_oldest: bool = False,
     ) -> None:
+        """`stamps_oldest`: packets have the time of their oldest sample, so only the arrival says when the
+        newest one was taken."""
         self.info = info
+        self._stamps_oldest = stamps_oldest
         self._source = source
         self._clock = ClockMap(max_latency_s)
         self._max_latency_s = max_latency_s
@@ -89,10 +98,9 @@ class SignalMonitor:
         self._arrival_s: float | None = None
         self._is_silent = False
         self._lasting: dict[SensorFault, float] = {}
-        self._runs = Runs(info)
-        self._units = Units(info)
+        self._values = ValueChecks(info)
         self._continuity = Continuity(info)
-        self._had_contact: bool | None = None
+        self._has_contact: bool | None = None
         self._last_out_s = -math.inf
         self._periods_s: deque[float] = deque(maxlen=9)
         self._late_s = 0.0
@@ -106,7 +114,7 @@ class SignalMonitor:
         """Forget the times: the device was connected again. What was sent stays in the order of time."""
         self._clock.reset()
         self._continuity = Continuity(self.info)
-        self._runs = Runs(self.info)
+        self._values = ValueChecks(self.info)
         self._arrival_s = None
         self._is_silent = False
 
@@ -157,8 +165,6 @@ class SignalMonitor:
         timed = self._timed(samples, arrival_s, reports)
         if timed is None:
             return Checked(None, tuple(reports))
-        if not (0.0 <= samples.quality <= 1.0):
-            timed = replace(timed, quality=0.0)
         return Checked(self._judged(timed, arrival_s, reports), tuple(reports))
 
     # Times
@@ -244,6 +250,8 @@ class SignalMonitor:
             details = {"measured_hz": found.rate_hz, "stated_hz": rate_hz}
             self._lasts(SensorFault.RATE, arrival_s, text, reports, details)
             samples = replace(samples, quality=0.0)
+        elif found.is_continued and not self._is_on_pace(samples, count / rate_hz, arrival_s, reports):
+            samples = replace(samples, quality=0.0)
         target_s, uncertainty_s = self._mapped(samples, count / rate_hz, arrival_s)
         if found.is_continued and math.isfinite(self._last_out_s):
             residual_s = target_s - (self._last_out_s + 1 / rate_hz)
@@ -259,6 +267,28 @@ class SignalMonitor:
                 uncertainty_s += abs(rest_s)
         latest_s = math.inf if samples.clock is ClockKind.RECORDING else arrival_s + MAX_AHEAD_S
         return self._cut(replace(samples, start_s=target_s, uncertainty_s=uncertainty_s), latest_s)
+
+    def _is_on_pace(
+        self, samples: Samples, span_s: float, arrival_s: float, reports: list[SensorReport]
+    ) -> bool:
+        """Compare the end of a packet that states only its beginning with the arrival: is the rate true?"""
+        offset_s, jitter_s = self._clock.offset_s, self._clock.jitter_s
+        if not self._stamps_oldest or offset_s is None or jitter_s is None or arrival_s <= self._busy_until_s:
+            return True
+        late_s = arrival_s - (samples.start_s + span_s - 1 / (self.info.rate_hz or 1.0)) - offset_s
+        if late_s > max(MIN_OFF_PACE_S[1], 2 * jitter_s):
+            self._came_late(late_s, arrival_s, reports)
+            return False
+        if -late_s > max(MIN_OFF_PACE_S[0], jitter_s):
+            text = message(
+                "health.sensor.early",
+                "{signal}: packets come {seconds} s before their samples can have been taken",
+                signal=self.info.kind,
+                seconds=round(-late_s, 2),
+            )
+            self._lasts(SensorFault.RATE, arrival_s, text, reports, {"early_s": -late_s})
+            return False
+        return True
 
     def _is_late(self, arrival_s: float, clock: ClockKind) -> bool:
         """Return whether this machine or the link was busy just now."""
@@ -322,54 +352,16 @@ class SignalMonitor:
     # Values
 
     def _judged(self, samples: Samples, arrival_s: float, reports: list[SensorReport]) -> Samples:
-        kind, values = self.info.kind, samples.values
-        quality = samples.quality
-        if np.isinf(values).any():
-            values = np.where(np.isinf(values), np.nan, values)
-            self._lasts(
-                SensorFault.ARTEFACT,
-                arrival_s,
-                message("health.sensor.infinite", "{signal}: an infinite value", signal=kind),
-                reports,
-            )
-        if kind in _NEVER_ZERO:
-            values = np.where(values <= 0.0, np.nan, values)
-        if samples.has_contact is False:
-            quality = 0.0
-            if self._had_contact is not False:
+        judged = self._values.take(samples)
+        had_contact, self._has_contact = self._has_contact, samples.has_contact
+        if judged.found is not None:
+            found = judged.found
+            if self._has_contact is False and had_contact is not False:
                 self._lasting.pop(SensorFault.NO_CONTACT, None)
-            self._lasts(
-                SensorFault.NO_CONTACT,
-                arrival_s,
-                message("health.sensor.contact", "the sensor does not touch the body"),
-                reports,
-            )
-        self._had_contact = samples.has_contact
-        saturated, flat = self._runs.take(values)
-        if saturated:
-            quality = 0.0
-            text = message(
-                "health.sensor.saturated", "{signal}: values at the bound of the sensor", signal=kind
-            )
-            self._lasts(SensorFault.SATURATED, arrival_s, text, reports)
-            if self.info.rate_hz is None or self.info.rate_hz < 10:
-                outside = (values > self.info.max_value) | (values < self.info.min_value)
-                values = np.where(outside, np.nan, values)
-        if flat:
-            quality = 0.0
-            self._lasts(
-                SensorFault.FLAT,
-                arrival_s,
-                message("health.sensor.flat", "{signal}: the signal is constant", signal=kind),
-                reports,
-            )
-        unit_fault = self._units.take(values, is_usable=quality > 0)
-        if unit_fault:
-            quality = 0.0
-            self._lasts(SensorFault.UNIT, arrival_s, unit_fault, reports)
-        if values is samples.values and quality == samples.quality:
-            return samples
-        return replace(samples, values=values, quality=quality)
+            self._lasts(found.fault, arrival_s, found.text, reports, found.details)
+        elif judged.quality > 0:
+            self._lasting.clear()
+        return replace(samples, values=judged.values, quality=judged.quality)
 
     def _lasts(
         self,
@@ -389,13 +381,13 @@ class SignalMonitor:
     def _report(
         self, fault: SensorFault, at_s: float, text: str, details: dict[str, float] | None = None
     ) -> SensorReport:
-        has_contact = False if fault is SensorFault.NO_CONTACT else None
+        is_contact = fault is SensorFault.NO_CONTACT  # of the whole sensor, not of one signal
         return SensorReport(
             self._source,
             at_s,
             fault=fault,
             text=text,
             details=details or {},
-            has_contact=has_contact,
-            kind=self.info.kind,
+            has_contact=False if is_contact and self._has_contact is False else None,
+            kind=None if is_contact else self.info.kind,
         )
