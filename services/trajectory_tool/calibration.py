@@ -87,19 +87,36 @@ async def _calibrate_fixed(work: Work, vision: Vision, camera: str, targets: Seq
                 known=", ".join(vision.fixed_cameras) or "none",
             )
         )
-    spheres = [name for name, thing in cell.scene.obstacles.items() if thing.sphere is not None]
     places: list[Vector] = []
     seen: list[Vector] = []
-    for place, radius_m in [_ball(cell, name) for name in targets or spheres]:
+    missed: list[str] = []
+    for name in targets or _spheres(cell):
+        place, radius_m = _ball(cell, name)
         ball = await vision.find_ball(place, radius_m, camera)
-        if ball is not None:
+        if ball is None:
+            missed.append(name)
+        else:
             places.append(place)
             seen.append(ball.ball)
     try:
         found = await vision.calibrate_fixed(camera, places, seen)
     except HandoverError as why:
-        raise _not_calibrated(why) from None
+        if not missed:
+            raise _not_calibrated(why) from None
+        raise TaskFailed(
+            message(
+                "robot.camera_misses_balls",
+                "the camera is not calibrated: {why}. It does not see {missed}: each ball must be where the "
+                "scene has it, with nothing in front of it",
+                why=text_of(why),
+                missed=", ".join(missed),
+            )
+        ) from None
     return {**found, "balls": len(seen)}
+
+
+def _spheres(cell: Cell) -> list[str]:
+    return [name for name, thing in cell.scene.obstacles.items() if thing.sphere is not None]
 
 
 def _ball(cell: Cell, name: str) -> tuple[Vector, float]:
@@ -109,8 +126,10 @@ def _ball(cell: Cell, name: str) -> tuple[Vector, float]:
         raise TaskFailed(
             message(
                 "robot.no_ball",
-                'the scene has no sphere "{target}"; put a ball into the cell and add it to the obstacles',
+                'the scene has no sphere "{target}"; its spheres: {known}. Name one of them, or put a ball into the '
+                "cell and add it to the obstacles",
                 target=name,
+                known=", ".join(_spheres(cell)) or "none",
             )
         )
     return ball.position, ball.sphere

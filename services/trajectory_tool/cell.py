@@ -250,11 +250,17 @@ class Cell:
         await self._begin(BegunAct(task, "grip"))
         pose = self.tool_pose
         self.contents = self.contents.released(part, None, pose)  # a simulated gripper closes on it
+        vision = self.robot.vision
         try:
+            grip = None if vision is None else await vision.hold_out()
             is_gripped = await self.robot.close_gripper()
+            if vision is not None and grip is not None:
+                await vision.let_go()
+                is_gripped = is_gripped and self.robot.is_holding is not False
         finally:
             self.contents = self.contents.gripped(part)
         if is_gripped:
+            self.grip_of_part = grip
             self.held, self.last_act = part, Act(task, "gripped", part, pose)
         else:
             await self.robot.open_gripper()

@@ -204,7 +204,9 @@ def _explained(model: type[Home], operation: str, fault: Mapping[str, Any]) -> s
     where = ".".join(str(part) for part in fault["loc"])
     rule = str(fault["msg"]).removeprefix("Value error, ")
     if fault["type"] == "extra_forbidden":
-        known = ", ".join(model.model_fields)
+        if len(fault["loc"]) > 1:
+            return f'{operation} knows no parameter "{where}"'
+        known = ", ".join(field.alias or name for name, field in model.model_fields.items())
         return f'{operation} knows no parameter "{where}"; it knows {known}'
     if not where:
         return f"{operation} {rule}"

@@ -39,7 +39,7 @@ class SeenBall:
 
 
 class Vision(Protocol):
-    """Looks into bins. `fill`, `stir` and `clear` are what people do in a simulated cell."""
+    """Looks into bins. `fill`, `stir`, `clear`, `hold_out` and `let_go` are what people do in a simulated cell."""
 
     async def look(self, bin_name: str, view: int = 0) -> Sequence[Sighting]:
         """Return the parts that are seen in a bin, the topmost first.
@@ -80,3 +80,12 @@ class Vision(Protocol):
 
     async def clear(self, fixture: str) -> None:
         """Have the parts in a fixture taken away."""
+
+    async def hold_out(self) -> Grip | None:
+        """Have a person hold a part between the opened fingers; return how it is held.
+
+        None where people are no part of the simulation, or have no part.
+        """
+
+    async def let_go(self) -> None:
+        """Have the person let go of that part; then it stays in the gripper, or falls."""

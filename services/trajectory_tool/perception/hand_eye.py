@@ -28,7 +28,14 @@ MAX_CONDITION = 1e4
 SEARCH_M = 0.04
 """The ball is looked for this far around its expected place."""
 
-BANDS_M = (0.03, 0.015, 0.008, 0.004, 0.003, 0.003, 0.003)
+STARTS_M = (0.0, 0.02, -0.02, 0.04)
+"""The fit begins at the expected place and so much nearer to the camera: else a surface behind may attract it."""
+
+BANDS_M = (0.03, 0.02, 0.015, 0.01, 0.008, 0.006, 0.004, 0.003, 0.003, 0.003)
+CAP = 0.9
+"""The part of the radius within which a ray counts: at the rim, a pixel may see what is behind the ball."""
+MIN_SHARE = 0.7
+"""So many of the rays through the ball must end at its surface."""
 
 
 class NotCalibrated(HandoverError):
@@ -44,22 +51,51 @@ class Calibration:
 
 
 def find_ball(image: DepthImage, expected: Vector, radius_m: float) -> Vector | None:
-    """Return the middle of a ball in the frame of the camera, None if it is not seen near `expected`."""
+    """Return the middle of a ball in the frame of the camera, None if it is not seen near `expected`.
+
+    Only rays that pass through the ball count, so that a table or a stand beside it has no part in the fit.
+    """
     points = image.camera_points.reshape(-1, 3)
-    middle = np.array(expected)
+    rays = image.intrinsics.directions().reshape(-1, 3)
+    rays = rays / np.linalg.norm(rays, axis=1)[:, None]
+    start = np.array(expected)
+    toward = start / np.linalg.norm(start)
     with np.errstate(invalid="ignore"):
-        near = points[np.linalg.norm(points - middle, axis=1) < radius_m + SEARCH_M]
+        is_near = np.linalg.norm(points - start, axis=1) < radius_m + SEARCH_M
+    best, best_share = None, MIN_SHARE
+    for nearer_m in STARTS_M:
+        found = _fitted(points[is_near], rays[is_near], start - nearer_m * toward, radius_m)
+        if found is None:
+            continue
+        middle, count = found
+        share = count / int((_distance_of_rays(rays, middle) < CAP * radius_m).sum())
+        if share > best_share:
+            best, best_share = middle, share
+    if best is None:
+        return None
+    x, y, z = best.tolist()
+    return (x, y, z)
+
+
+def _fitted(points: Array, rays: Array, middle: Array, radius_m: float) -> tuple[Array, int] | None:
+    """Return the middle of the ball that fits the points best, and how many of them are on its surface."""
     for band_m in BANDS_M:
-        away = near - middle
+        away = points - middle
         distances = np.linalg.norm(away, axis=1)
         at_surface = np.abs(distances - radius_m) < band_m
+        at_surface &= _distance_of_rays(rays, middle) < CAP * radius_m + band_m - BANDS_M[-1]
         if int(at_surface.sum()) < MIN_POINTS:
             return None
         directions = away[at_surface] / distances[at_surface, None]
         step, *_ = np.linalg.lstsq(directions, distances[at_surface] - radius_m, rcond=None)
         middle = middle + step
-    x, y, z = middle.tolist()
-    return (x, y, z)
+    return middle, int(at_surface.sum())
+
+
+def _distance_of_rays(rays: Array, middle: Array) -> Array:
+    """Return how far rays of unit length from the camera pass by a place, in m."""
+    along = rays @ middle
+    return np.asarray(np.sqrt(np.maximum(middle @ middle - along**2, 0.0)))
 
 
 def in_hand(samples: Sequence[SeenBall], nominal: Frame) -> Calibration:

@@ -98,6 +98,20 @@ class Parts:
             self._simulation.push(part, (*push.tolist(), up), self._random.uniform(-6, 6, 3).tolist())
         yield from self._simulation.settling()
 
+    def hold_out(self, pose: Pose) -> int | None:
+        """Hold a part at a pose, where it stays until `let_go`; return it, None if all are in use."""
+        part = next((part for part in range(self._count) if self._simulation.is_parked(part)), None)
+        if part is None:
+            part = next((part for part in range(self._count) if self._is_lost(part)), None)
+        if part is not None:
+            self._simulation.put(part, pose, is_held=True)
+        return part
+
+    def let_go(self, part: int) -> Iterator[float]:
+        """Let go of a part that was held out, and wait until it has fallen or stays in a gripper."""
+        self._simulation.let_go(part)
+        yield SETTLE_EACH_S
+
     def clear(self, fixture: str) -> None:
         """Take the parts in a fixture away."""
         for part in self.in_fixture(fixture):

@@ -198,10 +198,15 @@ class Simulation:
         """Take a part out of the cell."""
         self._set_part(part, parked_at(part), (1.0, 0.0, 0.0, 0.0), weightless=True)
 
-    def put(self, part: int, pose: Pose) -> None:
-        """Put a part at a pose, at rest and flat; from then on it falls."""
+    def put(self, part: int, pose: Pose, *, is_held: bool = False) -> None:
+        """Put a part at a pose, at rest and flat; from then on it falls, or floats while a person holds it."""
         x, y, z, w = pose.orientation
-        self._set_part(part, pose.position, (w, x, y, z), weightless=False)
+        self._set_part(part, pose.position, (w, x, y, z), weightless=is_held)
+
+    def let_go(self, part: int) -> None:
+        """Let a part fall that a person held."""
+        with self.lock:
+            self._set_weightless(part, weightless=False)
 
     def bend(self, part: int, random: Any, most_rad: float) -> None:
         """Bend all hinges of a part by random angles."""

@@ -8,7 +8,7 @@ from handover.messages import Message, message
 from services.trajectory_tool.contents import Grip
 from services.trajectory_tool.perception import hand_eye
 from services.trajectory_tool.perception.depth_image import DepthImage
-from services.trajectory_tool.perception.grasps import AT_TIP, Fingers, GraspFinder
+from services.trajectory_tool.perception.grasps import AT_TIP, MIN_BELOW_M, Fingers, GraspFinder
 from services.trajectory_tool.perception.heaps import find_things
 from services.trajectory_tool.perception.segmentation import Inside, SeenPart, find_parts
 from services.trajectory_tool.physics.cameras import HAND_CAMERA, Cameras
@@ -42,6 +42,7 @@ class PhysicsVision:
         self._model = model
         self._cameras_of = cameras_of
         self._fingers: Fingers | None = None
+        self._handed: int | None = None
         self._images: dict[str, dict[int, DepthImage]] = {}
         """The image of each view of a bin, since view 0."""
         self.prepare_scene(world.scene)()
@@ -122,6 +123,25 @@ class PhysicsVision:
         """Have the parts in a fixture taken away."""
         self.parts.clear(fixture)
         await self._done(iter(()))
+
+    async def hold_out(self) -> Grip | None:
+        """Have a person hold a part between the opened fingers, half a part deep; return how it is held."""
+        if self._fingers is None:
+            return None
+        width, _, height = size = self._part_size_m
+        if width > self._fingers.opening:
+            return None
+        held = self._fingers.frame @ Frame(NO_TURN, (0.0, 0.0, MIN_BELOW_M - height / 2))
+        with self._world.simulation.lock:
+            tool = self._world.simulation.arms[self._robot].tool
+            self._handed = self.parts.hold_out(Pose.of(tool @ held))
+        return None if self._handed is None else Grip(Pose.of(held), size)
+
+    async def let_go(self) -> None:
+        """Have the person let go of that part; then it stays in the gripper, or falls."""
+        part, self._handed = self._handed, None
+        if part is not None:
+            await self._done(self.parts.let_go(part))
 
     async def _done(self, course: Iterator[float]) -> None:
         await self._world.fast_forward(self._robot, course)

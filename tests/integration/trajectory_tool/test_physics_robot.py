@@ -162,6 +162,32 @@ async def test_a_part_is_found_by_the_camera_picked_and_lies_in_the_nest(cell: P
     assert len(cell.parts.in_bin("bin-1")) == before - 1
 
 
+async def test_a_part_that_a_person_holds_out_is_gripped_and_placed(cell: PhysicsCell) -> None:
+    async def confirm(work: Work) -> None:
+        while not work.confirm():
+            await asyncio.sleep(0.01)
+
+    async def take() -> dict[str, Any]:
+        wanted = {"direction": "take", "part": "housing", "pose": {"position": [-0.7, 0.3, 0.55]}}
+        known = operations.known("handOver")
+        read = parameters.read(known.parameters, "handOver", wanted)
+        work = Work("task-take", "handOver", cell.cell, Freely(), 1.0)
+        done, _ = await asyncio.gather(known.perform(work, read), confirm(work))
+        return done
+
+    await take()
+    held = cell.robot.simulation.gripped_part(NAME)
+    assert held is not None
+    assert not cell.robot.simulation.is_parked(held), "it has its weight"
+    assert (await cell.do("place", location="fixture-1"))["part"] == "housing"
+    assert cell.parts.in_fixture("fixture-1") == [held]
+    for part in range(len(cell.robot.simulation.world.parts)):
+        cell.robot.simulation.set_friction(part, 0.001)
+    with pytest.raises(TaskFailed, match="nothing was between the fingers"):
+        await take()
+    assert not cell.robot.gripper_closed
+
+
 async def test_a_panda_with_seven_joints_and_its_own_gripper_picks_and_places(tmp_path: Path) -> None:
     cell = PhysicsCell(tmp_path, robot_model="panda", scan_seed=174)
     async with cell.workcell:

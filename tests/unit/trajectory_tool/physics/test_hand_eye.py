@@ -83,3 +83,26 @@ def test_a_ball_is_found_in_a_noisy_depth_image() -> None:
     assert found is not None
     assert math.dist(found, middle.tolist()) < 0.001
     assert find_ball(image, (0.3, 0.3, 0.8), radius) is None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_ball_near_a_table_is_found(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    intrinsics, radius, table_m = Intrinsics.of_view(320, 240, 50.0), 0.03, random.uniform(0.5, 1.4)
+    middle = np.array([*random.uniform(-0.15, 0.15, 2), table_m - radius - random.uniform(0.0, 0.03)])
+    rays = intrinsics.directions()
+    squared, along = (rays**2).sum(axis=-1), rays @ middle
+    with np.errstate(invalid="ignore"):
+        ball = (along - np.sqrt(along**2 - squared * (middle @ middle - radius**2))) / squared
+    depth = np.fmin(ball, table_m) + random.normal(0, 0.0005, ball.shape)
+    x, y, z = (middle + random.normal(0, 0.006, 3)).tolist()
+    found = find_ball(DepthImage(depth, intrinsics, Frame(NO_TURN, (0.0, 0.0, 0.0))), (x, y, z), radius)
+    assert found is not None
+    assert math.dist(found, middle.tolist()) < 0.001
+
+
+def test_a_ball_behind_something_is_not_seen() -> None:
+    intrinsics = Intrinsics.of_view(320, 240, 50.0)
+    depth = np.full((240, 320), 0.8)
+    image = DepthImage(depth, intrinsics, Frame(NO_TURN, (0.0, 0.0, 0.0)))
+    assert find_ball(image, (0.0, 0.0, 0.83), 0.03) is None
