@@ -126,8 +126,8 @@ def _ball(cell: Cell, name: str) -> tuple[Vector, float]:
         raise TaskFailed(
             message(
                 "robot.no_ball",
-                'the scene has no sphere "{target}"; its spheres: {known}. Name one of them, or put a ball into the '
-                "cell and add it to the obstacles",
+                'the scene has no sphere "{target}"; its spheres: {known}. Name one of them, or put a ball '
+                "into the cell and add it to the obstacles",
                 target=name,
                 known=", ".join(_spheres(cell)) or "none",
             )

@@ -55,7 +55,7 @@ def add_robot(
     with tempfile.TemporaryDirectory(dir=into, prefix=f".{name}-") as made:
         _write(Path(made), name, examined)
         model = read_folder(Path(made))
-        semantics = sample(model, samples, seed=1)
+        semantics = sample(model, samples, seed=1, meshes=examined.meshes)
         if semantics.home is None:
             raise UsageError(
                 f"{path}: no position of the joints is free of contact; check its collision shapes"

@@ -1,10 +1,15 @@
 """The SRDF of a robot: which pairs of links need no check, and a home position.
 
 As the Setup Assistant of MoveIt does: neighbours in the tree always touch; of the other pairs, those that
-touch in every sampled position and those that touch in none are disabled.
+touch in every sampled position and those that touch in none are disabled. Capsules and boxes are larger than
+the meshes in them, so where those touch, the meshes decide.
 """
 
+import itertools
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +22,16 @@ from services.trajectory_tool.robot import Joints
 from services.trajectory_tool.robot_model import RobotModel
 from services.trajectory_tool.srdf import LinkPair
 
+Meshes = Mapping[str, Sequence[tuple[Any, Any]]]
+"""The meshes of links, each with its placement in the frame of the link."""
+
 ALWAYS_SHARE = 0.95
+
+HOME_CLEARANCES_M = (0.03, 0.02, 0.01, 0.005, 0.0025)
+"""The largest one that some position has. A motion needs 2 mm at its start, see `Options.margins_m`."""
+
+DEXTERITY_SHARE = 0.3
+"""Of the best sampled manipulability: at less, the tool is nearly stuck in some direction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +55,7 @@ class Semantics:
         return bytes(etree.tostring(root, pretty_print=True, xml_declaration=True, encoding="UTF-8"))
 
 
-def sample(model: RobotModel, samples: int, seed: int) -> Semantics:
+def sample(model: RobotModel, samples: int, seed: int, meshes: Meshes | None = None) -> Semantics:
     """Return the semantics by checking random positions of the joints."""
     random = np.random.default_rng(seed)
     disabled: dict[LinkPair, str] = dict.fromkeys(_adjacent(model), "Adjacent")
@@ -52,6 +66,7 @@ def sample(model: RobotModel, samples: int, seed: int) -> Semantics:
     names = [link_of(item.name) for item in geometry.geometryObjects]
     pairs = [frozenset((names[pair.first], names[pair.second])) for pair in geometry.collisionPairs]
     touches: dict[LinkPair, int] = dict.fromkeys(pairs, 0)
+    exact = _ExactPairs(arm, geometry, meshes or {})
     for joints in random.uniform(arm.lower, arm.upper, (samples, arm.n)):
         pin.computeCollisions(arm.pin_model, arm.data, geometry, data, joints, False)
         touching = {
@@ -59,14 +74,57 @@ def sample(model: RobotModel, samples: int, seed: int) -> Semantics:
         }
         for pair in touching:
             touches[pair] += 1
+            exact.check(pair, joints)
     for pair, count in touches.items():
-        if count == 0:
+        if count == 0 or not exact.ever_touched(pair):
             disabled[pair] = "Never"
         elif count >= ALWAYS_SHARE * samples:
             disabled[pair] = "Always"
     checked = sum(1 for pair in touches if pair not in disabled)
     settled = Arm(replace(model, disabled_pairs=frozenset(disabled)))
     return Semantics(disabled, checked, _home(settled, random))
+
+
+class _ExactPairs:
+    """Pairs of links with the meshes that capsules and boxes replace: whether these ever touched."""
+
+    def __init__(self, arm: Arm, fitted: Any, meshes: Meshes) -> None:
+        self._arm = arm
+        self._geometry = pin.GeometryModel()
+        self._of_link: dict[str, list[int]] = {}
+        for item in fitted.geometryObjects:
+            link = link_of(item.name)
+            if link not in meshes:
+                self._of_link.setdefault(link, []).append(self._geometry.addGeometryObject(item.copy()))
+        for link, shapes in meshes.items():
+            frame = arm.pin_model.frames[arm.pin_model.getFrameId(link, pin.FrameType.BODY)]
+            for number, (placement, mesh) in enumerate(shapes):
+                item = pin.GeometryObject(
+                    f"{link}_{number}", frame.parentJoint, frame.placement * placement, mesh
+                )
+                self._of_link.setdefault(link, []).append(self._geometry.addGeometryObject(item))
+        self._data: Any = None
+        self._numbers: dict[LinkPair, list[int]] = {}
+        self._touched: set[LinkPair] = set()
+
+    def check(self, pair: LinkPair, joints: Array) -> None:
+        """Check a pair of links whose shapes touch, until it has once touched."""
+        if pair in self._touched:
+            return
+        if pair not in self._numbers:
+            first, second = sorted(pair)
+            self._numbers[pair] = []
+            for one, other in itertools.product(self._of_link[first], self._of_link[second]):
+                self._geometry.addCollisionPair(pin.CollisionPair(one, other))
+                self._numbers[pair].append(len(self._geometry.collisionPairs) - 1)
+            self._data = pin.GeometryData(self._geometry)
+        pin.updateGeometryPlacements(self._arm.pin_model, self._arm.data, self._geometry, self._data, joints)
+        if any(pin.computeCollision(self._geometry, self._data, number) for number in self._numbers[pair]):
+            self._touched.add(pair)
+
+    def ever_touched(self, pair: LinkPair) -> bool:
+        """Return whether the meshes of a pair touched in any position that was checked."""
+        return pair in self._touched
 
 
 def _adjacent(model: RobotModel) -> set[LinkPair]:
@@ -78,18 +136,23 @@ def _adjacent(model: RobotModel) -> set[LinkPair]:
 
 
 def _home(arm: Arm, random: np.random.Generator) -> Joints | None:
-    """Return a free position: all joints at 0, in the middle, or the free one nearest to the middle."""
+    """Return a position with room around all links, from which the tool moves well in all directions.
+
+    All joints at 0 if that is one, else the one nearest to the middle of the joints; None where none is free.
+    """
     collisions = Collisions(arm, World())
     middle = (arm.lower + arm.upper) / 2
+    half = np.minimum((arm.upper - arm.lower) / 2, math.pi)  # a full turn leads to the same place
     zero = np.zeros(arm.n)
+    spread = random.uniform(middle - half, middle + half, (500, arm.n))
     tries: list[Array] = [zero] if arm.is_within(zero) else []
-    tries.append(middle)
-    spread = random.uniform(arm.lower, arm.upper, (500, arm.n))
-    tries += sorted(spread, key=lambda joints: float(np.abs(joints - middle).max()))
-    for joints in tries:
-        if collisions.is_free(joints, 0.005) and arm.manipulability(joints) > 0.01:
-            return tuple(joints.tolist())
-    for joints in tries:
-        if collisions.is_free(joints):
-            return tuple(joints.tolist())
+    tries += [middle, *sorted(spread, key=lambda joints: float(np.abs(joints - middle).max()))]
+    dexterity = [arm.manipulability(joints) for joints in tries]
+    enough = DEXTERITY_SHARE * max(dexterity)
+    dexterous = [joints for joints, one in zip(tries, dexterity, strict=True) if one >= enough]
+    for candidates in (dexterous, tries):
+        for clearance_m in HOME_CLEARANCES_M:
+            for joints in candidates:
+                if collisions.is_free(joints, clearance_m):
+                    return tuple(joints.tolist())
     return None

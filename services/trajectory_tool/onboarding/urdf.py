@@ -36,12 +36,16 @@ class Finding:
 
 @dataclass
 class Examined:
-    """A checked tree: `root` is the completed XML, `chain` the joints from the root link to `tip`."""
+    """A checked tree: `root` is the completed XML, `chain` the joints from the root link to `tip`.
+
+    `meshes` are the collision meshes of links, each with its placement in the frame of the link.
+    """
 
     root: Any
     tip: str
     chain: list[Any]
     findings: list[Finding] = field(default_factory=list)
+    meshes: dict[str, list[tuple[Any, Any]]] = field(default_factory=dict)
 
     @property
     def movable(self) -> list[Any]:

@@ -29,7 +29,7 @@ SEARCH_M = 0.04
 """The ball is looked for this far around its expected place."""
 
 STARTS_M = (0.0, 0.02, -0.02, 0.04)
-"""The fit begins at the expected place and so much nearer to the camera: else a surface behind may attract it."""
+"""The fit begins at the expected place and so much nearer: else a surface behind may attract it."""
 
 BANDS_M = (0.03, 0.02, 0.015, 0.01, 0.008, 0.006, 0.004, 0.003, 0.003, 0.003)
 CAP = 0.9

@@ -199,7 +199,7 @@ class Simulation:
         self._set_part(part, parked_at(part), (1.0, 0.0, 0.0, 0.0), weightless=True)
 
     def put(self, part: int, pose: Pose, *, is_held: bool = False) -> None:
-        """Put a part at a pose, at rest and flat; from then on it falls, or floats while a person holds it."""
+        """Put a part at a pose, at rest and flat; then it falls, or floats while a person holds it."""
         x, y, z, w = pose.orientation
         self._set_part(part, pose.position, (w, x, y, z), weightless=is_held)
 

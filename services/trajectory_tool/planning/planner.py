@@ -40,14 +40,16 @@ CHECK_STEP_S = 0.004
 BLEND_SHARES = (0.45, 0.2, 0.08)
 STRAIGHT_TOLERANCE_M = 0.001
 CLEARANCE_SEARCH_M = 0.3
+SHARE_OF_MARGIN = 0.6
+"""Of the time that is left for the search, with each margin but the last one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
     """How to plan.
 
-    `margins_m` are tried from the largest; all certify that nothing touches. `timeout_s` bounds the search,
-    `optimise_s` the search for a shorter path after the first one.
+    `margins_m` are tried from the largest; all certify that nothing touches. `timeout_s` bounds the search
+    with all of them, `optimise_s` the search for a shorter path after the first one.
     """
 
     margins_m: tuple[float, ...] = (0.01, 0.005, 0.002)
@@ -251,7 +253,20 @@ class Planner:
             self._torques = Torques(self.arm, world.payload_kg)
 
     def _to_goals(self, start: Array, goals: list[Array], tilt: Tilt | None) -> Plan:
-        margin_m = self._common_margin(start, goals)
+        largest_m = self._common_margin(start, goals)
+        margins_m = [one for one in self.options.margins_m if one <= largest_m]
+        left_s = self.options.timeout_s
+        for margin_m in margins_m:
+            timeout_s = left_s if margin_m == margins_m[-1] else SHARE_OF_MARGIN * left_s
+            left_s -= timeout_s
+            found = self._with_margin(start, goals, tilt, margin_m, timeout_s)
+            if found is not None:
+                return found
+        raise NoPath(self._blocked(Motions(self.collisions, largest_m), start, goals[0]))
+
+    def _with_margin(
+        self, start: Array, goals: list[Array], tilt: Tilt | None, margin_m: float, timeout_s: float
+    ) -> Plan | None:
         motions = Motions(self.collisions, margin_m)
         goals = [goal for goal in goals if motions.is_state_free(goal)]
         if float(np.abs(start - goals[0]).max()) < timing.MIN_LENGTH:
@@ -261,16 +276,16 @@ class Planner:
         def is_free(one: Array, other: Array) -> bool:
             return motions.is_free(one, other) and (is_allowed is None or is_allowed(one, other))
 
-        path = self._shortest(motions, start, goals, is_free, is_allowed)
-        if path is None:
-            raise NoPath(self._blocked(motions, start, goals[0]))
-        return self._timed(path, motions, tilt)
+        path = self._shortest(motions, start, goals, timeout_s, is_free=is_free, is_allowed=is_allowed)
+        return None if path is None else self._timed(path, motions, tilt)
 
     def _shortest(
         self,
         motions: Motions,
         start: Array,
         goals: list[Array],
+        timeout_s: float,
+        *,
         is_free: Callable[[Array, Array], bool],
         is_allowed: Callable[[Array, Array], bool] | None,
     ) -> list[Array] | None:
@@ -278,7 +293,7 @@ class Planner:
         options, best, best_s = self.options, None, math.inf
         ends = time.monotonic() + options.optimise_s
         for attempt in range(8):
-            path = search(motions, start, goals, timeout_s=options.timeout_s, is_edge_allowed=is_allowed)
+            path = search(motions, start, goals, timeout_s=timeout_s, is_edge_allowed=is_allowed)
             if path is None:
                 break
             path = shorten(path, self._time_s, is_free, seed=options.seed + attempt)

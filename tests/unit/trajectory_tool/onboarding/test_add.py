@@ -1,11 +1,14 @@
 """Robots of strangers: their URDFs become folders that load, and each bad one gets its answer."""
 
+import itertools
 import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from handover.cli.main import app
@@ -21,7 +24,7 @@ if not is_available():
     pytest.skip("the extra motion has no wheels here", allow_module_level=True)
 
 from services.trajectory_tool.onboarding.add import Added, add_robot
-from services.trajectory_tool.onboarding.shapes import fit
+from services.trajectory_tool.onboarding.shapes import MAX_PIECES, Fitted, fit, fit_pieces
 from services.trajectory_tool.planning.arm import Arm
 from services.trajectory_tool.planning.collision import Collisions, link_of
 from services.trajectory_tool.planning.planner import Planner
@@ -254,18 +257,69 @@ def test_meshes_of_a_ros_package_become_capsules_that_contain_them(
     assert "mesh" not in found.model.urdf
 
 
+def contains(shape: Fitted, points: Any) -> Any:
+    """Return for each point whether the shape contains it."""
+    local = np.array([shape.placement.actInv(point) for point in points])
+    if len(shape.size) == 3:
+        return (np.abs(local) <= np.array(shape.size) / 2 + 1e-9).all(axis=1)
+    radius, length = shape.size
+    beyond = np.maximum(np.abs(local[:, 2]) - length / 2, 0.0)
+    return np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2 + beyond**2) <= radius + 1e-9
+
+
 def test_a_fitted_shape_contains_every_point() -> None:
     random = np.random.default_rng(2)
     for scale in ((0.02, 0.02, 0.2), (0.1, 0.1, 0.1), (0.2, 0.01, 0.1)):
         points = random.uniform(-1, 1, (200, 3)) * scale + (0.3, -0.2, 0.1)
-        found = fit(points)
-        local = np.array([found.placement.actInv(point) for point in points])
-        if len(found.size) == 3:
-            assert (np.abs(local) <= np.array(found.size) / 2 + 1e-9).all()
-        else:
-            radius, length = found.size
-            beyond = np.maximum(np.abs(local[:, 2]) - length / 2, 0.0)
-            assert (np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2 + beyond**2) <= radius + 1e-9).all()
+        assert contains(fit(points), points).all()
+
+
+def box_mesh(size: tuple[float, float, float], at: tuple[float, float, float]) -> Any:
+    """Return the 12 triangles of a box."""
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size + at
+    sides = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+    return corners[[half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))]]
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_the_pieces_of_a_mesh_contain_all_of_it(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    triangles = random.normal(size=(random.integers(4, 80), 3, 3)) * random.uniform(0.01, 0.3, 3)
+    shares = random.dirichlet((1.0, 1.0, 1.0), (200, 1))
+    on_it = (triangles[random.integers(0, len(triangles), 200)] * shares.transpose(0, 2, 1)).sum(axis=1)
+    pieces = fit_pieces(triangles)
+    assert len(pieces) <= MAX_PIECES
+    assert np.any([contains(piece, on_it) for piece in pieces], axis=0).all()
+
+
+def test_a_bent_link_is_cut_at_its_bend() -> None:
+    """One box around this link would close the corner that the next link moves into."""
+    bent = np.concatenate([box_mesh((0.1, 0.1, 0.4), (0, 0, 0)), box_mesh((0.3, 0.1, 0.1), (0.2, 0, 0.15))])
+    pieces = fit_pieces(bent)
+    assert sum(piece.volume_m3 for piece in pieces) < 0.6 * fit(bent.reshape(-1, 3)).volume_m3
+    assert not np.any([contains(piece, np.array([[0.2, 0.0, 0.0]])) for piece in pieces])
+
+
+def test_the_home_position_has_room_for_a_first_motion(added: Any) -> None:
+    planner = Planner(added(arm()).model)
+    assert planner.collisions.is_free(np.array(planner.model.home), 0.01)
+
+
+def test_an_arm_with_meshes_is_free_where_arms_of_this_kind_work(tmp_path: Path) -> None:
+    """The shapes of a UR3 overlap beside its wrist, its meshes never do."""
+    try:
+        model = add_robot("example-robot-data:ur3_robot", "ur3", tmp_path, samples=1000).model
+    except UsageError as missing:
+        pytest.skip(str(missing))
+    assert frozenset(("forearm_link", "wrist_2_link")) in model.disabled_pairs
+    assert frozenset(("base_link", "forearm_link")) not in model.disabled_pairs
+    planner = Planner(model)
+    plan = planner.to_joints(model.home, (0.5, -1.3, 1.2, -1.4, -1.5, 0.0))
+    onward = planner.to_joints(
+        plan.trajectory.at(plan.trajectory.duration_s).positions, (-2.5, -1.3, 1.2, -1.4, -1.5, 0.0)
+    )
+    assert onward.trajectory.duration_s > 0
 
 
 def test_an_existing_robot_is_replaced_only_on_request(added: Any) -> None:
