@@ -39,7 +39,7 @@ class SeenBall:
 
 
 class Vision(Protocol):
-    """Looks into bins. `fill`, `stir`, `clear`, `hold_out`, `let_go` are what people do in simulated cells."""
+    """Looks into bins; `fill`, `stir`, `clear`, `hold_out` and `let_go` are what simulated people do."""
 
     async def look(self, bin_name: str, view: int = 0) -> Sequence[Sighting]:
         """Return the parts that are seen in a bin, the topmost first.
