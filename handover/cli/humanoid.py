@@ -109,6 +109,66 @@ def throw(  # noqa: PLR0917 - options of a command
         )
 
 
+@app.command()
+def lead(
+    script: Annotated[
+        str, typer.Argument(help="What the person does: forward, side, turn, stop, stumble or tour.")
+    ] = "forward",
+    robot: Name = "coman",
+    intention: Annotated[
+        str, typer.Option("--intention", help="How it is read: lead, or manipulability (CoSiMA).")
+    ] = "lead",
+    stiffness: Annotated[
+        float, typer.Option("--stiffness", min=5, max=100, help="Of an arm of the person, in N/m.")
+    ] = 40.0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the sensor noise.")] = 1,
+) -> None:
+    """Let a simulated person lead a humanoid by the hands; exit with 1 after a fall."""
+    import numpy as np  # noqa: PLC0415 - only this command needs them
+
+    robots = _imported()
+    from services.whole_body_control.behaviours.led_walk_report import Followed, followed  # noqa: PLC0415
+    from services.whole_body_control.behaviours.simulated_person import (  # noqa: PLC0415
+        SCRIPTS,
+        Hold,
+        LedWalk,
+    )
+    from services.whole_body_control.patterns.intention import INTENTIONS  # noqa: PLC0415
+    from services.whole_body_control.solvers.compiled import fastest_solver  # noqa: PLC0415
+
+    if script not in SCRIPTS:
+        raise UsageError(f'there is no script "{script}"; there are: {", ".join(SCRIPTS)}')
+    chosen = next((name for name in INTENTIONS if name == intention), None)
+    if chosen is None:
+        raise UsageError(f'there is no intention "{intention}"; there are: {", ".join(INTENTIONS)}')
+    walk = LedWalk(
+        robots.humanoid(robot),
+        fastest_solver(),
+        seed=seed,
+        intention=chosen,
+        hold=Hold(stiffness, stiffness / 5),
+    )
+    record = walk.run(SCRIPTS[script])
+    for part in followed(record, walk.step_limits):
+        asked = part.lead
+        said = f"{asked.seconds:4.1f} s  ahead {asked.ahead_m:+.2f} m, left {asked.left_m:+.2f} m: "
+        if not isinstance(part, Followed):
+            ends = [
+                "never" if each is None else f"after {each:.1f} s"
+                for each in (part.reaction_s, part.standing_s)
+            ]
+            print(f"{said}velocity 0 {ends[0]}, standing {ends[1]}")
+            continue
+        reacted = "never" if part.reaction_s is None else f"after {part.reaction_s:.2f} s"
+        print(
+            f"{said}within 15° {reacted}, then {part.share:.0%} of the time "
+            f"(median {np.degrees(part.error):.0f}°, 95 % {np.degrees(part.error_95):.0f}°); motion "
+            f"{np.degrees(part.motion_error):.0f}° off after two steps, {part.speed_mps:.2f} m/s"
+        )
+    if record.has_fallen:
+        raise UsageError(f"{robot} fell after {record.time_s[-1] - record.time_s[0]:.1f} s")
+
+
 def _imported() -> Any:
     """Return the module of the humanoids. Raises `UsageError` without the libraries it needs."""
     missing = [name for name in ("daqp", "mujoco", "pinocchio") if find_spec(name) is None]

@@ -54,7 +54,10 @@ def control_loop(
     start = Kinematics(model).standing(WalkingSettings().pose)
     robot = _robot(deployment, model, start)
     world = robot if isinstance(robot, RobotWithBall) else None
-    component = HumanoidComponent(model, solver, world, engine=deployment.controller.engine)
+    controller = deployment.controller
+    component = HumanoidComponent(
+        model, solver, world, engine=controller.engine, intention=controller.intention
+    )
     deployment.folder.mkdir(parents=True, exist_ok=True)
     state = PortWriter(deployment.folder / STATE_PORT, state_fields(component))
     ports = CyclePorts(

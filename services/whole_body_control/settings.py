@@ -3,7 +3,7 @@
 import hashlib
 import tempfile
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from pydantic import Field
 
@@ -37,6 +37,11 @@ class WholeBodySettings(Settings):
     )
     humanoid_fifo: bool = Field(
         True, description="ask the system for a real-time priority of the control cycle"
+    )
+    humanoid_intention: Literal["lead", "manipulability"] = Field(
+        "lead",
+        description="how assisted walking reads where a person leads the humanoid: lead, from the forces and "
+        "places of the hands, or manipulability, by equation 3 of CoSiMA",
     )
     humanoid_required_limits: Names = Field(
         (), description="sources of speed limits without which the humanoid does not move, with commas"

@@ -1,30 +1,37 @@
 """Walking led by the hands of a person: where they are pulled to is where the robot goes.
 
 The arms are drawn to a pose from which they lose mobility when a hand is pulled away or pushed back, and are
-compliant. The direction comes from their manipulability (`patterns.intention`, CoSiMA, equation 3). Added to
-it: hands that are moved apart, one ahead and one back, turn the robot. A person who pulls with more than
-`MAX_PULL_N` may be falling, and would topple the robot: its hand opens and the robot stands still, until the
-person has let go of it as well.
+compliant. The direction comes from their manipulability (`patterns.intention`, CoSiMA, equation 3), or from
+the lead of the hands (`patterns.lead`), which also notices a soft pull and one to the side; `IntentionName`
+chooses. Added to both: hands that are moved apart, one ahead and one back, turn the robot. A person who pulls
+with more than `MAX_PULL_N` may be falling, and would topple the robot: its hand opens and the robot stands
+still, until the person has let go of it as well.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from services.whole_body_control.balance.external_torques import ExternalTorques
 from services.whole_body_control.behaviours.walking import SIDES, WalkingController
+from services.whole_body_control.components.robot import RobotSensors
 from services.whole_body_control.cycle.wish import PERSON
 from services.whole_body_control.model.humanoid import Grip
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
 from services.whole_body_control.patterns.intention import (
+    DEFAULT_INTENTION,
     ArmState,
     IntentionLimits,
+    IntentionName,
+    IntentionReader,
     IntentionReference,
     arm_state,
     hand_place,
     manipulability,
 )
+from services.whole_body_control.patterns.lead import LeadReference, hand_force
 from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.regions import Side, turn
 
@@ -46,6 +53,7 @@ MAX_PULL_N: Final = 15.0
 """At one hand. 30 N of both move the zero moment point by 8 cm, to the toes."""
 MAX_SIDEWAYS_N: Final = 14.0
 """Of both hands; 14 N move it by 4 cm, to the edge of the sole that stands."""
+STAND_S: Final = 0.4
 YAW_DEADBAND_M, YAW_GAIN, MAX_YAW_RADPS = 0.04, 1.5, 0.2
 EVERY_S: Final = 0.02
 
@@ -66,7 +74,9 @@ class Hands:
 class AssistedWalking:
     """Reads the hands. Not thread-safe; uses the estimate of the walking controller."""
 
-    def __init__(self, walking: WalkingController, control_s: float) -> None:
+    def __init__(
+        self, walking: WalkingController, control_s: float, intention: IntentionName = DEFAULT_INTENTION
+    ) -> None:
         humanoid = walking.humanoid
         self._walking, self._control_s = walking, control_s
         self._grips: dict[Side, Grip] = {
@@ -80,17 +90,28 @@ class AssistedWalking:
         rest[BASE_POSITIONS + self._arms] = self._pose
         kinematics.update(rest)
         self._rest = {side: hand_place(kinematics, grip.link) for side, grip in self._grips.items()}
+        self._root = (rest[:3] - kinematics.centre_of_mass())[:2]
+        """Where the root is (2,) in the frame between the soles at rest: measured whenever nobody holds a
+        hand."""
         volumes = [
             manipulability(arm_state(kinematics, *_names(grip), self._rest[side]))
             for side, grip in self._grips.items()
         ]
-        self._reference = IntentionReference(IntentionLimits(THRESHOLD_SHARE * min(volumes, default=1.0)))
+        self.threshold = THRESHOLD_SHARE * min(volumes, default=1.0)
+        """v_d in m³/rad³."""
+        makers: Mapping[IntentionName, Callable[[], IntentionReader]] = {
+            "lead": LeadReference,
+            "manipulability": lambda: IntentionReference(IntentionLimits(self.threshold)),
+        }
+        self._reference = makers[intention]()
         self.firmness = np.ones(len(humanoid.joints))
         self.firmness[self._arms] = ARM_FIRMNESS
         for grip in self._grips.values():
             shoulder = np.array(humanoid.indices(grip.arm)[:SHOULDER_JOINTS])
             self.firmness[shoulder] = SHOULDER_FIRMNESS
-        self._damping = kinematics.joint_damping()[self._arms]
+        self._joint_damping = kinematics.joint_damping()
+        self._external = ExternalTorques(walking.estimator, control_s)
+        self._stand = np.zeros(3)
         self.velocity = np.zeros(2)
         """The reference (2,) of the centre of mass in m/s on the ground of the estimate."""
         self._open: set[Side] = set()
@@ -149,8 +170,28 @@ class AssistedWalking:
         for side, grip in self._grips.items():
             self._rest[side] = hand_place(self._plan, grip.link)
         weight = estimator.kinematics.gravity_torques()[arms] - self._plan.gravity_torques()[arms]
-        moving = UNDAMPED_SHARE * self._damping * estimator.v[BASE_VELOCITIES + arms]
+        moving = UNDAMPED_SHARE * self._joint_damping[arms] * estimator.v[BASE_VELOCITIES + arms]
         torques[arms] += self._taken * (weight + moving)
+
+    def observe(self, sensors: RobotSensors) -> None:
+        """Follow the forces at the arms, and where the robot is apart from its swaying.
+
+        Call it each period with the sensors that the estimator has used. The place between the soles moves
+        with each step and rests between. Smoothed over `STAND_S`, and moved with the wanted velocity
+        meanwhile, it is where a robot would be that rolls.
+        """
+        estimator = self._walking.estimator
+        feet = estimator.feet_frame()
+        if not self._held:
+            self._external.restart()
+            self._stand = feet
+            if self._taken >= 1.0 and self._walking.is_at_rest:
+                self._root = turn(-feet[2]) @ (estimator.q[:2] - feet[:2])
+            return
+        self._external.update(sensors)
+        share = self._control_s / STAND_S
+        self._stand[:2] += self._control_s * self.velocity + share * (feet[:2] - self._stand[:2])
+        self._stand[2] = feet[2]
 
     def wish(self, share: float) -> tuple[Array, float]:
         """Return the velocity (2,) in m/s on the ground and the yaw rate after one control period."""
@@ -162,21 +203,34 @@ class AssistedWalking:
         return self.velocity, self._yaw_rate
 
     def _update(self, share: float, dt_s: float) -> None:
-        kinematics = self._walking.estimator.kinematics
         may_walk = self._is_wanted and self._taken >= 1.0 and not self.is_pulled_hard
-        arms: dict[str, ArmState] = {
-            side: arm_state(kinematics, *_names(self._grips[side]), self._rest[side])
-            for side in (self._held if may_walk else ())
-        }
-        most = share * self._reference.limits.max_mps
-        intention = self._reference.update(arms, dt_s, most)
+        arms: dict[str, ArmState] = {side: self._arm(side) for side in (self._held if may_walk else ())}
+        intention = self._reference.update(arms, dt_s, share * self._reference.max_mps)
         self._volumes = intention.manipulability
         self.velocity = turn(self._walking.heading) @ intention.velocity
         self._yaw_rate = 0.0
-        if len(arms) == len(SIDES):
-            apart = float(arms["right"].displacement[0] - arms["left"].displacement[0])
+        if len(arms) == len(SIDES) and not intention.fault:
+            apart = self._apart(arms["right"]) - self._apart(arms["left"])
             beyond = np.sign(apart) * max(abs(apart) - YAW_DEADBAND_M, 0.0)
             self._yaw_rate = share * float(np.clip(YAW_GAIN * beyond, -MAX_YAW_RADPS, MAX_YAW_RADPS))
+
+    def _arm(self, side: Side) -> ArmState:
+        """Return the state of an arm with its lead."""
+        estimator, grip = self._walking.estimator, self._grips[side]
+        joints = np.array(estimator.kinematics.humanoid.indices(grip.arm))
+        state = arm_state(estimator.kinematics, *_names(grip), self._rest[side])
+        force = hand_force(state.jacobian, self._external.torques[joints])
+        back = turn(-self._stand[2])
+        hand = np.array(estimator.kinematics.pose(grip.link).translation)
+        hand[:2] = back @ (hand[:2] - self._stand[:2]) - self._root
+        hand[2] -= estimator.q[2]
+        speed = estimator.kinematics.velocity(grip.link)[:3]
+        force[:2] += DAMPING_NSPM * (back @ (speed[:2] - self.velocity))
+        return replace(state, lead=hand - self._rest[side] + force / STIFFNESS_NPM)
+
+    def _apart(self, arm: ArmState) -> float:
+        """Return how far a hand is ahead, by the lead if this is what is read."""
+        return float((arm.lead if isinstance(self._reference, LeadReference) else arm.displacement)[0])
 
     def _take(self) -> None:
         """Draw the arms by a control period towards their pose, or back home."""

@@ -32,6 +32,7 @@ from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineNam
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.footsteps import Wish
+from services.whole_body_control.patterns.intention import DEFAULT_INTENTION, IntentionName
 from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.regions import Side, turn
 from services.whole_body_control.patterns.throwing import Throw
@@ -108,6 +109,7 @@ class HumanoidComponent:
         world: World | None = None,
         *,
         engine: EngineName = DEFAULT_ENGINE,
+        intention: IntentionName = DEFAULT_INTENTION,
     ) -> None:
         self.humanoid = humanoid
         self.walking = WalkingController(humanoid, solver, engine=engine)
@@ -118,7 +120,9 @@ class HumanoidComponent:
         self._world = world
         can_throw = world is not None and bool(humanoid.grips)
         self._throwing = ThrowingController(humanoid, solver, engine=engine) if can_throw else None
-        self._assistance = AssistedWalking(self.walking, self.control_s) if world is not None else None
+        self.assistance = (
+            AssistedWalking(self.walking, self.control_s, intention) if world is not None else None
+        )
         gains = JointCommand(humanoid)
         self._stiffness, self._damping = gains.stiffness, gains.damping
         self._firmness = np.ones(len(humanoid.joints))
@@ -126,17 +130,21 @@ class HumanoidComponent:
         self._taken, self._at_first = 0.0, JointCommand(humanoid)
         self._wanted, self._is_commanded, self._person = Wanted(), False, np.zeros(len(PERSON))
         self._ball = _Ball()
-        self._throw_phase, self._fault = 0.0, Fault.NONE
+        self._throw_phase, self.fault = 0.0, Fault.NONE
         self._hands: Mapping[Side, Array] = {side: np.zeros(3) for side in SIDES}
         self._solver_counts = np.zeros(len(SOLVER_BOUNDS_US) + 1)
         self._residuals = _residual_names(self.walking, self._throwing)
         self.fields: Sequence[str] = _fields(humanoid, self._residuals)
 
+    def hand_force(self, side: Side) -> Array:
+        """Return the force (3,) in N of a person at a hand, in the frame between the soles."""
+        return self._hands[side]
+
     @property
     def behaviours(self) -> tuple[Behaviour, ...]:
         """Return what this robot can do."""
         found = [Behaviour.WALKING]
-        if self._assistance is not None:
+        if self.assistance is not None:
             found.append(Behaviour.ASSISTED_WALKING)
         if self._throwing is not None:
             found.append(Behaviour.JUGGLING)
@@ -172,7 +180,7 @@ class HumanoidComponent:
         phase = 0 if self.behaviour is Behaviour.JUGGLING else PHASES.index(now.stance.phase)
         feet = estimator.feet_frame()
         of_feet = [estimator.feet[walking.settings.contacts[side]] for side in SIDES]
-        intention = self._assistance.velocity if self._assistance else np.zeros(2)
+        intention = self.assistance.velocity if self.assistance else np.zeros(2)
         com, reference = now.com[:2], now.reference.com
         if self.behaviour is Behaviour.JUGGLING and self._throwing is not None:
             com, reference = estimator.com[:2], feet[:2] + turn(feet[2]) @ self._throwing.com_reference
@@ -192,11 +200,11 @@ class HumanoidComponent:
         for side in SIDES:
             values += [
                 *self._hands[side],
-                self._assistance.manipulability(side) if self._assistance else np.nan,
+                self.assistance.manipulability(side) if self.assistance else np.nan,
             ]
         target = self._on_ground(ball.target, feet) if ball.phase is not BallPhase.NONE else ball.target
         values += [*ball.place, ball.phase, *target, *ball.landed, *ball.predicted]
-        values += [ball.number, self._throw_phase, self._fault]
+        values += [ball.number, self._throw_phase, self.fault]
         values += self._solver_counts.tolist()
         residuals = self._active.last_step.residuals
         level_of = {name: index for index, name in enumerate(residuals)}
@@ -228,8 +236,8 @@ class HumanoidComponent:
             self._ball, self._throw_phase = _Ball(number=self._wanted.throw_number), 0.0
         elif self.behaviour is Behaviour.JUGGLING:
             self._throw_phase = 0.0
-        if self._assistance is not None:
-            self._assistance.begin(is_wanted=wanted == Behaviour.ASSISTED_WALKING)
+        if self.assistance is not None:
+            self.assistance.begin(is_wanted=wanted == Behaviour.ASSISTED_WALKING)
         self.behaviour = Behaviour(wanted)
 
     def _between_soles(self, q: Array) -> Array:
@@ -243,32 +251,33 @@ class HumanoidComponent:
 
     def _feel(self) -> None:
         """Let the person pull at the hands of the simulated robot."""
-        if self._world is None or self._assistance is None:
+        if self._world is None or self.assistance is None:
             return
         if self.behaviour is Behaviour.ASSISTED_WALKING:
-            self._hands = self._assistance.feel(Hands.of(self._person))
+            self._hands = self.assistance.feel(Hands.of(self._person))
         else:
             self._hands = {side: np.zeros(3) for side in SIDES}
         for side in SIDES:
             force = self._hands[side]
             feet = self.walking.estimator.feet_frame()
             ground = np.array([*(turn(feet[2]) @ force[:2]), force[2]])
-            self._world.pull(self._assistance.link(side), self.walking.estimator.rotation.T @ ground)
+            self._world.pull(self.assistance.link(side), self.walking.estimator.rotation.T @ ground)
 
     def _walk(self, sensors: RobotSensors, command: JointCommand) -> str:
         wanted, walking = self._wanted, self.walking
         share = wanted.speed_share if self._is_commanded and not wanted.stop else 0.0
         ground, yaw_rate = np.zeros(2), 0.0
-        if self.behaviour is Behaviour.ASSISTED_WALKING and self._assistance is not None:
-            ground, yaw_rate = self._assistance.wish(share)
+        if self.behaviour is Behaviour.ASSISTED_WALKING and self.assistance is not None:
+            ground, yaw_rate = self.assistance.wish(share)
         elif share > 0:
             heading = walking.heading
             ground = share * (turn(heading) @ np.array([wanted.ahead_mps, wanted.left_mps]))
             yaw_rate = share * wanted.yaw_radps
         walking.wish = Wish(ground, yaw_rate)
         state = walking.step(sensors, command)
-        if self.behaviour is Behaviour.ASSISTED_WALKING and self._assistance is not None and not state.fault:
-            self._assistance.carry(command.torques, walking.reference)
+        if self.behaviour is Behaviour.ASSISTED_WALKING and self.assistance is not None and not state.fault:
+            self.assistance.observe(sensors)
+            self.assistance.carry(command.torques, walking.reference)
         return state.fault
 
     def _throw(self, sensors: RobotSensors, command: JointCommand) -> str:
@@ -296,7 +305,7 @@ class HumanoidComponent:
         self._ball.target = wanted.target.copy()
         throw = self._planned()
         if throw is None or throwing is None or world is None:
-            self._throw_phase, self._fault = REFUSED, Fault.THROW_REFUSED
+            self._throw_phase, self.fault = REFUSED, Fault.THROW_REFUSED
             return
         world.hold(throw.grip)
         throwing.throw(throw)
@@ -341,8 +350,8 @@ class HumanoidComponent:
         wanted: float | Array = 1.0
         if self.behaviour is Behaviour.JUGGLING and self._throwing is not None:
             wanted = self._throwing.settings.stiffer
-        elif self.behaviour is Behaviour.ASSISTED_WALKING and self._assistance is not None:
-            wanted = self._assistance.firmness
+        elif self.behaviour is Behaviour.ASSISTED_WALKING and self.assistance is not None:
+            wanted = self.assistance.firmness
         most = self.control_s / GAINS_S * 3.0
         self._firmness += np.clip(wanted - self._firmness, -most, most)
         command.stiffness[:] = self._stiffness * self._firmness
@@ -391,13 +400,13 @@ class HumanoidComponent:
         """Say what is wrong, and notice a fall."""
         self.is_down = bool(self.walking.estimator.rotation[2, 2] < np.cos(FALLEN_TILT_RAD))
         if self.is_down:
-            self._fault = Fault.FALLEN
+            self.fault = Fault.FALLEN
         elif fault:
-            self._fault = Fault.SENSORS if fault == NOT_FINITE else Fault.SOLVER
-        elif self._assistance is not None and self._assistance.is_pulled_hard:
-            self._fault = Fault.PULLED_HARD
+            self.fault = Fault.SENSORS if fault == NOT_FINITE else Fault.SOLVER
+        elif self.assistance is not None and self.assistance.is_pulled_hard:
+            self.fault = Fault.PULLED_HARD
         elif self._throw_phase != REFUSED:
-            self._fault = Fault.NONE
+            self.fault = Fault.NONE
 
 
 def _residual_names(walking: WalkingController, throwing: ThrowingController | None) -> list[tuple[int, str]]:

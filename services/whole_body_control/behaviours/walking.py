@@ -1,6 +1,7 @@
 """Walking: pattern generator, stabiliser, stack of tasks and feed-forward torques in one controller.
 
-Every `PERIOD_S` of the pattern generator the motion of the next period is planned. Every control period
+Every `PERIOD_S` of the pattern generator the motion of the next period is planned; a foot in the air lands
+farther by the error of the capture point. Every control period
 
 1. the state is estimated from the sensors,
 2. the stabiliser moves the wanted ZMP by the error of the capture point, within the soles that stand,
@@ -111,7 +112,7 @@ class WalkingController:
         self._engine_of = engine_maker(engine, solver)
         self._tasks(humanoid)
         self.wish = Wish(np.zeros(2))
-        self._shift = np.zeros(2)
+        self._shift, self._capture_error = np.zeros(2), np.zeros(2)
         self._foot_offset, self._foot_wanted = np.zeros(3), np.zeros(3)
 
     @property
@@ -130,6 +131,11 @@ class WalkingController:
         """Return the mean yaw of the footprints in rad."""
         stance = self.state.stance
         return (stance.left.yaw + stance.right.yaw) / 2
+
+    @property
+    def step_limits(self) -> StepLimits:
+        """Return what the robot can step."""
+        return self._limits
 
     def soles_frame(self, q: Array) -> tuple[Array, float]:
         """Return place (2,) and yaw of the frame between the soles in a configuration `q`."""
@@ -164,7 +170,7 @@ class WalkingController:
         dt_s = self.settings.control_s
         self.estimator.update(sensors, dt_s)
         if self._phase_s >= PERIOD_S - dt_s / 2:
-            self._next, self._phase_s = self._pattern.step(self.wish), 0.0
+            self._next, self._phase_s = self._pattern.step(self.wish, self._capture_error), 0.0
         pattern = self._next
         self._phase_s += dt_s
         plan = pattern.plan
@@ -172,6 +178,7 @@ class WalkingController:
         com, velocity, measured_zmp = self._on_plan(pattern.stance)
         omega = self._pendulum.omega
         error = com[:2] + velocity[:2] / omega - self._pendulum.capture_point(reference)
+        self._capture_error = error
         wanted = reference.zmp + self.settings.capture_gain * error
         feet = self._standing(pattern.stance)
         forces = shares(feet, self._sole, wanted, self.settings.sole_margin_m)

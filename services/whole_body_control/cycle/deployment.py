@@ -3,11 +3,11 @@
 folder: /dev/shm/coman          # of the ports
 components:
   robot: {kind: mujoco, humanoid: coman, realtime: true}      # the one that is exchanged
-  walking: {kind: walking, engine: stack, solver: fastest, mode: impedance, realtime: true}
+  walking: {kind: walking, engine: stack, solver: fastest, mode: impedance, intention: lead, realtime: true}
   recorder: {kind: recorder, realtime: false}
 
 The engine may be `projections`, the solver `daqp`, the mode of the joints `position` or `torque`, where the
-robot has it. A component that performs I/O cannot be real-time, and one that controls the joints must be.
+robot has it, and the intention `manipulability`. A component that performs I/O cannot be real-time, and one that controls the joints must be.
 """
 
 from collections.abc import Mapping
@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from handover.errors import UsageError
 from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 from services.whole_body_control.model.humanoid import JointMode
+from services.whole_body_control.patterns.intention import DEFAULT_INTENTION, IntentionName
 
 MAX_FILE_BYTES = 100_000
 
@@ -43,6 +44,7 @@ class Component(_Strict):
     solver: Literal["fastest", "daqp"] = "fastest"
     engine: EngineName = DEFAULT_ENGINE
     mode: JointMode = JointMode.IMPEDANCE
+    intention: IntentionName = DEFAULT_INTENTION
 
 
 class Deployment(_Strict):

@@ -9,14 +9,23 @@ equation are added, so that a person can rely on it:
 - 1 / sigma is damped to sigma / (sigma² + damping²), which is finite for a stretched arm.
 - `gain_m2ps` (m²/s) makes a velocity of it; its horizontal part is capped in speed and acceleration.
 - Once below the threshold, an arm must exceed it by `hysteresis` (a share) before the robot stops.
+
+`patterns.lead` is another reading of the same arms. What both share is here: the state of an arm, the
+intention, and the velocity that follows it within caps.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Final, Literal, Protocol, get_args
 
 import numpy as np
 
 from services.whole_body_control.model.kinematics import BASE_VELOCITIES, Array, Kinematics
+
+IntentionName = Literal["lead", "manipulability"]
+"""How the intention is read: by `patterns.lead`, or by this module."""
+INTENTIONS: Final[tuple[IntentionName, ...]] = get_args(IntentionName)
+DEFAULT_INTENTION: Final[IntentionName] = "lead"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +53,13 @@ class IntentionLimits:
 class ArmState:
     """The translational Jacobian (3, joints) of a hand in m/rad, and its place from its rest pose (3,) in m.
 
-    Both are in the heading frame: x ahead, y to the left, z up.
+    Both are in the heading frame: x ahead, y to the left, z up. So is `lead` (3,) in m, from the rest pose as
+    well: where the hand of the person is, who pulls at that of the robot.
     """
 
     jacobian: Array
     displacement: Array
+    lead: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +72,13 @@ class Intention:
     fault: str = ""
 
 
-class IntentionReference:
-    """Reads the intention, cycle by cycle. Not thread-safe."""
+class IntentionReader(Protocol):
+    """Reads the intention, cycle by cycle."""
 
-    def __init__(self, limits: IntentionLimits) -> None:
-        self.limits = limits
-        self._velocity = np.zeros(2)
-        self._is_active = False
-        self._directions: dict[str, Array] = {}
+    @property
+    def max_mps(self) -> float:
+        """The speed that it never exceeds."""
+        ...
 
     def update(self, arms: Mapping[str, ArmState], dt_s: float, max_mps: float | None = None) -> Intention:
         """Return the reference after `dt_s`.
@@ -76,14 +86,44 @@ class IntentionReference:
         `max_mps` is a lower cap for this cycle, 0 to stop. Values that are not finite stop the robot as well,
         with the acceleration of the limits, and are named in `fault`.
         """
-        broken = sorted(name for name, arm in arms.items() if not _is_finite(arm))
-        if broken:
+        ...
+
+
+class CappedVelocity:
+    """A velocity (2,) in m/s that follows a wanted one within a speed and an acceleration."""
+
+    def __init__(self, max_mps: float, max_mps2: float) -> None:
+        self.max_mps, self._max_mps2 = max_mps, max_mps2
+        self.value = np.zeros(2)
+
+    def follow(self, wanted: Array, dt_s: float, max_mps: float | None = None) -> Array:
+        """Return the velocity after `dt_s`; `max_mps` is a lower cap."""
+        most = self.max_mps if max_mps is None else min(max(max_mps, 0.0), self.max_mps)
+        self.value = self.value + capped(capped(wanted, most) - self.value, self._max_mps2 * dt_s)
+        return self.value.copy()
+
+
+class IntentionReference:
+    """Reads the intention from the manipulability. Not thread-safe."""
+
+    def __init__(self, limits: IntentionLimits) -> None:
+        self.limits = limits
+        self._velocity = CappedVelocity(limits.max_mps, limits.max_mps2)
+        self._is_active = False
+        self._directions: dict[str, Array] = {}
+
+    @property
+    def max_mps(self) -> float:
+        """The speed that it never exceeds."""
+        return self.limits.max_mps
+
+    def update(self, arms: Mapping[str, ArmState], dt_s: float, max_mps: float | None = None) -> Intention:
+        """Return the reference after `dt_s`, as `IntentionReader` says."""
+        fault = fault_of(arms)
+        if fault:
             self._is_active = False
             self._directions.clear()
-            self._follow(np.zeros(2), dt_s)
-            return Intention(
-                self._velocity.copy(), False, {}, f"no valid measurement of: {', '.join(broken)}"
-            )
+            return Intention(self._velocity.follow(np.zeros(2), dt_s), False, {}, fault)
         splits = {name: _weakest(arm.jacobian) for name, arm in arms.items()}
         volumes = {name: volume for name, (_, _, volume) in splits.items()}
         self._switch(min(volumes.values(), default=np.inf))
@@ -92,9 +132,8 @@ class IntentionReference:
             for name, (axis, sigma, _) in splits.items():
                 damped = sigma / (sigma**2 + self.limits.damping_m**2)
                 wanted += damped * self._directed(name, axis, arms[name].displacement)[:2]
-        cap = self.limits.max_mps if max_mps is None else min(max(max_mps, 0.0), self.limits.max_mps)
-        self._follow(_capped(self.limits.gain_m2ps * wanted, cap), dt_s)
-        return Intention(self._velocity.copy(), self._is_active, volumes)
+        velocity = self._velocity.follow(self.limits.gain_m2ps * wanted, dt_s, max_mps)
+        return Intention(velocity, self._is_active, volumes)
 
     def _switch(self, least: float) -> None:
         share = 1 + self.limits.hysteresis if self._is_active else 1.0
@@ -115,9 +154,6 @@ class IntentionReference:
         self._directions[name] = directed
         return np.asarray(directed)
 
-    def _follow(self, wanted: Array, dt_s: float) -> None:
-        self._velocity = self._velocity + _capped(wanted - self._velocity, self.limits.max_mps2 * dt_s)
-
 
 def _weakest(jacobian: Array) -> tuple[Array, float, float]:
     """Return the left singular vector of the smallest singular value, this value, and the product of all."""
@@ -130,13 +166,20 @@ def manipulability(arm: ArmState) -> float:
     return _weakest(arm.jacobian)[2]
 
 
-def _capped(vector: Array, longest: float) -> Array:
+def capped(vector: Array, longest: float) -> Array:
+    """Return a vector, shortened to a length if it is longer."""
     length = float(np.linalg.norm(vector))
     return vector if length <= longest else vector * (longest / length)
 
 
+def fault_of(arms: Mapping[str, ArmState]) -> str:
+    """Return which arms have a value that is not finite, or nothing."""
+    broken = sorted(name for name, arm in arms.items() if not _is_finite(arm))
+    return f"no valid measurement of: {', '.join(broken)}" if broken else ""
+
+
 def _is_finite(arm: ArmState) -> bool:
-    return bool(np.isfinite(arm.jacobian).all() and np.isfinite(arm.displacement).all())
+    return all(bool(np.isfinite(part).all()) for part in (arm.jacobian, arm.displacement, arm.lead))
 
 
 def hand_place(kinematics: Kinematics, hand: str) -> Array:
@@ -147,7 +190,10 @@ def hand_place(kinematics: Kinematics, hand: str) -> Array:
 
 
 def arm_state(kinematics: Kinematics, chain: str, hand: str, rest: Array) -> ArmState:
-    """Return the state of an arm: the joints of `chain` move `hand`, whose `hand_place` at rest is `rest`."""
+    """Return the state of an arm: the joints of `chain` move `hand`, whose `hand_place` at rest is `rest`.
+
+    Its lead is left at 0; it needs forces.
+    """
     joints = BASE_VELOCITIES + np.array(kinematics.humanoid.indices(chain))
     rotation = _heading(kinematics.pose(kinematics.humanoid.root).rotation)
     jacobian = rotation.T @ kinematics.jacobian(hand)[:3, joints]

@@ -1,11 +1,13 @@
 """The pattern generator: footsteps and the motion of the centre of mass, one period at a time.
 
 Each period the footsteps of the horizon are placed for the present wish, and the motion is planned above
-them. A foot in the air lands where the wish and the capture point want it, until `LOCKED` periods before.
+them. A foot in the air lands where the wish and the capture point want it, until `LOCKED` periods before. A
+robot that a person holds by the hands needs this: pulls to the side add up over some steps, and the sole of
+one foot is too narrow for the stabiliser.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +18,8 @@ from services.whole_body_control.patterns.regions import Footprint, Region
 from services.whole_body_control.patterns.zmp_control import Plan, ZmpControl
 
 LOCKED = 2
+TOLERATED_M = 0.01
+"""An error of the capture point that the stabiliser makes up for within a sole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,31 +45,21 @@ class WalkingPattern:
         com = centre + sole.mean(axis=0)
         self.state = PendulumState(com, np.zeros(2), com.copy())
 
-    def step(self, wish: Wish, measured: PendulumState | None = None) -> Pattern:
-        """Plan one period ahead, from the measured state where there is one. Raises `Unplannable`."""
-        if measured is not None:
-            self.stance = self._corrected(wish, measured)
-            self.state = replace(self.state, com=measured.com, velocity=measured.velocity)
-        elif self._can_still_place():
-            self.stance = self._footsteps.placed(self.stance, wish)
+    def step(self, wish: Wish, error: Array | None = None) -> Pattern:
+        """Plan one period ahead. Raises `Unplannable`.
+
+        `error` (2,) in m is how far the measured capture point is from that of the plan. By what exceeds
+        `TOLERATED_M` a foot in the air lands farther, within the limits of a step.
+        """
+        if self.stance.phase == "single" and self.stance.remaining > LOCKED:
+            beyond = None if error is None else error - np.clip(error, -TOLERATED_M, TOLERATED_M)
+            self.stance = self._footsteps.placed(self.stance, wish, beyond)
         stances = list(self._footsteps.preview(self.stance, wish, self._control.samples + 1))
         regions = self._regions(stances)
         plan = self._control.plan(self.state, regions[1:], wish.velocity)
         pattern = Pattern(self.stance, plan, regions[0])
         self.stance, self.state = stances[1], plan.states[1]
         return pattern
-
-    def _can_still_place(self) -> bool:
-        return self.stance.phase == "single" and self.stance.remaining > LOCKED
-
-    def _corrected(self, wish: Wish, measured: PendulumState) -> Stance:
-        """Move the landing by the error that the capture point will have when the foot lands."""
-        if not self._can_still_place():
-            return self.stance
-        pendulum = self._control.pendulum
-        error = pendulum.capture_point(measured) - pendulum.capture_point(self.state)
-        growth = np.exp(pendulum.omega * self.stance.remaining * self._control.period_s)
-        return self._footsteps.placed(self.stance, wish, growth * error)
 
     def _regions(self, stances: Sequence[Stance]) -> list[Region]:
         """Return the region of this period, and the one of each sample: where both its periods allow it."""

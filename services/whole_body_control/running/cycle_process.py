@@ -165,7 +165,12 @@ class CycleProcess:
             "fifo": settings.humanoid_fifo,
             "components": {
                 "robot": {"kind": "mujoco", "humanoid": settings.model_name, "realtime": True},
-                "walking": {"kind": "walking", "solver": "fastest", "realtime": True},
+                "walking": {
+                    "kind": "walking",
+                    "solver": "fastest",
+                    "intention": settings.humanoid_intention,
+                    "realtime": True,
+                },
             },
         }
 

@@ -126,7 +126,7 @@ def at_hands(state: Mapping[str, float], rest: Mapping[str, np.ndarray], ahead_m
 
 
 def test_hands_lead_it_ahead_and_back_and_a_hard_pull_opens_its_hands(cycle: Cycle) -> None:
-    assistance = cycle.loop.controller._assistance
+    assistance = cycle.loop.controller.assistance
     assert assistance is not None
     state = cycle.run(3.0, ASSISTED)
     for ahead_m in (0.25, -0.15):

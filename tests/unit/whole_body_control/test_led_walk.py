@@ -1,0 +1,112 @@
+"""A simulated person leads COMAN by the hands in simulated physics, and it follows within the criteria."""
+
+import numpy as np
+import pytest
+
+from services.whole_body_control.balance.external_torques import ExternalTorques
+from services.whole_body_control.behaviours.humanoid_component import Fault
+from services.whole_body_control.behaviours.led_walk_report import (
+    REACTION_S,
+    Followed,
+    Stopped,
+    followed,
+)
+from services.whole_body_control.behaviours.simulated_person import SCRIPTS, Lead, LedRecord, LedWalk
+from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk
+from services.whole_body_control.behaviours.walking import WalkingController
+from services.whole_body_control.model.kinematics import BASE_VELOCITIES
+from services.whole_body_control.patterns.footsteps import Wish
+from services.whole_body_control.patterns.lead import hand_force
+from services.whole_body_control.robots import humanoid
+from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE, SimulatedRobot
+
+COMAN = humanoid("coman")
+
+
+def led(name: str) -> tuple[LedRecord, list[Followed | Stopped]]:
+    walk = LedWalk(COMAN)
+    record = walk.run(SCRIPTS[name])
+    assert not record.has_fallen
+    return record, followed(record, walk.step_limits)
+
+
+@pytest.mark.parametrize("name", ["forward", "side"])
+def test_it_goes_where_the_person_leads_within_half_a_second_and_stops_with_them(name: str) -> None:
+    record, parts = led(name)
+    assert not record.faults.any()
+    assert len(parts) == len(SCRIPTS[name])
+    for part in parts:
+        if isinstance(part, Followed):
+            assert part.reaction_s is not None
+            assert part.reaction_s <= REACTION_S
+            assert part.share > 0.9
+            assert part.motion_error < np.radians(20)
+            assert part.speed_mps > 0.03
+        else:
+            assert part.reaction_s is not None
+            assert part.reaction_s < 1.0
+
+
+def test_it_turns_with_the_person_on_the_spot() -> None:
+    record, _ = led("turn")
+    yaw = np.unwrap(record.place[:, 2])
+    seconds = record.time_s - record.time_s[0]
+    left, right = np.interp([8.0, 19.0], seconds, yaw)
+    assert left > np.radians(45)
+    assert right < left - np.radians(45)
+    assert np.linalg.norm(record.place[-1, :2] - record.place[0, :2]) < 0.3
+
+
+def test_a_person_who_stops_or_lets_go_stops_it() -> None:
+    record, parts = led("stop")
+    ends = [part for part in parts if isinstance(part, Stopped)]
+    assert len(ends) == 2
+    assert ends[-1].standing_s is not None  # nobody holds it: it finishes its step and stands
+    assert ends[-1].standing_s < 3.0
+    assert record.states[-1].stance.phase == "standing"
+
+
+def test_it_opens_its_hands_to_a_person_who_stumbles_and_stands() -> None:
+    record, _ = led("stumble")
+    seconds = record.time_s - record.time_s[0]
+    pulled = record.faults == Fault.PULLED_HARD
+    assert pulled.any()
+    assert 4.99 < seconds[pulled][0] < 5.2
+    assert not record.forces[pulled].any()
+    assert record.faults[-1] == Fault.NONE  # the person let go, and has taken the hands again
+    assert record.states[-1].stance.phase == "standing"
+
+
+def test_the_equation_of_the_paper_notices_a_firm_pull_ahead() -> None:
+    walk = LedWalk(COMAN, intention="manipulability")
+    record = walk.run([Lead(5.0, ahead_m=0.3)])
+    (part,) = followed(record, walk.step_limits)
+    assert isinstance(part, Followed)
+    assert part.reaction_s is not None
+    assert record.velocity[-1][0] > 0.05
+    assert np.nanmin(record.manipulability) < walk.assistance.threshold
+    assert not record.has_fallen
+
+
+def test_forces_at_a_hand_are_told_from_those_of_its_own_motion() -> None:
+    controller = WalkingController(COMAN)
+    walk = SimulatedWalk(controller, SimulatedRobot(COMAN, controller.start, TYPICAL_NOISE, 1))
+    estimator = controller.estimator
+    external = ExternalTorques(estimator, controller.settings.control_s)
+    grip = COMAN.grips["left_hand"]
+    joints = np.array(COMAN.indices(grip.arm))
+    pull = np.array([5.0, 2.0, -3.0])
+    found: dict[bool, list[np.ndarray]] = {False: [], True: []}
+    for number in range(600):
+        controller.wish = Wish(np.array([0.1, 0.0]))
+        is_pulled = number >= 350
+        if is_pulled:
+            walk.robot.pull(grip.link, estimator.rotation.T @ pull)
+        walk.cycle()
+        external.update(walk.sensors)
+        jacobian = estimator.kinematics.jacobian(grip.link)[:3, BASE_VELOCITIES + joints]
+        if number % 350 > 100:
+            found[is_pulled].append(hand_force(jacobian, external.torques[joints]))
+    free, pulled = np.array(found[False]), np.array(found[True])
+    assert np.sqrt((free**2).mean(axis=0)).max() < 1.0
+    assert np.abs(pulled.mean(axis=0) - pull).max() < 1.0
