@@ -7,7 +7,8 @@ components:
   recorder: {kind: recorder, realtime: false}
 
 The engine may be `projections`, the solver `daqp`, the mode of the joints `position` or `torque`, where the
-robot has it, and the intention `manipulability`. A component that performs I/O cannot be real-time, and one that controls the joints must be.
+robot has it, the intention `manipulability`. A component that performs I/O cannot be real-time, and one that
+controls the joints must be.
 """
 
 from collections.abc import Mapping
