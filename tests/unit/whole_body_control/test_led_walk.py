@@ -88,7 +88,7 @@ def test_the_equation_of_the_paper_notices_a_firm_pull_ahead() -> None:
     assert not record.has_fallen
 
 
-def test_forces_at_a_hand_are_told_from_those_of_its_own_motion() -> None:
+def test_forces_at_a_hand_are_kept_apart_from_those_of_its_own_motion() -> None:
     controller = WalkingController(COMAN)
     walk = SimulatedWalk(controller, SimulatedRobot(COMAN, controller.start, TYPICAL_NOISE, 1))
     estimator = controller.estimator
