@@ -20,6 +20,9 @@ def simulate_ur(  # noqa: PLR0917 - options of a command
     robotiq_port: Annotated[int, typer.Option("--robotiq-port")] = 63352,
     joints: Annotated[str, typer.Option("--joints", help="The six joint positions in rad.")] = HOME,
     off: Annotated[bool, typer.Option("--off", help="Begin with the arm powered off.")] = False,
+    model: Annotated[
+        str, typer.Option("--model", help="What the dashboard calls the arm, such as UR5.")
+    ] = "UR10",
     cb3: Annotated[bool, typer.Option("--cb3", help="Simulate the CB3 series (125 Hz).")] = False,
 ) -> None:
     """Simulate a controller of Universal Robots; lines of input are what a person does at the arm."""
@@ -31,7 +34,7 @@ def simulate_ur(  # noqa: PLR0917 - options of a command
     from services.trajectory_tool.universal_robots.simulator.simulator import Ports  # noqa: PLC0415
 
     controller = SimulatedController(
-        _positions(joints), running=not off, frequency_hz=CB3_HZ if cb3 else E_SERIES_HZ
+        _positions(joints), running=not off, frequency_hz=CB3_HZ if cb3 else E_SERIES_HZ, model=model
     )
     ports = Ports(rtde_port, dashboard_port, script_port, robotiq_port)
     try:

@@ -24,6 +24,7 @@ from services.trajectory_tool.joint_trajectory import JointTrajectory
 from services.trajectory_tool.robot import Joints, JointState, Pace, RobotFault, StopCategory, Velocity
 from services.trajectory_tool.robot import SafetyStatus as ReportedSafety
 from services.trajectory_tool.trajectory import Setpoint
+from services.trajectory_tool.universal_robots.arm_model import expected_model, other_model, other_series
 from services.trajectory_tool.universal_robots.dashboard import Dashboard, DashboardError
 from services.trajectory_tool.universal_robots.exchange_process import ExchangeProcess
 from services.trajectory_tool.universal_robots.faults import (
@@ -86,6 +87,8 @@ class UniversalRobot(CyclicRobot):
         self.dashboard = Dashboard(options.host, options.dashboard_port)
         self._stored = JointState(time.time(), context.joints, (0.0,) * len(context.joints))
         self._program_id = 0
+        self._model_name = context.model.name
+        self._checked_connection = 0
         self._in_motion = asyncio.Lock()
         self._gripper_closed = context.gripper_closed
         self._gripper = self._make_gripper(context)
@@ -268,6 +271,7 @@ class UniversalRobot(CyclicRobot):
         fault = self._fault(self.exchange.report())
         if fault is not None:
             raise fault
+        await self._require_model()
         if self._speed_fraction() == 0.0:
             raise RobotFault(
                 message(
@@ -278,6 +282,25 @@ class UniversalRobot(CyclicRobot):
         self.exchange.hold()
         if not self._runs_program(self.exchange.report()):
             await self._start_program()
+
+    async def _require_model(self) -> None:
+        """Require, once a connection, that the arm is the expected one. Raises `RobotFault`."""
+        connection = self.exchange.report().connections
+        expected = expected_model(self._model_name, self.options.controller_model)
+        if expected is None or connection == self._checked_connection:
+            return
+        try:
+            found = await self.dashboard.describe()
+        except DashboardError as error:
+            log.warning("model of the arm not checked", robot=self.robot_id, reason=text_of(error))
+            return
+        fault = other_model(self.robot_id, expected, found["model"])
+        if fault is not None:
+            raise RobotFault(fault)
+        warning = other_series(self._model_name, found["software"])
+        if warning is not None and self.options.controller_model is None:
+            log.warning(warning, robot=self.robot_id)
+        self._checked_connection = connection
 
     def _runs_program(self, report: Report) -> bool:
         return (

@@ -34,6 +34,11 @@ class UrOptions(BaseModel):
     rtde_port: Port = Field(30004, description="the port of RTDE")
     dashboard_port: Port = Field(29999, description="the port of the dashboard server")
     script_port: Port = Field(30002, description="the port of the script interface")
+    controller_model: str | None = Field(
+        None,
+        min_length=1,
+        description="the model that the controller must name, such as UR5 or any; that of the arm if absent",
+    )
     payload_kg: FiniteFloat | None = Field(
         None, ge=0, le=50, description="the mass at the flange; that of the installation if absent"
     )

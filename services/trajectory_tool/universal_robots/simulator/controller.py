@@ -51,7 +51,9 @@ class SimulatedController:
         speed_limits: Joints = UR10_SPEED_RAD_S,
         frequency_hz: float = 500.0,
         running: bool = True,
+        model: str = "UR10",
     ) -> None:
+        self.model = model
         self.cycle_s = 1.0 / frequency_hz
         self.frequency_hz = frequency_hz
         self.time_s = 0.0

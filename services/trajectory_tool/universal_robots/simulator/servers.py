@@ -269,7 +269,7 @@ class DashboardServer:
             case "programstate":
                 return f"{controller.runtime.name} {controller.program_name or '<unnamed>'}"
             case "get robot model":
-                return "UR10"
+                return controller.model
             case "get serial number":
                 return "20170000000"
             case "polyscopeversion":

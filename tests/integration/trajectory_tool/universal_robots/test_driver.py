@@ -20,6 +20,7 @@ from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.robots.panda import ROBOT as PANDA
 from services.trajectory_tool.robots.ur10 import ROBOT
 from services.trajectory_tool.universal_robots import rtde
+from services.trajectory_tool.universal_robots.arm_model import expected_model, other_series
 from services.trajectory_tool.universal_robots.driver import UniversalRobot
 from services.trajectory_tool.universal_robots.exchange import INPUTS
 from services.trajectory_tool.universal_robots.options import UrOptions, with_environment
@@ -66,6 +67,23 @@ async def test_a_protective_stop_is_named_and_only_a_person_ends_it(
     await until(lambda: robot.exchange.report().safety_status == SafetyStatus.NORMAL)
     assert await robot.move(AWAY, 1.0, lambda: 1.0)
     assert robot.state().positions == pytest.approx(AWAY, abs=0.005)
+
+
+async def test_an_arm_of_another_model_does_not_move_until_it_is_named(
+    new_robot: NewRobot, controller: RunningController
+) -> None:
+    controller.do(lambda each: setattr(each, "model", "UR5"))
+    async with new_robot() as robot:
+        with pytest.raises(
+            RobotFault, match="its arm is a UR5, and motions of ur10-1 are planned for a UR10"
+        ):
+            await robot.move(AWAY, 1.0, lambda: 1.0)
+        assert controller.do(lambda each: each.programs_started) == 0
+        controller.do(lambda each: setattr(each, "model", "UR10"))
+        assert await robot.move(AWAY, 1.0, lambda: 1.0)
+    controller.do(lambda each: setattr(each, "model", "UR10e, calibrated"))
+    async with new_robot(controller_model="any") as robot:
+        assert await robot.move(HOME, 1.0, lambda: 1.0)
 
 
 async def test_an_emergency_stop_is_named_and_the_arm_stays_off(
@@ -403,6 +421,32 @@ def test_options_come_from_the_cell_file_and_the_environment(monkeypatch: pytest
     assert options.host == "10.0.0.5"
     assert options.payload_centre_m == (0, 0, 0.1)
     assert options.gripper == "tool_io"
+
+
+@pytest.mark.parametrize(
+    ("robot_model", "setting", "expected"),
+    [
+        ("UR10", None, "UR10"),
+        ("UR5e", None, "UR5"),
+        ("my arm", None, None),
+        ("my arm", "UR3", "UR3"),
+        ("UR10", "any", None),
+    ],
+)
+def test_the_expected_model_is_that_of_the_arm_or_of_the_setting(
+    robot_model: str, setting: str | None, expected: str | None
+) -> None:
+    assert expected_model(robot_model, setting) == expected
+
+
+def test_another_series_is_noticed() -> None:
+    warning = other_series("UR10", "URSoftware 5.15.0.1")
+    assert (
+        warning == "motions are planned for an arm of the CB3 series, and the controller is of the e-Series"
+    )
+    assert other_series("UR5e", "URSoftware 5.15.0.1") is None
+    assert other_series("UR5e", "URSoftware 3.15.1") is not None
+    assert other_series("my arm", "URSoftware 3.15.1") is None
 
 
 def test_a_model_with_seven_joints_is_refused(context: RobotContext) -> None:
