@@ -145,6 +145,9 @@ class PostgresDatabase:
                     return False
             self._require_version(connection)
             with self._writer_lock:
+                if self._is_closed:  # meanwhile; `close` knows only the connections from before
+                    connection.close()
+                    return False
                 connection.execute("UPDATE writer SET process = %s, commits = 0", (self._process,))
                 self._writer, self._commits = connection, 0
         except psycopg.Error as error:
