@@ -31,7 +31,7 @@ define checks_and_tests
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-sign-in bench-screen pictures clean
+.PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -222,11 +222,17 @@ bench-load: setup  ## 10,000 clients a minute on new TLS connections, replicas b
 bench-sign-in: setup  ## 1,000 wrong passwords a second for a minute, while a person signs in (ARGS="--addresses 500")
 	@$(BIN)/python -m benchmarks.sign_in $(ARGS)
 
+bench-vr: setup  ## virtual reality with an emulated headset: what the page works, and the way from a pose to its picture (ARGS="--seconds 20")
+	@$(BIN)/python -m benchmarks.humanoid_vr $(ARGS)
+
 bench-screen: setup  ## the screen in Chromium: response times and memory
 	@$(BIN)/python -m benchmarks.screen $(ARGS)
 
 pictures: setup  ## make the pictures of the documentation from the running product (needs Chromium)
 	@$(BIN)/python -m benchmarks.pictures $(ARGS)
+
+humanoid-figures: setup  ## the figures of CoSiMA from own runs, in webui/pictures
+	@$(BIN)/handover humanoid figures webui/pictures
 
 clean:  ## remove what setup made (not your data in .handover)
 	rm -rf $(VENV) $(ROS_VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -4,6 +4,7 @@ Nothing here drives a physical robot: assisted walking with one is not offered.
 """
 
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -169,11 +170,41 @@ def lead(
         raise UsageError(f"{robot} fell after {record.time_s[-1] - record.time_s[0]:.1f} s")
 
 
-def _imported() -> Any:
+@app.command()
+def figures(
+    into: Annotated[Path, typer.Argument(help="The directory of the pictures; it is made.")] = Path(
+        "figures"
+    ),
+    robot: Name = "coman",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the sensor noise.")] = 1,
+) -> None:
+    """Draw Figures 6c, 6d and 8 of CoSiMA from own runs: throws, solver times, a led walk of a minute."""
+    import numpy as np  # noqa: PLC0415 - only this command needs them
+
+    robots = _imported("matplotlib", extra="figures")
+    from services.whole_body_control.figures import draw_led_walk, draw_throws  # noqa: PLC0415
+    from services.whole_body_control.patterns.intention import INTENTIONS  # noqa: PLC0415
+
+    humanoid = robots.humanoid(robot)
+    into.mkdir(parents=True, exist_ok=True)
+    file = into / f"humanoid-throws-{robot}.png"
+    found = draw_throws(humanoid, file, seed)
+    print(
+        f"{file}: {len(found.errors_mm)} throws, median {np.median(found.errors_mm):.0f} mm off; solver "
+        f"median {np.median(found.solve_us):.0f} µs, 99 % {np.quantile(found.solve_us, 0.99):.0f} µs"
+    )
+    for intention in INTENTIONS:
+        file = into / f"humanoid-led-{robot}-{intention}.png"
+        record = draw_led_walk(humanoid, file, intention, seed)
+        fell = ", then it fell" if record.has_fallen else ""
+        print(f"{file}: {record.time_s[-1] - record.time_s[0]:.0f} s{fell}")
+
+
+def _imported(*more: str, extra: str = "whole-body") -> Any:
     """Return the module of the humanoids. Raises `UsageError` without the libraries it needs."""
-    missing = [name for name in ("daqp", "mujoco", "pinocchio") if find_spec(name) is None]
+    missing = [name for name in ("daqp", "mujoco", "pinocchio", *more) if find_spec(name) is None]
     if missing:
-        raise UsageError(f"this needs {', '.join(missing)}: pip install 'handover[whole-body]'")
+        raise UsageError(f"this needs {', '.join(missing)}: pip install 'handover[{extra}]'")
     from services.whole_body_control import robots  # noqa: PLC0415 - only these commands need it
 
     return robots

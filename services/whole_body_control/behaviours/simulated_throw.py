@@ -21,12 +21,14 @@ from services.whole_body_control.solvers.problem import Solver
 class ThrowRecord:
     """What a throw did: `landed` and `predicted` (3,) are in the frame in which the robot stood before it.
 
-    `predicted` follows from the estimated state at the release; the phases are in their order.
+    `predicted` follows from the estimated state at the release; the phases are in their order. `solve_s` (n,)
+    are the times of the solver, one a control period.
     """
 
     landed: Array
     predicted: Array
     phases: tuple[Phase, ...]
+    solve_s: Array
 
 
 class SimulatedThrow:
@@ -60,11 +62,12 @@ class SimulatedThrow:
         robot.hold(throw.grip)
         controller.throw(throw)
         landed, predicted = np.full(3, np.nan), np.full(3, np.nan)
-        phases = [Phase.REACHING]
+        phases, solve_s = [Phase.REACHING], list[float]()
         height_m, begun_s = float(throw.landing[2]), robot.time_s
         while controller.is_busy and robot.time_s - begun_s < throw.duration_s + 10.0:
             robot.read(self._sensors)
             state = controller.step(self._sensors, self._command)
+            solve_s.append(controller.last_step.solve_s)
             if state.phase is not phases[-1]:
                 phases.append(state.phase)
             self._between.start(self._command)
@@ -78,7 +81,7 @@ class SimulatedThrow:
                 if not before.held_by and np.isnan(landed[0]):
                     landed = _crossing(before.position, robot.ball.position, height_m)
         landed[:2] = turn(-yaw) @ (landed[:2] - place) + controller.start[:2]
-        return ThrowRecord(landed, predicted, tuple(phases))
+        return ThrowRecord(landed, predicted, tuple(phases), np.array(solve_s))
 
     def _stance(self) -> tuple[Array, float]:
         """Return place (2,) and yaw of the base."""
