@@ -77,7 +77,10 @@ class Verification:
 
 @dataclass(frozen=True, slots=True)
 class AuditFilter:
-    """Which records are read; None stands for all. `action` and `resource` are parts of the values."""
+    """Which records are read; None stands for all. `action` and `resource` are parts of the values.
+
+    `about` is a whole resource.
+    """
 
     subject: str | None = None
     action: str | None = None
@@ -85,6 +88,7 @@ class AuditFilter:
     outcome: str | None = None
     since_ms: int | None = None
     until_ms: int | None = None
+    about: str | None = None
 
 
 class AuditTables:
@@ -331,6 +335,8 @@ def _conditions(
         yield records.c.action.contains(chosen.action, autoescape=True)
     if chosen.resource is not None:
         yield resource.contains(chosen.resource, autoescape=True)
+    if chosen.about is not None:
+        yield resource == chosen.about
     if chosen.outcome is not None:
         yield records.c.outcome == chosen.outcome
     if chosen.since_ms is not None:

@@ -24,11 +24,11 @@ from services.human_state.monitoring.entities import HumanStates
 from services.human_state.monitoring.foxglove_feed import FoxgloveFeed
 from services.human_state.monitoring.history import HistoryWriter
 from services.human_state.monitoring.monitoring import Monitoring
-from services.human_state.monitoring.person_monitor import PersonMonitor
 from services.human_state.monitoring.processors import pipeline_of
 from services.human_state.monitoring.removal import Removal
 from services.human_state.people.people import People
 from services.human_state.recording.service import RecordingService
+from services.human_state.routes.access_routes import add_access_routes
 from services.human_state.routes.people_routes import Parts, add_people_routes
 from services.human_state.routes.recording_routes import add_recording_routes
 from services.human_state.routes.streams import add_streams
@@ -54,22 +54,13 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     history = HistoryWriter(store, monitoring, settings.health_history_days)
     breaks = BreakProposals(settings, guard.access)
     recording = RecordingService(
-        settings,
-        store=store,
-        people=people,
-        monitoring=monitoring,
-        tasks=tasks,
-        broker=broker,
-        writer=writer,
+        settings, store=store, people=people, monitoring=monitoring, tasks=tasks, broker=broker, writer=writer
     )
     removal = Removal(people, store, history, entities, recording.recordings.delete_of)
 
     def changed(name: str) -> None:
         monitoring.apply(name)
         recording.apply(name)
-
-    def strained(monitor: PersonMonitor) -> None:
-        tasks.start(breaks.propose, monitor)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -78,7 +69,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         async with broker, writer, tasks:
             people.on_changed = changed
             monitoring.on_stopped = entities.ended
-            monitoring.on_strain = strained
+            monitoring.on_strain = lambda monitor: tasks.start(breaks.propose, monitor)
             for person in people.all():
                 monitoring.apply(person.name)
             tasks.start_restarting(monitoring.run)
@@ -99,15 +90,17 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         breaks.close()
         engine.dispose()
 
+    audit = AuditTrail(settings, "human-state", engine)
     app = create_app(
         "Human state",
         description=__doc__ or "",
         lifespan=lifespan,
         checks={"broker": broker.probe, "storage": storage_check(settings.data_dir)},
         guard=guard,
-        audit=AuditTrail(settings, "human-state", engine),
+        audit=audit,
     )
     add_people_routes(app, Parts(people, monitoring, store, removal))
+    add_access_routes(app, people, audit)
     add_recording_routes(app, people, recording)
     add_streams(app, monitoring)
     return app

@@ -63,6 +63,8 @@ def test_a_person_consents_is_seen_live_and_is_deleted(
     expect(page.get_by_role("img", name="Pressure map of 3 by 4 cells")).to_be_visible()
     expect(page.get_by_role("region", name="Speed limit")).to_contain_text("No robot is bound")
     expect(page.get_by_role("img", name="Heart rate: least")).to_be_visible()
+    looked = page.get_by_role("region", name="Who looked at this data")
+    expect(looked).to_contain_text("Somebody on this machine stored the consent")
     accessible(page)
     keep(page, "health")
     for theme, language, size in (("dark", "de", None), ("light", "fi", PHONE)):

@@ -1,8 +1,8 @@
 """Routes for what is the caller's own: account, password, sessions."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
-from fastapi import FastAPI, Request
+from fastapi import FastAPI, Query, Request
 
 from handover.errors import Problem
 from handover.security.caller import Caller, CallerKind
@@ -12,11 +12,13 @@ from services.accounts import sessions, users
 from services.accounts.changes import Change
 from services.accounts.directory import Directory
 from services.accounts.grants import admin_names
+from services.accounts.names import subject_names
 from services.accounts.routes.bodies import PasswordChange
 from services.accounts.routes.views import MeView, SessionView, time_of
 from services.accounts.sessions import SessionLimits
 
 SignedIn = Annotated[Caller, require_signed_in()]
+MAX_NAMES: Final = 100
 
 
 def add_own_routes(app: FastAPI, directory: Directory) -> None:
@@ -39,6 +41,15 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
     async def admins() -> list[str]:
         """List the names of the users who can grant roles, for those who lack one."""
         return await directory.read(admin_names)
+
+    @app.get("/names", tags=["own account"], dependencies=[require_signed_in()])
+    async def names(subject: Annotated[list[str], Query(max_length=MAX_NAMES)]) -> dict[str, str]:
+        """Return the names of users and tokens by their random ids, without those that were deleted.
+
+        For those who see such ids, as in the list of who looked at the own health data.
+        """
+        known = await directory.read(subject_names)
+        return {one: known[one] for one in subject if one in known}
 
     @app.put("/me/password", status_code=204, tags=["own account"])
     async def change_password(caller: SignedIn, body: PasswordChange, request: Request) -> None:

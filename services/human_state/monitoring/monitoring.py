@@ -78,7 +78,7 @@ class Monitoring:
         self.sequence = 0
         self.on_stopped: Callable[[PersonMonitor], None] = lambda _: None
         """Called after a person's monitoring has ended."""
-        self.on_strain: Callable[[PersonMonitor], None] = lambda _: None
+        self.on_strain: Callable[[PersonMonitor], object] = lambda _: None
         self._settings = settings
         self._people = people
         self._access = access

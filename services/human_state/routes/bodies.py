@@ -238,3 +238,15 @@ class HistoryDuration(Body):
 
     value: str
     seconds: float
+
+
+class AccessView(Body):
+    """Somebody looked at the data of a person, or changed it; `subject` is a random id, `action` a route."""
+
+    number: int
+    at: datetime
+    subject: str
+    is_own: bool
+    """The caller did it."""
+    action: str
+    is_reading: bool

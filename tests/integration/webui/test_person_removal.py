@@ -1,4 +1,4 @@
-"""A Person is deleted everywhere, and the answer says what remains and why."""
+"""A Person sees who looked at the own health data, and is deleted everywhere, with what remains."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -75,3 +75,34 @@ def test_a_person_is_deleted_in_every_service_by_those_who_may(cell: Cell) -> No
     assert set(outcomes(owner.send("DELETE", "/api/persons/anna")).values()) == {"nothing", "unreachable"}
     for service in ("webui", "accounts", "study", "human-state"):
         assert owner.send("GET", f"/api/{service}/audit/verification").json()["fault"] is None
+
+
+def test_a_person_sees_who_looked_at_the_own_health_data(cell: Cell) -> None:
+    local = Browser(cell)
+    add_person(cell, local)
+    local.send("PUT", "/api/human-state/people/anna2", {})
+    owner = Browser(cell)
+    body = {"link": set_up(cell), "name": "Olga", "password": "correct horse battery"}
+    assert owner.begin("/api/session/link-use", body).status_code == 200
+    rosa = invited(cell, owner, "Rosa", {"role": "researcher", "resource": "*"})
+    anna = invited(cell, owner, "Anna")
+    subjects = {one["name"]: one["subject"] for one in owner.send("GET", "/api/accounts/users").json()}
+    change = {"person": PERSON}
+    assert owner.send("PATCH", f"/api/accounts/users/{subjects['Anna']}", change).status_code == 204
+    path = "/api/human-state/people/anna"
+    wait_for(lambda: rosa.send("GET", path).status_code == 200)
+    assert rosa.send("GET", "/api/human-state/people/anna2").status_code == 200
+    assert rosa.send("GET", f"{path}/accesses").status_code == 403, "it is in the audit log"
+    wait_for(lambda: anna.send("GET", f"{path}/accesses").status_code == 200)
+    seen = anna.send("GET", f"{path}/accesses").json()
+    assert [(one["subject"], one["action"], one["isReading"]) for one in seen] == [
+        (subjects["Rosa"], "GET /people/{person}", True),
+        ("local", "PUT /people/{person}", False),
+    ]
+    assert anna.send("GET", "/api/human-state/people/anna2/accesses").status_code == 403
+    older = anna.send("GET", f"{path}/accesses?before={seen[0]['number']}").json()
+    assert older == seen[1:]
+    assert owner.send("GET", f"{path}/accesses").json() == seen, "those who read the audit log see it"
+    asked = f"/api/accounts/names?subject={subjects['Rosa']}&subject=local"
+    assert anna.send("GET", asked).json() == {subjects["Rosa"]: "Rosa"}
+    assert httpx.get(f"{cell.url('accounts')}/names?subject=x", timeout=120).status_code == 401

@@ -13,6 +13,7 @@ import { useNow } from "~/live/clock";
 import { shortName } from "~/live/urn";
 import { useQueryParameter } from "~/route/queryParameter";
 import { mayDo, useSession } from "~/session/session";
+import { AccessCard } from "./AccessCard";
 import { ActivityCard } from "./ActivityCard";
 import { BaselineCard } from "./BaselineCard";
 import { ConsentForm } from "./ConsentForm";
@@ -98,6 +99,7 @@ function Person({ person, onChange }: { person: PersonView; onChange: () => void
       <RecordedCard person={person} onChange={onChange} onChangeConsent={() => setChanging(true)} />
       {(isChanging || !consents(person)) && <ConsentForm person={person} onDone={done} {...(isChanging ? { onCancel: () => setChanging(false) } : {})} />}
       {consents(person) && <Body person={person} onChange={onChange} />}
+      <AccessCard person={person} />
     </>
   );
 }

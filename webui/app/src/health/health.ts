@@ -96,6 +96,40 @@ export function consentState({ consent, purposes }: PersonView): "valid" | "none
   return consent.withdrawn === null ? "ended" : "withdrawn";
 }
 
+/** What a route gives or changes, as keys of texts. */
+const ACCESSED: Record<string, string> = {
+  "GET /people/{person}": "overview",
+  "PUT /people/{person}": "change",
+  "GET /people/{person}/state": "state",
+  "WebSocket /people/{person}/live": "live",
+  "WebSocket /people/{person}/values": "live",
+  "GET /people/{person}/limit": "limit",
+  "POST /people/{person}/limit/reset": "reset",
+  "GET /people/{person}/history/{feature}": "history",
+  "GET /people/{person}/history/{feature}/points": "history",
+  "GET /people/{person}/history/{feature}/durations": "history",
+  "GET /people/{person}/recordings": "recordings",
+  "GET /people/{person}/recordings/{recording}/file": "download",
+  "GET /people/{person}/recordings/{recording}/xdf": "download",
+  "GET /people/{person}/recordings/{recording}/bundle": "download",
+  "POST /people/{person}/recordings": "record",
+  "POST /people/{person}/recordings/{recording}/stop": "stop",
+  "POST /people/{person}/recordings/{recording}/markers": "mark",
+  "DELETE /people/{person}/recordings/{recording}": "deleteRecording",
+  "PUT /people/{person}/consent": "consent",
+  "DELETE /people/{person}/consent": "withdraw",
+  "DELETE /people/{person}/data": "deleteData",
+  "POST /people/{person}/baseline/rest": "baseline",
+  "POST /people/{person}/baseline/maximum": "baseline",
+  "PUT /sensors/{sensor}": "sensor",
+  "DELETE /sensors/{sensor}": "sensor",
+};
+
+/** The key of the text for an action of the audit log; null for one that is not known. */
+export function accessKey(action: string): string | null {
+  return ACCESSED[action] ?? null;
+}
+
 /** "2026-05-04", for a field of a date, in the time zone of the reader. */
 export function dateText(ms: number): string {
   const date = new Date(ms);
