@@ -15,7 +15,7 @@ from handover.security.guard import Guard, require
 from handover.security.permissions import Permission
 from handover.service import create_app
 from handover.storage import storage_check
-from ros_fiware_bridge import arms, mapping
+from ros_fiware_bridge import mapping, robot_sockets
 from ros_fiware_bridge.graph.joining import load_adapter
 from ros_fiware_bridge.inspection import graph_view
 from ros_fiware_bridge.joining import join
@@ -89,7 +89,7 @@ def make_app(settings: BridgeSettings) -> FastAPI:
         audit=AuditTrail(settings, "ros-bridge"),
     )
     _add_routes(app, holder, settings)
-    arms.add_routes(app, lambda: holder.get().graph)
+    robot_sockets.add_routes(app, lambda: holder.get().graph)
     return app
 
 

@@ -22,6 +22,9 @@ BROKER_UNAVAILABLE = Gauge("handover_bridge_broker_unavailable", "1 while the br
 ARM_WATCHDOG = Counter(
     "handover_bridge_arm_watchdog_stops_total", "Stops of an arm because its velocity commands ceased"
 )
+HUMANOID_WATCHDOG = Counter(
+    "handover_bridge_humanoid_watchdog_holds_total", "Holds of a humanoid because its commands ceased"
+)
 CHECKS = Counter(
     "handover_bridge_checks_total", "Checks of the topics and their publishers, one every second"
 )

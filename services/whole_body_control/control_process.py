@@ -5,7 +5,6 @@ with SIGTERM or SIGINT, after the robot stands. Everything else may stall, end o
 """
 
 import argparse
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from services.whole_body_control.behaviours.humanoid_component import PHASES, Hu
 from services.whole_body_control.behaviours.walking import WalkingSettings
 from services.whole_body_control.components.robot import Robot
 from services.whole_body_control.cycle.deployment import Deployment, read_deployment
+from services.whole_body_control.cycle.ending import EndBySignal
 from services.whole_body_control.cycle.loop import ControlLoop, CyclePorts, state_fields
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
 from services.whole_body_control.cycle.privileges import stop_collecting, use_real_time
@@ -86,21 +86,10 @@ def _to_read(path: Path, names: Sequence[str]) -> PortReader:
     return port
 
 
-class _End:
-    """Whether a signal asked the process to end."""
-
-    is_wanted = False
-
-    def __call__(self, *_: Any) -> None:
-        self.is_wanted = True
-
-
 def run(deployment: Deployment) -> None:
     """Run until a signal, and then until the robot stands. Raises `UsageError`."""
     loop, state = control_loop(deployment)
-    end = _End()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, end)
+    end = EndBySignal()
     granted = use_real_time(fifo=deployment.fifo)
     log.info("control cycle started", folder=str(deployment.folder), **granted)
     loop.warm_up()
@@ -116,6 +105,7 @@ def run(deployment: Deployment) -> None:
         loop.cycle()
         if loop.mode.is_final or (state.read() and state.value("phase") == PHASES.index("standing")):
             break
+    loop.robot.close()
     timing = loop.timing
     log.info("control cycle ended", cycles=timing.cycles, late=timing.late, lost=timing.lost)
 

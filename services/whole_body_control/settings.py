@@ -60,6 +60,10 @@ class WholeBodySettings(Settings):
         ge=1,
         description="the disk space of all recordings of the humanoid; the oldest are deleted beyond it",
     )
+    bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
+    bridge_url: str | None = Field(
+        None, description="where others reach the ROS bridge; http://host:port of it if absent"
+    )
     human_state_port: int = Field(54250, ge=1, le=65535, description="REST and WebSocket port of human state")
     human_state_url: str | None = Field(
         None, description="where others reach human state; http://host:port of it if absent"
@@ -88,6 +92,11 @@ class WholeBodySettings(Settings):
     def whole_body(self) -> str:
         """The URL of this service."""
         return self.url_of(self.whole_body_port, self.whole_body_url)
+
+    @property
+    def humanoid_bridge(self) -> str:
+        """The URL of the WebSocket for humanoids of the ROS bridge."""
+        return f"ws{self.url_of(self.bridge_port, self.bridge_url).removeprefix('http')}/humanoid"
 
     @property
     def human_state(self) -> str:

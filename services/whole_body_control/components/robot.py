@@ -115,6 +115,8 @@ class Robot(Protocol):
     """The modes of commands that it follows."""
     is_simulated: bool
     """Whether nobody can be hurt: only then it may be led by the hands of a person."""
+    delay_s: float
+    """How long ago the newest measurements were made, as far as the link to the robot shows it."""
 
     def read(self, sensors: RobotSensors) -> None:
         """Write the newest measurements into `sensors`."""
@@ -129,6 +131,10 @@ class Robot(Protocol):
 
     def wait(self) -> None:
         """Return when the next period of `period_s` begins."""
+        ...
+
+    def close(self) -> None:
+        """Leave the robot; a driver lets it hold."""
         ...
 
 

@@ -6,6 +6,7 @@ components:
   walking: {kind: walking, engine: stack, solver: fastest, mode: impedance, intention: lead, realtime: true}
   recorder: {kind: recorder, realtime: false}
 
+A robot in a process of its own is {kind: driver, driver: ros2, options: {…}, realtime: true}.
 The engine may be `projections`, the solver `daqp`, the mode of the joints `position` or `torque`, where the
 robot has it, the intention `manipulability`. A component that performs I/O cannot be real-time, and one that
 controls the joints must be.
@@ -13,7 +14,7 @@ controls the joints must be.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -46,6 +47,9 @@ class Component(_Strict):
     engine: EngineName = DEFAULT_ENGINE
     mode: JointMode = JointMode.IMPEDANCE
     intention: IntentionName = DEFAULT_INTENTION
+    driver: str = "simulated"
+    """Of a robot of the kind `driver`, with its options."""
+    options: Mapping[str, Any] = Field(default_factory=dict)
 
 
 class Deployment(_Strict):

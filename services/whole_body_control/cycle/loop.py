@@ -27,7 +27,7 @@ from services.whole_body_control.model.kinematics import Array
 WISH_TIMEOUT_S = 0.3
 MAX_FAULTS = 10
 WARM_UP_CYCLES = 250
-STATUS = ("robot_time_s", "mode", "wish_age_s")
+STATUS = ("robot_time_s", "mode", "wish_age_s", "robot_delay_s")
 
 
 class Mode(IntEnum):
@@ -143,6 +143,7 @@ class ControlLoop(Generic[R, C]):
             self._control()
         state, status = self._state, len(STATUS)
         state[0], state[1], state[2] = self._sensors.time_s, self.mode, age_s
+        state[3] = self.robot.delay_s
         self.timing.write_figures(state[status : status + len(FIGURES)])
         self.controller.write_state(state[status + len(FIGURES) :])
         self._ports.state.write(state)

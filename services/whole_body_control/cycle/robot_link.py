@@ -28,7 +28,7 @@ LED_REFUSED = (
 REFUSED_S = 1.0
 """An older command is refused no longer: it has ended."""
 _OFFERS = "mode."
-_STATUS = ("time_s", "safety", "stalls")
+_STATUS = ("time_s", "safety", "stalls", "delay_s")
 _HEAD = 2
 """The values of a command before its joints."""
 
@@ -65,12 +65,14 @@ class PortRobot:
         if self._sensors.names != sensor_fields(humanoid, self.modes):
             raise UsageError(f"the port {folder / SENSORS} is not of a driver of {humanoid.name}")
         self._command = PortWriter(folder / COMMAND, command_fields(humanoid))
+        self.delay_s = np.nan
         self._values = np.zeros(len(self._command.names))
 
     def read(self, sensors: RobotSensors) -> None:
         """Write the newest measurements into `sensors`; NaN where the driver sends none."""
         port = self._sensors
         is_new = port.read() and port.age_s() < SENSOR_TIMEOUT_S
+        self.delay_s = float(port.values[3]) + port.age_s()
         sensors.time_s, end = float(port.values[0]), self._first
         for part in _parts(sensors):
             part[:] = port.values[end : end + len(part)] if is_new else np.nan
@@ -85,6 +87,10 @@ class PortRobot:
 
     def wait(self) -> None:
         """Return at once: the cycle is paced by its own clock."""
+
+    def close(self) -> None:
+        """Let another process command the robot."""
+        self._command.close()
 
 
 class Driver:
@@ -121,7 +127,9 @@ class Driver:
         self.refusal = self._refused() if age_s < REFUSED_S else ""
         if self.refusal:
             age_s = np.inf
-        self.robot.write(self.watchdog.choose(self._command, age_s, self._sensors))
+        chosen = self.watchdog.choose(self._command, age_s, self._sensors)
+        if chosen is not None:
+            self.robot.write(chosen)
         self.robot.wait()
         return self.watchdog.state
 
@@ -134,6 +142,7 @@ class Driver:
         values, end = self._values, self._first
         values[len(_STATUS) : end] = 1.0
         values[0], values[1], values[2] = self._sensors.time_s, self.watchdog.state, self.watchdog.stalls
+        values[3] = self.robot.delay_s
         for part in _parts(self._sensors):
             values[end : end + len(part)] = part
             end += len(part)

@@ -52,9 +52,14 @@ class Watchdog:
         self._mode = next(iter(self._conversions))
         self._upwards, self._tilted_s, self._period_s = np.zeros(3), 0.0, period_s
 
-    def choose(self, command: JointCommand, age_s: float, sensors: RobotSensors) -> JointCommand:
-        """Return what to send: the newest command of an age in s, or a safe one."""
+    def choose(self, command: JointCommand, age_s: float, sensors: RobotSensors) -> JointCommand | None:
+        """Return what to send: the newest command of an age in s, or a safe one.
+
+        None means to send nothing: the robot has not been measured yet, or not for torques.
+        """
         if not self._upwards.any():
+            if not sensors.is_finite:
+                return None
             self._upwards[:] = sensors.accelerometer
             self._held.positions[:] = sensors.positions
         if self.state is Safety.DAMPED:
@@ -69,11 +74,14 @@ class Watchdog:
         self._watch(sensors)
         return self._safe(sensors)
 
-    def _safe(self, sensors: RobotSensors) -> JointCommand:
-        held = self._held
-        if self._mode is JointMode.POSITION and self.state is Safety.DAMPED:
+    def _safe(self, sensors: RobotSensors) -> JointCommand | None:
+        held, conversion = self._held, self._conversions[self._mode]
+        follows = self._mode is JointMode.POSITION and self.state is Safety.DAMPED
+        if (follows or conversion.needs_sensors) and not sensors.is_finite:
+            return None
+        if follows:
             held.positions[:] = sensors.positions
-        return self._conversions[self._mode].convert(held, sensors)
+        return conversion.convert(held, sensors)
 
     def _hold(self, command: JointCommand) -> None:
         held = self._held

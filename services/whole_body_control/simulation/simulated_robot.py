@@ -42,7 +42,7 @@ class SimulatedRobot:
     It has the modes of its model.
     """
 
-    is_simulated = True
+    is_simulated, delay_s = True, 0.0
 
     def __init__(
         self, humanoid: Humanoid, q: Array, noise: SensorNoise = QUIET, seed: int = 0, model: Any = None
@@ -123,6 +123,9 @@ class SimulatedRobot:
         else:
             self._data.xfrc_applied[self._root] = 0.0
         mujoco.mj_step(self.model, self._data)
+
+    def close(self) -> None:
+        """Nothing is left open."""
 
     def push(self, impulse_ns: Array, duration_s: float = 0.1) -> None:
         """Push the root link with an impulse (3,) in N s, as a constant force from now on."""
