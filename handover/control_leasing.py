@@ -74,6 +74,12 @@ class OpenSessions:
             if (session := self._sessions.get(lease.session)) is not None:
                 session.end()
 
+    def end_all(self, code: int, reason: str) -> None:
+        """End all sessions; the robots stop."""
+        for session_id, session in tuple(self._sessions.items()):
+            self._endings[session_id] = code, reason
+            session.end()
+
     def remove(self, session_id: str) -> tuple[int, str] | None:
         """Remove a session that has ended; return the close code and the reason if others ended it."""
         self._sessions.pop(session_id, None)

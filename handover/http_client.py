@@ -99,6 +99,8 @@ class Address:
     tls: bool
     target: str
     host_header: str
+    tls_name: str = ""
+    """The name that its certificate must have, if that is not `host`."""
 
 
 @lru_cache(maxsize=4096)
@@ -506,7 +508,7 @@ class PooledHttpClient:
                     resolved,
                     where.port,
                     ssl=tls,
-                    server_hostname=where.host if tls else None,
+                    server_hostname=(where.tls_name or where.host) if tls else None,
                 )
             except OSError as error:
                 failure = error

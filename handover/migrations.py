@@ -6,7 +6,8 @@ database of a later release, or of a format that was never released, is refused 
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from sqlalchemy import (
@@ -20,6 +21,7 @@ from sqlalchemy import (
     insert,
     inspect,
     select,
+    text,
     update,
 )
 
@@ -43,8 +45,33 @@ def migrate(
     """Bring the `tables` of `component` to `version` in one transaction; create all in a new database.
 
     `steps[n]` migrates from version n to n + 1. Raises `UsageError` if a later release has written the
-    tables, or if their format was never released.
+    tables, or if their format was never released. Of replicas that start together one migrates, and the
+    others wait for it.
     """
+    with _alone(engine, component):
+        _migrate(engine, tables, component, version, steps or {})
+
+
+@contextmanager
+def _alone(engine: Engine, component: str) -> Iterator[None]:
+    """Hold the lock of the migrations of a component in a PostgreSQL database."""
+    if engine.dialect.name != "postgresql":
+        yield
+        return
+    name = {"name": f"handover migrations of {component}"}
+    with engine.connect() as connection:
+        connection.execute(text("SELECT pg_advisory_lock(hashtext(:name))"), name)
+        connection.commit()
+        try:
+            yield
+        finally:
+            connection.execute(text("SELECT pg_advisory_unlock(hashtext(:name))"), name)
+            connection.commit()
+
+
+def _migrate(
+    engine: Engine, tables: MetaData, component: str, version: int, steps: Mapping[int, Step]
+) -> None:
     versions = _version_table(component)
     before = _version(engine, versions)
     if before is None:
@@ -72,7 +99,7 @@ def migrate(
             return
         connection.execute(select(versions).with_for_update())
         for step in range(before, version):
-            (steps or {})[step](connection)
+            steps[step](connection)
         connection.execute(update(versions).values(version=version))
 
 

@@ -32,6 +32,7 @@ class CertificateInvalid(UsageError):
 class _Loaded:
     context: ssl.SSLContext
     expires: datetime
+    name: str
     signature: Signature
 
 
@@ -68,6 +69,11 @@ class ServerCertificate:
     def expires(self) -> datetime:
         """When the certificate in use expires."""
         return self._loaded.expires
+
+    @property
+    def name(self) -> str:
+        """A name that the certificate has, for a client that knows the address of this server otherwise."""
+        return self._loaded.name
 
     def reload(self) -> bool:
         """Load changed files; return whether new connections have another certificate from now on.
@@ -113,7 +119,7 @@ class ServerCertificate:
         self._ask_clients(context)
         if signature != self._signature():
             raise CertificateInvalid(f"the certificate {self.path} changed while it was read; try again")
-        return _Loaded(context, _expiry(pem), signature)
+        return _Loaded(context, *_expiry_and_name(pem), signature)
 
     def _ask_clients(self, context: ssl.SSLContext) -> None:
         if self._client_authority is None:
@@ -141,8 +147,15 @@ class ServerCertificate:
         )
 
 
-def _expiry(pem: bytes) -> datetime:
-    """Return when the first certificate, that of the server, expires."""
-    from cryptography.x509 import load_pem_x509_certificates  # noqa: PLC0415 - 30 ms, only with TLS
+def _expiry_and_name(pem: bytes) -> tuple[datetime, str]:
+    """Return when the first certificate, that of the server, expires, and the first name that it has."""
+    from cryptography import x509  # noqa: PLC0415 - 30 ms, only with TLS
 
-    return load_pem_x509_certificates(pem)[0].not_valid_after_utc
+    found = x509.load_pem_x509_certificates(pem)[0]
+    try:
+        names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return found.not_valid_after_utc, ""
+    hosts = names.get_values_for_type(x509.DNSName)
+    addresses = [str(one) for one in names.get_values_for_type(x509.IPAddress)]
+    return found.not_valid_after_utc, next(iter([*hosts, *addresses]), "").replace("*", "any")

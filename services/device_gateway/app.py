@@ -1,18 +1,21 @@
 """The device gateway: devices and robots join over TCP and TLS, and are commanded and observed by REST."""
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
 
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
+from handover.control_leasing import OpenSessions
 from handover.database import connect
 from handover.latest_value_writer import LatestValueWriter
+from handover.leadership import Leadership
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
 from handover.service import create_app
 from handover.storage import storage_check
+from services.device_gateway import metrics
 from services.device_gateway.adapters.base import configured
 from services.device_gateway.anomalies.anomalies import Anomalies
 from services.device_gateway.anomalies.monitor import Monitor
@@ -28,13 +31,17 @@ from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.protocol.times import TimeRule
 from services.device_gateway.registry.device import Device
 from services.device_gateway.relaying import EdgeRelays
+from services.device_gateway.replicas.following import Following
+from services.device_gateway.replicas.forwarding import ToLeader
+from services.device_gateway.replicas.leading import begin_term, leader_at
+from services.device_gateway.replicas.sessions import ReplicaSessions
 from services.device_gateway.routes.adapter_routes import add_adapter_routes
 from services.device_gateway.routes.anomaly_routes import add_anomaly_routes
 from services.device_gateway.routes.camera_routes import add_camera_routes
 from services.device_gateway.routes.command_routes import add_command_routes
 from services.device_gateway.routes.control_routes import add_control_routes
 from services.device_gateway.routes.device_routes import add_device_routes
-from services.device_gateway.routes.drive_routes import add_drive_routes
+from services.device_gateway.routes.drive_routes import AWAY_CODE, add_drive_routes
 from services.device_gateway.routes.history_routes import add_history_routes
 from services.device_gateway.settings import GatewaySettings
 from services.device_gateway.storage import schema
@@ -49,81 +56,135 @@ def make_app(settings: GatewaySettings) -> FastAPI:
 
 
 def _central_app(settings: GatewaySettings) -> FastAPI:
-    engine = connect(settings.database("devices"))
-    guard = Guard(settings, "device-gateway")
-    broker = BrokerClient(settings, credentials=guard.access)
-    history = HistoryWriter(engine)
-    dispatcher = Dispatcher(engine, history, settings.device_ack_timeout_s)
-    reports = BrokerReports(
-        settings, broker, settings.device_report_interval_s, settings.device_reports_per_s
-    )
-    times = TimeRule(settings.device_max_age_h * 3600, settings.device_max_ahead_s)
-    gateway = DeviceGateway(engine, history, dispatcher, reports, times)
-    device_tasks = DeviceTasks(settings, broker, gateway)
-    edge_times = TimeRule(settings.device_edge_max_age_h * 3600, settings.device_max_ahead_s)
-    relays = EdgeRelays(gateway, edge_times)
-    server = DeviceServer(settings, gateway, relays)
-    adapters = configured(settings, gateway)
-    anomalies = Anomalies(settings, engine, history, broker, guard.access)
-    monitor = anomalies.monitor
-
-    inputs, images = DeviceInputs(settings, gateway), CameraImages()
-
-    @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        schema.prepare(engine)
-        await gateway.load()
-        async with broker, BackgroundTasks("device gateway") as tasks, inputs, LatestValueWriter() as writer:
-            entities = RegistryEntities(settings, broker, writer)
-            certificates = CertificateAlerts(settings, broker, gateway.devices)
-            changed = _follow_changes(
-                gateway,
-                entities=entities,
-                certificates=certificates,
-                monitor=monitor,
-                device_tasks=device_tasks,
-                relays=relays,
-                images=images,
-                tasks=tasks,
-            )
-            gateway.on_values = monitor.observe
-            tasks.start(history.run)
-            tasks.start_restarting(dispatcher.run)
-            tasks.start_restarting(reports.run)
-            tasks.start_restarting(certificates.run)
-            tasks.start_restarting(keep_retention, history, rule_of(settings))
-            await anomalies.load()
-            async with device_tasks:
-                for device in gateway.devices.values():
-                    changed(device)
-                for work in (*anomalies.work(), *(adapter.run for adapter in adapters.values())):
-                    tasks.start_restarting(work)
-                async with server:
-                    yield
-        await history.close()
-        engine.dispose()
-
+    parts = _Parts(settings)
+    gateway, engine = parts.gateway, parts.engine
     app = create_app(
         "Device gateway",
         description=__doc__ or "",
-        lifespan=lifespan,
+        lifespan=parts.lifespan,
         checks={
-            "broker": broker.probe,
-            "tasks": device_tasks.probe,
+            "broker": parts.broker.probe,
+            "tasks": parts.check_tasks,
             "storage": storage_check(settings.data_dir),
         },
-        guard=guard,
+        guard=parts.guard,
         audit=AuditTrail(settings, "device-gateway", engine),
     )
-    device_tasks.mount(app)
-    add_device_routes(app, settings, gateway, engine, broker)
-    add_adapter_routes(app, adapters)
-    add_command_routes(app, gateway, engine)
-    _add_routes_of_control(app, settings, gateway, inputs)
+    app.add_middleware(ToLeader, settings=settings, gateway=gateway, following=parts.following)
+    parts.device_tasks.mount(app)
+    add_device_routes(app, settings, gateway, engine, parts.broker)
+    add_adapter_routes(app, parts.adapters)
+    add_command_routes(app, parts.dispatcher, gateway, engine)
+    add_control_routes(app, settings, gateway, parts.inputs)
+    add_drive_routes(app, gateway, parts.drives)
     add_history_routes(app, gateway, engine)
-    add_camera_routes(app, settings, gateway, images)
-    add_anomaly_routes(app, settings, gateway, engine, anomalies)
+    add_camera_routes(app, settings, gateway, parts.images)
+    add_anomaly_routes(app, settings, gateway, engine, parts.anomalies)
     return app
+
+
+class _Parts:
+    """The parts of a central gateway. Of several replicas one leads, and the others relay to it."""
+
+    def __init__(self, settings: GatewaySettings) -> None:
+        engine = self.engine = connect(settings.database("devices"))
+        self.settings = settings
+        self.guard = Guard(settings, "device-gateway")
+        self.broker = BrokerClient(settings, credentials=self.guard.access)
+        self.history = HistoryWriter(engine)
+        self.dispatcher = Dispatcher(engine, self.history, settings.device_ack_timeout_s)
+        self.reports = BrokerReports(
+            settings, self.broker, settings.device_report_interval_s, settings.device_reports_per_s
+        )
+        times = TimeRule(settings.device_max_age_h * 3600, settings.device_max_ahead_s)
+        gateway = DeviceGateway(engine, self.history, self.dispatcher, self.reports, times)
+        self.gateway = gateway
+        self.device_tasks = DeviceTasks(settings, self.broker, gateway, self.dispatcher)
+        edge_times = TimeRule(settings.device_edge_max_age_h * 3600, settings.device_max_ahead_s)
+        self.relays = EdgeRelays(gateway, edge_times)
+        self.server = DeviceServer(settings, gateway, self.relays)
+        self.replicas = self.server.replicas = ReplicaSessions(gateway, edge_times)
+        self.following = Following(settings, engine, gateway, edge_times, self.relays)
+        self.leadership = Leadership(engine, "device-gateway")
+        self.adapters = configured(settings, gateway)
+        self.anomalies = Anomalies(settings, engine, self.history, self.broker, self.guard.access)
+        self.inputs, self.images = DeviceInputs(settings, gateway), CameraImages()
+        self.drives = OpenSessions()
+
+    @asynccontextmanager
+    async def lifespan(self, _: FastAPI) -> AsyncIterator[None]:
+        """Serve devices; lead, or relay to the replica that does."""
+        schema.prepare(self.engine)
+        async with self.broker, BackgroundTasks("history of devices") as tasks:
+            tasks.start(self.history.run)
+            if self.gateway.is_shared:
+                await self.gateway.load_devices()
+                self.following.begin()
+            async with self.leadership.led(self.lead), self.server:
+                yield
+            await self.following.end()
+        await self.history.close()
+        self.engine.dispose()
+
+    @asynccontextmanager
+    async def lead(self) -> AsyncIterator[None]:
+        """Do what one process does for all."""
+        gateway, monitor = self.gateway, self.anomalies.monitor
+        try:
+            leader = leader_at(self.settings, self.server.tls_name)
+            await self.following.end()
+            await begin_term(self.leadership, gateway, leader)
+            gateway.dispatcher, gateway.reports = self.dispatcher, self.reports
+            await gateway.load()
+            self.following.take_over()
+            self.replicas.token = leader.token
+            async with (
+                BackgroundTasks("device gateway") as tasks,
+                self.inputs,
+                LatestValueWriter() as writer,
+            ):
+                entities = RegistryEntities(self.settings, self.broker, writer)
+                certificates = CertificateAlerts(self.settings, self.broker, gateway.devices)
+                await self.anomalies.load()
+                changed = _follow_changes(
+                    gateway,
+                    entities=entities,
+                    certificates=certificates,
+                    monitor=monitor,
+                    device_tasks=self.device_tasks,
+                    others=(self.relays, self.replicas),
+                    images=self.images,
+                    tasks=tasks,
+                )
+                gateway.on_values = monitor.observe
+                tasks.start_restarting(self.dispatcher.run)
+                tasks.start_restarting(self.reports.run)
+                tasks.start_restarting(certificates.run)
+                tasks.start_restarting(keep_retention, self.history, rule_of(self.settings))
+                async with self.device_tasks:
+                    for device in gateway.devices.values():
+                        changed(device)
+                    adapters = (adapter.run for adapter in self.adapters.values())
+                    for work in (*self.anomalies.work(), *adapters):
+                        tasks.start_restarting(work)
+                    metrics.LEADS.set(1)
+                    yield
+        finally:
+            metrics.LEADS.set(0)
+            self.replicas.close()
+            self.drives.end_all(AWAY_CODE, "another gateway leads")
+            self.dispatcher.clear()
+            self.history.discard_commands()
+            self.history.term = None
+            if gateway.is_shared:
+                self.following.begin()
+
+    async def check_tasks(self) -> None:
+        """Raise an error while Tasks are not performed here, nor by a leader that is connected."""
+        if self.following.is_active:
+            await self.following.check()
+        else:
+            await self.device_tasks.probe()
 
 
 def _follow_changes(
@@ -133,7 +194,7 @@ def _follow_changes(
     certificates: CertificateAlerts,
     monitor: Monitor,
     device_tasks: DeviceTasks,
-    relays: EdgeRelays,
+    others: Sequence[EdgeRelays | ReplicaSessions],
     images: CameraImages,
     tasks: BackgroundTasks,
 ) -> Callable[[Device], None]:
@@ -143,7 +204,8 @@ def _follow_changes(
         entities.write(device)
         monitor.set_device(device.name, device.values)
         certificates.request()
-        relays.changed(device)
+        for other in others:
+            other.changed(device)
         tasks.start(device_tasks.follow, device.name)
 
     def removed(name: str) -> None:
@@ -151,16 +213,10 @@ def _follow_changes(
         entities.delete(name)
         monitor.set_device(name, None)
         certificates.request()
-        relays.removed(name)
+        for other in others:
+            other.removed(name)
         images.delete(name)
 
     gateway.on_changed, gateway.on_removed = changed, removed
     gateway.on_image = images.put_part
     return changed
-
-
-def _add_routes_of_control(
-    app: FastAPI, settings: GatewaySettings, gateway: DeviceGateway, inputs: DeviceInputs
-) -> None:
-    add_control_routes(app, settings, gateway, inputs)
-    add_drive_routes(app, gateway)

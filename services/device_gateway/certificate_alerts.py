@@ -54,6 +54,7 @@ class CertificateAlerts:
     async def run(self) -> None:
         """Look every minute and after changes, until cancelled."""
         backoff = Backoff()
+        self._active = None
         while True:
             self._changed.clear()
             try:

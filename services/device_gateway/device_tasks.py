@@ -15,6 +15,7 @@ from handover.outcomes import outcome_unknown
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
 from handover.telemetry import get_logger
 from services.device_gateway.commands.command import Command, CommandState
+from services.device_gateway.commands.dispatcher import Dispatcher
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.registry.entities import SOURCE, device_id
 from services.device_gateway.settings import GatewaySettings
@@ -30,9 +31,12 @@ _NOT_PARAMETERS: Final = frozenset({"operation", "timeoutS", "description"})
 class DeviceTasks(Performer):
     """Performs the Tasks of all registered devices that take commands."""
 
-    def __init__(self, settings: GatewaySettings, broker: BrokerClient, gateway: DeviceGateway) -> None:
+    def __init__(
+        self, settings: GatewaySettings, broker: BrokerClient, gateway: DeviceGateway, dispatcher: Dispatcher
+    ) -> None:
         super().__init__(SOURCE, settings, broker, notify_url=f"{settings.service_url}/notifications")
         self._gateway = gateway
+        self._dispatcher = dispatcher
         self._timeout_s = settings.device_task_timeout_s
         self._names: dict[str, str] = {}
 
@@ -60,7 +64,7 @@ class DeviceTasks(Performer):
         identifier = f"task-{hashlib.sha256(job.task.id.encode()).hexdigest()[:32]}"
         try:
             device = self._gateway.device(self._names[job.resource])
-            command = await self._gateway.dispatcher.order(
+            command = await self._dispatcher.order(
                 device.name,
                 device.stored.description,
                 operation,
@@ -74,7 +78,7 @@ class DeviceTasks(Performer):
         return self._outputs(command)
 
     async def _follow_to_end(self, job: Job, command: Command) -> Command:
-        dispatcher = self._gateway.dispatcher
+        dispatcher = self._dispatcher
         cancelled = False
         while command.is_open:
             if command.progress is not None:

@@ -101,13 +101,22 @@ class DeviceGateway(DeviceRegistry):
         """At an edge it is called with both instead."""
         self.on_disconnected: Callable[[str], None] = lambda _: None
         self.edge_marks = EdgeMarks({})
+        self.is_shared = engine.dialect.name == "postgresql"
+        """Whether other processes may use the database: replicas of this gateway."""
         self._times = times
 
     async def load(self) -> None:
         """Read the devices, their latest values and their open commands."""
-        await super().load()
-        self.edge_marks = EdgeMarks(await asyncio.to_thread(device_store.edge_marks, self._engine))
+        await self.load_devices()
+        await self.read_edge_marks()
         await self.dispatcher.load()
+        for device in self.devices.values():
+            if device.link is not None:
+                self.dispatcher.connect(device.name, device.link)
+
+    async def read_edge_marks(self) -> None:
+        """Read what is stored of the edges."""
+        self.edge_marks.merge(await asyncio.to_thread(device_store.edge_marks, self._engine))
 
     # Connections
 
@@ -117,17 +126,20 @@ class DeviceGateway(DeviceRegistry):
         `certificate_sha256` is the fingerprint of the client certificate, empty without one. It counts only
         if the hello has no token.
         """
-        try:
-            if hello.token or not certificate_sha256:
-                device = self.with_token(hello.device, hello.token)
-            else:
-                device = self.with_certificate(hello.device, certificate_sha256)
-        except (WrongToken, WrongCertificate) as wrong:
-            # An edge may not know yet a device that was registered at the centre a moment ago.
-            raise Refused(wrong.code, str(wrong), retry=self.writer.outbox is not None) from None
+        device = self.authenticated(hello, certificate_sha256)
         session = self._begin(device, hello.boot, link)
         device.drives = hello.drives
         return session
+
+    def authenticated(self, hello: Hello, certificate_sha256: str = "") -> Device:
+        """Return the device of a hello, as for `connect`; raise `Refused`."""
+        try:
+            if hello.token or not certificate_sha256:
+                return self.with_token(hello.device, hello.token)
+            return self.with_certificate(hello.device, certificate_sha256)
+        except (WrongToken, WrongCertificate) as wrong:
+            # An edge may not know yet a device that was registered at the centre a moment ago.
+            raise Refused(wrong.code, str(wrong), retry=self.writer.outbox is not None) from None
 
     def attach(self, name: str, link: Link, boot: str = "") -> Session:
         """Begin the session of a device that an adapter has identified by other means than a token.

@@ -38,6 +38,10 @@ REPORTS = Counter("handover_device_reports_total", "Devices written to the broke
 ADAPTER_CONNECTED = Gauge(
     "handover_device_adapter_connected", "Whether an adapter reaches its devices or server", ["adapter"]
 )
+REPLICAS = Gauge(
+    "handover_device_replicas", "Other replicas of the gateway that relay to this one, the leader"
+)
+LEADS = Gauge("handover_device_gateway_leads", "Whether this replica of the gateway leads")
 ANOMALIES = Counter("handover_device_anomalies_total", "Alarms of rules that went on or off", ["change"])
 WATCHES = Gauge("handover_device_watches", "Values of devices that rules watch")
 PROCESSES = Counter("handover_device_processes_total", "Processes that alarms were to start", ["outcome"])

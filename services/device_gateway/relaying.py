@@ -16,6 +16,7 @@ delivers late what was sent before, and no robot may move by it. An input that h
 """
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -73,15 +74,12 @@ class RelayedLink:
         self._relay.end_device(self._name, self, code, reason, retry=retry)
 
 
-class RelaySession:
-    """An edge over one connection, after its hello was accepted."""
+class RelaySession(ABC):
+    """Another gateway over one connection, after its hello was accepted; it relays devices."""
 
-    def __init__(self, relays: "EdgeRelays", session: Session, link: Link, hello: RelayHello) -> None:
-        self.edge = session.device
-        self.stream = hello.stream
-        self._relays = relays
-        self._gateway = relays.gateway
-        self._session = session
+    def __init__(self, gateway: DeviceGateway, name: str, link: Link) -> None:
+        self.name = name
+        self.gateway = gateway
         self._link = link
         self._granted: set[str] = set()
         self._devices: dict[str, tuple[Session, RelayedLink]] = {}
@@ -89,19 +87,33 @@ class RelaySession:
         self._pongs: dict[int, float] = {}
         self._is_ended = False
 
+    @abstractmethod
     def may_relay(self, device: Device) -> bool:
-        """Return whether a device was granted to this edge."""
-        return self.edge.name in {device.stored.description.edge, device.name}
+        """Return whether messages of a device are accepted."""
+
+    @abstractmethod
+    def received(self) -> int:
+        """Return the number of the last message that was received."""
+
+    @abstractmethod
+    def store(self, device: Device, given: Relayed) -> list[Mapping[str, Any]]:
+        """Process a new message of a device; return the errors that answer it."""
+
+    @abstractmethod
+    def acknowledge(
+        self, answers: list[Mapping[str, Any]], last: int | None, is_new: bool, respond: Respond
+    ) -> None:
+        """Respond once what was received up to the number `last`, now and before, is durable."""
 
     def begin(self) -> None:
-        """Send what the edge may relay."""
-        granted = [device for device in self._gateway.devices.values() if self.may_relay(device)]
+        """Send which devices are relayed."""
+        granted = [device for device in self.gateway.devices.values() if self.may_relay(device)]
         for device in granted:
             self.send_device(device)
         self._link.send({"type": "devices", "names": [device.name for device in granted]})
 
     def send_device(self, device: Device) -> None:
-        """Send a device that the edge may relay."""
+        """Send a device that may be relayed."""
         stored = device.stored
         self._granted.add(device.name)
         self._link.send(
@@ -117,8 +129,15 @@ class RelaySession:
             }
         )
 
+    def changed(self, device: Device) -> None:
+        """A device was added or changed: it is sent, or taken back."""
+        if self.may_relay(device):
+            self.send_device(device)
+        else:
+            self.withdraw(device.name)
+
     def withdraw(self, name: str) -> None:
-        """Take a device from the edge, if it had it: it was deleted, or granted to another edge."""
+        """Take a device back, if it was sent: it was deleted, or granted to another edge."""
         if name not in self._granted:
             return
         self._granted.remove(name)
@@ -128,10 +147,9 @@ class RelaySession:
         self._link.send({"type": "removed", "name": name})
 
     def receive(self, lines: Sequence[bytes], respond: Respond) -> None:
-        """Process lines of the edge; `respond` is called once the messages are durable."""
-        marks = self._gateway.edge_marks
+        """Process lines; `respond` is called once the messages are durable."""
         answers: list[Mapping[str, Any]] = []
-        before = last = marks.received(self.edge.name, self.stream)
+        before = last = self.received()
         is_relayed = False
         for line in lines:
             try:
@@ -140,11 +158,7 @@ class RelaySession:
                 answers.append({"type": "error", "seq": bad.seq, "code": bad.code, "reason": str(bad)})
                 continue
             if isinstance(given, Ping):
-                self._ping = given.n, time.monotonic()
-                self._pongs[given.n] = self._ping[1]
-                if len(self._pongs) > MAX_PONGS:
-                    del self._pongs[next(iter(self._pongs))]
-                self._link.send({"type": "pong", "n": given.n})
+                self._answer_ping(given)
             elif isinstance(given, Live):
                 self._pass_on(given)
             elif isinstance(given, Presence):
@@ -157,7 +171,7 @@ class RelaySession:
                 else:
                     RELAYED.labels("repeated").inc()
         if answers or is_relayed:
-            self._answer(answers, last if is_relayed else None, last > before, respond)
+            self.acknowledge(answers, last if is_relayed else None, last > before, respond)
 
     def deliver(self, name: str, message: Mapping[str, Any]) -> None:
         """Send a message to a device."""
@@ -167,25 +181,38 @@ class RelaySession:
         """Send a message to a device unless it would wait."""
         return self._link.send_latest(self._delivery(name, message))
 
-    def end_device(self, name: str, link: RelayedLink, code: str, reason: str, *, retry: bool) -> None:
-        """Let the edge end the connection of a device."""
+    def end_device(self, name: str, link: RelayedLink | None, code: str, reason: str, *, retry: bool) -> None:
+        """Let the other side end the connection of a device; None for one that never had a session."""
         found = self._devices.get(name)
         if found is not None and found[1] is link:
             del self._devices[name]
         end = {"type": "end", "device": name, "code": code, "reason": reason, "retry": retry}
         self._link.send(end)
 
+    def close(self, code: str, reason: str) -> None:
+        """End the connection; the other side connects again."""
+        self._link.end(code, reason, retry=True)
+
     def end(self) -> None:
         """The connection has ended, and with it those of all its devices."""
         if self._is_ended:
             return
         self._is_ended = True
-        if self._relays.sessions.get(self.edge.name) is self:
-            del self._relays.sessions[self.edge.name]
         for session, _ in tuple(self._devices.values()):
             session.end()
         self._devices.clear()
-        self._session.end()
+        self.on_end()
+
+    @abstractmethod
+    def on_end(self) -> None:
+        """The sessions of all devices have ended."""
+
+    def _answer_ping(self, given: Ping) -> None:
+        self._ping = given.n, time.monotonic()
+        self._pongs[given.n] = self._ping[1]
+        if len(self._pongs) > MAX_PONGS:
+            del self._pongs[next(iter(self._pongs))]
+        self._link.send({"type": "pong", "n": given.n})
 
     def _delivery(self, name: str, message: Mapping[str, Any]) -> dict[str, Any]:
         delivery: dict[str, Any] = {"type": "deliver", "device": name, "message": message}
@@ -195,24 +222,31 @@ class RelaySession:
         return delivery
 
     def _note_presence(self, given: Presence) -> list[Mapping[str, Any]]:
-        device = self._gateway.devices.get(given.device)
+        device = self.gateway.devices.get(given.device)
         found = self._devices.get(given.device)
         if given.boot is None:
             if found is not None:
                 del self._devices[given.device]
                 found[0].end()
             return []
-        if device is None or device is self.edge or not self.may_relay(device):
+        if device is None or device.name == self.name or not self.may_relay(device):
             return [{**self._not_granted(given.device), "seq": None}]
         if found is None or found[1].boot != given.boot or device.link is not found[1]:
+            began_s = time.monotonic() - given.age_s
+            is_elsewhere = device.link is not None and (found is None or device.link is not found[1])
+            if is_elsewhere and device.linked_s > began_s:
+                reason = "a younger connection of this device is open"
+                self.end_device(device.name, None, "replaced", reason, retry=False)
+                return []
             link = RelayedLink(self, device.name)
-            session = self._gateway.attach(device.name, link, given.boot)
+            session = self.gateway.attach(device.name, link, given.boot)
+            device.linked_s = began_s
             self._devices[device.name] = session, link
         device.drives = given.drives
         return []
 
     def _pass_on(self, given: Live) -> None:
-        """Pass on an input or image of a device that is connected through this edge, if it is fresh."""
+        """Pass on an input or image of a device that is connected through this gateway, if it is fresh."""
         found = self._devices.get(given.device)
         device = None if found is None else found[0].device
         if found is None or device is None or device.link is not found[1] or not self.may_relay(device):
@@ -223,41 +257,69 @@ class RelaySession:
         if not is_fresh and given.message.get("held", True):
             RELAYED.labels("late").inc()
             return
-        fault = self._gateway.pass_on(device, orjson.dumps(given.message), given.message)
+        fault = self.gateway.pass_on(device, orjson.dumps(given.message), given.message)
         RELAYED.labels("refused" if fault else "live").inc()
         if fault is not None:
             self.deliver(given.device, fault)
 
     def _store(self, given: Relayed) -> list[Mapping[str, Any]]:
-        device = self._gateway.devices.get(given.device)
+        device = self.gateway.devices.get(given.device)
         if device is None or not self.may_relay(device):
             RELAYED.labels("refused").inc()
             return [{**self._not_granted(given.device), "seq": given.seq}]
-        _, answers = self._gateway.store(device, [given.line], self._relays.times, MAX_RELAYED_BYTES)
-        errors = [answer for answer in answers if answer["type"] == "error"]
+        errors = self.store(device, given)
         RELAYED.labels("refused" if errors else "stored").inc()
         return [{**error, "seq": given.seq, "device": given.device} for error in errors]
 
-    def _answer(
+    def _not_granted(self, name: str) -> dict[str, Any]:
+        reason = f'{name} was not granted to {self.name}; set "edge" in its description to this edge'
+        return {"type": "error", "device": name, "code": "notGranted", "reason": reason}
+
+
+class EdgeSession(RelaySession):
+    """An edge; what it relays is stored here, with the number of its stream."""
+
+    def __init__(self, relays: "EdgeRelays", session: Session, link: Link, hello: RelayHello) -> None:
+        super().__init__(relays.gateway, session.device.name, link)
+        self.stream = hello.stream
+        self._relays = relays
+        self._session = session
+
+    def may_relay(self, device: Device) -> bool:
+        """Return whether a device was granted to this edge."""
+        return self.name in {device.stored.description.edge, device.name}
+
+    def received(self) -> int:
+        """Return the number of the last message of the stream that was received."""
+        return self.gateway.edge_marks.received(self.name, self.stream)
+
+    def store(self, device: Device, given: Relayed) -> list[Mapping[str, Any]]:
+        """Store a message."""
+        _, answers = self.gateway.store(device, [given.line], self._relays.times, MAX_RELAYED_BYTES)
+        return [answer for answer in answers if answer["type"] == "error"]
+
+    def acknowledge(
         self, answers: list[Mapping[str, Any]], last: int | None, is_new: bool, respond: Respond
     ) -> None:
-        """Respond once what was received, now and before, is durable."""
-        mark = None if last is None else EdgeMark(self.edge.name, self.stream, last)
-        stored = self._gateway.writer.add(marks=[mark] if mark is not None and is_new else [])
+        """Store the number of the stream, and respond then."""
+        mark = None if last is None else EdgeMark(self.name, self.stream, last)
+        stored = self.gateway.writer.add(marks=[mark] if mark is not None and is_new else [])
         if mark is not None:
-            self._gateway.edge_marks.note_received(mark)
+            self.gateway.edge_marks.note_received(mark)
             answers.append({"type": "ack", "seq": mark.seq})
 
         def is_stored(_: object) -> None:
             if mark is not None:
-                self._gateway.edge_marks.note_stored(mark)
+                self.gateway.edge_marks.note_stored(mark)
             respond(answers)
 
         stored.add_done_callback(is_stored)
 
-    def _not_granted(self, name: str) -> dict[str, Any]:
-        reason = f'{name} was not granted to {self.edge.name}; set "edge" in its description to this edge'
-        return {"type": "error", "device": name, "code": "notGranted", "reason": reason}
+    def on_end(self) -> None:
+        """The edge itself is disconnected as well."""
+        if self._relays.sessions.get(self.name) is self:
+            del self._relays.sessions[self.name]
+        self._session.end()
 
 
 class EdgeRelays:
@@ -268,10 +330,10 @@ class EdgeRelays:
     ) -> None:
         self.gateway = gateway
         self.times = times
-        self.sessions: dict[str, RelaySession] = {}
+        self.sessions: dict[str, EdgeSession] = {}
         self._clock = clock
 
-    def begin(self, session: Session, link: Link, hello: Hello) -> RelaySession:
+    def begin(self, session: Session, link: Link, hello: Hello) -> EdgeSession:
         """Begin the session of an edge; raise `Refused`."""
         edge, relay = session.device, hello.relay
         assert relay is not None  # noqa: S101 - the caller has looked
@@ -285,7 +347,7 @@ class EdgeRelays:
                 f"{self.times.max_ahead_s:g} s are allowed; set it (NTP). What is buffered waits",
                 retry=True,
             )
-        made = RelaySession(self, session, link, relay)
+        made = EdgeSession(self, session, link, relay)
         self.sessions[edge.name] = made
         log.info("edge connected", edge=edge.name, stream=relay.stream)
         return made
@@ -299,10 +361,7 @@ class EdgeRelays:
     def changed(self, device: Device) -> None:
         """A device was added or changed: its edge gets it, and one that had it before loses it."""
         for relay in tuple(self.sessions.values()):
-            if relay.may_relay(device):
-                relay.send_device(device)
-            else:
-                relay.withdraw(device.name)
+            relay.changed(device)
 
     def removed(self, name: str) -> None:
         """A device was deleted."""

@@ -1,5 +1,6 @@
 """The settings of the device gateway, in addition to the common ones."""
 
+import socket
 from pathlib import Path
 
 from pydantic import Field, SecretStr
@@ -14,6 +15,11 @@ class GatewaySettings(Settings):
     gateway_port: int = Field(54240, ge=1, le=65535, description="REST port of the device gateway")
     gateway_url: str | None = Field(
         None, description="where the broker reaches the device gateway; http://host:port of it if absent"
+    )
+    gateway_replica_host: str | None = Field(
+        None,
+        description="the address at which other replicas of the device gateway reach this one, where several "
+        "run on one PostgreSQL database; the address on which devices connect if absent",
     )
     trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
     trajectory_url: str | None = Field(
@@ -149,6 +155,14 @@ class GatewaySettings(Settings):
             return self.device_client_authority
         own = self.own_authority / AUTHORITY
         return own if own.is_file() else None
+
+    @property
+    def replica_host(self) -> str:
+        """Where other replicas reach this one."""
+        if self.gateway_replica_host is not None:
+            return self.gateway_replica_host
+        is_any = self.device_host in {"0.0.0.0", "::"}  # noqa: S104 - not bound
+        return socket.gethostname() if is_any else self.device_host
 
     @property
     def service_url(self) -> str:

@@ -66,6 +66,8 @@ class _Open:
         self.sent = Sent()
         self.is_cancelling = False
         self.is_busy = False
+        self.is_lost = False
+        """Whether another process leads since, which has it if it was written."""
         self.changed = asyncio.Event()
         self.written: asyncio.Future[None] | None = None
         """Done when the command is durable for the first time; None for one that was read."""
@@ -100,9 +102,23 @@ class Dispatcher:
         self._wake = asyncio.Event()
 
     async def load(self) -> None:
-        """Read the open commands of an earlier run."""
+        """Read the open commands of an earlier run, or of another process."""
+        self.clear()
         for row in await asyncio.to_thread(device_store.commands, self._engine, OPEN):
             self._open[row.device][row.id] = _Open(command_of(row))
+        # A device that connects again repeats the ends of its commands.
+        for row in await asyncio.to_thread(device_store.last_commands, self._engine, MAX_ENDED):
+            if row.id not in self._open[row.device]:
+                self._ended[row.device, row.id] = _Open(command_of(row))
+
+    def clear(self) -> None:
+        """Forget everything: another process leads."""
+        for opened in self._open.values():
+            for one in opened.values():
+                one.is_lost = True
+        self._open.clear()
+        self._ended.clear()
+        self._links.clear()
 
     async def run(self) -> None:
         """Process open commands until cancelled."""
@@ -192,6 +208,8 @@ class Dispatcher:
         one.written = self._writer.add(messages=logged, commands=[_row(one.command)])
         try:
             await asyncio.shield(one.written)
+            if one.is_lost:
+                raise _no_longer_leading()
             if specification.kind is CommandKind.MOTION and link is not None:
                 self._send_motion(one, link)
         finally:
@@ -447,6 +465,17 @@ def _edge_away(device: str, command: str, edge: str) -> Problem:
             device=device,
             command=command,
             edge=edge,
+        ),
+    )
+
+
+def _no_longer_leading() -> Problem:
+    return Problem(
+        503,
+        "No leader",
+        message(
+            "device.leader_changed",
+            "another gateway took over; ask for the command by its id, and send it again if there is none",
         ),
     )
 

@@ -14,8 +14,9 @@ import asyncio
 import hashlib
 import socket
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Self, cast
+from typing import Any, Final, Protocol, Self, cast
 
+from handover.background_tasks import BackgroundTasks
 from handover.errors import UsageError
 from handover.outbound_policy import is_loopback
 from handover.security.protection import require_protection
@@ -25,11 +26,16 @@ from handover.transport_security.tls_listener import Listener, listen
 from services.device_gateway import metrics
 from services.device_gateway.gateway import DeviceGateway, Session, encoded
 from services.device_gateway.protocol.lines import LineBuffer
-from services.device_gateway.protocol.messages import BadMessage, Hello, encode, parse_hello
+from services.device_gateway.protocol.messages import VERSION, BadMessage, Hello, encode, parse_hello
 from services.device_gateway.protocol.rates import DeviceRates
-from services.device_gateway.protocol.relaying import MAX_RELAYED_BYTES
+from services.device_gateway.protocol.relaying import (
+    MAX_RELAYED_BYTES,
+    ReplicaHello,
+    parse_replica_hello,
+)
 from services.device_gateway.refusals import Refused
-from services.device_gateway.relaying import SILENCE_S, EdgeRelays, RelaySession
+from services.device_gateway.registry.device import Link
+from services.device_gateway.relaying import SILENCE_S, EdgeRelays, EdgeSession, RelaySession
 from services.device_gateway.settings import GatewaySettings
 
 log = get_logger(__name__)
@@ -40,7 +46,16 @@ REFUSAL_LINGER_S: Final = 1.0
 CHECK_S: Final = 1.0
 """Period of the check for idle connections."""
 HIGH_WATER_BYTES: Final = 256 * 1024
+MAX_REPLICA_MESSAGES_PER_S: Final = 100_000.0
 KEEPALIVE: Final = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
+
+
+class Replicas(Protocol):
+    """The other replicas of this gateway, which relay to it while it leads."""
+
+    def begin(self, hello: ReplicaHello, link: Link) -> RelaySession:
+        """Begin the session of a replica; raise `Refused`."""
+        ...
 
 
 class DeviceServer:
@@ -51,16 +66,24 @@ class DeviceServer:
     ) -> None:
         self.gateway = gateway
         self.relays = relays
+        self.replicas: Replicas | None = None
         self.settings = settings
         self.waiting: dict[DeviceConnection, None] = {}
         self.open: set[DeviceConnection] = set()
+        self.lookups = BackgroundTasks("look-ups of edges")
         self._certificate = _certificate_of(settings)
         require_protection(settings, settings.device_host, "HANDOVER_DEVICE_HOST", has_tls=True)
         self._server: Listener | None = None
         self._checker: asyncio.TimerHandle | None = None
 
+    @property
+    def tls_name(self) -> str:
+        """A name in the certificate of the port; empty without TLS."""
+        return "" if self._certificate is None else self._certificate.name
+
     async def __aenter__(self) -> Self:
         settings = self.settings
+        await self.lookups.__aenter__()
         try:
             self._server = await listen(
                 lambda: DeviceConnection(self),
@@ -90,6 +113,7 @@ class DeviceServer:
             self._checker.cancel()
         if self._server is not None:
             self._server.close()
+        await self.lookups.__aexit__()
         for connection in tuple(self.open):
             connection.end("stopping", "the gateway stops; connect again in a moment", retry=True)
 
@@ -132,6 +156,8 @@ class DeviceConnection(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._lines = LineBuffer()
         self._session: Session | RelaySession | None = None
+        self._early: list[bytes] | None = None
+        """What an edge has sent while it is looked up what is stored of it; None at other times."""
         now_s = self._loop.time()
         self._rates = DeviceRates.of(server.settings.device_max_messages_per_s, now_s)
         self._active_s = now_s
@@ -162,6 +188,42 @@ class DeviceConnection(asyncio.Protocol):
             return
         lines = self._lines.feed(data)
         self._active_s = self._loop.time()
+        if self._early is not None:
+            self._early += lines
+        elif self._session is None and lines and self._is_edge(lines[0]):
+            self._early = lines
+            self._server.lookups.start(self._look_up)
+        else:
+            self._process(lines)
+        if self._lines.has_overflowed:
+            self.refuse(
+                "tooLong",
+                f"a line has at most {self._lines.max_line_bytes} bytes; end each with a newline and send "
+                "less at once",
+                retry=True,
+            )
+
+    def _is_edge(self, line: bytes) -> bool:
+        """Return whether the hello is that of an edge that is let in, and another replica may know it."""
+        gateway = self._server.gateway
+        if not gateway.is_shared or b'"relay"' not in line:
+            return False
+        certificate = self._certificate_sha256()
+        try:
+            hello = parse_hello(line, needs_token=not certificate)
+            gateway.authenticated(hello, certificate)
+        except (BadMessage, Refused):
+            return False
+        return hello.relay is not None
+
+    async def _look_up(self) -> None:
+        """Read what is stored of an edge, which another replica may have received, and continue."""
+        await self._server.gateway.read_edge_marks()
+        lines, self._early = self._early or [], None
+        if not self._ended:
+            self._process(lines)
+
+    def _process(self, lines: Sequence[bytes]) -> None:
         if self._session is None and lines:
             self._process_hello(lines[0])
             lines = lines[1:]
@@ -172,13 +234,6 @@ class DeviceConnection(asyncio.Protocol):
             is_edge = isinstance(self._session, RelaySession)
             self._session.receive(messages, self._acknowledge if is_edge else self._respond)
             self._pause_if_needed(wait_s)
-        if self._lines.has_overflowed:
-            self.refuse(
-                "tooLong",
-                f"a line has at most {self._lines.max_line_bytes} bytes; end each with a newline and send "
-                "less at once",
-                retry=True,
-            )
 
     def pause_writing(self) -> None:
         """The device does not read its answers: read no more of it."""
@@ -262,6 +317,10 @@ class DeviceConnection(asyncio.Protocol):
 
     def _process_hello(self, line: bytes) -> None:
         gateway = self._server.gateway
+        replica = parse_replica_hello(line)
+        if replica is not None:
+            self._begin_replica(replica)
+            return
         try:
             certificate = self._certificate_sha256()
             hello = parse_hello(line, needs_token=not certificate)
@@ -279,11 +338,27 @@ class DeviceConnection(asyncio.Protocol):
         if relay is None:
             self.send(greeting)
             return
-        received = gateway.edge_marks.stored(relay.edge.name, relay.stream)
+        received = gateway.edge_marks.stored(relay.name, relay.stream)
         self.send({**greeting, "received": received, "live": True})
         relay.begin()
 
-    def _begin_relay(self, session: Session, hello: Hello) -> RelaySession:
+    def _begin_replica(self, hello: ReplicaHello) -> None:
+        if self._server.replicas is None:
+            self.refuse("noReplicas", "an edge has no replicas", retry=False)
+            return
+        try:
+            session = self._server.replicas.begin(hello, self)
+        except Refused as refused:
+            self.refuse(refused.code, str(refused), retry=refused.retry)
+            return
+        self._session = session
+        self._lines.max_line_bytes = MAX_RELAYED_BYTES
+        self._rates = DeviceRates.of(MAX_REPLICA_MESSAGES_PER_S, self._loop.time())
+        self._server.waiting.pop(self, None)
+        self.send({"type": "ack", "version": VERSION, "received": 0, "live": True})
+        session.begin()
+
+    def _begin_relay(self, session: Session, hello: Hello) -> EdgeSession:
         relays = self._server.relays
         if relays is None:
             raise Refused("noEdge", "this gateway is an edge itself; connect this edge to the centre")

@@ -23,6 +23,7 @@ from services.device_gateway.adapters.base import configured
 from services.device_gateway.connection.device_server import DeviceServer
 from services.device_gateway.edge.commands import EdgeCommands, EdgeDispatcher
 from services.device_gateway.edge.uplink import Uplink
+from services.device_gateway.edge.upstream import upstream_of
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.protocol.times import TimeRule
 from services.device_gateway.registry.device import Device
@@ -91,7 +92,7 @@ class EdgeState:
         trip_s = uplink.round_trip_s
         return {
             "name": uplink.name,
-            "upstream": f"{uplink.host}:{uplink.port}",
+            "upstream": f"{uplink.upstream.host}:{uplink.upstream.port}",
             "connected": uplink.is_connected,
             "since": uplink.since_s,
             "fault": uplink.fault,
@@ -145,7 +146,14 @@ def make_edge_app(settings: GatewaySettings) -> FastAPI:
     times = TimeRule(settings.device_max_age_h * 3600, settings.device_max_ahead_s)
     gateway = DeviceGateway(engine, writer, dispatcher, NoReports(), times)
     commands = EdgeCommands(gateway, settings.edge_max_motion_delay_s)
-    uplink = Uplink(settings, gateway, dispatcher, commands, outbox)
+    uplink = Uplink(
+        upstream_of(settings),
+        gateway,
+        dispatcher,
+        commands,
+        outbox,
+        cancel_motions_after_s=settings.edge_cancel_motions_after_s,
+    )
     server = DeviceServer(settings, gateway)
     adapters = configured(settings, gateway)
     state = EdgeState(gateway, uplink, outbox)

@@ -1,5 +1,7 @@
 """The connection of an edge with the centre: outbound, with TLS, opened again whenever it ends.
 
+A replica of the central gateway relays to the one that leads in the same way (`replicas.following`).
+
 Messages of devices are read from the outbox in the order of their numbers and sent while at most
 `MAX_UNACKNOWLEDGED_BYTES` wait for an acknowledgement; acknowledged ones are deleted. After a broken
 connection the greeting of the centre says which number it has stored, and sending continues behind it.
@@ -10,7 +12,6 @@ The connection counts as lost when nothing arrives for `SILENCE_S`: the centre a
 """
 
 import asyncio
-import ssl
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -21,23 +22,22 @@ from typing import Any, Final
 import orjson
 from pydantic import ValidationError
 
-from handover.errors import HandoverError, Problem, UsageError
+from handover.errors import HandoverError, Problem
 from handover.retry import Backoff
 from handover.telemetry import get_logger
-from handover.tls_trust import client_context, handshake_fault
+from handover.tls_trust import handshake_fault
 from services.device_gateway import metrics
 from services.device_gateway.edge.commands import EdgeCommands, EdgeDispatcher
+from services.device_gateway.edge.upstream import Upstream
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.protocol.messages import VERSION, encode
 from services.device_gateway.protocol.relaying import MAX_DELIVERED_BYTES
-from services.device_gateway.settings import GatewaySettings
 from services.device_gateway.storage.device_store import StoredDevice
-from services.device_gateway.storage.outbox import Outbox, StoredRow
+from services.device_gateway.storage.outbox import MessageQueue, StoredRow
 
 log = get_logger(__name__)
 
-DEFAULT_PORT: Final = 54010
 CONNECT_TIMEOUT_S: Final = 10.0
 PING_S: Final = 1.0
 SILENCE_S: Final = 5.0
@@ -60,22 +60,22 @@ class Uplink:
 
     def __init__(
         self,
-        settings: GatewaySettings,
+        upstream: Upstream,
         gateway: DeviceGateway,
         dispatcher: EdgeDispatcher,
         commands: EdgeCommands,
-        outbox: Outbox,
+        outbox: MessageQueue,
+        *,
+        cancel_motions_after_s: float,
     ) -> None:
-        self.host, self.port = _address(settings)
-        self.name = settings.edge_name or ""
+        self.upstream = upstream
+        self.name = str(upstream.hello.get("device", ""))
         self.is_connected = False
         self.since_s: float | None = None
         """When the present state, connected or not, began; seconds since 1970."""
         self.fault: str | None = "not connected yet"
         self.round_trip_s: float | None = None
-        self._token = settings.edge_token.get_secret_value() if settings.edge_token else ""
-        self._tls = _tls_context(settings)
-        self._cancel_after_s = settings.edge_cancel_motions_after_s
+        self._cancel_after_s = cancel_motions_after_s
         self._gateway, self._commands, self._outbox = gateway, commands, outbox
         self._boot = token_hex(8)
         self._writer: asyncio.StreamWriter | None = None
@@ -101,18 +101,26 @@ class Uplink:
         """Stay connected until cancelled."""
         backoff = Backoff(max_s=MAX_RETRY_S)
         while True:
-            try:
-                await self._serve(backoff)
-            except* (OSError, TimeoutError, asyncio.IncompleteReadError, ValueError, HandoverError) as errors:
-                self._note_fault(errors)
-            finally:
-                self._disconnected()
+            await self.try_once(backoff)
             await backoff.wait()
+
+    async def try_once(self, backoff: Backoff) -> None:
+        """Connect, and serve until the connection ends; `backoff` is reset when it was there."""
+        try:
+            await self._serve(backoff)
+        except* (OSError, TimeoutError, asyncio.IncompleteReadError, ValueError, HandoverError) as errors:
+            self._note_fault(errors)
+        finally:
+            self._disconnected()
 
     async def _serve(self, backoff: Backoff) -> None:
         async with asyncio.timeout(CONNECT_TIMEOUT_S):
             reader, writer = await asyncio.open_connection(
-                self.host, self.port, ssl=self._tls, limit=MAX_DELIVERED_BYTES
+                self.upstream.host,
+                self.upstream.port,
+                ssl=self.upstream.tls,
+                server_hostname=self.upstream.tls_name if self.upstream.tls else None,
+                limit=MAX_DELIVERED_BYTES,
             )
         try:
             async with asyncio.timeout(CONNECT_TIMEOUT_S):
@@ -131,9 +139,8 @@ class Uplink:
     async def _greet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> int:
         """Send the hello; return the number up to which the centre has stored everything."""
         outbox = self._outbox
-        hello = {"type": "hello", "version": VERSION, "device": self.name, "boot": self._boot}
-        relay = {"stream": outbox.stream, "time": time.time()}
-        writer.write(encode({**hello, "token": self._token, "relay": relay}))
+        hello = {"type": "hello", "version": VERSION, **self.upstream.hello, "boot": self._boot}
+        writer.write(encode({**hello, "relay": {"stream": outbox.stream, "time": time.time()}}))
         line = await reader.readline()
         greeting = orjson.loads(line) if line else {}
         if greeting.get("type") != "ack" or "received" not in greeting:
@@ -181,13 +188,18 @@ class Uplink:
             elif kind == "devices":
                 names = set(given["names"])
                 for name in [one for one in gateway.devices if one not in names]:
-                    await self._remove(name)
+                    await self.remove(name)
             elif kind == "removed" and given["name"] in gateway.devices:
-                await self._remove(given["name"])
+                await self.remove(given["name"])
             elif kind == "end":
                 gateway.end(given["device"], given["code"], given["reason"], retry=bool(given["retry"]))
 
-    async def _remove(self, name: str) -> None:
+    async def mirror(self, stored: StoredDevice) -> None:
+        """Take over a device."""
+        await self._gateway.mirror(stored)
+
+    async def remove(self, name: str) -> None:
+        """Delete a device that is no longer relayed."""
         reason = (
             f"the centre no longer lets {self.name} relay this device; grant it again, or connect elsewhere"
         )
@@ -210,7 +222,7 @@ class Uplink:
             given["certificateSha256"],
             given["certificateEndUs"],
         )
-        await self._gateway.mirror(stored)
+        await self.mirror(stored)
 
     async def _refused(self, given: Mapping[str, Any]) -> None:
         if "retry" in given:
@@ -301,8 +313,9 @@ class Uplink:
         if device is None or device.link is None:
             self._writer.write(encode({"type": "offline", "device": name}))
             return
+        age_s = round(time.monotonic() - device.linked_s, 3)
         online = {"type": "online", "device": name, "boot": device.link.boot, "drives": device.drives}
-        self._writer.write(encode(online))
+        self._writer.write(encode({**online, "ageS": age_s}))
 
     # The state of the connection
 
@@ -314,7 +327,8 @@ class Uplink:
             self._canceller.cancel()
             self._canceller = None
         metrics.LINK_UP.set(1)
-        log.info("connected with the centre", host=self.host, port=self.port, waiting=self._outbox.rows)
+        host, port = self.upstream.host, self.upstream.port
+        log.info("connected with the centre", host=host, port=port, waiting=self._outbox.waiting)
         for device in tuple(self._gateway.devices.values()):
             if device.link is not None:
                 self._send_presence(device.name)
@@ -342,7 +356,7 @@ class Uplink:
         error: BaseException = errors
         while isinstance(error, BaseExceptionGroup):
             error = error.exceptions[0]
-        where = f"{self.host}:{self.port}"
+        where = f"{self.upstream.host}:{self.upstream.port}"
         fault = handshake_fault(error, where)
         reason = str(error) or type(error).__name__
         if fault is None:
@@ -357,38 +371,3 @@ def _relayed(row: StoredRow) -> bytes:
     """Return a line for a message of the outbox, which is JSON already."""
     head = orjson.dumps({"type": "relay", "seq": row.seq, "device": row.device})
     return head[:-1] + b',"message":' + row.body.encode() + b"}\n"
-
-
-def _address(settings: GatewaySettings) -> tuple[str, int]:
-    host, _, port = (settings.edge_upstream or "").rpartition(":")
-    if not host or host.endswith(":") or not port.isdigit():
-        host, port = settings.edge_upstream or "", str(DEFAULT_PORT)
-    if not settings.edge_name:
-        raise UsageError(
-            "an edge needs its name at the centre: add it there with `handover device add NAME --template "
-            "edge`, and set HANDOVER_EDGE_NAME and HANDOVER_EDGE_TOKEN here"
-        )
-    if settings.edge_token is None and settings.edge_certificate is None:
-        raise UsageError(
-            "an edge needs HANDOVER_EDGE_TOKEN, which `handover device add` has shown at the centre, or "
-            "HANDOVER_EDGE_CERTIFICATE and HANDOVER_EDGE_KEY"
-        )
-    return host.strip("[]"), int(port)
-
-
-def _tls_context(settings: GatewaySettings) -> ssl.SSLContext:
-    """Return the context that verifies the centre, with the certificate of this edge; raise `UsageError`."""
-    if settings.edge_certificate is None:
-        return client_context(*settings.ca_files)
-    context = ssl.create_default_context()
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    try:
-        for file in settings.ca_files:
-            context.load_verify_locations(file)
-        context.load_cert_chain(settings.edge_certificate, settings.edge_key)
-    except OSError as error:
-        raise UsageError(
-            f"the certificate of this edge cannot be used: {error}; set HANDOVER_EDGE_CERTIFICATE, "
-            "HANDOVER_EDGE_KEY and HANDOVER_TLS_AUTHORITY to readable PEM files"
-        ) from None
-    return context

@@ -4,7 +4,7 @@ An edge is a device of kind `edge`. Its hello has `relay`, and other messages th
 
     {"type":"hello","version":1,"device":"site-1","token":"…","boot":"…","relay":{"stream":"…","time":1712345678.9}}
     {"type":"relay","seq":812,"device":"hall-1","message":{"type":"telemetry","t":1712345670.1,"values":{…}}}
-    {"type":"online","device":"hall-1","boot":"7f3a","drives":false}
+    {"type":"online","device":"hall-1","boot":"7f3a","drives":false,"ageS":12.3}
     {"type":"offline","device":"hall-1"}
     {"type":"ping","n":17}
     {"type":"live","device":"pad-1","message":{"type":"human_input",…},"after":[17,0.02]}
@@ -25,9 +25,15 @@ Numbers of a stream grow, and may have gaps where a full buffer was shortened. `
 message without comparing clocks: the gateway sent it so many seconds after it had received that ping, so it
 is not older than the time since the edge sent the ping, less these seconds. In the other direction `after`
 names the pong that the edge had received. Live messages (`protocol.live`) are never numbered or buffered.
+`ageS` says how long the device has been connected: of two connections of one device the younger one counts.
+
+Of several replicas of the central gateway those that do not lead relay to the leader in the same way, after
+the hello of a replica, with the token of the leader's term. What they relay is stored already.
+
+    {"type":"hello","version":1,"replica":"gateway-1","token":"…"}
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import orjson
@@ -63,6 +69,7 @@ class Presence:
     device: str
     boot: str | None
     drives: bool = False
+    age_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +87,28 @@ class Ping:
     """The number of a ping, which the answer repeats."""
 
     n: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReplicaHello:
+    """The first message of a replica to the leader."""
+
+    replica: str
+    token: str = field(repr=False)
+
+
+def parse_replica_hello(line: bytes) -> ReplicaHello | None:
+    """Return the hello of a replica; None for any other line."""
+    if b'"replica"' not in line:
+        return None
+    try:
+        given: Any = orjson.loads(line)
+    except orjson.JSONDecodeError:
+        return None
+    if not isinstance(given, dict) or given.get("type") != "hello" or "device" in given:
+        return None
+    replica, token = given.get("replica"), given.get("token")
+    return ReplicaHello(replica, token) if isinstance(replica, str) and isinstance(token, str) else None
 
 
 def parse_relayed(line: bytes) -> Relayed | Presence | Live | Ping:
@@ -108,19 +137,23 @@ def parse_relayed(line: bytes) -> Relayed | Presence | Live | Ping:
     boot, drives = given.get("boot"), given.get("drives", False)
     if not isinstance(boot, str) or not is_boot(boot) or not isinstance(drives, bool):
         raise BadMessage("badRelay", "boot must be that of the hello of the device, drives true or false")
-    return Presence(device, boot, drives)
+    return Presence(device, boot, drives, _seconds(given.get("ageS", 0.0), "ageS must be seconds"))
 
 
 def _live(device: str, given: dict[str, Any]) -> Live:
     message, after = given.get("message"), given.get("after")
     if not isinstance(message, dict) or message.get("type") not in LIVE:
         raise BadMessage("badRelay", f"message must have one of the types {', '.join(LIVE)}")
+    reason = "after must be the number of a pong and the seconds since then"
     if not isinstance(after, list) or len(after) != len(("pong", "seconds")):
-        raise BadMessage("badRelay", "after must be the number of a pong and the seconds since then")
-    held_s = after[1]
-    if isinstance(held_s, bool) or not isinstance(held_s, int | float) or held_s < 0:
-        raise BadMessage("badRelay", "after must be the number of a pong and the seconds since then")
-    return Live(device, message, _number(after[0], "after"), float(held_s))
+        raise BadMessage("badRelay", reason)
+    return Live(device, message, _number(after[0], "after"), _seconds(after[1], reason))
+
+
+def _seconds(value: Any, reason: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
+        raise BadMessage("badRelay", reason)
+    return float(value)
 
 
 def _number(value: Any, name: str) -> int:

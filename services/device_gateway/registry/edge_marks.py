@@ -12,6 +12,13 @@ class EdgeMarks:
         self._stored = dict(stored)
         self._received = dict(stored)
 
+    def merge(self, stored: Mapping[str, tuple[str, int]]) -> None:
+        """Note what the database has, which another process may have stored."""
+        for edge, (stream, seq) in stored.items():
+            for known in (self._stored, self._received):
+                if self._of(known, edge, stream) <= seq:
+                    known[edge] = stream, seq
+
     def stored(self, edge: str, stream: str) -> int:
         """Return the last number that is durable, 0 for a new stream."""
         return self._of(self._stored, edge, stream)

@@ -37,7 +37,7 @@ class NewToken:
 
 
 class DeviceRegistry:
-    """All devices; call `load` first. A change is durable when its method returns.
+    """All devices; call `load_devices` first. A change is durable when its method returns.
 
     `clock` is the time since 1970. A subclass has the connections: it ends that of a device whose credentials
     have changed (`_end_link`), and overrides `_note_change` and `_forget`.
@@ -52,7 +52,7 @@ class DeviceRegistry:
         self._engine = engine
         self._clock = clock
 
-    async def load(self) -> None:
+    async def load_devices(self) -> None:
         """Read the devices and their latest values; those that are known keep their connections."""
         found = {one.name: one for one in await asyncio.to_thread(device_store.load, self._engine)}
         for name in [name for name in self.devices if name not in found]:

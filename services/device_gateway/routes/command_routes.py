@@ -10,7 +10,7 @@ from sqlalchemy import Engine
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
 from handover.service import json_response
-from services.device_gateway.commands.dispatcher import command_of
+from services.device_gateway.commands.dispatcher import Dispatcher, command_of
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.routes.views import CommandView, command_view
 from services.device_gateway.storage import device_store
@@ -30,11 +30,10 @@ class NewCommand(BaseModel):
     id: str | None = Field(None, pattern=r"^[A-Za-z0-9_.-]{1,64}$")
 
 
-def add_command_routes(app: FastAPI, gateway: DeviceGateway, engine: Engine) -> None:
+def add_command_routes(app: FastAPI, dispatcher: Dispatcher, gateway: DeviceGateway, engine: Engine) -> None:
     """Add the routes of commands."""
     may_read = require(Permission.READ, OF_DEVICE)
     may_command = require(Permission.MOVE_ROBOTS, OF_DEVICE)
-    dispatcher = gateway.dispatcher
     Wait = Annotated[float, Query(ge=0, le=MAX_WAIT_S, description="seconds to wait for the end")]  # noqa: N806
 
     @app.post(

@@ -33,9 +33,9 @@ IDLE_CODE: Final = 4408
 AWAY_CODE: Final = 4502
 
 
-def add_drive_routes(app: FastAPI, gateway: DeviceGateway) -> None:
-    """Add the routes of driving."""
-    leases, sessions = Leases(), OpenSessions()
+def add_drive_routes(app: FastAPI, gateway: DeviceGateway, sessions: OpenSessions) -> None:
+    """Add the routes of driving; `sessions` gets those that are open."""
+    leases = Leases()
     add_lease_routes(app, gateway.device, leases, sessions)
 
     @app.websocket("/robots/{robot}/control")

@@ -127,6 +127,14 @@ def commands(engine: Engine, states: Iterable[str]) -> list[CommandRow]:
         return [CommandRow(**row) for row in connection.execute(query).mappings()]
 
 
+def last_commands(engine: Engine, limit: int) -> list[CommandRow]:
+    """Return the newest commands of all devices, oldest first."""
+    table = tables.commands
+    query = select(table).order_by(table.c.created_us.desc()).limit(limit)
+    with engine.connect() as connection:
+        return [CommandRow(**row) for row in connection.execute(query).mappings()][::-1]
+
+
 def command(engine: Engine, device: str, identifier: str) -> CommandRow | None:
     """Return one command."""
     table = tables.commands

@@ -28,8 +28,8 @@ from handover.retry import Backoff
 from handover.security.audit_trail import current_request, record_request
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
-from services.device_gateway.storage import partitions, tables
-from services.device_gateway.storage.outbox import Outbox, RelayRow
+from services.device_gateway.storage import leader_store, partitions, tables
+from services.device_gateway.storage.outbox import MessageQueue, RelayRow
 from services.device_gateway.storage.partitions import DAY_US
 
 log = get_logger(__name__)
@@ -98,14 +98,16 @@ class HistoryWriter:
     """
 
     def __init__(
-        self, engine: Engine, on_room: Callable[[], None] = lambda: None, outbox: Outbox | None = None
+        self, engine: Engine, on_room: Callable[[], None] = lambda: None, outbox: MessageQueue | None = None
     ) -> None:
         self.on_room = on_room
         self.on_relays: Callable[[], None] = lambda: None
         self.outbox = outbox
+        self.term: int | None = None
+        """The term in which this process leads; without one commands are written unconditionally."""
         self._engine = engine
         self._thread = ThreadPoolExecutor(1, "device-writer")
-        self._waiting = _Group()
+        self._waiting = self._group = _Group()
         self._writing = 0
         self._has_waiting = asyncio.Event()
         self._series: dict[tuple[str, str], int] = {}
@@ -121,7 +123,8 @@ class HistoryWriter:
         self._write_mark = self._insert(
             tables.edge_marks,
             EdgeMark._fields,
-            "(edge) DO UPDATE SET stream = excluded.stream, seq = excluded.seq",
+            "(edge) DO UPDATE SET stream = excluded.stream, seq = excluded.seq "
+            "WHERE device_edge_mark.stream <> excluded.stream OR device_edge_mark.seq < excluded.seq",
         )
         self._write_command = self._insert(
             tables.commands, CommandRow._fields, f"(device, id) DO UPDATE SET {changing}"
@@ -200,6 +203,10 @@ class HistoryWriter:
         except SQLAlchemyError as error:
             raise unavailable(error) from None
 
+    def discard_commands(self) -> None:
+        """Write no command that waits: another process leads, and has read what was written."""
+        self._group.commands, self._waiting.commands = {}, {}
+
     def forget(self, device: str) -> None:
         """Forget the series of a device that was deleted."""
         for key in [key for key in self._series if key[0] == device]:
@@ -207,6 +214,7 @@ class HistoryWriter:
 
     async def _write_waiting(self) -> None:
         group, self._waiting = self._waiting, _Group()
+        self._group = group
         self._has_waiting.clear()
         self._writing = len(group)
         metrics.BACKLOG.set(self._writing)
@@ -253,6 +261,8 @@ class HistoryWriter:
                     rows.sort()  # neighbours in the table are written together
                     connection.exec_driver_sql(self._insert_value, rows)
                 if group.commands:
+                    if self.term is not None:
+                        leader_store.require_term(connection, self.term)
                     connection.exec_driver_sql(self._write_command, list(group.commands.values()))
                 if group.marks:
                     connection.exec_driver_sql(self._write_mark, list(group.marks.values()))

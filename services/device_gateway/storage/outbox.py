@@ -10,7 +10,7 @@ The size is bounded: when it is full the oldest messages are deleted and counted
 
 from collections.abc import Sequence
 from secrets import token_hex
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from sqlalchemy import Connection, Engine, delete, func, insert, select, update
 
@@ -39,6 +39,43 @@ class StoredRow(NamedTuple):
     body: str
 
 
+class MessageQueue(Protocol):
+    """Messages that wait for another gateway. What takes a connection runs on the writing thread."""
+
+    stream: str
+
+    @property
+    def waiting(self) -> int:
+        """How many messages wait."""
+        ...
+
+    def append(self, connection: Connection, rows: Sequence[RelayRow]) -> None:
+        """Add messages, once their transaction is committed."""
+
+    def committed(self) -> None:
+        """The transaction of `append` is committed."""
+
+    def acknowledge(self, connection: Connection, seq: int) -> None:
+        """Delete the messages up to a number."""
+
+    def count(self, connection: Connection) -> None:
+        """Count the messages after a transaction that failed."""
+
+    def note_refused(self, connection: Connection, count: int) -> None:
+        """Count messages that the other side has refused."""
+
+    def begin_stream(self, connection: Connection) -> None:
+        """Begin another stream."""
+
+    def read(self, after: int, limit: int) -> list[StoredRow]:
+        """Return the oldest messages with a number above `after`."""
+        ...
+
+    def last(self) -> int:
+        """Return the greatest number that was given, 0 at first."""
+        ...
+
+
 class Outbox:
     """The messages that wait. What takes a connection runs on the writing thread, in its transactions."""
 
@@ -49,6 +86,11 @@ class Outbox:
         self._engine = engine
         self._change = (0, 0, 0)
         """Rows, bytes and dropped rows of the transaction that is not committed yet."""
+
+    @property
+    def waiting(self) -> int:
+        """How many messages wait."""
+        return self.rows
 
     def load(self) -> None:
         """Read the state; begin a stream in a new database. Blocks on the database."""

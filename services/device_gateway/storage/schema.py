@@ -9,7 +9,7 @@ from handover.migrations import migrate
 from services.device_gateway.storage import partitions
 from services.device_gateway.storage.tables import meta
 
-VERSION: Final = 5
+VERSION: Final = 6
 COMPONENT: Final = "device_gateway"
 
 
@@ -20,7 +20,13 @@ def prepare(engine: Engine) -> None:
         meta,
         component=COMPONENT,
         version=VERSION,
-        steps={1: meta.create_all, 2: _add_certificates, 3: _partition_values, 4: meta.create_all},
+        steps={
+            1: meta.create_all,
+            2: _add_certificates,
+            3: _partition_values,
+            4: meta.create_all,
+            5: meta.create_all,
+        },
     )
     with engine.begin() as connection:
         partitions.create_ahead(connection, int(time.time() * 1e6))

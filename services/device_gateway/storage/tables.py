@@ -124,6 +124,17 @@ watches = Table(
     Column("process_us", BigInteger),
     Column("learned", Text),
 )
+leader = Table(  # of several replicas on one PostgreSQL database: how the others reach the one that leads
+    "device_leader",
+    meta,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("term", BigInteger, nullable=False),
+    Column("host", String(255), nullable=False),
+    Column("device_port", Integer, nullable=False),
+    Column("rest_port", Integer, nullable=False),
+    Column("tls_name", String(255), nullable=False),
+    Column("token", String(128), nullable=False),
+)
 edge_marks = Table(  # at the centre: what was stored of each edge
     "device_edge_mark",
     meta,

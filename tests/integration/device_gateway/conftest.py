@@ -2,6 +2,7 @@
 
 import json
 import socket
+import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager
@@ -37,10 +38,20 @@ SENSOR = {
 
 
 class TcpDevice:
-    """A device as a TCP client."""
+    """A device as a TCP client, or one with TLS."""
 
-    def __init__(self, port: int, name: str, token: str, boot: str = "b1", **hello: Any) -> None:
+    def __init__(
+        self,
+        port: int,
+        name: str,
+        token: str,
+        boot: str = "b1",
+        tls: ssl.SSLContext | None = None,
+        **hello: Any,
+    ) -> None:
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=scaled(30))
+        if tls is not None:
+            self.socket = tls.wrap_socket(self.socket, server_hostname="127.0.0.1")
         self.lines = self.socket.makefile("rb")
         self.say(type="hello", version=1, device=name, token=token, boot=boot, **hello)
         self.greeting = self.receive()
