@@ -5,6 +5,7 @@ c'' = omega² (c - p); it passes through the centre of mass. It is shared by the
 of pressure of each inside of its sole, and the joints carry body and forces (Kajita 2010, Caron 2019).
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -19,16 +20,19 @@ from services.whole_body_control.model.kinematics import (
     Kinematics,
     cross,
 )
-from services.whole_body_control.patterns.regions import Footprint, Side, turn
+from services.whole_body_control.patterns.regions import Footprint, Side
 
 UPWARDS = np.array([0.0, 0.0, GRAVITY_MPS2])
 
 
 def nearest_in_sole(foot: Footprint, sole: Array, point: Array, margin_m: float) -> Array:
     """Return the point (2,) of a rectangular sole, `margin_m` inside, that is nearest to a point."""
-    local = turn(foot.yaw).T @ (point - foot.place)
-    low, high = sole.min(axis=0) + margin_m, sole.max(axis=0) - margin_m
-    return np.asarray(turn(foot.yaw) @ np.clip(local, low, high) + foot.place)
+    cosine, sine = math.cos(foot.yaw), math.sin(foot.yaw)
+    x, y = float(point[0]) - foot.x, float(point[1]) - foot.y
+    (low_x, low_y), (high_x, high_y) = sole.min(axis=0).tolist(), sole.max(axis=0).tolist()
+    ahead = min(max(cosine * x + sine * y, low_x + margin_m), high_x - margin_m)
+    left = min(max(cosine * y - sine * x, low_y + margin_m), high_y - margin_m)
+    return np.array([foot.x + cosine * ahead - sine * left, foot.y + sine * ahead + cosine * left])
 
 
 def shares(

@@ -51,7 +51,9 @@ class FootState:
     """The share of the weight that it carries."""
 
     def __post_init__(self) -> None:
-        self.pressure = self.corners[:, :2].mean(axis=0)
+        self.middle = self.corners.mean(axis=0)
+        self.low, self.high = self.corners[:, :2].min(axis=0), self.corners[:, :2].max(axis=0)
+        self.pressure = self.middle[:2].copy()
         self.anchor = np.zeros(3)
         self.sideways_n = np.zeros(2)
         self.is_standing = False
@@ -70,6 +72,8 @@ class StateEstimator:
         self._rotation = pin.Quaternion(q[3:7]).toRotationMatrix()
         self._position = q[:3].copy()
         self._bias, self._has_begun = np.zeros(3), False
+        self._feet_frame: Array | None = None
+        """Of the present state, once it is known."""
         kinematics.update(q)
         base = kinematics.pose(humanoid.root)
         inertial = kinematics.pose(humanoid.sensors.inertial[0])
@@ -87,17 +91,19 @@ class StateEstimator:
         """Take roll, pitch and the bias of the gyroscope from another estimator of the same robot."""
         yaw_here, yaw_there = _yaw(self._rotation), _yaw(other._rotation)
         self._rotation = pin.exp3(np.array([0.0, 0.0, yaw_here - yaw_there])) @ other._rotation
-        self._bias = other._bias.copy()
+        self._bias, self._feet_frame = other._bias.copy(), None
 
     def feet_frame(self) -> Array:
         """Return place (2,) and yaw of the frame between the soles: x ahead, y to the left."""
-        places, yaw = np.zeros(2), 0.0
-        for foot in self.feet.values():
-            pose = self.kinematics.pose(foot.link)
-            places += (pose.translation + pose.rotation @ foot.corners.mean(axis=0))[:2]
-            yaw += _yaw(pose.rotation) - _yaw(self._rotation)
-        count = len(self.feet)
-        return np.array([*(places / count), _yaw(self._rotation) + yaw / count])
+        if self._feet_frame is None:
+            places, yaw, own_yaw = np.zeros(2), 0.0, _yaw(self._rotation)
+            for foot in self.feet.values():
+                pose = self.kinematics.pose(foot.link)
+                places += (pose.translation + pose.rotation @ foot.middle)[:2]
+                yaw += _yaw(pose.rotation) - own_yaw
+            count = len(self.feet)
+            self._feet_frame = np.array([*(places / count), own_yaw + yaw / count])
+        return self._feet_frame.copy()
 
     @property
     def rotation(self) -> Array:
@@ -107,6 +113,7 @@ class StateEstimator:
     def update(self, sensors: RobotSensors, dt_s: float) -> None:
         """Compute the state of `dt_s` after the last one."""
         spin = self._turn(sensors, dt_s)
+        self._feet_frame = None
         self._measure_feet(sensors)
         self.q[:3] = self._position
         self.q[3:7] = pin.Quaternion(self._rotation).coeffs()
@@ -179,8 +186,7 @@ class StateEstimator:
                 total += foot.force_n
                 force, torque = wrench[:3], wrench[3:] - cross(foot.to_sole, wrench[:3])
                 at = np.array([-torque[1], torque[0]]) / force[2]
-                low, high = foot.corners[:, :2].min(axis=0), foot.corners[:, :2].max(axis=0)
-                foot.pressure = np.clip(at, low, high)
+                foot.pressure = np.clip(at, foot.low, foot.high)
         for foot in self.feet.values():
             foot.share = foot.force_n / total if foot.is_standing else 0.0
 

@@ -83,7 +83,7 @@ class AssistedWalking:
             side: humanoid.grips[f"{side}_hand"] for side in SIDES if f"{side}_hand" in humanoid.grips
         }
         pose = np.array(humanoid.pose(POSE if POSE in humanoid.poses else walking.settings.pose))
-        self._plan = kinematics = Kinematics(humanoid)
+        kinematics = Kinematics(humanoid)
         rest = kinematics.standing(walking.settings.pose)
         self._arms = np.concatenate([np.array(humanoid.indices(grip.arm)) for grip in self._grips.values()])
         self._home, self._pose = rest[BASE_POSITIONS + self._arms].copy(), pose[self._arms]
@@ -159,17 +159,16 @@ class AssistedWalking:
         self._held = tuple(side for side, force in forces.items() if force.any())
         return forces
 
-    def carry(self, torques: Array, q: Array) -> None:
-        """Let the arms follow a hand: add to the torques (joints,) that hold the configuration `q`.
+    def carry(self, torques: Array) -> None:
+        """Let the arms follow a hand: add to the torques (joints,) of the last step of walking.
 
-        The weight of the arms is carried where they are, not where `q` has them, and most of the damping of
-        their joints is taken away; otherwise they would follow within seconds only.
+        The weight of the arms is carried where they are, not where the reference has them, and most of the
+        damping of their joints is taken away; otherwise they would follow within seconds only.
         """
-        estimator, arms = self._walking.estimator, self._arms
-        self._plan.update(q)
+        estimator, arms, plan = self._walking.estimator, self._arms, self._walking.reference_kinematics
         for side, grip in self._grips.items():
-            self._rest[side] = hand_place(self._plan, grip.link)
-        weight = estimator.kinematics.gravity_torques()[arms] - self._plan.gravity_torques()[arms]
+            self._rest[side] = hand_place(plan, grip.link)
+        weight = estimator.kinematics.gravity_torques()[arms] - plan.gravity_torques()[arms]
         moving = UNDAMPED_SHARE * self._joint_damping[arms] * estimator.v[BASE_VELOCITIES + arms]
         torques[arms] += self._taken * (weight + moving)
 

@@ -257,11 +257,12 @@ class HumanoidComponent:
             self._hands = self.assistance.feel(Hands.of(self._person))
         else:
             self._hands = {side: np.zeros(3) for side in SIDES}
+        feet, rotation = self.walking.estimator.feet_frame(), self.walking.estimator.rotation
+        to_ground = turn(feet[2])
         for side in SIDES:
             force = self._hands[side]
-            feet = self.walking.estimator.feet_frame()
-            ground = np.array([*(turn(feet[2]) @ force[:2]), force[2]])
-            self._world.pull(self.assistance.link(side), self.walking.estimator.rotation.T @ ground)
+            ground = np.array([*(to_ground @ force[:2]), force[2]])
+            self._world.pull(self.assistance.link(side), rotation.T @ ground)
 
     def _walk(self, sensors: RobotSensors, command: JointCommand) -> str:
         wanted, walking = self._wanted, self.walking
@@ -277,7 +278,7 @@ class HumanoidComponent:
         state = walking.step(sensors, command)
         if self.behaviour is Behaviour.ASSISTED_WALKING and self.assistance is not None and not state.fault:
             self.assistance.observe(sensors)
-            self.assistance.carry(command.torques, walking.reference)
+            self.assistance.carry(command.torques)
         return state.fault
 
     def _throw(self, sensors: RobotSensors, command: JointCommand) -> str:

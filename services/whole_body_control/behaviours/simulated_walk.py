@@ -74,7 +74,7 @@ class SimulatedWalk:
     @property
     def has_fallen(self) -> bool:
         """Return whether the base is on its way to the ground."""
-        return bool(self.robot.true_configuration()[2] < FALLEN_SHARE * self._height_m)
+        return self.robot.height_m < FALLEN_SHARE * self._height_m
 
     def run(self, seconds: float, guide: Guide) -> WalkRecord:
         """Walk as the guide wishes, or until the robot falls."""

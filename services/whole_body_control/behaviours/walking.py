@@ -121,6 +121,11 @@ class WalkingController:
         return self._q
 
     @property
+    def reference_kinematics(self) -> Kinematics:
+        """Return the kinematics of `reference`, updated by each `step` that had valid sensors; to be read."""
+        return self._kinematics
+
+    @property
     def is_at_rest(self) -> bool:
         """Return whether the robot stands on both feet, and its centre of mass hardly moves."""
         is_standing = self.state.stance.phase == "standing"

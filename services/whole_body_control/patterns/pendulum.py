@@ -5,6 +5,7 @@ line, so it stays in a convex region that has both of its ends. The capture poin
 ZMP must be for the robot to come to rest (Pratt 2006). Axes are horizontal, units are m and s.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,15 +41,20 @@ class Pendulum:
     def transition(self, dt_s: float) -> tuple[Array, Array]:
         """Return A (3, 3) and b (3,) for one axis: (x, x', p) after `dt_s` is A (x, x', p) + b p'."""
         w = self.omega
-        cosh, sinh = np.cosh(w * dt_s), np.sinh(w * dt_s)
+        cosh, sinh = math.cosh(w * dt_s), math.sinh(w * dt_s)
         a = np.array([[cosh, sinh / w, 1 - cosh], [w * sinh, cosh, -w * sinh], [0.0, 0.0, 1.0]])
         return a, np.array([dt_s - sinh / w, 1 - cosh, dt_s])
 
     def advance(self, state: PendulumState, zmp_velocity: Array, dt_s: float) -> PendulumState:
         """Return the state after `dt_s` with a constant velocity of the ZMP."""
-        a, b = self.transition(dt_s)
-        moved = a @ np.vstack([state.com, state.velocity, state.zmp]) + np.outer(b, zmp_velocity)
-        return PendulumState(*moved)
+        w = self.omega
+        cosh, sinh = math.cosh(w * dt_s), math.sinh(w * dt_s)
+        above = state.com - state.zmp
+        return PendulumState(
+            state.zmp + cosh * above + (sinh / w) * state.velocity + (dt_s - sinh / w) * zmp_velocity,
+            w * sinh * above + cosh * state.velocity + (1 - cosh) * zmp_velocity,
+            state.zmp + dt_s * zmp_velocity,
+        )
 
     def capture_point(self, state: PendulumState) -> Array:
         """Return the capture point (2,)."""

@@ -1,7 +1,9 @@
 """Convex regions on the ground: footprints, and their hull while both feet stand."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, Self
 
 import numpy as np
@@ -49,9 +51,7 @@ class Region:
     @classmethod
     def of(cls, footprints: Sequence[Footprint], sole: Array) -> "Region":
         """Return the hull of soles, whose corners (n, 2) are given in the frame of the foot."""
-        corners = np.vstack([each.to_ground(sole) for each in footprints])
-        equations = ConvexHull(corners).equations
-        return cls(equations[:, :2], -equations[:, 2], corners.mean(axis=0))
+        return _region(tuple(footprints), sole.tobytes())
 
     def room_m(self, point: Array) -> float:
         """Return how far a point is inside, negative outside (there: of the edge that is violated most)."""
@@ -60,4 +60,17 @@ class Region:
 
 def turn(yaw: float) -> Array:
     """Return the rotation (2, 2) by a yaw."""
-    return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    return np.array([[cosine, -sine], [sine, cosine]])
+
+
+@lru_cache(maxsize=16)
+def _region(footprints: tuple[Footprint, ...], sole: bytes) -> Region:
+    """Return the hull of soles; feet stand for many periods, and their hull takes longer than the rest."""
+    shape = np.frombuffer(sole, dtype=np.float64).reshape(-1, 2)
+    corners = np.vstack([each.to_ground(shape) for each in footprints])
+    equations = ConvexHull(corners).equations
+    found = Region(equations[:, :2].copy(), -equations[:, 2], corners.mean(axis=0))
+    for values in (found.normals, found.offsets, found.centre):
+        values.flags.writeable = False
+    return found

@@ -57,6 +57,14 @@ class SimulatedRobot:
         self._data = mujoco.MjData(self.model)
         self._noise, self._random = noise, np.random.default_rng(seed)
         self._bias = self._random.normal(scale=noise.gyroscope_bias_radps, size=3)
+        self._gyroscope_at, wrench = 2 * len(humanoid.joints), [noise.force_n] * 3 + [noise.torque_nm] * 3
+        of_joints = [
+            [deviation] * len(humanoid.joints) for deviation in (noise.position_rad, noise.velocity_radps)
+        ]
+        inertial = [[noise.gyroscope_radps] * 3, [noise.accelerometer_mps2] * 3]
+        self._deviations = np.concatenate(
+            [*of_joints, *inertial, *[wrench] * len(humanoid.sensors.force_torque)]
+        )
         model = self.model
         joints = [model.joint(name) for name in humanoid.joint_names]
         self._q_of = np.array([joint.qposadr[0] for joint in joints])
@@ -142,6 +150,11 @@ class SimulatedRobot:
         """Return the simulated time."""
         return float(self._data.time)
 
+    @property
+    def height_m(self) -> float:
+        """Return the true height of the base; for tests and pictures, not for control."""
+        return float(self._data.qpos[2])
+
     def true_configuration(self) -> Array:
         """Return the configuration, base and joints; for tests and pictures, not for control."""
         base = self._data.qpos[:BASE_POSITIONS]
@@ -154,11 +167,10 @@ class SimulatedRobot:
         return np.concatenate([rotation.T @ base[:3], base[3:], self._data.qvel[self._v_of]])
 
     def _disturb(self, sensors: RobotSensors) -> None:
-        noise, random = self._noise, self._random
-        count = len(sensors.positions)
-        sensors.positions += noise.position_rad * random.standard_normal(count)
-        sensors.velocities += noise.velocity_radps * random.standard_normal(count)
-        sensors.gyroscope += self._bias + noise.gyroscope_radps * random.standard_normal(3)
-        sensors.accelerometer += noise.accelerometer_mps2 * random.standard_normal(3)
-        sensors.wrenches[:, :3] += noise.force_n * random.standard_normal((len(sensors.wrenches), 3))
-        sensors.wrenches[:, 3:] += noise.torque_nm * random.standard_normal((len(sensors.wrenches), 3))
+        noise = self._random.standard_normal(len(self._deviations)) * self._deviations
+        noise[self._gyroscope_at : self._gyroscope_at + 3] += self._bias
+        end = 0
+        for part in (sensors.positions, sensors.velocities, sensors.gyroscope, sensors.accelerometer):
+            np.add(part, noise[end : end + len(part)], out=part)
+            end += len(part)
+        sensors.wrenches += noise[end:].reshape(sensors.wrenches.shape)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.whole_body_control.balance.contact_forces import nearest_in_sole
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.footsteps import (
     Footsteps,
@@ -14,7 +15,7 @@ from services.whole_body_control.patterns.footsteps import (
     swing_position,
 )
 from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
-from services.whole_body_control.patterns.regions import Footprint, Region
+from services.whole_body_control.patterns.regions import Footprint, Region, turn
 from services.whole_body_control.patterns.walking import TOLERATED_M, WalkingPattern
 from services.whole_body_control.patterns.zmp_control import MARGIN_M, PERIOD_S, Unplannable, ZmpControl
 
@@ -49,6 +50,9 @@ def test_the_pendulum_obeys_its_equation(seed: int, dt_s: float) -> None:
     assert np.array([whole.com, whole.velocity, whole.zmp]) == pytest.approx(
         np.array([halves.com, halves.velocity, halves.zmp]), abs=1e-9
     )
+    a, b = PENDULUM.transition(dt_s)  # what the planner uses
+    by_matrix = a @ np.vstack([state.com, state.velocity, state.zmp]) + np.outer(b, rate)
+    assert np.vstack([whole.com, whole.velocity, whole.zmp]) == pytest.approx(by_matrix, abs=1e-9)
     soon = PENDULUM.advance(state, rate, 1e-6)
     acceleration = (soon.velocity - state.velocity) / 1e-6
     assert acceleration == pytest.approx(PENDULUM.omega**2 * (state.com - state.zmp), abs=1e-3)
@@ -169,3 +173,19 @@ def test_a_swing_begins_and_ends_at_rest() -> None:
     assert at(0.5)[2] == pytest.approx(0.03)
     for end in (0.0, 1.0):
         assert at(end) == pytest.approx(at(abs(end - 1e-4)), abs=1e-9)
+
+
+@given(*[st.floats(-1.0, 1.0)] * 4, st.floats(-3.0, 3.0))
+def test_the_nearest_point_of_a_sole_is_within_and_nearest(
+    x: float, y: float, foot_x: float, foot_y: float, yaw: float
+) -> None:
+    foot, point = Footprint("left", foot_x, foot_y, yaw), np.array([x, y])
+    sole = np.array([[0.1, 0.05], [0.1, -0.04], [-0.06, -0.04], [-0.06, 0.05]])
+    found = nearest_in_sole(foot, sole, point, 0.01)
+    region = Region.of([foot], sole)
+    assert region.room_m(found) >= 0.01 - 1e-9
+    inside = foot.to_ground(np.random.default_rng(0).uniform([-0.05, -0.03], [0.09, 0.04], size=(50, 2)))
+    assert (np.linalg.norm(inside - point, axis=1) >= np.linalg.norm(found - point) - 1e-9).all()
+    if region.room_m(point) >= 0.01:
+        assert found == pytest.approx(point)
+    assert turn(yaw) @ turn(-yaw) == pytest.approx(np.eye(2))
