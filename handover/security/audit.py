@@ -34,6 +34,7 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    bindparam,
     delete,
     func,
     insert,
@@ -147,6 +148,17 @@ class AuditLog:
 
     def __init__(self, tables: AuditTables) -> None:
         self._tables = tables
+        head = tables.head
+        own = head.c.id == 1
+        # Made once: building and comparing statements costs more than executing them.
+        self._step = update(head).where(own).values(seq=head.c.seq + 1).returning(head.c.seq, head.c.hash)
+        self._insert_record = insert(tables.records)
+        self._insert_text = insert(tables.texts)
+        self._set_head = (
+            update(head)
+            .where(own)
+            .values(hash=bindparam("new_hash", type_=String), changed_s=bindparam("now_s", type_=Float))
+        )
 
     def append(
         self,
@@ -165,7 +177,6 @@ class AuditLog:
         `is_personal`: the resource names a person in another way than by the id of a Person.
         The row of the head is locked until the transaction ends, so that concurrent appends are ordered.
         """
-        tables = self._tables
         seq, previous = self._next(connection)
         resource = self._aliased(connection, resource[:400], is_personal=is_personal)
         text = text[:MAX_TEXT_CHARACTERS] if text is not None else None
@@ -182,26 +193,22 @@ class AuditLog:
             "previous_hash": previous,
         }
         values["hash"] = record_hash(values)
-        connection.execute(insert(tables.records).values(values))
+        connection.execute(self._insert_record, values)
         if text is not None:
-            connection.execute(
-                insert(tables.texts).values(
-                    seq=seq, subject=subject, about=values["resource"], salt=salt, text=text
-                )
-            )
-        connection.execute(
-            update(tables.head)
-            .where(tables.head.c.id == 1)
-            .values(hash=values["hash"], changed_s=time.time())
-        )
+            of_text = {
+                "seq": seq,
+                "subject": subject,
+                "about": values["resource"],
+                "salt": salt,
+                "text": text,
+            }
+            connection.execute(self._insert_text, of_text)
+        connection.execute(self._set_head, {"new_hash": values["hash"], "now_s": time.time()})
         return seq
 
     def _next(self, connection: Connection) -> tuple[int, str]:
         head = self._tables.head
-        step = (
-            update(head).where(head.c.id == 1).values(seq=head.c.seq + 1).returning(head.c.seq, head.c.hash)
-        )
-        row = connection.execute(step).first()
+        row = connection.execute(self._step).first()
         if row is None:
             connection.execute(
                 insert(head).values(

@@ -22,6 +22,7 @@ from sqlalchemy import Engine
 
 from handover.errors import Problem
 from handover.messages import message
+from handover.security.audit_trail import current_request
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
 from services.device_gateway.commands.command import (
@@ -205,7 +206,9 @@ class Dispatcher:
         one.is_busy = True
         self._open[device][identifier] = one
         logged = [] if link is None else [self._logged(one.command)]
-        one.written = self._writer.add(messages=logged, commands=[_row(one.command)])
+        one.written = self._writer.add(
+            messages=logged, commands=[_row(one.command)], requested=current_request()
+        )
         try:
             await asyncio.shield(one.written)
             if one.is_lost:

@@ -16,6 +16,7 @@ import asyncio
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -25,7 +26,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from handover.errors import Problem
 from handover.messages import message
 from handover.retry import Backoff
-from handover.security.audit_trail import current_request, record_request
+from handover.security.audit_trail import AuditedRequest, current_request, record_request
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
 from services.device_gateway.storage import leader_store, partitions, tables
@@ -37,6 +38,8 @@ log = get_logger(__name__)
 MAX_WAITING_ROWS: Final = 50_000
 GROUP_S: Final = 0.02
 """Time from a group to the next: rows that come when none was written lately are written at once."""
+URGENT_S: Final = 0.004
+"""The same, when a request waits."""
 
 T = TypeVar("T")
 Row = tuple[Any, ...]
@@ -85,6 +88,7 @@ class _Group:
     commands: dict[tuple[str, str], Row] = field(default_factory=dict)
     relays: list[RelayRow] = field(default_factory=list)
     marks: dict[str, EdgeMark] = field(default_factory=dict)
+    requests: list[AuditedRequest] = field(default_factory=list)
     done: "asyncio.Future[None] | None" = None
 
     def __len__(self) -> int:
@@ -110,6 +114,7 @@ class HistoryWriter:
         self._waiting = self._group = _Group()
         self._writing = 0
         self._has_waiting = asyncio.Event()
+        self._is_urgent = asyncio.Event()
         self._series: dict[tuple[str, str], int] = {}
         self._is_sqlite = engine.dialect.name == "sqlite"
         self._days: set[int] = set()
@@ -142,8 +147,13 @@ class HistoryWriter:
         commands: Sequence[CommandRow] = (),
         relays: Sequence[RelayRow] = (),
         marks: Sequence[EdgeMark] = (),
+        *,
+        requested: AuditedRequest | None = None,
     ) -> "asyncio.Future[None]":
-        """Write rows soon; the future is done when they are durable. Values: device, name, t_us, value."""
+        """Write rows soon; the future is done when they are durable. Values: device, name, t_us, value.
+
+        What was `requested` is recorded in the same transaction, and is written sooner: a caller waits.
+        """
         group = self._waiting
         group.messages.extend(messages)
         group.values.extend(values)
@@ -151,6 +161,9 @@ class HistoryWriter:
             group.commands[command.device, command.id] = command
         group.relays.extend(relays)
         group.marks.update((mark.edge, mark) for mark in marks)
+        if requested is not None:
+            group.requests.append(requested)
+            self._is_urgent.set()
         if group.done is None:
             group.done = asyncio.get_running_loop().create_future()
         self._has_waiting.set()
@@ -160,8 +173,12 @@ class HistoryWriter:
         """Write until cancelled."""
         while True:
             await self._has_waiting.wait()
+            self._is_urgent.clear()
             await self._write_waiting()
-            await asyncio.sleep(GROUP_S)
+            await asyncio.sleep(URGENT_S)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(GROUP_S - URGENT_S):
+                    await self._is_urgent.wait()
 
     async def close(self) -> None:
         """Write what waits, once, and end the thread."""
@@ -205,7 +222,8 @@ class HistoryWriter:
 
     def discard_commands(self) -> None:
         """Write no command that waits: another process leads, and has read what was written."""
-        self._group.commands, self._waiting.commands = {}, {}
+        for group in (self._group, self._waiting):
+            group.commands, group.requests = {}, []
 
     def forget(self, device: str) -> None:
         """Forget the series of a device that was deleted."""
@@ -264,6 +282,8 @@ class HistoryWriter:
                     if self.term is not None:
                         leader_store.require_term(connection, self.term)
                     connection.exec_driver_sql(self._write_command, list(group.commands.values()))
+                for request in group.requests:
+                    record_request(connection, request)
                 if group.marks:
                     connection.exec_driver_sql(self._write_mark, list(group.marks.values()))
                 if group.relays and self.outbox is not None:
