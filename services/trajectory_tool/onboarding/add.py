@@ -10,6 +10,7 @@ import yaml
 from lxml import etree
 
 from handover.errors import UsageError
+from handover.robot_xml import number_of
 from services.trajectory_tool.onboarding import urdf
 from services.trajectory_tool.onboarding.semantics import Semantics, sample
 from services.trajectory_tool.onboarding.shapes import replace_meshes
@@ -90,8 +91,7 @@ def _write(folder: Path, name: str, examined: Examined) -> None:
     names = tuple(joint.get("name") for joint in examined.movable)
     (folder / f"{name}.srdf").write_bytes(first.written(name, names))
     speeds = {
-        joint.get("name"): urdf.number_of(joint.find("limit"), "velocity") or 0.0
-        for joint in examined.movable
+        joint.get("name"): number_of(joint.find("limit"), "velocity") or 0.0 for joint in examined.movable
     }
     entry: dict[str, Any] = {
         "name": name,
@@ -109,7 +109,7 @@ def _write(folder: Path, name: str, examined: Examined) -> None:
 def _start(joint: Any) -> float:
     """Return 0, or the middle of the limits of a joint that cannot be there."""
     limit = joint.find("limit")
-    lower, upper = (urdf.number_of(limit, side) or 0.0 for side in ("lower", "upper"))
+    lower, upper = (number_of(limit, side) or 0.0 for side in ("lower", "upper"))
     is_free = joint.get("type") == "continuous" or lower <= 0.0 <= upper
     return 0.0 if is_free else (lower + upper) / 2
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 from lxml import etree
 
 from handover.errors import UsageError
+from handover.robot_xml import number_of, parse_robot_xml, tree_faults
 
 Level = Literal["info", "warning", "error"]
 
@@ -55,10 +56,10 @@ class Examined:
 
 def examine(text: str, tip: str | None = None) -> Examined:
     """Return the checked tree of a URDF. Raises `UsageError` with a line for each fault."""
-    root = _parse(text)
+    root = parse_robot_xml(text, "URDF")
     findings: list[Finding] = []
     _drop_foreign(root, findings)
-    faults = list(_tree_faults(root))
+    faults = list(tree_faults(root))
     if faults:
         raise UsageError("\n".join(faults))
     tip = _rename_links(root, tip, findings)
@@ -82,31 +83,6 @@ def examine(text: str, tip: str | None = None) -> Examined:
     return examined
 
 
-def number_of(element: Any, attribute: str) -> float | None:
-    """Return an attribute as a number; None if it is missing, NaN if it is none."""
-    written = None if element is None else element.get(attribute)
-    if written is None:
-        return None
-    try:
-        return float(written)
-    except ValueError:
-        return math.nan
-
-
-def _parse(text: str) -> Any:
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True, huge_tree=False)
-    try:
-        root = etree.fromstring(text.encode(), parser)
-    except etree.XMLSyntaxError as error:
-        raise UsageError(f"not XML: {error}") from None
-    if any(each.prefix == "xacro" for each in root.iter()):
-        raise UsageError("this is a xacro file; expand it first: xacro FILE.xacro > FILE.urdf")
-    if root.tag != "robot":
-        hint = "; convert the SDF to a URDF first" if root.tag == "sdf" else ""
-        raise UsageError(f"the root element is <{root.tag}>, not <robot>{hint}")
-    return root
-
-
 def _drop_foreign(root: Any, findings: list[Finding]) -> None:
     """Remove what belongs to other tools."""
     known = {"link", "joint", "material"}
@@ -116,47 +92,6 @@ def _drop_foreign(root: Any, findings: list[Finding]) -> None:
     if foreign:
         names = ", ".join(sorted({str(each.tag) for each in foreign}))
         findings.append(Finding("info", "file", f"elements of other tools are left out: {names}"))
-
-
-def _tree_faults(root: Any) -> Iterator[str]:  # noqa: PLR0912 - one rule after another
-    links = [link.get("name") for link in root.findall("link")]
-    joints = root.findall("joint")
-    if not links:
-        yield "there is no link"
-        return
-    for kind, names in (("link", links), ("joint", [joint.get("name") for joint in joints])):
-        for name in sorted({str(name) for name in names if names.count(name) > 1}):
-            yield f'two {kind}s are called "{name}"'
-        if None in names or "" in names:
-            yield f"a {kind} has no name"
-    parents: dict[str, list[str]] = {}
-    for joint in joints:
-        name = joint.get("name")
-        ends = {end: joint.find(end) for end in ("parent", "child")}
-        missing = [end for end, element in ends.items() if element is None or not element.get("link")]
-        if missing:
-            yield f'the joint "{name}" has no {" and no ".join(missing)}'
-            continue
-        for end, element in ends.items():
-            if element.get("link") not in links:
-                yield f'the {end} "{element.get("link")}" of the joint "{name}" does not exist'
-        parents.setdefault(ends["child"].get("link"), []).append(ends["parent"].get("link"))
-    for child, above in parents.items():
-        if len(above) > 1:
-            yield f'the link "{child}" has {len(above)} parents, a closed loop; cut it: keep one joint'
-    roots = [link for link in links if link not in parents]
-    if not roots:
-        yield "the joints form a loop without a root link; a robot description is a tree"
-    if len(roots) > 1:
-        yield f"there are {len(roots)} root links: {', '.join(roots)}; connect them by fixed joints"
-    for start in parents:
-        seen, link = {start}, start
-        while link in parents:
-            link = parents[link][0]
-            if link in seen:
-                yield f'the joints form a loop at "{link}"; a robot description is a tree'
-                return
-            seen.add(link)
 
 
 def _rename_links(root: Any, tip: str | None, findings: list[Finding]) -> str | None:

@@ -14,7 +14,8 @@ import numpy as np
 from lxml import etree
 
 from handover.errors import UsageError
-from services.whole_body_control.model.urdf import number, parsed
+from handover.robot_xml import parse_robot_xml
+from services.whole_body_control.model.urdf import number
 
 Capsule = tuple[Sequence[float], Sequence[float], float]
 """Start and end (3,) of the axis in m in the frame of the link, and the radius in m."""
@@ -37,7 +38,7 @@ def packaged_file(package: str, path: str, extra: str) -> Path:
 
 def adapted(urdf: str, locked: Sequence[str], capsules: Mapping[str, Sequence[Capsule]]) -> str:
     """Return a URDF whose links have capsules only. Raises `UsageError` for unknown names."""
-    root = parsed(urdf, "URDF")
+    root = parse_robot_xml(urdf, "URDF")
     faults = list(_unknown(root, locked, capsules))
     if faults:
         raise UsageError("\n".join(faults))

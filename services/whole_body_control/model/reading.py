@@ -25,6 +25,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
+from handover.robot_xml import parse_robot_xml
 from services.whole_body_control.model.humanoid import (
     Chain,
     ContactSurface,
@@ -37,7 +38,7 @@ from services.whole_body_control.model.humanoid import (
     Sensors,
 )
 from services.whole_body_control.model.packaged import adapted, packaged_file
-from services.whole_body_control.model.urdf import Tree, number, parsed
+from services.whole_body_control.model.urdf import Tree, number
 
 FILE = "robot.yaml"
 MAX_FILE_BYTES = 20_000_000
@@ -111,7 +112,7 @@ def _urdf(given: Path | _PackagedUrdf, folder: Path) -> str:
 def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
     """Return the humanoid of three texts. Raises `UsageError` with a line for each fault."""
     tree = Tree.of(urdf)
-    semantics = _Semantics(parsed(srdf, "SRDF"), tree)
+    semantics = _Semantics(parse_robot_xml(srdf, "SRDF"), tree)
     faults = [*semantics.faults(), *_entry_faults(entry, tree, semantics)]
     if faults:
         raise UsageError("\n".join(faults))

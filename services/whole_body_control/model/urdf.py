@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from lxml import etree
 
 from handover.errors import UsageError
+from handover.robot_xml import link_of, number_of, parse_robot_xml, tree_faults
 
 MOVING = frozenset({"revolute", "prismatic"})
 FIXED = "fixed"
@@ -16,27 +16,10 @@ MAX_JOINTS = 200
 INERTIA_TOLERANCE = 1e-6
 
 
-def parsed(text: str, what: str) -> Any:
-    """Return the root of a URDF or SRDF. Raises `UsageError`."""
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True, huge_tree=False)
-    try:
-        root = etree.fromstring(text.encode(), parser)
-    except etree.XMLSyntaxError as error:
-        raise UsageError(f"the {what} is not XML: {error}") from None
-    if root.tag != "robot":
-        raise UsageError(f"the root element of the {what} is <{root.tag}>, not <robot>")
-    if any(each.prefix == "xacro" for each in root.iter()):
-        raise UsageError(f"the {what} is a xacro file; expand it first: xacro FILE.xacro > FILE.urdf")
-    return root
-
-
 def number(element: Any, attribute: str) -> float | None:
     """Return an attribute as a finite number; None if it is missing or none."""
-    try:
-        value = float(element.get(attribute))
-    except (AttributeError, TypeError, ValueError):
-        return None
-    return value if math.isfinite(value) else None
+    value = number_of(element, attribute)
+    return value if value is not None and math.isfinite(value) else None
 
 
 @dataclass(frozen=True)
@@ -53,17 +36,14 @@ class Tree:
     @classmethod
     def of(cls, urdf: str) -> "Tree":
         """Return the tree of a URDF. Raises `UsageError` with a line for each fault."""
-        element = parsed(urdf, "URDF")
-        faults = list(_tree_faults(element))
+        element = parse_robot_xml(urdf, "URDF")
+        faults = [*tree_faults(element), *_kind_faults(element)]
         if faults:
             raise UsageError("\n".join(faults))
-        above = {_end(joint, "child"): joint for joint in element.findall("joint")}
+        above = {link_of(joint, "child"): joint for joint in element.findall("joint")}
         by_name = {str(link.get("name")): link for link in element.findall("link")}
         root = next(name for name in by_name if name not in above)
         links = tuple(_outwards(root, element))
-        if len(links) < len(by_name):
-            loop = ", ".join(sorted(by_name.keys() - set(links)))
-            raise UsageError(f"these links hang in a loop of joints, not below {root}: {loop}")
         moving = tuple(above[link] for link in links if link in above and above[link].get("type") != FIXED)
         faults = [fault for joint in moving for fault in _joint_faults(joint)]
         faults += [fault for name in links for fault in _inertia_faults(by_name[name], name == root, above)]
@@ -87,19 +67,14 @@ class Tree:
                 return None
             if joint.get("type") in MOVING:
                 joints.insert(0, str(joint.get("name")))
-            link = _end(joint, "parent")
+            link = link_of(joint, "parent")
         return tuple(joints)
-
-
-def _end(joint: Any, end: str) -> str:
-    element = joint.find(end)
-    return "" if element is None else str(element.get("link") or "")
 
 
 def _outwards(link: str, element: Any) -> Iterator[str]:
     children: dict[str, list[str]] = {}
     for joint in element.findall("joint"):
-        children.setdefault(_end(joint, "parent"), []).append(_end(joint, "child"))
+        children.setdefault(link_of(joint, "parent"), []).append(link_of(joint, "child"))
     open_links = [link]
     while open_links:
         current = open_links.pop()
@@ -107,30 +82,12 @@ def _outwards(link: str, element: Any) -> Iterator[str]:
         open_links += reversed(children.get(current, []))
 
 
-def _tree_faults(element: Any) -> Iterator[str]:
-    links = [link.get("name") for link in element.findall("link")]
+def _kind_faults(element: Any) -> Iterator[str]:
     joints = element.findall("joint")
-    if not links:
-        yield "the URDF has no link"
-        return
-    for kind, names in (("link", links), ("joint", [joint.get("name") for joint in joints])):
-        for name in sorted({str(name) for name in names if not name or names.count(name) > 1}):
-            yield f'more than one {kind} is called "{name}", or it has no name'
-    children: list[str] = []
     for joint in joints:
-        name = joint.get("name")
-        for end in ("parent", "child"):
-            if _end(joint, end) not in links:
-                yield f'the {end} "{_end(joint, end)}" of the joint "{name}" does not exist'
         if joint.get("type") not in MOVING | {FIXED}:
             kinds = "a humanoid has revolute, prismatic and fixed ones"
-            yield f'the joint "{name}" is {joint.get("type")}; {kinds}'
-        children.append(_end(joint, "child"))
-    for child in sorted({child for child in children if children.count(child) > 1}):
-        yield f'the link "{child}" has {children.count(child)} parents, a closed loop; keep one joint'
-    roots = [link for link in links if link not in children]
-    if len(roots) != 1:
-        yield f"the URDF has {len(roots)} roots ({', '.join(roots) or 'none'}); it needs exactly one"
+            yield f'the joint "{joint.get("name")}" is {joint.get("type")}; {kinds}'
     if len(joints) > MAX_JOINTS:
         yield f"the URDF has {len(joints)} joints; {MAX_JOINTS} are the most that are computed in time"
 

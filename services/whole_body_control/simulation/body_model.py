@@ -12,9 +12,9 @@ import numpy as np
 from lxml import etree
 
 from handover.errors import UsageError
+from handover.robot_xml import parse_robot_xml
 from services.whole_body_control.model.humanoid import ContactSurface, Humanoid
 from services.whole_body_control.model.kinematics import GRAVITY_MPS2
-from services.whole_body_control.model.urdf import parsed
 
 STEP_S = 0.002
 SOLE_THICKNESS_M = 0.02
@@ -54,7 +54,7 @@ def build(humanoid: Humanoid, ground_friction: float = 1.0, add: Callable[[Any],
 
 def _without_meshes(humanoid: Humanoid) -> tuple[Any, set[str]]:
     """Return the URDF with options for MuJoCo, and the names of the collision shapes that are capsules."""
-    root = parsed(humanoid.urdf, "URDF")
+    root = parse_robot_xml(humanoid.urdf, "URDF")
     capsules = {str(each.get("name")) for each in root.iterfind("link/collision_checking/capsule")}
     for link in root.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision_checking")]:
@@ -106,7 +106,10 @@ def _change_shapes(spec: Any, humanoid: Humanoid, capsules: set[str]) -> None:
 
 def _moving_link(humanoid: Humanoid, link: str) -> str:
     """Return the link that carries this one: below its next moving joint towards the root."""
-    above = {each.find("child").get("link"): each for each in parsed(humanoid.urdf, "URDF").findall("joint")}
+    above = {
+        each.find("child").get("link"): each
+        for each in parse_robot_xml(humanoid.urdf, "URDF").findall("joint")
+    }
     while link in above and above[link].get("type") == "fixed":
         link = above[link].find("parent").get("link")
     return link

@@ -62,11 +62,12 @@ def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> N
         time.sleep(0.01)
 
 
-@pytest.fixture
-def cycle(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Return a control process, which is stopped in the end."""
+@pytest.fixture(params=["stack", "projections"])
+def cycle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Return a control process with each motion engine, which is stopped in the end."""
     module = "services.whole_body_control.control_process"
-    with subprocess.Popen([sys.executable, "-m", module, str(written(tmp_path))], text=True) as process:
+    text = DEPLOYMENT.replace("solver: daqp", f"engine: {request.param}")
+    with subprocess.Popen([sys.executable, "-m", module, str(written(tmp_path, text))], text=True) as process:
         try:
             yield process
         finally:

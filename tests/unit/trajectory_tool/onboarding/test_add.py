@@ -169,7 +169,7 @@ def test_what_is_missing_or_odd_is_reported_and_the_robot_can_be_used(
         ("", "not XML"),
         ("<robot", "not XML"),
         ("<sdf/>", "not <robot>; convert the SDF"),
-        ('<robot xmlns:xacro="x"><xacro:include/></robot>', "this is a xacro file; expand it first"),
+        ('<robot xmlns:xacro="x"><xacro:include/></robot>', "is a xacro file; expand it first"),
         (robot(), "there is no link"),
         (robot(link("a"), link("a")), 'two links are called "a"'),
         (robot(link("a"), link("b")), "there are 2 root links: a, b"),

@@ -1,0 +1,86 @@
+"""URDF and SRDF files of strangers: read without entities and network, and checked to be one tree."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from lxml import etree
+
+from handover.errors import UsageError
+
+
+def parse_robot_xml(text: str, what: str) -> Any:
+    """Return the root element of a URDF or SRDF, which is called `what`. Raises `UsageError`."""
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True, huge_tree=False)
+    try:
+        root = etree.fromstring(text.encode(), parser)
+    except etree.XMLSyntaxError as error:
+        raise UsageError(f"the {what} is not XML: {error}") from None
+    if any(each.prefix == "xacro" for each in root.iter()):
+        raise UsageError(f"the {what} is a xacro file; expand it first: xacro FILE.xacro > FILE.urdf")
+    if root.tag != "robot":
+        hint = "; convert the SDF to a URDF first" if root.tag == "sdf" else ""
+        raise UsageError(f"the root element of the {what} is <{root.tag}>, not <robot>{hint}")
+    return root
+
+
+def number_of(element: Any, attribute: str) -> float | None:
+    """Return an attribute as a number; None if it is missing, NaN if it is none."""
+    written = None if element is None else element.get(attribute)
+    if written is None:
+        return None
+    try:
+        return float(written)
+    except ValueError:
+        return math.nan
+
+
+def link_of(joint: Any, end: str) -> str:
+    """Return the link at the `parent` or `child` end of a joint; empty without one."""
+    element = joint.find(end)
+    return "" if element is None else str(element.get("link") or "")
+
+
+def tree_faults(root: Any) -> Iterator[str]:
+    """Yield why the links and joints of a URDF are no tree whose parts have names of their own."""
+    links = [link.get("name") for link in root.findall("link")]
+    joints = root.findall("joint")
+    if not links:
+        yield "there is no link"
+        return
+    for kind, names in (("link", links), ("joint", [joint.get("name") for joint in joints])):
+        for name in sorted({str(name) for name in names if names.count(name) > 1}):
+            yield f'two {kind}s are called "{name}"'
+        if None in names or "" in names:
+            yield f"a {kind} has no name"
+    parents: dict[str, list[str]] = {}
+    for joint in joints:
+        ends = {end: link_of(joint, end) for end in ("parent", "child")}
+        missing = [end for end, link in ends.items() if not link]
+        if missing:
+            yield f'the joint "{joint.get("name")}" has no {" and no ".join(missing)}'
+            continue
+        for end, link in ends.items():
+            if link not in links:
+                yield f'the {end} "{link}" of the joint "{joint.get("name")}" does not exist'
+        parents.setdefault(ends["child"], []).append(ends["parent"])
+    yield from _shape_faults(links, parents)
+
+
+def _shape_faults(links: list[str], parents: Mapping[str, list[str]]) -> Iterator[str]:
+    for child, above in parents.items():
+        if len(above) > 1:
+            yield f'the link "{child}" has {len(above)} parents, a closed loop; cut it: keep one joint'
+    roots = [link for link in links if link not in parents]
+    if not roots:
+        yield "the joints form a loop without a root link; a robot description is a tree"
+    if len(roots) > 1:
+        yield f"there are {len(roots)} root links: {', '.join(roots)}; connect them by fixed joints"
+    for start in parents:
+        seen, link = {start}, start
+        while link in parents:
+            link = parents[link][0]
+            if link in seen:
+                yield f'the joints form a loop at "{link}"; a robot description is a tree'
+                return
+            seen.add(link)
