@@ -10,14 +10,17 @@ topic it takes velocities:
       dock: {service: /dock, type: std_srvs/srv/Trigger, timeoutS: 30}
       spin: {action: /spin, type: nav2_msgs/action/Spin, progress: fraction}
     drive: {topic: /cmd_vel}
+    driveJoints: {topic: /velocity_controller/commands, joints: [shoulder, elbow]}
     periodS: 1.0
 
-The newest value of each topic is sent once a period. A person who drives moves the base by a Twist; when a
-velocity is no longer valid, or the connection has ended, zero is published.
+The newest value of each topic is sent once a period. A person who drives moves the base by a Twist, and
+joints by velocities in the order of the file, as a group controller of ros2_control takes them. When one is
+no longer valid, or the connection has ended, zero is published.
 """
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -29,6 +32,7 @@ from services.device_gateway.device_client import DeviceClient, Run
 
 log = get_logger(__name__)
 
+JOINT_VELOCITIES: Final = "std_msgs/msg/Float64MultiArray"
 TWIST: Final = "geometry_msgs/msg/Twist"
 CHECK_S: Final = 0.1
 """How often an action looks whether its command was cancelled."""
@@ -83,12 +87,20 @@ class DriveTopic(_Part):
     topic: str
 
 
+class JointsTopic(_Part):
+    """A topic of std_msgs/Float64MultiArray that takes velocities of these joints, in rad/s or m/s."""
+
+    topic: str
+    joints: tuple[str, ...] = Field(min_length=1)
+
+
 class RosDeviceFile(_Part):
     """What of a ROS graph makes the device."""
 
     values: dict[str, TopicValue] = Field(default_factory=dict)
     commands: dict[str, ServiceCommand | ActionCommand] = Field(default_factory=dict)
     drive: DriveTopic | None = None
+    drive_joints: JointsTopic | None = None
     period_s: FiniteFloat = Field(1.0, ge=0.02)
 
 
@@ -114,8 +126,8 @@ class RosDevice:
                 self._client.command(name)(self._acting(command, client))
             else:
                 self._client.command(name)(self._calling(command))
-        if self._file.drive is not None:
-            await self._follow_velocities(self._file.drive)
+        if self._file.drive is not None or self._file.drive_joints is not None:
+            await self._follow_velocities(self._file.drive, self._file.drive_joints)
         self._client.start()
         try:
             while self._client.refused is None:
@@ -184,14 +196,18 @@ class RosDevice:
             raise RuntimeError(f"the action {command.action} has ended as {ended.status.name.lower()}")
         return _scalars(ended.result)
 
-    async def _follow_velocities(self, drive: DriveTopic) -> None:
-        publisher = await self._graph.publisher(drive.topic, TWIST)
+    async def _follow_velocities(self, base: DriveTopic | None, joints: JointsTopic | None) -> None:
+        publishers: list[Callable[[Mapping[str, Any]], None]] = []
+        if base is not None:
+            publishers.append(partial(_publish_base, await self._graph.publisher(base.topic, TWIST)))
+        if joints is not None:
+            publisher = await self._graph.publisher(joints.topic, JOINT_VELOCITIES)
+            publishers.append(partial(_publish_joints, publisher, joints.joints))
 
         @self._client.drive
         def follow(motion: Mapping[str, Any] | None) -> None:
-            self._loop.call_soon_threadsafe(
-                _publish, publisher, None if motion is None else motion.get("base")
-            )
+            for publish in publishers:  # a part that is not named stands
+                self._loop.call_soon_threadsafe(publish, motion or {})
 
 
 def _field(message: Mapping[str, Any], path: str) -> Any:
@@ -205,6 +221,11 @@ def _scalars(message: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in message.items() if isinstance(value, str | int | float)}
 
 
-def _publish(publisher: Publisher, base: Any) -> None:
-    x, y, rz = base or (0.0, 0.0, 0.0)
+def _publish_joints(publisher: Publisher, joints: Sequence[str], motion: Mapping[str, Any]) -> None:
+    given = motion.get("joints") or {}
+    publisher.publish({"data": [float(given.get(name, 0.0)) for name in joints]})
+
+
+def _publish_base(publisher: Publisher, motion: Mapping[str, Any]) -> None:
+    x, y, rz = motion.get("base") or (0.0, 0.0, 0.0)
     publisher.publish({"linear": {"x": x, "y": y, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": rz}})

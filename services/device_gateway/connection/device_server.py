@@ -324,6 +324,9 @@ class DeviceConnection(asyncio.Protocol):
         try:
             certificate = self._certificate_sha256()
             hello = parse_hello(line, needs_token=not certificate)
+            if hello.relay is not None and self._server.relays is None:
+                self._refuse_edge(hello)
+                return
             session = gateway.connect(hello, self, certificate)
             self._session = session
             relay = None if hello.relay is None else self._begin_relay(session, hello)
@@ -341,6 +344,15 @@ class DeviceConnection(asyncio.Protocol):
         received = gateway.edge_marks.stored(relay.name, relay.stream)
         self.send({**greeting, "received": received, "live": True})
         relay.begin()
+
+    def _refuse_edge(self, hello: Hello) -> None:
+        """Refuse an edge behind this one. Its token is not known here: the centre sends none of edges."""
+        upstream = self._settings.edge_upstream
+        reason = (
+            f"this gateway is an edge, which relays devices but no other edge such as {hello.device}; set "
+            f"HANDOVER_EDGE_UPSTREAM of {hello.device} to that of this one, {upstream}"
+        )
+        self.refuse("edgeOfEdge", reason, retry=False)
 
     def _begin_replica(self, hello: ReplicaHello) -> None:
         if self._server.replicas is None:
@@ -360,8 +372,7 @@ class DeviceConnection(asyncio.Protocol):
 
     def _begin_relay(self, session: Session, hello: Hello) -> EdgeSession:
         relays = self._server.relays
-        if relays is None:
-            raise Refused("noEdge", "this gateway is an edge itself; connect this edge to the centre")
+        assert relays is not None  # noqa: S101 - the caller has looked
         relay = relays.begin(session, self, hello)
         self._session = relay
         self._lines.max_line_bytes = MAX_RELAYED_BYTES

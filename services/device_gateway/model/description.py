@@ -205,7 +205,10 @@ class DeviceDescription(Part):
         _require_unique("joint or sensor", names)
         _require_unique("command", [command.name for command in self.commands])
         if self.kind is DeviceKind.EDGE and (self.edge is not None or self.commands):
-            raise ValueError("an edge takes no commands, and is not relayed by another edge")
+            raise ValueError(
+                'an edge takes no commands, and is not relayed by another edge: leave out "commands" and '
+                '"edge", and let it connect to the centre'
+            )
         if self.joints and self.kind not in ROBOTS | {DeviceKind.GRIPPER}:
             raise ValueError(f'a device of kind "{self.kind}" has no joints; a robot or gripper has')
         return self

@@ -483,6 +483,7 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
         "kind": "mobileRobot",
         "edge": EDGE,
         "sensors": [{"name": "battery"}],
+        "joints": [{"name": name, "type": "continuous"} for name in ("mast", "lamp")],
         "commands": [{"name": "dock", "kind": "motion"}, {"name": "count", "kind": "motion"}],
     }
     body = {"name": "rover-1", "description": description}
@@ -491,7 +492,8 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
     (tmp_path / "rover.yaml").write_text(
         "values:\n  battery: {topic: /battery, type: sensor_msgs/msg/BatteryState, field: percentage}\n"
         "commands:\n  dock: {service: /dock, type: std_srvs/srv/Trigger}\n"
-        "  count: {action: /count, type: example_interfaces/action/Fibonacci}\nperiodS: 0.1\n"
+        "  count: {action: /count, type: example_interfaces/action/Fibonacci}\n"
+        "drive: {topic: /cmd_vel}\ndriveJoints: {topic: /arm/commands, joints: [lamp, mast]}\nperiodS: 0.1\n"
     )
     ros = {"HANDOVER_ROS_DOMAIN_ID": str(domain), "HANDOVER_ROS_INTERFACES": '["127.0.0.1"]'}
     arguments = ("bridge", "device", "rover-1", "--file", str(tmp_path / "rover.yaml"))
@@ -534,6 +536,17 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
             identifier: str = site.order("rover-1", "count", **members).json()["id"]
             return identifier
 
+        velocities: list[list[float]] = []
+        await robot.subscribe(
+            "/arm/commands",
+            "std_msgs/msg/Float64MultiArray",
+            lambda received: velocities.append(list(received.message["data"])),
+        )
+        async with driver(site, "rover-1") as anna:
+            await anna.hold(joints=[0.25, 0.0])
+            await until(lambda: [0.0, 0.25] in velocities, why=lambda: str(anna.state))
+        await until(lambda: velocities[-1] == [0.0, 0.0])
+
         short = await asyncio.to_thread(counted, 1)
         assert (await asyncio.to_thread(site.command, "rover-1", short))["state"] == "done"
         long = await asyncio.to_thread(counted, 5)
@@ -547,3 +560,19 @@ async def test_a_robot_of_a_ros_graph_joins_through_an_edge(
     finally:
         processes.kill(process)
         await robot.close()
+
+
+def test_an_edge_of_an_edge_is_refused_with_the_way_out(new_site: Callable[..., Site]) -> None:
+    site = new_site()
+    site.edge.start("device_gateway")
+    template = {"name": "site-2", "template": "edge"}
+    token = site.rest.post("/devices", json=template).raise_for_status().json()["token"]
+    relay = {"stream": "s-1", "time": time.time()}
+    with TcpDevice(site.edge.ports["devices"], "site-2", token, relay=relay) as inner:
+        assert inner.greeting is not None
+        assert (inner.greeting["code"], inner.greeting["retry"]) == ("edgeOfEdge", False)
+        assert "HANDOVER_EDGE_UPSTREAM of site-2" in inner.greeting["reason"]
+    description = {"kind": "edge", "edge": EDGE}
+    refused = site.rest.post("/devices", json={"name": "site-3", "description": description})
+    assert refused.status_code == 422
+    assert "let it connect to the centre" in refused.text
