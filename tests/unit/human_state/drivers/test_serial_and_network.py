@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
+from services.human_state.checks.monitor import SignalMonitor
 from services.human_state.drivers.base import PacketError, SensorDriver
 from services.human_state.drivers.brainflow.driver import BrainFlowDriver, BrainFlowSettings
 from services.human_state.drivers.lsl.driver import LslDriver, LslSettings
@@ -223,6 +224,37 @@ async def test_an_lsl_stream_is_found_pulled_and_found_again() -> None:
         first = received.samples(SignalKind.ECG)[0]
         assert set(first.values.ravel()) <= {1000.0, 2000.0}, "volts became microvolts"
         assert first.uncertainty_s > 0
+
+
+@pytest.mark.parametrize(
+    ("channels", "form", "reason"), [(1, "string", "has texts"), (3, "double64", "has 3 channels")]
+)
+async def test_an_lsl_stream_that_is_no_such_signal_is_refused_by_name(
+    channels: int, form: str, reason: str
+) -> None:
+    import pylsl
+
+    name = f"handover-{os.getpid()}-{np.random.default_rng().integers(1 << 30)}"
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo(name, "ECG", channels, 100, form, name))
+    settings = LslSettings(kind="ecg", unit="D82", rate_hz=100, name=name, search_s=2)
+    async with serving(LslDriver("stream", settings)) as received:
+        await until(lambda: reason in received.texts())
+        assert received.samples(SignalKind.ECG) == []
+    del outlet
+
+
+@given(st.lists(st.floats(), min_size=1, max_size=20), st.floats(), st.sampled_from([None, 100.0]))
+def test_whatever_an_lsl_stream_sends_passes_the_checks_or_not_at_all(
+    numbers: list[float], stamp_s: float, rate_hz: float | None
+) -> None:
+    driver = LslDriver("stream", LslSettings(kind="ecg", unit="D82", rate_hz=rate_hz, name="any"))
+    (info,) = driver.signals
+    stamps_s = stamp_s + np.arange(len(numbers)) / 100
+    samples = driver._samples(info, [[one] for one in numbers], stamps_s)
+    checked = SignalMonitor("stream", info).take(samples, 1_700_000_000.0)
+    if checked.samples is not None and checked.samples.quality > 0:
+        assert np.isfinite(checked.samples.values).all()
+        assert np.isfinite(checked.samples.sample_times_s()).all()
 
 
 async def test_an_lsl_stream_that_is_absent_is_named() -> None:

@@ -1,6 +1,7 @@
 """The monitor of one person: features of sensors, and those that follow from all of them."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -116,3 +117,31 @@ def test_a_contact_that_is_back_is_shown() -> None:
                 monitor.take(item)
         shown.append(monitor.sensors["strap"].has_contact)
     assert shown == [True, False, True]
+
+
+def test_two_sensors_40_bpm_apart_limit_by_the_higher_rate_and_say_so() -> None:
+    both = replace(person("live", "speedLimits"), sensors={
+        "strap": SensorRow("strap", "heart-rate-strap", {}, "aino"),
+        "radar": SensorRow("radar", "seeed-radar", {}, "aino"),
+    })  # fmt: skip
+    monitor, now_s = PersonMonitor(both, pipeline_of), time.time()
+    for second in range(8):
+        at_s = now_s - 8 + second
+        for source, bpm in (("strap", 80.0), ("radar", 120.0)):
+            info = replace(RATE, method=source)
+            monitor.take(Samples(source, info, at_s, np.array([[bpm]]), np.array([at_s])))
+    (rate,) = [each for each in monitor.values(time.monotonic()) if each.name is FeatureName.HEART_RATE]
+    assert (rate.value, rate.disagree) == (120.0, True)
+    monitor.step(time.monotonic())
+    assert monitor.limit.fraction <= 0.2 + 0.8 * (125 - 120) / (125 - 90)
+
+
+def test_a_person_without_sensors_has_no_values_and_stops_the_robot() -> None:
+    monitor = PersonMonitor(replace(person("live", "speedLimits"), sensors={}), pipeline_of)
+    began_s = time.monotonic()
+    feed(monitor, 70.0, 20)  # of a sensor that is not of this person
+    assert monitor.values(began_s) == []
+    for second in range(1, 12):
+        monitor.step(began_s + second)
+        assert monitor.limit.fraction <= 0.25
+    assert monitor.limit.fraction == 0.0
