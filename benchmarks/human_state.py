@@ -26,6 +26,7 @@ import wfdb.processing
 from numpy.typing import NDArray
 
 from benchmarks.steal_time import report_steal_time
+from benchmarks.wrapped_records import unwrapped
 from services.human_state.checks.monitor import SignalMonitor
 from services.human_state.drivers.runner import WATCH_S
 from services.human_state.model.features import Feature, FeatureName, Status
@@ -127,8 +128,8 @@ def print_beats(title: str, ecg: Floats, rate_hz: float, truth: Floats) -> None:
 def record(name: str) -> tuple[dict[str, Floats], float]:
     """Return the signals of a record by name, and its rate.
 
-    v102s is stored in 12 bits and wraps around; its slow signals are unwrapped, and so is the lead V, by the
-    line through the two samples before. Lead II is too steep for that and stays as it is.
+    v102s is stored in 12 bits and wraps around: its slow signals are unwrapped from sample to sample, its
+    leads by `wrapped_records`.
     """
     found = wfdb.rdrecord(str(RECORDS / name))
     signals = {key: np.nan_to_num(found.p_signal[:, n]) for n, key in enumerate(found.sig_name)}
@@ -136,10 +137,8 @@ def record(name: str) -> tuple[dict[str, Floats], float]:
         counts = wfdb.rdrecord(str(RECORDS / name), physical=False).d_signal.astype(float)
         for key in ("PLETH", "RESP"):
             signals[key] = np.unwrap(counts[:, found.sig_name.index(key)], period=4096)
-        lead = counts[:, found.sig_name.index("V")].copy()
-        for n in range(2, len(lead)):
-            lead[n] += 4096 * round((2 * lead[n - 1] - lead[n - 2] - lead[n]) / 4096)
-        signals["V"] = lead
+        for key in ("II", "V"):
+            signals[key] = unwrapped(counts[:, found.sig_name.index(key)], 4096)
     return signals, float(found.fs)
 
 

@@ -12,6 +12,7 @@ from fastapi import FastAPI
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.garbage_collection import freeze_loaded
 from handover.latest_value_writer import LatestValueWriter
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
@@ -73,6 +74,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
             for person in people.all():
                 monitoring.apply(person.name)
             tasks.start_restarting(monitoring.run)
+            tasks.start_restarting(freeze_loaded)
             tasks.start_restarting(history.run)
             tasks.start_restarting(entities.run)
             writer.put("orphans", lambda: entities.delete_orphans(people))
