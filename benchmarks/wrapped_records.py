@@ -19,8 +19,8 @@ def unwrapped(counts: Floats, period: float) -> Floats:
 
     Around each steep part, a QRS complex, the numbers of wraps are those that make the sum of the squared
     second differences least, with none before and after it: dynamic programming (Viterbi) over the wraps of
-    two samples. The slow waves must not wrap. A rule that looks at the next sample only fails where the signal
-    crosses more than half of the period from one sample to the next.
+    two samples. The slow waves must not wrap. A rule that looks at the next sample only fails where the
+    signal crosses more than half of the period from one sample to the next.
     """
     found = counts.astype(np.float64)
     steep = np.flatnonzero(np.abs(np.diff(counts)) > STEEP_SHARE * period)
