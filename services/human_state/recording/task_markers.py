@@ -1,7 +1,7 @@
 """Markers from Tasks: each new status of a Task that involves a person who is being recorded.
 
-The broker notifies of Tasks only while something is recorded. A gesture that answers a Task is seen by the
-status of the Task. A notification is a hint: the Task is read from the broker before it is marked.
+The broker notifies of Tasks only while something is recorded. A gesture that answers a Task is named in the
+marker of its status. A notification is a hint: the Task is read from the broker before it is marked.
 """
 
 import time
@@ -113,4 +113,13 @@ class TaskMarkers:
             while len(self._seen) > MAX_REMEMBERED:
                 self._seen.popitem(last=False)
             name = task.id if task.name is None else str(task.name.value)
-            self._recordings.mark_person(person, Marker(time.time(), MARKER, f"{name[:200]}: {status}"))
+            text = f"{name[:200]}: {status}{_gesture_of(task)}"
+            self._recordings.mark_person(person, Marker(time.time(), MARKER, text))
+
+
+def _gesture_of(task: Task) -> str:
+    """Return by which gesture a Task has ended, as the end of a text; empty for another way."""
+    output = None if task.output_parameters is None else task.output_parameters.value
+    if not isinstance(output, Mapping) or output.get("by") != "gesture":
+        return ""
+    return f" by the gesture {str(output.get('gesture'))[:100]}"

@@ -67,7 +67,8 @@ async def notify_of_tasks(rest: httpx.AsyncClient, broker: BrokerClient, folder:
             "id": f"urn:ngsi-ld:Task:demo:of-{person}",
             "type": "Task",
             "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:lift"},
-            "status": {"type": "Property", "value": "inProgress"},
+            "status": {"type": "Property", "value": "completed"},
+            "outputParameters": {"type": "Property", "value": {"by": "gesture", "gesture": "Thumbs up"}},
             "name": {"type": "Property", "value": "Lift"},
             "involves": {"type": "Relationship", "object": f"urn:ngsi-ld:Person:demo:{person}"},
         }
@@ -117,7 +118,10 @@ async def test_a_session_is_recorded_marked_downloaded_exported_and_deleted(
         assert_digest(file)
         items = list(read_stream(io.BytesIO(file.content), "it"))
         assert len(items) == closed["messages"]
-        assert [each.text for each in items if isinstance(each, Marker)] == ["the box", "Lift: inProgress"]
+        assert [each.text for each in items if isinstance(each, Marker)] == [
+            "the box",
+            "Lift: completed by the gesture Thumbs up",
+        ]
         assert {each.info.kind for each in items if isinstance(each, Samples)} == {SignalKind.HEART_RATE}
         rates = [each for each in items if isinstance(each, Feature) and each.name is FeatureName.HEART_RATE]
         assert rates

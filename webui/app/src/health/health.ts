@@ -66,7 +66,7 @@ export function sensorFault({ link, hasContact, fault }: SensorStateView): { kin
 }
 
 export interface Reason {
-  key: "none" | "high" | "normal" | "rising" | "silent" | "other";
+  key: "none" | "noLimit" | "high" | "normal" | "rising" | "silent" | "other";
   seconds: number;
   text: string;
 }
@@ -76,7 +76,7 @@ export function reasonOf({ reason }: Pick<LimitView, "reason">): Reason {
   const text = /^stopped; a person must reset it \((.*)\)$/.exec(reason)?.[1] ?? reason;
   const silent = /^no valid heart rate for (\d+) s$/.exec(text);
   if (silent !== null) return { key: "silent", seconds: Number(silent[1]), text };
-  const keys: Record<string, Reason["key"]> = { "no heart rate yet": "none", "the heart rate is high": "high", "the heart rate is normal": "normal", "the heart rate is normal, and the limit rises slowly": "rising" };
+  const keys: Record<string, Reason["key"]> = { "no heart rate yet": "none", "no limit received from human state yet": "noLimit", "the heart rate is high": "high", "the heart rate is normal": "normal", "the heart rate is normal, and the limit rises slowly": "rising" };
   return { key: keys[text] ?? "other", seconds: 0, text };
 }
 
