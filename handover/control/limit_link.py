@@ -30,9 +30,15 @@ Serve = Callable[[ClientConnection], Awaitable[None]]
 
 
 async def keep_connected(
-    url: str, serve: Serve, *, headers: Headers, ca_files: Sequence[Path], on_problem: Callable[[str], None]
+    url: str,
+    serve: Serve,
+    *,
+    headers: Headers,
+    ca_files: Sequence[Path],
+    on_problem: Callable[[str], None],
+    peer: str = "human state",
 ) -> None:
-    """Serve connection after connection to the WebSocket `url`, a stream of human state, until cancelled.
+    """Serve connection after connection to the WebSocket `url`, a stream of `peer`, until cancelled.
 
     `on_problem` gets why one ended; the next is opened after a pause.
     """
@@ -49,15 +55,15 @@ async def keep_connected(
             ) as link:
                 backoff.reset()
                 await serve(link)
-                on_problem("human state closed the connection")
+                on_problem(f"{peer} closed the connection")
         except InvalidStatus as refused:
             path = url.partition("://")[2].partition("/")[2]
-            on_problem(f"human state answered {refused.response.status_code} at /{path}")
+            on_problem(f"{peer} answered {refused.response.status_code} at /{path}")
         except (
             *(OSError, TimeoutError, InvalidHandshake, HandoverError, ConnectionClosed),
             *(KeyError, TypeError, ValueError),
         ) as error:
-            on_problem(f"human state: {str(error) or type(error).__name__}"[:200])
+            on_problem(f"{peer}: {str(error) or type(error).__name__}"[:200])
         await backoff.wait()
 
 

@@ -29,8 +29,8 @@ from typing import Annotated, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
-from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import InvalidURI, WebSocketException
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import WebSocketException
 
 from datamodels.humanoid_stream import (
     HUMANOID_REPORTS,
@@ -39,9 +39,8 @@ from datamodels.humanoid_stream import (
     HumanoidSetup,
     HumanoidState,
 )
-from handover.errors import HandoverError, UsageError
-from handover.messages import text_of
-from handover.retry import Backoff
+from handover.control.limit_link import keep_connected
+from handover.errors import UsageError
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
 from services.whole_body_control.components.modes import require_mode
@@ -55,7 +54,6 @@ from services.whole_body_control.simulation.body_model import STEP_S
 log = get_logger(__name__)
 
 SENSOR_TIMEOUT_S: Final = 0.05
-OPEN_TIMEOUT_S: Final = 5.0
 CLOSE_TIMEOUT_S: Final = 5.0
 RESTARTED_S: Final = 1.0
 """A clock that is set back by so much is that of a robot that has started again."""
@@ -105,14 +103,15 @@ class Ros2Robot:
 
     is_simulated = False
 
-    def __init__(self, humanoid: Humanoid, options: Ros2Options, url: str, access: ServiceAccess) -> None:
+    def __init__(self, humanoid: Humanoid, options: Ros2Options, settings: WholeBodySettings) -> None:
         for mode in options.modes:
             require_mode(mode, humanoid.modes, f"the model {humanoid.name}")
         self.humanoid, self.options, self.period_s = humanoid, options, STEP_S
         self.modes = tuple(mode for mode in JointMode if mode in options.modes)
-        self.fault = f"the ROS bridge at {url} has not answered yet"
+        self.fault = f"the ROS bridge at {settings.humanoid_bridge} has not answered yet"
         """Why there are no measurements."""
-        self._url, self._access = url, access
+        self._url, self._ca_files = settings.humanoid_bridge, settings.ca_files
+        self._access = ServiceAccess(settings, "whole-body-control")
         self._setup = HumanoidSetup(
             joint_names=humanoid.joint_names,
             joint_states=options.joint_states,
@@ -129,8 +128,6 @@ class Ros2Robot:
         self._lock = threading.Lock()
         self._command: tuple[JointMode, Array] | None = None
         self._values = np.zeros((5, count))
-        self._socket: ClientConnection | None = None
-        self._is_closing = False
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name="humanoid link", daemon=True)
         self._thread.start()
@@ -183,7 +180,6 @@ class Ros2Robot:
 
     def close(self) -> None:
         """End the connection; the bridge then holds the joints."""
-        self._is_closing = True
         self._loop.call_soon_threadsafe(lambda: [task.cancel() for task in asyncio.all_tasks(self._loop)])
         self._thread.join(CLOSE_TIMEOUT_S)
 
@@ -197,22 +193,14 @@ class Ros2Robot:
         self._loop.close()
 
     async def _run(self) -> None:
-        backoff = Backoff()
-        while not self._is_closing:
-            try:
-                headers = await self._access.headers()
-                async with connect(
-                    self._url, open_timeout=OPEN_TIMEOUT_S, compression=None, additional_headers=headers
-                ) as socket:
-                    await self._exchange(socket)
-                    backoff.reset()
-            except (OSError, TimeoutError, WebSocketException, InvalidURI) as error:
-                self._say(
-                    f"the ROS bridge at {self._url} is unavailable: {str(error) or type(error).__name__}"
-                )
-            except HandoverError as error:
-                self._say(f"there are no credentials for the ROS bridge: {text_of(error)}")
-            await backoff.wait()
+        await keep_connected(
+            self._url,
+            self._exchange,
+            headers=self._access.headers,
+            ca_files=self._ca_files,
+            on_problem=self._say,
+            peer=f"the ROS bridge at {self._url}",
+        )
 
     async def _exchange(self, socket: ClientConnection) -> None:
         await socket.send(self._setup.model_dump_json(by_alias=True))
@@ -298,7 +286,4 @@ def _topics(humanoid: Humanoid, wrenches: Mapping[str, str]) -> tuple[str, ...]:
 
 def make_robot(context: DriverContext) -> Ros2Robot:
     """Return the robot. Raises `UsageError` for options that do not fit the model."""
-    options, settings = context.read_options(Ros2Options), WholeBodySettings.load()
-    return Ros2Robot(
-        context.humanoid, options, settings.humanoid_bridge, ServiceAccess(settings, "whole-body-control")
-    )
+    return Ros2Robot(context.humanoid, context.read_options(Ros2Options), WholeBodySettings.load())

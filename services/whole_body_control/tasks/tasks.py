@@ -151,24 +151,28 @@ class CentreOfMassTask(Task):
         velocity += self.velocity
 
 
-class LinearMomentumTask(Task):
-    """The linear momentum, mass times velocity of the centre of mass, follows `target` (3,) in kg m/s.
-
-    Against `CentreOfMassTask` it has no place to return to: zero brings the body to rest wherever it is.
-    """
+class _MomentumTask(Task):
+    """A momentum follows `target` (3,): it has no place to return to, so there is no error and no gain."""
 
     def __init__(self, label: str, target: Array | None = None) -> None:
         super().__init__(label, 0.0)
         self.target = np.zeros(3) if target is None else target
 
     def error(self, kinematics: Kinematics) -> Array:  # noqa: ARG002 - a momentum is no position
-        """Return zero: the task has no position to return to."""
+        """Return zero."""
         return np.zeros(3)
 
     @property
     def size(self) -> int:
         """The number of rows."""
         return 3
+
+
+class LinearMomentumTask(_MomentumTask):
+    """The linear momentum, mass times velocity of the centre of mass, follows `target` (3,) in kg m/s.
+
+    Against `CentreOfMassTask`, zero brings the body to rest wherever it is.
+    """
 
     def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
         """Write the three rows."""
@@ -177,21 +181,8 @@ class LinearMomentumTask(Task):
         velocity[:] = self.target
 
 
-class AngularMomentumTask(Task):
+class AngularMomentumTask(_MomentumTask):
     """The angular momentum about the centre of mass follows `target` (3,) in kg m²/s; zero: no turning."""
-
-    def __init__(self, label: str, target: Array | None = None) -> None:
-        super().__init__(label, 0.0)
-        self.target = np.zeros(3) if target is None else target
-
-    def error(self, kinematics: Kinematics) -> Array:  # noqa: ARG002 - a momentum is no position
-        """Return zero: the task has no position to return to."""
-        return np.zeros(3)
-
-    @property
-    def size(self) -> int:
-        """The number of rows."""
-        return 3
 
     def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
         """Write the three rows."""

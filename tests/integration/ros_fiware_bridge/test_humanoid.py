@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from handover.errors import UsageError
-from handover.security.service_access import ServiceAccess
 from ros_fiware_bridge.graph.joining import Adapter, installed
 from services.whole_body_control.components.modes import ModeConversion
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
@@ -58,8 +57,7 @@ async def node(shop: Shop) -> AsyncIterator[RosHumanoid]:
 def connected(shop: Shop, **options: Any) -> Iterator[Ros2Robot]:
     settings = WholeBodySettings.load(bridge_url=shop.cell.url("ros_fiware_bridge"))
     chosen = Ros2Options(**{"wrenches": WRENCHES, "modes": MODES, **options})
-    access = ServiceAccess(settings, "whole-body-control")
-    robot = Ros2Robot(COMAN, chosen, settings.humanoid_bridge, access)
+    robot = Ros2Robot(COMAN, chosen, settings)
     try:
         yield robot
     finally:
