@@ -29,7 +29,7 @@ from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
 from services.whole_body_control.patterns.regions import Footprint, Side, turn
 from services.whole_body_control.patterns.walking import Pattern, WalkingPattern
-from services.whole_body_control.patterns.zmp_control import PERIOD_S, ZmpControl
+from services.whole_body_control.patterns.zmp_control import LITTLE_SWAY, PERIOD_S, ZmpControl
 from services.whole_body_control.solvers.problem import Solver
 from services.whole_body_control.tasks.base import Constraint, Level
 from services.whole_body_control.tasks.constraints import Contact, JointLimits
@@ -99,9 +99,9 @@ class WalkingController:
         stance = Stance(self._footprint("left"), self._footprint("right"))
         width = float(np.linalg.norm(stance.left.place - stance.right.place))
         limits = limits or StepLimits(width, 0.85 * width, 1.5 * width, 0.1)
-        self._pattern = WalkingPattern(
-            ZmpControl(self._pendulum, margin_m=ZMP_MARGIN_M), limits, self._sole, stance
-        )
+        self._control = ZmpControl(self._pendulum, margin_m=ZMP_MARGIN_M)
+        self._little_sway = ZmpControl(self._pendulum, LITTLE_SWAY, margin_m=ZMP_MARGIN_M)
+        self._pattern = WalkingPattern(self._control, limits, self._sole, stance)
         self._limits = limits
         self._next = self._pattern.step(Wish(np.zeros(2)))
         first = self._next.plan.states[0]
@@ -114,6 +114,10 @@ class WalkingController:
         self.wish = Wish(np.zeros(2))
         self._shift, self._capture_error = np.zeros(2), np.zeros(2)
         self._foot_offset, self._foot_wanted = np.zeros(3), np.zeros(3)
+
+    def sway(self, *, little: bool) -> None:
+        """Sway little from now on, nearer to the inner edges of the soles, or as usual."""
+        self._pattern.control = self._little_sway if little else self._control
 
     @property
     def reference(self) -> Array:

@@ -34,11 +34,12 @@ class Pattern:
 class WalkingPattern:
     """Generates the pattern from a stance at rest. Not thread-safe.
 
-    `sole` are the corners (n, 2) of a sole in the frame of the foot.
+    `sole` are the corners (n, 2) of a sole in the frame of the foot. `control` may be changed between steps
+    for one with other weights.
     """
 
     def __init__(self, control: ZmpControl, limits: StepLimits, sole: Array, stance: Stance) -> None:
-        self._control, self._sole = control, sole
+        self.control, self._sole = control, sole
         self._footsteps = Footsteps(limits, control.period_s)
         self.stance = stance
         centre = (stance.left.place + stance.right.place) / 2
@@ -54,9 +55,9 @@ class WalkingPattern:
         if self.stance.phase == "single" and self.stance.remaining > LOCKED:
             beyond = None if error is None else error - np.clip(error, -TOLERATED_M, TOLERATED_M)
             self.stance = self._footsteps.placed(self.stance, wish, beyond)
-        stances = list(self._footsteps.preview(self.stance, wish, self._control.samples + 1))
+        stances = list(self._footsteps.preview(self.stance, wish, self.control.samples + 1))
         regions = self._regions(stances)
-        plan = self._control.plan(self.state, regions[1:], wish.velocity)
+        plan = self.control.plan(self.state, regions[1:], wish.velocity)
         pattern = Pattern(self.stance, plan, regions[0])
         self.stance, self.state = stances[1], plan.states[1]
         return pattern

@@ -31,11 +31,19 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """What costs how much; see the module. In s²/m², 1/m² and s²/m²."""
+    """What costs how much; see the module. In s²/m², 1/m² and s²/m².
+
+    With less for the centre the ZMP is planned near the inner edges of the soles, since the body then sways
+    less (`LITTLE_SWAY`): in walks that also go aside a tenth of the measured pressures are then less than
+    1 cm inside.
+    """
 
     velocity: float = 0.1
-    centre: float = 1.0
+    centre: float = 3.0
     effort: float = 1e-3
+
+
+LITTLE_SWAY = Weights(centre=1.0)
 
 
 @dataclass(frozen=True, slots=True)
