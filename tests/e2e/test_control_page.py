@@ -157,17 +157,16 @@ def test_the_arrangement_of_the_panels_is_kept_for_the_user(control: Cell, open_
 
 
 @contextmanager
-def waved(client: DeviceClient, held: threading.Event) -> Iterator[None]:
-    """Let a hand move up and down by 10 cm, 100 times a second, as motion capture sees it."""
+def repeated(client: DeviceClient, send: Callable[[], None]) -> Iterator[None]:
+    """Let a device send an input 100 times a second."""
     ended = threading.Event()
 
-    def wave() -> None:
+    def repeat() -> None:
         while not ended.wait(0.01):
-            height = 0.05 * math.sin(2 * math.pi * time.monotonic() / 2)
-            client.human_input({"handX": 0.4, "handY": 0.1, "handZ": 1.2 + height}, held.is_set())
+            send()
 
     client.start()
-    thread = threading.Thread(target=wave)
+    thread = threading.Thread(target=repeat)
     thread.start()
     try:
         yield
@@ -183,7 +182,13 @@ def test_the_position_of_a_hand_moves_the_tool(control: Cell, open_page: OpenPag
     token = gateway.post("/devices", json=body).raise_for_status().json()["token"]
     client = DeviceClient("127.0.0.1", control.ports["devices"], "mocap-1", token)
     held = threading.Event()
-    with waved(client, held):
+
+    def wave() -> None:
+        """Move a hand up and down by 10 cm, as motion capture sees it."""
+        height = 0.05 * math.sin(2 * math.pi * time.monotonic() / 2)
+        client.human_input({"handX": 0.4, "handY": 0.1, "handZ": 1.2 + height}, held.is_set())
+
+    with repeated(client, wave):
         page = open_page("/control?robot=ur10-1")
         page.get_by_role("radio", name="Other device").click()
         page.get_by_text("Mapping", exact=True).click()
@@ -203,3 +208,52 @@ def test_the_position_of_a_hand_moves_the_tool(control: Cell, open_page: OpenPag
         expect(page.get_by_role("radio", name="Positions of the hand")).to_be_checked()
     gateway.delete("/devices/mocap-1").raise_for_status()
     gateway.close()
+
+
+def test_a_glove_and_the_tilt_of_a_phone_move_the_tool(control: Cell, open_page: OpenPage) -> None:
+    gateway = httpx.Client(base_url=control.url("device_gateway"), timeout=120, trust_env=False)
+    body = {"name": "glove-2", "description": {"kind": "inputDevice", "title": "Glove"}}
+    token = gateway.post("/devices", json=body).raise_for_status().json()["token"]
+    client = DeviceClient("127.0.0.1", control.ports["devices"], "glove-2", token)
+    held = threading.Event()
+
+    def bend() -> None:
+        client.human_input({"thumbBend": 0.0, "indexBend": 0.8 if held.is_set() else 0.0}, held.is_set())
+
+    with repeated(client, bend):
+        page = open_page("/control?robot=ur10-1")
+        page.get_by_role("radio", name="Other device").click()
+        page.get_by_text("Mapping", exact=True).click()
+        page.get_by_label("Up", exact=True).select_option(label="indexBend")
+        page.get_by_role("button", name="Drive ur10-1 with glove-2").click()
+        expect(page.get_by_text("ur10-1 is at rest")).to_be_visible()
+        moves(control, page, held.set, held.clear)
+        held.clear()
+        wait_for(lambda: rests(control))
+        page.get_by_role("button", name="End the control with glove-2").click()
+        expect(page.get_by_text("The last control has ended")).to_be_visible()
+    gateway.delete("/devices/glove-2").raise_for_status()
+    gateway.close()
+
+    phone = page.context.new_cdp_session(page)
+
+    def tilt(beta: float) -> None:
+        angles = {"alpha": 0, "beta": beta, "gamma": 0}
+        phone.send("DeviceOrientation.setDeviceOrientationOverride", angles)
+
+    tilt(40)
+    page.get_by_role("radio", name="Tilt of this phone").click()
+    page.get_by_role("button", name="Use the tilt of this device").click()
+    expect(page.get_by_role("button", name="No longer use the tilt")).to_be_visible()
+    taken(page)
+
+    def hold_and_tilt() -> None:
+        tilt(40)
+        page.keyboard.down("Space")
+        page.wait_for_timeout(200)  # so that the tilt is compared with that at which it was held
+        assert rests(control), "held at a tilt, and not moved by it"
+        tilt(10)
+
+    moves(control, page, hold_and_tilt, lambda: page.keyboard.up("Space"))
+    page.keyboard.up("Space")
+    wait_for(lambda: rests(control))

@@ -9,6 +9,8 @@ import { InputDevicePanel } from "./InputDevicePanel";
 import { keyName } from "./keyName";
 import { BUTTONS, DIRECTIONS, GAMEPAD, isLike, KEYBOARD, MAX_GAMMA, MIN_GAMMA, type ButtonUse, type Direction, type GamepadMapping, type KeyboardMapping } from "./mapping";
 import { Slider } from "./Slider";
+import { TILT } from "./tilt";
+import { TiltPanel } from "./TiltPanel";
 import type { Control } from "./useControl";
 import { useUserSetting } from "./useUserSetting";
 
@@ -23,14 +25,15 @@ export function DevicesPanel({ robot, control }: { robot: string; control: Contr
   const [keyboard, setKeyboard] = useUserSetting("control.keyboard", KEYBOARD, (value): value is KeyboardMapping => isLike(value, KEYBOARD));
   const [gamepad, setGamepad] = useUserSetting("control.gamepad", GAMEPAD, (value): value is GamepadMapping => isLike(value, GAMEPAD));
   const [screen, setScreen] = useUserSetting("control.screen", SCREEN, (value): value is typeof SCREEN => isLike(value, SCREEN));
+  const [tilt, setTilt] = useUserSetting("control.tilt", TILT, (value): value is typeof TILT => isLike(value, TILT));
   useEffect(() => {
-    driver.set({ keyboard, gamepad, screenGamma: screen.gamma });
-  }, [driver, keyboard, gamepad, screen]);
+    driver.set({ keyboard, gamepad, screenGamma: screen.gamma, tiltGamma: tilt.gamma });
+  }, [driver, keyboard, gamepad, screen, tilt]);
   const choice = (
     <SegmentedControl
       label={t("devices.device")}
       value={device}
-      options={(["keyboard", "gamepad", "screen", "other"] as const).map((value) => ({ value, name: t(`devices.${value}`) }))}
+      options={(["keyboard", "gamepad", "screen", "tilt", "other"] as const).map((value) => ({ value, name: t(`devices.${value}`) }))}
       onChange={setDevice}
     />
   );
@@ -42,10 +45,11 @@ export function DevicesPanel({ robot, control }: { robot: string; control: Contr
       </div>
     );
   }
-  const gamma = { keyboard, gamepad, screen }[device].gamma;
+  const gamma = { keyboard, gamepad, screen, tilt }[device].gamma;
   const setGamma = (value: number) => {
     if (device === "keyboard") setKeyboard({ ...keyboard, gamma: value });
     else if (device === "gamepad") setGamepad({ ...gamepad, gamma: value });
+    else if (device === "tilt") setTilt({ gamma: value });
     else setScreen({ gamma: value });
   };
   return (
@@ -60,7 +64,8 @@ export function DevicesPanel({ robot, control }: { robot: string; control: Contr
         text={gamma.toLocaleString(i18n.language, { minimumFractionDigits: 1, maximumFractionDigits: 1 })}
         onChange={setGamma}
       />
-      {device !== "screen" && (
+      {device === "tilt" && <TiltPanel driver={driver} />}
+      {(device === "keyboard" || device === "gamepad") && (
         <details className="input-devices__mapping">
           <summary>{t("devices.mapping")}</summary>
           {device === "keyboard" ? <KeyboardTable mapping={keyboard} onChange={setKeyboard} /> : <GamepadTable mapping={gamepad} onChange={setGamepad} />}

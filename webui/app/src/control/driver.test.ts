@@ -68,4 +68,19 @@ describe("the person", () => {
     expect(person.input().gripper).toBe("close");
     expect(person.input().gripper).toBeUndefined();
   });
+
+  test("tilts the phone from where it was held, and moves nothing without the control", () => {
+    const person = driver();
+    person.sensor.tilt = { beta: 40, gamma: -10 };
+    expect(person.input()).toMatchObject({ held: false, linear: [0, 0, 0] });
+    person.hold(true);
+    expect(person.input()).toMatchObject({ held: true, linear: [0, 0, 0] });
+    person.sensor.tilt = { beta: 10, gamma: 30 };
+    expect(person.input()).toMatchObject({ held: true, linear: [MAX_TOOL_MPS, -MAX_TOOL_MPS, 0] });
+    expect(person.device).toBe("tilt");
+    person.hold(false);
+    expect(person.input()).toMatchObject({ held: false, linear: [0, 0, 0] });
+    person.hold(true);
+    expect(person.input().linear).toEqual([0, 0, 0]);
+  });
 });

@@ -1,6 +1,7 @@
 /** What the person asks for now: all input devices together, the dead-man control, speed and shared control. */
 import type { ControlInput } from "./connection";
 import { atRest, DIRECTIONS, GAMEPAD, isUsed, KEYBOARD, ofGamepad, ofKeys, type Direction, type GamepadMapping, type KeyboardMapping, type Motion } from "./mapping";
+import { ofTilt, TiltSensor, type Tilt } from "./tilt";
 
 export const MAX_TOOL_MPS = 0.25;
 export const MAX_TOOL_RPS = 1;
@@ -9,14 +10,14 @@ const MAX_JOINT_FRACTION = 0.3;
 const PRESET_GAIN_PER_S = 1.5;
 const PRESET_REACHED = 0.002;
 
-export type DeviceName = "keyboard" | "gamepad" | "screen";
+export type DeviceName = "keyboard" | "gamepad" | "screen" | "tilt";
 
 interface JointLimits {
   maxVelocity: number;
 }
 
 type Settings = Partial<
-  Pick<Driver, "keyboard" | "gamepad" | "screenGamma" | "speed" | "frame" | "mix" | "arbitration" | "joints" | "position">
+  Pick<Driver, "keyboard" | "gamepad" | "screenGamma" | "tiltGamma" | "speed" | "frame" | "mix" | "arbitration" | "joints" | "position">
 >;
 
 /** The page changes these values by `set`; `input` reads them 50 times a second. Nothing here renders. */
@@ -24,6 +25,8 @@ export class Driver {
   keyboard: KeyboardMapping = KEYBOARD;
   gamepad: GamepadMapping = GAMEPAD;
   screenGamma = 1;
+  tiltGamma = 1;
+  readonly sensor = new TiltSensor();
   /** The part of the highest speed that is used, up to 1. */
   speed = 0.4;
   frame: "cell" | "tool" = "cell";
@@ -37,6 +40,8 @@ export class Driver {
   readonly #screen: Motion = atRest();
   #joint: { index: number; sense: number } | null = null;
   #preset: readonly number[] | null = null;
+  /** How the phone was tilted when the control was held. */
+  #tiltFrom: Tilt | null = null;
   #gripper: "open" | "close" | null = null;
   #wasPressed = false;
   /** After a loss of focus everything must be let go first. */
@@ -90,6 +95,7 @@ export class Driver {
       ["gamepad", pad === null ? atRest() : ofGamepad(pad, this.gamepad)],
       ["screen", this.#screen],
     ];
+    sources.push(["tilt", this.#tilted(sources.some(([, motion]) => motion.hold))]);
     const used = sources.filter(([, motion]) => isUsed(motion));
     if (used.length === 0) this.#isBlocked = false;
     const held = !this.#isBlocked && used.some(([, motion]) => motion.hold);
@@ -113,7 +119,15 @@ export class Driver {
     };
   }
 
+  /** The tilt moves only while another input holds the control: a phone has no button of its own. */
+  #tilted(isHeld: boolean): Motion {
+    const tilt = this.sensor.tilt;
+    this.#tiltFrom = isHeld && tilt !== null ? (this.#tiltFrom ?? tilt) : null;
+    return tilt === null || this.#tiltFrom === null ? atRest() : ofTilt(tilt, this.#tiltFrom);
+  }
+
   #gamma(): number {
+    if (this.device === "tilt") return this.tiltGamma;
     if (this.device === "keyboard") return this.keyboard.gamma;
     return this.device === "gamepad" ? this.gamepad.gamma : this.screenGamma;
   }
