@@ -269,6 +269,8 @@ class HumanoidComponent:
     def _walk(self, sensors: RobotSensors, command: JointCommand) -> str:
         wanted, walking = self._wanted, self.walking
         share = wanted.speed_share if self._is_commanded and not wanted.stop else 0.0
+        if wanted.behaviour != self.behaviour:
+            share = 0.0  # it changes at rest, also while a person still pulls
         ground, yaw_rate = np.zeros(2), 0.0
         if self.behaviour is Behaviour.ASSISTED_WALKING and self.assistance is not None:
             ground, yaw_rate = self.assistance.wish(share)

@@ -93,7 +93,7 @@ class Footsteps:
     def after(self, stance: Stance, wish: Wish) -> Stance:
         """Return the stance of the next period."""
         if stance.phase == "standing":
-            return self._begun(stance) if self._is_moving(wish) else stance
+            return self._begun(stance) if self.is_moving(wish) else stance
         if stance.remaining > 1:
             return replace(stance, remaining=stance.remaining - 1)
         if stance.phase == "single":
@@ -101,7 +101,7 @@ class Footsteps:
             feet = {"left": stance.left, "right": stance.right, stance.swing: landed}
             swing = OTHER[stance.swing]
             return Stance(feet["left"], feet["right"], "double", self.limits.double, swing)
-        if not self._is_moving(wish) and self._is_level(stance):
+        if not self.is_moving(wish) and self._is_level(stance):
             return replace(stance, phase="standing", remaining=0)
         single = replace(stance, phase="single", remaining=self.limits.single)
         return self.placed(single, wish)
@@ -133,7 +133,8 @@ class Footsteps:
     def _begun(self, stance: Stance) -> Stance:
         return replace(stance, phase="double", remaining=2 * self.limits.double)
 
-    def _is_moving(self, wish: Wish) -> bool:
+    def is_moving(self, wish: Wish) -> bool:
+        """Return whether a wish is more than to stand."""
         speed = float(np.linalg.norm(wish.velocity))
         return speed > self.limits.min_speed_mps or abs(wish.yaw_rate) * self._step_s > 0.02
 

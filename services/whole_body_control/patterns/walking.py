@@ -14,12 +14,15 @@ import numpy as np
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.footsteps import Footsteps, Stance, StepLimits, Wish
 from services.whole_body_control.patterns.pendulum import PendulumState
-from services.whole_body_control.patterns.regions import Footprint, Region
+from services.whole_body_control.patterns.regions import Footprint, Region, turn
 from services.whole_body_control.patterns.zmp_control import Plan, ZmpControl
 
 LOCKED = 2
 TOLERATED_M = 0.01
 """An error of the capture point that the stabiliser makes up for within a sole."""
+TOLERATED_AT_END_M = np.array([0.04, TOLERATED_M])
+"""The same ahead and aside while the robot is to stop: feet that follow a steady pull are never level. To the
+side it stays as it is, since soles are narrow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +53,10 @@ class WalkingPattern:
         """Plan one period ahead. Raises `Unplannable`.
 
         `error` (2,) in m is how far the measured capture point is from that of the plan. By what exceeds
-        `TOLERATED_M` a foot in the air lands farther, within the limits of a step.
+        the tolerated a foot in the air lands farther, within the limits of a step.
         """
         if self.stance.phase == "single" and self.stance.remaining > LOCKED:
-            beyond = None if error is None else error - np.clip(error, -TOLERATED_M, TOLERATED_M)
+            beyond = None if error is None else self._beyond(wish, error)
             self.stance = self._footsteps.placed(self.stance, wish, beyond)
         stances = list(self._footsteps.preview(self.stance, wish, self.control.samples + 1))
         regions = self._regions(stances)
@@ -61,6 +64,14 @@ class WalkingPattern:
         pattern = Pattern(self.stance, plan, regions[0])
         self.stance, self.state = stances[1], plan.states[1]
         return pattern
+
+    def _beyond(self, wish: Wish, error: Array) -> Array:
+        """Return by what an error exceeds the tolerated."""
+        if self._footsteps.is_moving(wish):
+            return np.asarray(error - np.clip(error, -TOLERATED_M, TOLERATED_M))
+        heading = turn(self.stance.support.yaw)
+        own = heading.T @ error
+        return np.asarray(heading @ (own - np.clip(own, -TOLERATED_AT_END_M, TOLERATED_AT_END_M)))
 
     def _regions(self, stances: Sequence[Stance]) -> list[Region]:
         """Return the region of this period, and the one of each sample: where both its periods allow it."""

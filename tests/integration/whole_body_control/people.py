@@ -75,6 +75,26 @@ def resume(humanoid: HumanoidCell) -> None:
 
 
 @contextmanager
+def leading_patient(humanoid: HumanoidCell) -> Iterator[None]:
+    """Connect a patient who pulls softly ahead at both hands of the robot."""
+    is_ended = Event()
+    pull = orjson.dumps({"kind": "pull", "left": [6.0, 0.0, 0.0], "right": [6.0, 0.0, 0.0]}).decode()
+
+    def lead() -> None:
+        with connect(socket_url(humanoid, "/input?role=patient"), proxy=None) as patient:
+            while not is_ended.wait(PERIOD_S):
+                patient.send(pull)
+
+    with ThreadPoolExecutor(1) as thread:
+        leading = thread.submit(lead)
+        try:
+            yield
+        finally:
+            is_ended.set()
+            leading.result()
+
+
+@contextmanager
 def catching_patient(humanoid: HumanoidCell) -> Iterator[None]:
     """Connect a patient whose right hand is where the ball is to land."""
     is_ended = Event()

@@ -138,6 +138,13 @@ def test_hands_lead_it_ahead_and_back_and_a_hard_pull_opens_its_hands(cycle: Cyc
         assert (state["com.x"] - before) * ahead_m > 0
         state = cycle.run(4.0, ASSISTED)  # it is let go, and stands
         assert state["phase"] == 0
+    pulled = {
+        f"{side}.{name}": value for side in SIDES for name, value in (("held", 2.0), ("force_x_n", 6.0))
+    }
+    assert cycle.run(3.0, ASSISTED, pulled)["phase"] != 0
+    state = cycle.run(5.0, WALKING, pulled)  # the end of a session: the person pulls on, and it stands
+    assert (state["behaviour"], state["phase"]) == (Behaviour.WALKING, 0)
+    state = cycle.run(2.5, ASSISTED)
     hard: dict[str, float] = {}
     for side in ("left", "right"):
         hard |= {f"{side}.held": 2.0, f"{side}.force_x_n": 80.0}
