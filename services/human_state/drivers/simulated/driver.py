@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from handover.messages import message
 from services.human_state.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
-from services.human_state.drivers.simulated.person import SimulatedPerson
+from services.human_state.drivers.simulated.person import Posture, SimulatedPerson
 from services.human_state.drivers.simulated.waveforms import WAVES, Wave
 from services.human_state.model.cardiovascular import Physiology
 from services.human_state.model.signals import (
@@ -64,7 +64,7 @@ class EffortStep(DriverSettings):
 
     at_s: Annotated[float, Field(ge=0)]
     effort: Annotated[float, Field(ge=0, le=1)] = 0.0
-    posture: str | None = None
+    posture: Posture | None = None
     is_breathing: bool = True
 
 
@@ -76,7 +76,7 @@ class Acts(DriverSettings):
     """
 
     effort: Annotated[float, Field(ge=0, le=1)] | None = None
-    posture: Annotated[str, Field(max_length=20)] | None = None
+    posture: Posture | None = None
     is_breathing: bool | None = Field(None, alias="isBreathing")
     lean: tuple[Annotated[float, Field(ge=-1, le=1)], Annotated[float, Field(ge=-1, le=1)]] | None = None
     movement: Annotated[float, Field(ge=0, le=100)] | None = None

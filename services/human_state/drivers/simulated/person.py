@@ -21,7 +21,7 @@ forgotten.
 
 import math
 from collections import deque
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -37,6 +37,9 @@ MIN_GAIT_EFFORT: Final = 0.1
 
 BREATHING_REST: Final = 14.0
 BREATHING_MAX: Final = 45.0
+
+
+Posture = Literal["sitting", "standing", "lying", "lyingLeft", "lyingRight", "prone"]
 
 
 class SimulatedPerson:
@@ -60,7 +63,7 @@ class SimulatedPerson:
         """The speed of a walk, which sets the gait; None: the gait follows the effort."""
         self.is_breathing = True
         """False: an apnoea, with the fall of the heart rate and the rise after it."""
-        self.posture = "sitting"
+        self.posture: Posture = "sitting"
         self.lean = (0.0, 0.0)
         """How far the upper body leans to the right and forwards, -1 to 1."""
         self.movement: float | None = None

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.human_state.drivers.simulated.person import SimulatedPerson
+from services.human_state.drivers.simulated.person import Posture, SimulatedPerson
 from services.human_state.model.signals import SignalInfo, SignalKind
 
 Floats = NDArray[np.float64]
@@ -32,7 +32,7 @@ _ECG_WAVES: Final = (
     (280.0, 0.26, 0.045, True),
 )
 _PPG_WAVES: Final = ((1.0, 0.25, 0.09, True), (0.35, 0.50, 0.10, True))
-_POSTURES: Final = {
+_POSTURES: Final[dict[Posture, tuple[float, float, float]]] = {
     "sitting": (0.10, 0.05, 0.994),
     "standing": (0.0, 0.0, 1.0),
     "lying": (0.0, 0.995, 0.10),
@@ -89,7 +89,7 @@ def eeg(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -
 
 def acceleration(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
     """Return three axes at the chest in m/s²: gravity by posture, and steps of a walk, or from effort 0.1 on."""
-    upright = np.array(_POSTURES.get(person.posture, _POSTURES["sitting"]))
+    upright = np.array(_POSTURES[person.posture])
     values = np.tile(GRAVITY * upright, (len(times_s), 1)) + random.normal(0, 0.05, (len(times_s), 3))
     speed_mps = person.walking_mps
     if person.steps_hz > 0:
