@@ -404,10 +404,10 @@ def measure_cost(*, people: int, seconds: float) -> None:
         costs: list[float] = []
         completing: list[float] = []
         for person in range(people):
-            pipeline = pipeline_for(info)
+            checks = Checks(info)
             for each in packets_of(info, signal_of(info, seconds, person), "s", BEGIN_S, packet):
                 began = time.thread_time()
-                features = pipeline.feed(each)
+                features = checks.take(each, each.end_s)
                 costs.append(time.thread_time() - began)
                 if features:
                     completing.append(costs[-1])
@@ -442,7 +442,7 @@ def signal_of(info: SignalInfo, seconds: float, person: int) -> Floats:
 def measure_memory() -> None:
     """Print the memory of an ECG pipeline over an hour of signal, replayed as fast as it can be."""
     info = SignalInfo(SignalKind.ECG, "2Z", 130.0)
-    pipeline = pipeline_for(info)
+    checks = Checks(info)
     ten_minutes = ecg_of(synthetic_beats(600, 72, 1), 600, 130.0)[:, None]
     ten_minutes = ten_minutes + np.random.default_rng(1).normal(0, 0.01, ten_minutes.shape)
     block = len(ten_minutes) // PACKET * PACKET
@@ -451,7 +451,7 @@ def measure_memory() -> None:
     began, cpu = time.perf_counter(), time.thread_time()
     for part in range(6):
         for packet in packets_of(info, ten_minutes[:block], "s", BEGIN_S + part * block / 130, PACKET):
-            pipeline.feed(packet)
+            checks.take(packet, packet.end_s)
         gc.collect()
         kept.append(tracemalloc.get_traced_memory()[0] / 1e6)
     tracemalloc.stop()

@@ -197,7 +197,9 @@ async def test_a_simulated_person_acts_while_the_sensor_runs() -> None:
     assert (person.effort, person.lean) == (0.4, (0.5, 0.0)), "what is absent stays"
 
 
-@pytest.mark.parametrize("given", [{"effort": 2}, {"lean": [0]}, {"height": 1}, {"posture": "supine"}, [], "{}", None])
+@pytest.mark.parametrize(
+    "given", [{"effort": 2}, {"lean": [0]}, {"height": 1}, {"posture": "supine"}, [], "{}", None]
+)
 async def test_acts_that_cannot_be_are_refused(given: object) -> None:
     driver = SimulatedDriver("person", SimulatedSettings())
     with pytest.raises(ValidationError):
