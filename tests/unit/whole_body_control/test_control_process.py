@@ -44,8 +44,10 @@ while True:
     time.sleep(0.02)
 """
 BOUND_S = 120.0
-MEMORY_BYTES, OBJECTS = 16_384, 100
+MEMORY_BYTES, OBJECTS = 4096, 20
 """What 600 cycles may keep: records of the plan differ with the phase of a step."""
+PARTS = 9
+"""Until then the hulls of as many footprints are known as are kept."""
 
 
 def written(folder: Path, text: str = DEPLOYMENT) -> Path:
@@ -139,7 +141,7 @@ def test_a_controller_without_valid_values_is_stopped_and_the_joints_hold(tmp_pa
 
 
 def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path) -> None:
-    """Two equal parts of a walk: the second one ends with the memory that the first one ended with."""
+    """Two equal parts of a walk: the last one ends with the memory that the one before ended with."""
     deployment = read_deployment(written(tmp_path))
     loop, _ = control_loop(deployment)
     wish, held, known = PortWriter(deployment.folder / "wish", WISH), [], []
@@ -148,7 +150,7 @@ def test_the_cycle_keeps_no_memory_and_leaves_nothing_to_collect(tmp_path: Path)
     gc.disable()
     tracemalloc.start()
     try:
-        for _ in range(4):
+        for _ in range(PARTS):
             for _ in range(600):
                 wish.write(np.array([wanted.get(name, 0.0) for name in WISH]))
                 loop.cycle()
