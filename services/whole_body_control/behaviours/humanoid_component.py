@@ -71,6 +71,7 @@ class Fault(IntEnum):
     PULLED_HARD = 3
     FALLEN = 4
     THROW_REFUSED = 5
+    NOT_OFFERED = 6
 
 
 class BallPhase(IntEnum):
@@ -220,10 +221,15 @@ class HumanoidComponent:
             return self._throwing
         return self.walking
 
+    @property
+    def _is_offered(self) -> bool:
+        """Whether this robot has the wanted behaviour; it stands while another one is wanted."""
+        return self._wanted.behaviour in self.behaviours
+
     def _switch(self) -> None:
         """Change the behaviour, when the robot is at rest on both feet."""
         wanted = self._wanted.behaviour
-        if not self._is_commanded or wanted == self.behaviour or wanted not in self.behaviours:
+        if not self._is_commanded or wanted == self.behaviour or not self._is_offered:
             return
         if self.behaviour is Behaviour.JUGGLING:
             if self._throwing is not None and self._throwing.is_busy:
@@ -270,7 +276,7 @@ class HumanoidComponent:
         wanted, walking = self._wanted, self.walking
         share = wanted.speed_share if self._is_commanded and not wanted.stop else 0.0
         if wanted.behaviour != self.behaviour:
-            share = 0.0  # it changes at rest, also while a person still pulls
+            share = 0.0  # it changes at rest, also while a person still pulls; or it is not offered
         ground, yaw_rate = np.zeros(2), 0.0
         if self.behaviour is Behaviour.ASSISTED_WALKING and self.assistance is not None:
             ground, yaw_rate = self.assistance.wish(share)
@@ -410,6 +416,8 @@ class HumanoidComponent:
             self.fault = Fault.SENSORS if fault == NOT_FINITE else Fault.SOLVER
         elif self.assistance is not None and self.assistance.is_pulled_hard:
             self.fault = Fault.PULLED_HARD
+        elif self._is_commanded and not self._is_offered:
+            self.fault = Fault.NOT_OFFERED
         elif self._throw_phase != REFUSED:
             self.fault = Fault.NONE
 

@@ -38,6 +38,10 @@ FAULTS: Final[Mapping[int, str]] = {
     Fault.THROW_REFUSED: message(
         "humanoid.fault_throw", "the control cycle refused the throw: the arm cannot do it"
     ),
+    Fault.NOT_OFFERED: message(
+        "humanoid.fault_not_offered",
+        "this robot does not offer the behaviour: juggling and assisted walking are for simulated robots",
+    ),
 }
 
 STANDING, SINGLE_SUPPORT = 0.0, 2.0

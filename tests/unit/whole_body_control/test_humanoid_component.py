@@ -6,8 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.whole_body_control.behaviours.humanoid_component import BallPhase, Behaviour, Fault
+from services.whole_body_control.behaviours.humanoid_component import (
+    BallPhase,
+    Behaviour,
+    Fault,
+    HumanoidComponent,
+)
 from services.whole_body_control.behaviours.walking import SIDES
+from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.control_process import control_loop
 from services.whole_body_control.cycle.deployment import Deployment
 from services.whole_body_control.cycle.loop import Mode
@@ -16,11 +22,13 @@ from services.whole_body_control.cycle.wish import PERSON, WISH
 from services.whole_body_control.model.kinematics import Kinematics
 from services.whole_body_control.patterns.throwing import Throw, ThrowPlanner
 from services.whole_body_control.robots import humanoid
+from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
 
 COMPONENTS = {
     "robot": {"kind": "mujoco", "realtime": True},
     "walking": {"kind": "walking", "realtime": True},
 }
+COMAN = humanoid("coman")
 TARGET = np.array([0.8, 0.1, 0.5])
 
 
@@ -161,3 +169,22 @@ def test_a_robot_that_has_fallen_holds_its_joints_and_says_so(tmp_path: Path) ->
     state = cycle.run(3.0, WALKING)
     assert (state["mode"], state["fault"]) == (Mode.DOWN, Fault.FALLEN)
     assert cycle.loop.fault == "the robot has fallen"
+
+
+def test_a_robot_without_a_simulated_world_refuses_to_be_led_and_stands() -> None:
+    component = HumanoidComponent(COMAN)
+    robot = SimulatedRobot(COMAN, component.start)
+    sensors, command, state = RobotSensors(COMAN), JointCommand(COMAN), np.zeros(len(component.fields))
+    wish = {"behaviour": float(Behaviour.ASSISTED_WALKING), "ahead_mps": 0.1, "speed_share": 1.0}
+    for _ in range(60):
+        robot.read(sensors)
+        component.follow(np.array([wish.get(name, 0.0) for name in WISH]), None)
+        assert component.step(sensors, command) == ""
+        assert not command.is_led
+        for _ in range(5):
+            robot.write(command)
+            robot.wait()
+    component.write_state(state)
+    shown = dict(zip(component.fields, state, strict=True))
+    assert (shown["behaviour"], shown["phase"]) == (Behaviour.WALKING, 0)
+    assert shown["fault"] == Fault.NOT_OFFERED
