@@ -207,6 +207,10 @@ DELETE_A_PERSON: Sequence[Route] = (
 """Routes by which persons delete their own data, and those with `managePeople` the data of anybody."""
 
 
+SEE_WHO_LOOKED: Sequence[Route] = (("human-state", "GET", "/people/{person}/accesses", None),)
+"""Routes by which persons see who looked at their data, and those with `readAudit` that of anybody."""
+
+
 def routes_of(apps: dict[str, FastAPI]) -> list[Route]:
     """Return the routes that ask a permission; those of human state do so unless it is the own person.
 
@@ -227,7 +231,10 @@ async def test_no_route_of_any_service_answers_a_user_whose_roles_lack_its_permi
     apps: dict[str, FastAPI], role: Role | None
 ) -> None:
     held = ROLE_PERMISSIONS[role] if role else frozenset()
-    allowed = DELETE_A_PERSON if Permission.MANAGE_PEOPLE in held else ()
+    allowed = (
+        *(DELETE_A_PERSON if Permission.MANAGE_PEOPLE in held else ()),
+        *(SEE_WHO_LOOKED if Permission.READ_AUDIT in held else ()),
+    )
     routes = [one for one in routes_of(apps) if one[3] not in held and one not in allowed]
     assert {service for service, *_ in routes} >= set(WALKED) - ({"alert-router"} if role else set())
     grants = (Grant(role),) if role else ()

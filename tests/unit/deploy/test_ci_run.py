@@ -9,7 +9,7 @@ import pytest
 
 from tests.kit.paths import REPOSITORY
 
-PROGRAMS = ("make", "python3", "chromium", "mosquitto", "openssl", "ip")
+PROGRAMS = ("make", "python3", "chromium", "mosquitto", "openssl", "ip", "haproxy")
 
 
 @pytest.fixture

@@ -26,6 +26,7 @@ EXTRAS = {
     "services/trajectory_tool/perception": ("physics",),
     "services/trajectory_tool/physics": ("motion", "physics"),
     "services/trajectory_tool/planning": ("motion",),
+    "services/whole_body_control/figures.py": ("figures",),
     "services/whole_body_control": ("motion", "physics", "whole-body"),
 }
 """Which folders may import what an extra installs."""
@@ -59,7 +60,7 @@ def test_every_import_is_declared() -> None:
 
 
 @pytest.mark.parametrize(
-    "extra", ["human-state", "motion", "physics", "research", "ros", "ros-rclpy", "whole-body"]
+    "extra", ["figures", "human-state", "motion", "physics", "research", "ros", "ros-rclpy", "whole-body"]
 )
 def test_an_extra_repeats_no_dependency(extra: str) -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
