@@ -3,16 +3,23 @@
 import asyncio
 import socket
 import threading
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from handover.http_client import (
     MAX_WAITING_BYTES,
+    Address,
     BodyReadingHttpClient,
     ResponseTimeout,
     SendError,
     StreamingHttpClient,
 )
+from handover.transport_security.server_certificate import ServerCertificate
+from tests.kit.certificates import Certificates
+from tests.kit.waiting import until
 
 _ANSWER = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok"
 
@@ -60,6 +67,7 @@ async def test_a_streamed_response_waits_for_its_reader_and_gives_its_connection
                 sent += 1
             writer.write(b"0\r\n\r\n")
         writer.close()
+        await writer.wait_closed()
 
     server = await asyncio.start_server(serve, "127.0.0.1", 0, limit=65536)
     url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/"
@@ -81,15 +89,20 @@ async def test_a_streamed_response_waits_for_its_reader_and_gives_its_connection
 
 
 async def test_a_streamed_response_that_breaks_off_or_stops_is_an_error_and_is_not_reused() -> None:
-    connections = 0
+    connections = ended = 0
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        nonlocal connections
+        nonlocal connections, ended
         connections += 1
         request = await reader.readuntil(b"\r\n\r\n")
         writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: 10\r\n\r\nhalf")
-        if b"/broken" in request:
-            writer.close()
+        if b"/broken" not in request:
+            with suppress(ConnectionError):
+                await reader.read()  # until the client gives up
+        writer.close()
+        with suppress(ConnectionError):
+            await writer.wait_closed()
+        ended += 1
 
     server = await asyncio.start_server(serve, "127.0.0.1", 0)
     url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
@@ -104,3 +117,32 @@ async def test_a_streamed_response_that_breaks_off_or_stops_is_an_error_and_is_n
     assert connections == 2
     client.close()
     server.close()
+    await until(lambda: ended == 2)
+
+
+async def test_a_server_with_a_known_name_is_reached_at_any_address(tmp_path: Path) -> None:
+    files = Certificates(tmp_path).make("device-gateway")
+    certificate = ServerCertificate(files.certificate, files.key)
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        for _ in range(2):
+            plain, _address = listener.accept()
+            with plain, suppress(OSError), certificate.context.wrap_socket(plain, True) as connection:
+                connection.recv(4096)
+                connection.sendall(_ANSWER)
+                connection.recv(1)  # until the client has closed
+
+    server = threading.Thread(target=serve, daemon=True)
+    server.start()
+    client = BodyReadingHttpClient(ca_files=[files.authority])
+    port = listener.getsockname()[1]
+    where = Address("127.0.0.1", port, True, "/", "device-gateway", tls_name="device-gateway")
+    assert (await client.request("GET", where, [], b"", 60)).body == b"ok"
+    client.close()
+    with pytest.raises(SendError, match="certificate"):
+        await client.request("POST", replace(where, tls_name="accounts"), [], b"", 60)
+    assert certificate.name == "device-gateway", "which a replica publishes for the others"
+    client.close()
+    await asyncio.to_thread(server.join, 60)
+    listener.close()
