@@ -1,9 +1,10 @@
 /** The 3D view of the desk page: camera, light, ground, and picking of places where a ball is to land. */
 import {
-  AmbientLight, DirectionalLight, GridHelper, HemisphereLight, Mesh, MeshStandardMaterial, PerspectiveCamera, Plane, PlaneGeometry, Raycaster, Scene, Vector2,
+  DirectionalLight, type GridHelper, Mesh, MeshStandardMaterial, PerspectiveCamera, Plane, PlaneGeometry, Raycaster, Scene, Vector2,
   Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { ambientLights, castShadows, groundGrid } from "~/robot3d/light";
 import { stepOf, stepped } from "~/robot3d/orbit";
 import { HumanoidFigure, type FigureColours } from "./figure";
 import { onGround, type HumanoidModel, type LiveDocument, type Place } from "./humanoid";
@@ -56,13 +57,9 @@ export class DeskView {
     this.figure = new HumanoidFigure(urdf, model, colours);
     this.#ground.receiveShadow = true;
     this.#ground.position.z = -0.001;
-    this.#scene.add(this.figure.root, this.#ground, this.#sun, this.#sun.target, new HemisphereLight("#ffffff", "#8090a8", 1.3), new AmbientLight("#ffffff", 0.25));
+    this.#scene.add(this.figure.root, this.#ground, this.#sun, this.#sun.target, ...ambientLights());
     this.#sun.position.set(-1.2, -1.8, 3);
-    this.#sun.castShadow = true;
-    this.#sun.shadow.mapSize.set(1024, 1024);
-    Object.assign(this.#sun.shadow.camera, { left: -1.5, right: 1.5, top: 1.5, bottom: -1.5, near: 0.5, far: 8 });
-    this.#sun.shadow.bias = -0.0006;
-    this.#sun.shadow.normalBias = 0.02;
+    castShadows(this.#sun, 1.5, 0.5, 8);
     this.#camera.up.set(0, 0, 1);
     this.#controls = new OrbitControls(this.#camera, this.#renderer.domElement);
     this.#controls.maxPolarAngle = Math.PI / 2 - 0.02;
@@ -101,8 +98,7 @@ export class DeskView {
     this.#ground.material.color.set(colours.ground);
     this.#grid?.removeFromParent();
     this.#grid?.dispose();
-    this.#grid = new GridHelper(20, 80, colours.line, colours.line);
-    this.#grid.rotateX(Math.PI / 2);
+    this.#grid = groundGrid(20, colours.line);
     this.#scene.add(this.#grid);
     this.figure.recolour(colours);
     this.draw();

@@ -3,8 +3,8 @@
 * the size has changed, and never while it is not visible.
  */
 import {
-  AmbientLight, Box3, BoxGeometry, type BufferGeometry, type ColorRepresentation, CylinderGeometry, DirectionalLight, EdgesGeometry, GridHelper, Group,
-  HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, SphereGeometry, Vector3,
+  Box3, BoxGeometry, type BufferGeometry, type ColorRepresentation, CylinderGeometry, DirectionalLight, EdgesGeometry, type GridHelper, Group,
+  LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, SphereGeometry, Vector3,
   WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -13,6 +13,7 @@ import type { RobotDescription } from "~/robot/description";
 import { bend, boxesOf, grip, parsed, release } from "./urdf";
 import { type CellScene, type Footprint, type Form, furnitureOf, PART_SIZE, type Piece, type PieceKind, type Triple } from "./furniture";
 import { JointTrack } from "./joint_track";
+import { ambientLights, castShadows, groundGrid } from "./light";
 import { DISTANCES, type Distances, stepOf, stepped } from "./orbit";
 
 /** The direction from the middle of the cell to the camera. */
@@ -179,8 +180,7 @@ export class Stage {
     (this.#grippedPart.material as MeshStandardMaterial).color.set(palette.part);
     this.#dropGrid();
     const size = Math.max(6, Math.ceil(4 * sphereOf(this.#robotBox).radius));
-    this.#grid = new GridHelper(size, 4 * size, palette.line, palette.line);
-    this.#grid.rotateX(Math.PI / 2);
+    this.#grid = groundGrid(size, palette.line);
     this.#grid.position.z = GROUND_M;
     this.#scene.add(this.#grid);
     this.furnish(this.#cell);
@@ -273,11 +273,7 @@ export class Stage {
     const reach = Math.max(1.6, 1.6 * radius);
     this.#sun.position.set(-0.75, -1.13, 1.88).multiplyScalar(reach).add(center);
     this.#sun.target.position.copy(center);
-    this.#sun.castShadow = true;
-    this.#sun.shadow.mapSize.set(1024, 1024);
-    Object.assign(this.#sun.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.3 * reach, far: 3.8 * reach });
-    this.#sun.shadow.bias = -0.0006;
-    this.#sun.shadow.normalBias = 0.02;
+    castShadows(this.#sun, reach, 0.3 * reach, 3.8 * reach);
   }
 
   #fit(): void {
@@ -334,10 +330,6 @@ function geometryOf(form: Form, [x, y, z]: Triple): BufferGeometry {
   if (form === "sphere") return new SphereGeometry(x / 2, 24, 16);
   if (form === "cylinder") return new CylinderGeometry(x / 2, x / 2, z, 32).rotateX(Math.PI / 2);
   return new BoxGeometry(x, y, z);
-}
-
-function ambientLights(): (AmbientLight | HemisphereLight)[] {
-  return [new HemisphereLight("#ffffff", "#8090a8", 1.3), new AmbientLight("#ffffff", 0.25)];
 }
 
 function sphereOf(box: Box3): Sphere {

@@ -3,6 +3,7 @@ import {
   Color, DirectionalLight, GridHelper, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshStandardMaterial, PlaneGeometry, Quaternion, Raycaster,
   RingGeometry, Scene, SphereGeometry, Vector2, Vector3, BufferGeometry, Line, LineBasicMaterial, Plane, DoubleSide, type Intersection,
 } from "three";
+import { castShadows } from "~/robot3d/light";
 import { release } from "~/robot3d/urdf";
 import { BALL_RADIUS_M } from "../figure";
 import type { Footprint, HumanoidModel, Place, Side } from "../humanoid";
@@ -48,11 +49,7 @@ export class Room {
     this.#target.rotation.x = this.#chosen.rotation.x = -Math.PI / 2;
     this.#ball.castShadow = true;
     this.#sun.position.set(0.8, 2.5, 1.2);
-    this.#sun.castShadow = true;
-    this.#sun.shadow.mapSize.set(1024, 1024);
-    Object.assign(this.#sun.shadow.camera, { left: -1.5, right: 1.5, top: 1.5, bottom: -1.5, near: 0.5, far: 6 });
-    this.#sun.shadow.bias = -0.0006;
-    this.#sun.shadow.normalBias = 0.02;
+    castShadows(this.#sun, 1.5, 0.5, 6);
     this.panel.mesh.position.copy(PANEL_AT);
     this.panel.mesh.rotation.y = Math.PI / 2;
     this.scene.add(
