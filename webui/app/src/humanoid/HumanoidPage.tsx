@@ -96,24 +96,26 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
       </header>
       <p className="small quiet">{t("notSafe")}</p>
       <div className="humanoid__body">
-        <Card className="humanoid__view" title={t(replayed === null ? "view" : "recordings.replay")}>
-          <div className="humanoid__stage">
-            {model !== null && urdf !== null && (
-              <Suspense fallback={<p className="quiet">{t("common:loading")}</p>}>
-                <Humanoid3d name={name} urdf={urdf} model={model} source={source} onPick={mayThrow ? onPick : null} target={mayThrow ? target : null} />
-              </Suspense>
-            )}
-          </div>
-          <p className="humanoid__legend small quiet">{t(mayThrow ? "legendThrow" : "legend")}</p>
-          {replayed !== null && <ReplayBar replay={replayed.replay} name={replayed.name} failure={replayFailure} onEnd={() => setReplayed(null)} />}
-        </Card>
-        {document !== null && (
-          <div className="humanoid__side">
-            {mayDo("performTasks") && <SessionCard document={document} behaviours={humanoid.behaviours} />}
-            {mayDo("moveRobots") && <MotionCard document={document} behaviours={humanoid.behaviours} target={target} onTarget={setTarget} />}
-            <LimitsCard document={document} />
-          </div>
-        )}
+        <div className="humanoid__top">
+          <Card className="humanoid__view" title={t(replayed === null ? "view" : "recordings.replay")}>
+            <div className="humanoid__stage">
+              {model !== null && urdf !== null && (
+                <Suspense fallback={<p className="quiet">{t("common:loading")}</p>}>
+                  <Humanoid3d name={name} urdf={urdf} model={model} source={source} onPick={mayThrow ? onPick : null} target={mayThrow ? target : null} />
+                </Suspense>
+              )}
+            </div>
+            <p className="humanoid__legend small quiet">{t(mayThrow ? "legendThrow" : "legend")}</p>
+            {replayed !== null && <ReplayBar replay={replayed.replay} name={replayed.name} failure={replayFailure} onEnd={() => setReplayed(null)} />}
+          </Card>
+          {document !== null && (
+            <div className="humanoid__side">
+              {mayDo("performTasks") && <SessionCard document={document} behaviours={humanoid.behaviours} />}
+              {mayDo("moveRobots") && <MotionCard document={document} behaviours={humanoid.behaviours} target={target} onTarget={setTarget} />}
+              <LimitsCard document={document} />
+            </div>
+          )}
+        </div>
         {shown !== null && model !== null && (
           <div className="humanoid__engine">
             <StackCard document={shown} />
