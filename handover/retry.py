@@ -20,10 +20,13 @@ _MAX_DOUBLINGS: Final = 62
 
 T = TypeVar("T")
 
+_CHANCE: Final = random.Random()  # noqa: S311 - not used for security
+"""Not that of the module `random`, whose seed a program may have chosen."""
+
 
 def with_jitter(delay_s: float, jitter: float = JITTER) -> float:
     """Return `delay_s` times a random factor from 1 - `jitter` to 1 + `jitter`."""
-    return delay_s * random.uniform(1 - jitter, 1 + jitter)  # noqa: S311 - not used for security
+    return delay_s * _CHANCE.uniform(1 - jitter, 1 + jitter)
 
 
 def backoff_delay_s(

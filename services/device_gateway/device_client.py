@@ -116,6 +116,7 @@ class DeviceClient:
         self._connection: _Connection | None = None
         self._lock = threading.RLock()
         self._stopped = threading.Event()
+        self._chance = random.Random()  # noqa: S311 - not that of the program, which may have a seed
         self._thread: threading.Thread | None = None
 
     def command(self, name: str) -> Callable[[Command], Command]:
@@ -221,7 +222,7 @@ class DeviceClient:
                 pass
             if time.monotonic() - began_s > MAX_DELAY_S:
                 delay_s = MIN_DELAY_S
-            self._stopped.wait(delay_s * random.uniform(0.8, 1.2))  # noqa: S311
+            self._stopped.wait(delay_s * self._chance.uniform(0.8, 1.2))
             delay_s = min(delay_s * 2, MAX_DELAY_S)
 
     def answer(self, identifier: str, answer: Message) -> None:

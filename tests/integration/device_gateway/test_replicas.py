@@ -217,8 +217,15 @@ class Sensor:
         self.sent += 1
 
 
-def test_devices_and_commands_survive_the_death_of_each_replica(pair: Pair) -> None:
-    sensors = [Sensor(pair, f"hall-{number}") for number in range(6)]
+@pytest.fixture
+def sensors(pair: Pair) -> Iterator[list[Sensor]]:
+    made = [Sensor(pair, f"hall-{number}") for number in range(6)]
+    yield made
+    for sensor in made:
+        sensor.client.stop()
+
+
+def test_devices_and_commands_survive_the_death_of_each_replica(pair: Pair, sensors: list[Sensor]) -> None:
     pushing = pair.add("pusher")
     pushed = 0
     is_over = threading.Event()

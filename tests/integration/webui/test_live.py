@@ -237,7 +237,7 @@ def test_deleted_devices_disappear_from_the_page(cell: Any, look: Callable[[], A
     viewer.read_until(lambda: f"device/{lamp}" in viewer.topics)
     assert viewer.topics[f"device/{lamp}"]["batteryLevel"] == 0.5
     viewer.read_until(lambda: "device.state" in viewer.event_keys())
-    assert viewer.events[-1]["level"] == "stop"
+    assert [one["level"] for one in viewer.events if one["key"] == "device.state"] == ["stop"]
     broker.delete(lamp)
     viewer.read_until(lambda: f"device/{lamp}" not in viewer.topics)
 
