@@ -134,8 +134,8 @@ interface PanelsProps {
 
 function Panels({ robot, lease, control, panels }: PanelsProps) {
   const { t } = useTranslation("control");
-  const [arrangement, arrange] = useUserSetting("control.panels", STANDARD, isArrangement);
-  const shown = ordered(arrangement).filter((panel) => panels[panel] !== undefined && !arrangement.hidden.includes(panel));
+  const [arrangement, arrange, isLoaded] = useUserSetting("control.panels", STANDARD, isArrangement);
+  const shown = ordered(arrangement).filter((panel) => isLoaded && panels[panel] !== undefined && !arrangement.hidden.includes(panel));
   return (
     <>
       <LeaseCard robot={robot} lease={lease} control={control} />
@@ -151,7 +151,7 @@ function Panels({ robot, lease, control, panels }: PanelsProps) {
           </Card>
         ))}
       </div>
-      <ArrangeMenu arrangement={arrangement} onArrange={arrange} />
+      {isLoaded && <ArrangeMenu arrangement={arrangement} onArrange={arrange} />}
       <HoldBar control={control} />
     </>
   );

@@ -3,13 +3,18 @@ import { useCallback, useEffect, useRef, useState } from "react";
 import { request } from "~/api/http";
 
 const SAVE_AFTER_MS = 500;
+const SAVE_AGAIN_MS = 3000;
 
 /**
- * Return the setting and how to change it; `standard` until it is loaded, and when `isValid` does not accept what is
- * stored. A setting that cannot be stored stays in this page.
+ * Return the setting, how to change it, and whether it is loaded. Before, a change would replace what is stored, so it has no effect.
+ *
+ * The setting is `standard` until it is loaded, when it cannot be loaded, and when `isValid` does not accept what is stored. A
+ * change that cannot be stored is sent again, as long as this page is open.
  */
-export function useUserSetting<T extends object>(name: string, standard: T, isValid: (value: unknown) => value is T): [T, (value: T) => void] {
+export function useUserSetting<T extends object>(name: string, standard: T, isValid: (value: unknown) => value is T): [T, (value: T) => void, boolean] {
   const [value, setValue] = useState(standard);
+  const [isLoaded, setLoaded] = useState(false);
+  const loaded = useRef("");
   const saving = useRef<ReturnType<typeof setTimeout> | undefined>(undefined);
   const valid = useRef(isValid);
   useEffect(() => {
@@ -20,20 +25,29 @@ export function useUserSetting<T extends object>(name: string, standard: T, isVa
       })
       .catch(() => {
         // The standard stays.
+      })
+      .finally(() => {
+        if (loading.signal.aborted) return;
+        loaded.current = name;
+        setLoaded(true);
       });
     return () => loading.abort();
   }, [name]);
   const change = useCallback(
     (next: T) => {
+      if (loaded.current !== name) return;
       setValue(next);
-      clearTimeout(saving.current);
-      saving.current = setTimeout(() => {
+      const save = () => {
+        const mine = saving.current;
         request(`user-settings/${name}`, { method: "PUT", json: next }).catch(() => {
-          // The page says that the server is away.
+          // The page says that the server is away. A later change replaces this one.
+          if (saving.current === mine) saving.current = setTimeout(save, SAVE_AGAIN_MS);
         });
-      }, SAVE_AFTER_MS);
+      };
+      clearTimeout(saving.current);
+      saving.current = setTimeout(save, SAVE_AFTER_MS);
     },
     [name],
   );
-  return [value, change];
+  return [value, change, isLoaded];
 }
