@@ -62,6 +62,16 @@ _BY_CHANNEL: Final[Mapping[SignalKind, tuple[str, tuple[str, ...]]]] = {
     SignalKind.MOOD: ("Mood", ("valence", "arousal")),
 }
 """Type, and the fields that have the names of channels; NaN is a field that is not measured."""
+_EYES: Final[Mapping[SignalKind, int]] = {
+    SignalKind.BLINK: 1,
+    SignalKind.FIXATION: 2,
+    SignalKind.SACCADE: 3,
+    SignalKind.GAZE: 4,
+}
+"""The constants of `EyeEvent`."""
+_EYE_OF: Final = {number: kind for kind, number in _EYES.items()}
+_GAZE: Final = ("gaze_x", "gaze_y")
+_DURATION: Final = ("duration_s",)
 _KIND_OF: Final = {name: kind for kind, name in _SERIES.items()} | {
     name: kind for kind, (name, _, _) in _SCALARS.items()
 }
@@ -127,9 +137,10 @@ def messages_of(samples: Samples, subject: str = "") -> list[tuple[str, Message]
         message["intervals_s"] = samples.values[:, 0] * _INTERVALS[info.unit]
         message["times_s"] = np.array(samples.sample_times_s(), np.float64)
         return [(PACKAGE + "InterBeatIntervals", message)]
-    if kind is SignalKind.PRESSURE_MAP:
+    if kind is SignalKind.PRESSURE_MAP or (kind in _EYES and info.channels in _eye_channels(kind)):
+        name, made = ("EyeEvent", _eye_event) if kind in _EYES else ("PressureMap", _pressures)
         return [
-            (PACKAGE + "PressureMap", _pressures(samples, subject, at_s, row))
+            (PACKAGE + name, made(samples, subject, at_s, row))
             for at_s, row in zip(samples.sample_times_s(), samples.values, strict=True)
         ]
     return [(PACKAGE + "OtherSignal", {**_series(samples, subject), "kind": kind.value})]
@@ -147,8 +158,8 @@ def samples_of(type_name: str, message: Mapping[str, Any]) -> Samples:
         if kind is not None:
             field = _SCALARS[kind][1]
             return _single(kind, message, [message[field]], ("",))
-        if name == "InterBeatIntervals":
-            return _intervals(message)
+        if name in ("InterBeatIntervals", "EyeEvent"):
+            return _intervals(message) if name == "InterBeatIntervals" else _from_eye_event(message)
         for of_kind, (of_name, fields) in _BY_CHANNEL.items():
             if name == of_name:
                 channels = tuple(field for field in fields if not math.isnan(message[field])) or fields[:1]
@@ -306,6 +317,33 @@ def _pressures(samples: Samples, subject: str, at_s: float, row: Any) -> Message
         "centre_y_mm": math.nan,
         "load": math.nan,
     }
+
+
+def _eye_channels(kind: SignalKind) -> tuple[tuple[str, ...], ...]:
+    """Return the channels that an `EyeEvent` can carry: a gaze lasts no time, events may lack the gaze."""
+    return (_GAZE,) if kind is SignalKind.GAZE else (_DURATION, _DURATION + _GAZE)
+
+
+def _eye_event(samples: Samples, subject: str, at_s: float, row: Any) -> Message:
+    has_duration = samples.info.kind is not SignalKind.GAZE
+    return {
+        **_head(samples, subject, at_s),
+        "kind": _EYES[samples.info.kind],
+        "duration_s": float(row[0]) if has_duration else math.nan,
+        "gaze": np.array(row[1:] if has_duration else row, np.float64),
+    }
+
+
+def _from_eye_event(message: Mapping[str, Any]) -> Samples:
+    kind = _EYE_OF.get(message["kind"])
+    if kind is None:
+        raise ValueError(f"{message['kind']} is no kind of eye event")
+    gaze = [float(value) for value in message["gaze"]]
+    if len(gaze) not in (0, 2):
+        raise ValueError(f"a gaze has two values, not {len(gaze)}")
+    if kind is SignalKind.GAZE:
+        return _single(kind, message, gaze, _GAZE)
+    return _single(kind, message, [message["duration_s"], *gaze], _DURATION + _GAZE[: len(gaze)])
 
 
 def _from_series(kind: SignalKind, message: Mapping[str, Any]) -> Samples:

@@ -47,6 +47,10 @@ class SignalKind(StrEnum):
     ACTIVITY = "activity"
     SLEEP = "sleep"
     MOOD = "mood"
+    BLINK = "blink"
+    FIXATION = "fixation"
+    SACCADE = "saccade"
+    GAZE = "gaze"
 
 
 class ClockKind(StrEnum):

@@ -60,6 +60,10 @@ SIGNALS: Final[Mapping[SignalKind, tuple[str, tuple[tuple[str, str], ...]]]] = {
         "Mood",
         (("mood", "str"), ("valence", "float64"), ("arousal", "float64"), ("self_reported", "bool")),
     ),
+    **dict.fromkeys(
+        (SignalKind.BLINK, SignalKind.FIXATION, SignalKind.SACCADE, SignalKind.GAZE),
+        ("EyeEvent", (("kind", "uint8"), ("duration_s", "float64"), ("gaze", "float64[]"))),
+    ),
 }  # fmt: skip
 """Type and fields after header and info."""
 INFO: Final = (

@@ -124,6 +124,8 @@ def test_any_message_is_read_or_refused(values: list[float], channels: list[str]
         (SignalKind.INTER_BEAT_INTERVAL, "SEC", ("",)),
         (SignalKind.GAIT, "", ("speed_mps", "cadence_per_min")),
         (SignalKind.STEPS, "C62", ("",)),
+        (SignalKind.BLINK, "", ("duration_s",)),
+        (SignalKind.GAZE, "DD", ("gaze_x", "gaze_y")),
     ],
 )
 def test_signals_of_every_message_are_read(kind: SignalKind, unit: str, channels: tuple[str, ...]) -> None:

@@ -187,3 +187,10 @@ def test_packets_become_observations_of_up_to_a_minute_and_a_gap_begins_another(
     assert [round(len(wave.values) / 130, 1) for wave in waves] == [60.0, 20.0, 10.0]
     assert [wave.start_s for wave in waves] == pytest.approx([100.0, 160.0, 185.0])
     np.testing.assert_array_equal(np.vstack([wave.values for wave in waves]), values)
+
+
+def test_a_blink_is_refused_by_its_name() -> None:
+    info = SignalInfo(SignalKind.BLINK, "", None, ("duration_s",))
+    blink = Samples("glasses", info, 1.0, np.array([[0.2]]), np.array([1.0]))
+    with pytest.raises(ExchangeError, match="blink of glasses has no rate"):
+        fhir.waveform_of(blink, "p-1")

@@ -160,3 +160,36 @@ def test_gait_mood_and_movement_have_fields(
     back = [ros.samples_of(name, message) for name, message in made]
     assert np.concatenate([each.values for each in back]).tolist() == values.tolist()
     assert {each.info for each in back} == {one.info}
+
+
+EYES = (SignalKind.BLINK, SignalKind.FIXATION, SignalKind.SACCADE, SignalKind.GAZE)
+
+
+@given(
+    kind=st.sampled_from(EYES),
+    rows=st.lists(st.tuples(*[st.floats(-1e6, 1e6) | st.just(float("nan"))] * 3), min_size=1, max_size=4),
+    has_gaze=st.booleans(),
+)
+def test_events_of_the_eyes_come_back(
+    kind: SignalKind, rows: list[tuple[float, float, float]], has_gaze: bool
+) -> None:
+    channels = ("gaze_x", "gaze_y") if kind is SignalKind.GAZE else ("duration_s", "gaze_x", "gaze_y")
+    if kind is not SignalKind.GAZE and not has_gaze:
+        channels = channels[:1]
+    values = np.array(rows)[:, : len(channels)]
+    times_s = 1.0 + np.arange(len(rows))
+    one = Samples("glasses", SignalInfo(kind, "DD", None, channels), 1.0, values, times_s)
+    made = [(name, over_the_wire(name, message)) for name, message in ros.messages_of(one, "p-1")]
+    assert {name for name, _ in made} == {f"{ros.PACKAGE}EyeEvent"}
+    back = [ros.samples_of(name, message) for name, message in made]
+    assert np.array_equal(np.concatenate([each.values for each in back]), values, equal_nan=True)
+    assert np.concatenate([each.sample_times_s() for each in back]).tolist() == times_s.tolist()
+    assert {each.info for each in back} == {one.info}
+
+
+@pytest.mark.parametrize("change", [{"kind": 0}, {"kind": 9}, {"gaze": [1.0]}, {"kind": 4, "gaze": []}])
+def test_a_faulty_event_of_the_eyes_is_refused(change: dict[str, Any]) -> None:
+    info = SignalInfo(SignalKind.BLINK, "", None, ("duration_s",))
+    ((name, message),) = ros.messages_of(Samples("s", info, 1.0, np.array([[0.2]]), np.array([1.0])))
+    with pytest.raises(ExchangeError, match="EyeEvent"):
+        ros.samples_of(name, {**message, **change})
