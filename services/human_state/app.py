@@ -4,8 +4,8 @@ Nothing here is a medical device or a safety-rated function.
 """
 
 import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
 from fastapi import FastAPI
 
@@ -24,6 +24,7 @@ from services.human_state.monitoring.breaks import BreakProposals
 from services.human_state.monitoring.entities import HumanStates
 from services.human_state.monitoring.foxglove_feed import FoxgloveFeed
 from services.human_state.monitoring.history import HistoryWriter
+from services.human_state.monitoring.lsl_feed import LslFeed
 from services.human_state.monitoring.monitoring import Monitoring
 from services.human_state.monitoring.processors import pipeline_of
 from services.human_state.monitoring.removal import Removal
@@ -78,15 +79,9 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
             tasks.start_restarting(history.run)
             tasks.start_restarting(entities.run)
             writer.put("orphans", lambda: entities.delete_orphans(people))
-            port = settings.health_foxglove_port
-            feed = None if port is None else FoxgloveFeed(monitoring, port)
-            if feed is not None:
-                app.state.foxglove_port = feed.port
-                tasks.start_restarting(feed.run)
-            await recording.open()
-            yield
-            if feed is not None:
-                feed.close()
+            with _live_feeds(app, settings, monitoring, tasks):
+                await recording.open()
+                yield
             await recording.close()
             people.on_changed = lambda _: None
         breaks.close()
@@ -106,3 +101,24 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     add_recording_routes(app, people, recording)
     add_streams(app, monitoring)
     return app
+
+
+@contextmanager
+def _live_feeds(
+    app: FastAPI, settings: HumanStateSettings, monitoring: Monitoring, tasks: BackgroundTasks
+) -> Iterator[None]:
+    """Send what is live to Foxglove and LSL, where the settings ask for it."""
+    feeds: list[FoxgloveFeed | LslFeed] = []
+    if settings.health_foxglove_port is not None:
+        foxglove = FoxgloveFeed(monitoring, settings.health_foxglove_port)
+        app.state.foxglove_port = foxglove.port
+        feeds.append(foxglove)
+    if settings.health_lsl_people:
+        feeds.append(LslFeed(monitoring, settings.health_lsl_people, settings.health_lsl_signals))
+    for feed in feeds:
+        tasks.start_restarting(feed.run)
+    try:
+        yield
+    finally:
+        for feed in feeds:
+            feed.close()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import Field, SecretStr, field_validator
 
-from handover.settings import Settings
+from handover.settings import Names, Settings
 
 
 class HumanStateSettings(Settings):
@@ -47,6 +47,16 @@ class HumanStateSettings(Settings):
         le=65535,
         description="the port on loopback of a WebSocket for the Foxglove app with the live signals of "
         "persons who consent; it has no access control; none if absent",
+    )
+    health_lsl_people: Names = Field(
+        (),
+        description="names of persons whose live signals are sent as streams of LSL while they consent, "
+        "separated by commas; the local network sees them, unencrypted; none if absent",
+    )
+    health_lsl_signals: Names = Field(
+        (),
+        description="kinds of signals and names of values that LSL gets, for example "
+        "ecg,heartRate; all if absent",
     )
     health_break_message: str = Field(
         "breakProposed",

@@ -66,7 +66,7 @@ class LslOutlets:
             outlet.push_chunk(item.values.tolist(), stamps)
 
     def _push_feature(self, item: Feature) -> None:
-        name = f"{item.source} {item.name.value}"
+        name = f"{item.source} {item.name.value} feature"  # a signal may have the same name
         stamp = self._clock.to_lsl(item.at_s)
         if isinstance(item.value, str):
             outlet = self._outlet(name, "Markers", [(item.name.value, "")], is_text=True, method=item.method)

@@ -1,5 +1,6 @@
 """The real application of human state in this process, with a real broker."""
 
+import os
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from datetime import UTC, datetime, timedelta
@@ -12,6 +13,9 @@ import pytest
 from services.human_state.app import make_app
 from services.human_state.settings import HumanStateSettings
 from tests.kit.cell import Cell
+
+# liblsl reads its settings when it is loaded: streams stay on this machine.
+os.environ.setdefault("LSLAPICFG", str(Path(__file__).parents[2] / "kit" / "lsl.cfg"))
 
 PURPOSES = ["live", "speedLimits", "history", "broker"]
 HEART_RATE = {"signals": ["heartRate"], "packet_s": 0.1}

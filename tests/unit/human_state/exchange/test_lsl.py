@@ -78,17 +78,19 @@ def test_samples_arrive_with_their_times_unit_channels_and_subject(outlets: LslO
 
 def test_features_and_texts_are_streams(outlets: LslOutlets, source: str) -> None:
     rate = Feature(FeatureName.HEART_RATE, source, 92.5, time.time(), 0.9)
+    signal = SignalInfo(SignalKind.HEART_RATE, "BPM", 1.0)
+    outlets.push(Samples(source, signal, time.time(), np.array([[92.0]])))  # a signal of the same name
     outlets.push(rate)
-    inlet = pylsl.StreamInlet(found(f"{source} heartRate"))
+    inlet = pylsl.StreamInlet(found(f"{source} heartRate feature"))
     inlet.open_stream(scaled(20))
-    until(lambda: outlets.has_consumers(f"{source} heartRate"))
+    until(lambda: outlets.has_consumers(f"{source} heartRate feature"))
     outlets.push(rate)
     assert until(lambda: inlet.pull_sample(timeout=0.1)[0]) == [92.5, 0.9, 1.0]
     described = inlet.info(scaled(20))
     assert described.desc().child("channels").child("channel").child_value("unit") == "BPM"
     outlets.push(Feature(FeatureName.ACTIVITY, source, "Rest", time.time(), 0.9))
     with pytest.raises(ExchangeError, match="Markers"):
-        signal_info(found(f"{source} activity"))
+        signal_info(found(f"{source} activity feature"))
 
 
 def test_a_stream_of_others_is_read_by_its_type_and_unit() -> None:

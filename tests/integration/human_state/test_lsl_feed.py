@@ -1,0 +1,50 @@
+"""Streams of LSL have what the settings name and persons allow, and end with the consent and the service."""
+
+import asyncio
+
+import pytest
+
+from tests.integration.human_state.conftest import Running, add_person
+from tests.kit.waiting import scaled, until
+
+pytest.importorskip("pylsl", reason="the extra [human-state] is not installed")
+
+import pylsl
+
+from services.human_state.exchange.lsl import LslInlet
+
+
+async def streams_of(pseudonym: str, wait_s: float) -> list[pylsl.StreamInfo]:
+    """Return the streams of a person that answer, after the first one or `wait_s`."""
+    predicate = f"starts-with(source_id, 'handover {pseudonym} ')"
+    return await asyncio.to_thread(pylsl.resolve_bypred, predicate, 1, wait_s)
+
+
+async def test_an_inlet_gets_the_heart_rate_until_the_consent_is_withdrawn(running: Running) -> None:
+    async with running(health_lsl_people="aino", health_lsl_signals="heartRate") as rest:
+        other = await add_person(rest, "eero", "live")
+        made = await add_person(rest, "aino", "live")
+        (stream, *_) = await streams_of(made["pseudonym"], scaled(60))
+        assert stream.name() == "strap-aino heartRate"
+        inlet = await asyncio.to_thread(LslInlet, stream, scaled(20))
+        assert inlet.subject == made["pseudonym"]
+        rates: list[float] = []
+
+        def has_rates() -> bool:
+            if (samples := inlet.pull()) is not None:
+                rates.extend(samples.values[:, 0].tolist())
+            return len(rates) > 3
+
+        await until(has_rates, scaled(60))
+        assert all(30 < rate < 220 for rate in rates)
+        inlet.close()
+        assert await streams_of(other["pseudonym"], 1.0) == []
+
+        (await rest.delete("/people/aino/consent")).raise_for_status()
+        async with asyncio.timeout(scaled(60)):
+            while await streams_of(made["pseudonym"], 1.0):
+                await asyncio.sleep(0.1)
+
+        again = await add_person(rest, "aino", "live")
+        assert await streams_of(again["pseudonym"], scaled(60))
+    assert await streams_of(again["pseudonym"], 1.0) == []
