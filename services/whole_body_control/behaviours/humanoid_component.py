@@ -206,6 +206,9 @@ class HumanoidComponent:
         target = self._on_ground(ball.target, feet) if ball.phase is not BallPhase.NONE else ball.target
         values += [*ball.place, ball.phase, *target, *ball.landed, *ball.predicted]
         values += [ball.number, self._throw_phase, self.fault]
+        is_juggling = self.behaviour is Behaviour.JUGGLING
+        for side in SIDES:
+            values += [np.nan] * 3 if is_juggling else walking.next_landing(side).tolist()
         values += self._solver_counts.tolist()
         residuals = self._active.last_step.residuals
         level_of = {name: index for index, name in enumerate(residuals)}
@@ -443,6 +446,7 @@ def _fields(humanoid: Humanoid, residuals: Sequence[tuple[int, str]]) -> tuple[s
     names += [*(f"ball.{axis}" for axis in "xyz"), "ball_phase"]
     names += [f"{name}.{axis}" for name in ("target", "ball_landed", "predicted") for axis in "xyz"]
     names += ["throw_number", "throw_phase", "fault"]
+    names += [f"{side}_landing.{axis}" for side in SIDES for axis in ("x", "y", "yaw")]
     names += [f"solver_us.{bound}" for bound in (*SOLVER_BOUNDS_US, "inf")]
     names += [f"residual.{index}.{name}" for index, name in residuals]
     names += [f"base.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]

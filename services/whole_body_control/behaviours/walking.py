@@ -141,6 +141,27 @@ class WalkingController:
         stance = self.state.stance
         return (stance.left.yaw + stance.right.yaw) / 2
 
+    def next_landing(self, side: Side) -> Array:
+        """Return place (2,) in m and yaw in rad of the next landing of a foot, on the ground of the estimate.
+
+        A step begins at the foot that stands, so the landing turns with it where the estimate differs from
+        the plan. NaN for a foot that stays, and while no foot stands.
+        """
+        pattern, estimator = self._next, self.estimator
+        landing = pattern.landings.get(side)
+        feet = {each: estimator.feet[self.settings.contacts[each]] for each in SIDES}
+        if landing is None or not any(foot.share for foot in feet.values()):
+            return np.full(3, np.nan)
+        found = np.zeros(3)
+        for each, foot in feet.items():
+            stands = self._planned_footprint(pattern.stance, each)
+            pose = estimator.kinematics.pose(foot.link)
+            turned = Footprint.below(each, pose).yaw - stands.yaw
+            turned = float(np.arctan2(np.sin(turned), np.cos(turned)))
+            place = pose.translation[:2] + turn(turned) @ (landing.place - stands.place)
+            found += foot.share * np.array([*place, landing.yaw + turned])
+        return found
+
     @property
     def step_limits(self) -> StepLimits:
         """Return what the robot can step."""
@@ -283,14 +304,17 @@ class WalkingController:
         estimator, shift = self.estimator, np.zeros(2)
         for side in SIDES:
             foot = estimator.feet[self.settings.contacts[side]]
-            footprint = stance.foot(side)
-            if stance.phase == "single" and side == stance.swing and stance.landing is not None:
-                footprint = stance.landing
+            footprint = self._planned_footprint(stance, side)
             shift += foot.share * (footprint.place - estimator.sole(self.settings.contacts[side])[:2])
         self._shift = shift
         com = estimator.com.copy()
         com[:2] += shift
         return com, estimator.com_velocity, estimator.centre_of_pressure + shift
+
+    def _planned_footprint(self, stance: Stance, side: Side) -> Footprint:
+        """Return where a foot stands by the plan; one in the air may touch the ground early."""
+        is_swinging = stance.phase == "single" and side == stance.swing
+        return stance.landing if is_swinging and stance.landing is not None else stance.foot(side)
 
     def _footprint(self, side: Side) -> Footprint:
         return Footprint.below(side, self._start_feet[side])

@@ -6,7 +6,7 @@ robot that a person holds by the hands needs this: pulls to the side add up over
 one foot is too narrow for the stabiliser.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.footsteps import Footsteps, Stance, StepLimits, Wish
 from services.whole_body_control.patterns.pendulum import PendulumState
-from services.whole_body_control.patterns.regions import Footprint, Region, turn
+from services.whole_body_control.patterns.regions import Footprint, Region, Side, turn
 from services.whole_body_control.patterns.zmp_control import Plan, ZmpControl
 
 LOCKED = 2
@@ -27,11 +27,15 @@ side it stays as it is, since soles are narrow."""
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """What the feet and the centre of mass do in the next period; `region` is where the ZMP may be in it."""
+    """What the feet and the centre of mass do in the next period; `region` is where the ZMP may be in it.
+
+    `landings` has the next landing of each foot, as planned for the present wish; none for a foot that stays.
+    """
 
     stance: Stance
     plan: Plan
     region: Region
+    landings: Mapping[Side, Footprint]
 
 
 class WalkingPattern:
@@ -61,7 +65,7 @@ class WalkingPattern:
         stances = list(self._footsteps.preview(self.stance, wish, self.control.samples + 1))
         regions = self._regions(stances)
         plan = self.control.plan(self.state, regions[1:], wish.velocity)
-        pattern = Pattern(self.stance, plan, regions[0])
+        pattern = Pattern(self.stance, plan, regions[0], _next_landings(stances))
         self.stance, self.state = stances[1], plan.states[1]
         return pattern
 
@@ -85,3 +89,11 @@ class WalkingPattern:
                 known[feet] = Region.of(feet, self._sole)
             found.append(known[feet])
         return found
+
+
+def _next_landings(stances: Sequence[Stance]) -> dict[Side, Footprint]:
+    landings: dict[Side, Footprint] = {}
+    for stance in stances:
+        if stance.phase == "single" and stance.landing is not None:
+            landings.setdefault(stance.swing, stance.landing)
+    return landings

@@ -121,6 +121,7 @@ def _foot(values: Mapping[str, float], side: str) -> dict[str, Any]:
         "force": _vector(values, f"{side}_foot.force", "xyz"),
         "pressure": _vector(values, f"{side}_foot.pressure", "xy"),
         "share": _round(values.get(f"support_{side}")),
+        "landing": _vector(values, f"{side}_landing", ("x", "y", "yaw")),
     }
 
 

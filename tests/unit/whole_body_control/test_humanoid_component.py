@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from services.whole_body_control.behaviours.humanoid_component import (
+    PHASES,
     BallPhase,
     Behaviour,
     Fault,
@@ -20,6 +21,7 @@ from services.whole_body_control.cycle.loop import Mode
 from services.whole_body_control.cycle.ports import PortWriter
 from services.whole_body_control.cycle.wish import PERSON, WISH
 from services.whole_body_control.model.kinematics import Kinematics
+from services.whole_body_control.patterns.regions import Footprint, Side
 from services.whole_body_control.patterns.throwing import Throw, ThrowPlanner
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
@@ -109,6 +111,32 @@ def test_it_walks_then_throws_from_where_it_stands_then_walks_again(cycle: Cycle
     assert (walked["mode"], walked["behaviour"]) == (Mode.FOLLOWING, Behaviour.WALKING)
     assert walked["com.x"] > landed["com.x"] + 0.1
     assert cycle.run(4.0, WALKING)["phase"] == 0
+
+
+def test_a_foot_lands_where_the_state_says(cycle: Cycle) -> None:
+    model, walk = Kinematics(COMAN), {**WALKING, "ahead_mps": 0.08, "yaw_radps": 0.12}
+    planned: dict[Side, np.ndarray] = {}
+    landed: dict[Side, np.ndarray] = {}
+    swings: set[Side] = set()
+    for _ in range(60):
+        state = cycle.run(0.05, walk)
+        if state["phase"] == PHASES.index("single"):
+            swing: Side = "left" if state["support_left"] < state["support_right"] else "right"
+            if state[f"support_{swing}"] < 0.05:
+                swings.add(swing)
+                planned[swing] = np.array([state[f"{swing}_landing.{axis}"] for axis in ("x", "y", "yaw")])
+        for side in SIDES:
+            if side in swings and state[f"support_{side}"] > 0.5:
+                swings.remove(side)
+                base = [state[f"base.{axis}"] for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+                model.update(np.array([*base, *(state[f"joint.{name}"] for name in COMAN.joint_names)]))
+                foot = Footprint.below(side, model.pose(COMAN.contacts[f"{side}_sole"].link))
+                landed[side] = np.array([foot.x, foot.y, foot.yaw])
+                assert landed[side] == pytest.approx(planned[side], abs=0.03)
+    assert set(landed) == set(SIDES)
+    stands = cycle.run(4.0, WALKING)
+    assert stands["phase"] == PHASES.index("standing")
+    assert all(np.isnan(stands[f"{side}_landing.x"]) for side in SIDES)
 
 
 def test_a_cancelled_throw_is_followed_through_with_the_ball_in_the_hand(cycle: Cycle, throw: Throw) -> None:

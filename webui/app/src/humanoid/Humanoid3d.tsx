@@ -112,6 +112,7 @@ function coloursOf(place: Element): DeskColours {
     zmp: colour("--stop"),
     polygon: colour("--ok"),
     steps: colour("--robot3d-fixture"),
+    landings: { left: colour("--robot3d-people"), right: colour("--robot3d-part") },
     force: colour("--robot3d-reduced"),
     ball: colour("--robot3d-part"),
     target: colour("--accent"),

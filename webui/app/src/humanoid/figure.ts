@@ -8,11 +8,11 @@ import {
 } from "three";
 import type { URDFRobot } from "urdf-loader";
 import { parsed, release } from "~/robot3d/urdf";
-import { SIDES, supportPolygon, type HumanoidModel, type LiveDocument, type Pair, type PatientState, type Place, type Side } from "./humanoid";
+import { SIDES, soleAt, supportPolygon, type HumanoidModel, type LiveDocument, type Pair, type PatientState, type Place, type Side } from "./humanoid";
 
 export const BALL_RADIUS_M = 0.025;
 /** Above the ground, so that flat things do not flicker in it; a drawing order of millimetres. */
-const LIFTED_M = { polygon: 0.002, steps: 0.003, points: 0.005 };
+const LIFTED_M = { polygon: 0.002, steps: 0.003, landings: 0.004, points: 0.005 };
 /** The length of the arrow of a force. */
 const M_PER_N = 1 / 500;
 const MAX_FOOTSTEPS = 24;
@@ -27,6 +27,7 @@ export interface FigureColours {
   zmp: string;
   polygon: string;
   steps: string;
+  landings: Readonly<Record<Side, string>>;
   force: string;
   ball: string;
   target: string;
@@ -48,6 +49,7 @@ export class HumanoidFigure {
   readonly #polygon = new LineLoop(new BufferGeometry(), new LineBasicMaterial());
   readonly #area = new Mesh(new BufferGeometry(), flat(0.25));
   readonly #steps = new Group();
+  readonly #landings: Record<Side, Outline> = { left: outline(), right: outline() };
   readonly #feet: Record<Side, ArrowHelper>;
   readonly #hands: Record<Side, ArrowHelper>;
   readonly #ball = new Mesh(new SphereGeometry(BALL_RADIUS_M, 24, 16), new MeshStandardMaterial({ roughness: 0.5 }));
@@ -74,7 +76,7 @@ export class HumanoidFigure {
     this.#head = headOf();
     this.#palms = { left: palm(), right: palm() };
     this.overlays.add(this.#com, this.#plumb, this.#zmp, this.#zmpReference, this.#area, this.#polygon, this.#steps, this.#target, this.#landed, this.#preview);
-    for (const side of SIDES) this.overlays.add(this.#feet[side], this.#hands[side]);
+    for (const side of SIDES) this.overlays.add(this.#feet[side], this.#hands[side], this.#landings[side].edge, this.#landings[side].area);
     this.person.add(this.#head, this.#palms.left, this.#palms.right);
     this.#ball.castShadow = true;
     this.root.add(this.#robot, this.overlays, this.#ball, this.person);
@@ -98,6 +100,8 @@ export class HumanoidFigure {
     for (const side of SIDES) {
       for (const force of [this.#feet[side], this.#hands[side]]) force.setColor(new Color(colours.force));
       paint(this.#palms[side], colours.person);
+      paint(this.#landings[side].edge, colours.landings[side]);
+      paint(this.#landings[side].area, colours.landings[side]);
     }
     paint(this.#ball, colours.ball);
     paint(this.#target, colours.target);
@@ -110,7 +114,10 @@ export class HumanoidFigure {
   show(document: LiveDocument): void {
     this.#pose(document);
     this.#balance(document);
-    for (const side of SIDES) this.#foot(side, document);
+    for (const side of SIDES) {
+      this.#foot(side, document);
+      this.#landing(side, document);
+    }
     this.#hand(document);
     this.#throwing(document);
     this.#patient(document.patient ?? null);
@@ -150,7 +157,7 @@ export class HumanoidFigure {
     this.#polygon.visible = this.#area.visible = polygon.length > 2;
     if (polygon.length > 2) {
       draw(this.#polygon, polygon.map(([x, y]) => [x, y, LIFTED_M.polygon]));
-      fill(this.#area, polygon);
+      fill(this.#area, polygon, LIFTED_M.polygon);
     }
   }
 
@@ -172,6 +179,18 @@ export class HumanoidFigure {
       oldest.removeFromParent();
       (oldest.geometry as BufferGeometry).dispose();
     }
+  }
+
+  /** Where a foot lands next: the outline of its sole. */
+  #landing(side: Side, { feet }: LiveDocument): void {
+    const { edge, area } = this.#landings[side];
+    const landing = feet[side].landing ?? null;
+    const corners = this.#contact(side)?.corners ?? [];
+    edge.visible = area.visible = landing !== null && corners.length > 2;
+    if (landing === null || !edge.visible) return;
+    const sole = soleAt(landing, corners);
+    draw(edge, sole.map(([x, y]) => [x, y, LIFTED_M.landings]));
+    fill(area, sole, LIFTED_M.landings);
   }
 
   #hand({ hands }: LiveDocument): void {
@@ -203,9 +222,13 @@ export class HumanoidFigure {
     }
   }
 
+  #contact(side: Side): HumanoidModel["contacts"][number] | undefined {
+    return this.#model.contacts.find(({ name }) => name.startsWith(side));
+  }
+
   /** The corners of a sole on the ground, where the body has it. */
   #sole(side: Side): Pair[] {
-    const contact = this.#model.contacts.find(({ name }) => name.startsWith(side));
+    const contact = this.#contact(side);
     const link = contact === undefined ? undefined : this.#robot.links[contact.link];
     if (contact === undefined || link === undefined) return [];
     return contact.corners.map((corner) => {
@@ -224,6 +247,15 @@ function marker(radius: number): Group {
   const mark = new Group();
   mark.add(new Mesh(new CircleGeometry(0.5 * radius, 24), flat(1)), new Mesh(new RingGeometry(0.8 * radius, radius, 24), flat(1)));
   return mark;
+}
+
+interface Outline {
+  edge: LineLoop;
+  area: Mesh;
+}
+
+function outline(): Outline {
+  return { edge: new LineLoop(new BufferGeometry(), new LineBasicMaterial()), area: new Mesh(new BufferGeometry(), flat(0.35)) };
 }
 
 function arrow(): ArrowHelper {
@@ -275,9 +307,9 @@ function draw(line: Line, points: readonly Place[]): void {
 }
 
 /** Fill a convex polygon on the ground by triangles from its first corner. */
-function fill(mesh: Mesh, polygon: readonly Pair[]): void {
+function fill(mesh: Mesh, polygon: readonly Pair[], heightM: number): void {
   const corners = polygon.slice(1, -1).flatMap((corner, index) => [polygon[0], corner, polygon[index + 2]] as Pair[]);
-  const places = new Float32Array(corners.flatMap(([x, y]) => [x, y, LIFTED_M.polygon]));
+  const places = new Float32Array(corners.flatMap(([x, y]) => [x, y, heightM]));
   mesh.geometry.dispose();
   mesh.geometry = new BufferGeometry();
   mesh.geometry.setAttribute("position", new BufferAttribute(places, 3));

@@ -1,6 +1,6 @@
 import { describe, expect, it, vi } from "vitest";
 import { Driver } from "~/control/driver";
-import { hullOf, inFrame, onGround, supportPolygon, type FootState, type Pair } from "./humanoid";
+import { hullOf, inFrame, onGround, soleAt, supportPolygon, type FootState, type Pair } from "./humanoid";
 import { wishOf } from "./wish";
 import { Replay } from "./replay";
 import { throttled } from "./snapshots";
@@ -31,6 +31,12 @@ describe("the ground of the humanoid", () => {
     expect(area(single)).toBeCloseTo(0.15 * 0.04);
     expect(Math.max(...single.map(([, y]) => y))).toBeCloseTo(-0.08);
     expect(supportPolygon({ phase: "single", feet }, {})).toEqual([]);
+  });
+
+  it("turns a sole about the place where its foot lands", () => {
+    const [toe, heel] = soleAt([1, 2, Math.PI / 2], [[0.13, 0.05, 0], [-0.07, 0.05, 0]]);
+    [0.95, 2.13].forEach((value, index) => expect(toe?.[index]).toBeCloseTo(value));
+    [0.95, 1.93].forEach((value, index) => expect(heel?.[index]).toBeCloseTo(value));
   });
 
   it("has every point within its hull", () => {

@@ -18,6 +18,8 @@ export interface FootState {
   pressure: Pair | null;
   /** Of the weight, from 0 to 1. */
   share: number | null;
+  /** Where the foot lands next, by the present plan; null for a foot that stays. Older recordings lack it. */
+  landing?: Footprint | null;
 }
 
 export interface HandState {
@@ -128,6 +130,14 @@ export function inFrame([x0, y0, yaw]: Footprint, [x, y, z]: Place): Place {
 /** A place in the frame of `stance` on the ground. */
 export function onGround([x0, y0, yaw]: Footprint, [x, y, z]: Place): Place {
   return [x0 + Math.cos(yaw) * x - Math.sin(yaw) * y, y0 + Math.sin(yaw) * x + Math.cos(yaw) * y, z];
+}
+
+/** The corners of a sole (in the frame of the foot) where its foot stands at `footprint`. */
+export function soleAt(footprint: Footprint, corners: readonly Place[]): Pair[] {
+  return corners.map((corner) => {
+    const [x, y] = onGround(footprint, corner);
+    return [x, y] as const;
+  });
 }
 
 /** The convex hull of points on the ground, against the clock (Andrew's monotone chain). */
