@@ -59,9 +59,7 @@ class Parts:
         if self.in_bin(bin_name):
             return
         walls = self._walls(bin_name)
-        spare = [part for part in range(self._count) if self._simulation.is_parked(part)]
-        spare += [part for part in range(self._count) if part not in spare and self._is_lost(part)]
-        for part in spare[: len(self._scene.bins[bin_name].parts)]:
+        for part in self._spare()[: len(self._scene.bins[bin_name].parts)]:
             x, y = self._random.uniform(-0.5, 0.5, 2) * FILLED_SHARE * np.array(walls.size[:2])
             quaternion = self._random.normal(size=4)
             a, b, c, d = (quaternion / np.linalg.norm(quaternion)).tolist()
@@ -100,9 +98,7 @@ class Parts:
 
     def hold_out(self, pose: Pose) -> int | None:
         """Hold a part at a pose, where it stays until `let_go`; return it, None if all are in use."""
-        part = next((part for part in range(self._count) if self._simulation.is_parked(part)), None)
-        if part is None:
-            part = next((part for part in range(self._count) if self._is_lost(part)), None)
+        part = next(iter(self._spare()), None)
         if part is not None:
             self._simulation.put(part, pose, is_held=True)
         return part
@@ -143,6 +139,11 @@ class Parts:
         for part in range(len(self._simulation.world.parts)):
             if not self._simulation.is_parked(part):
                 yield part, self._simulation.part_pose(part)
+
+    def _spare(self) -> list[int]:
+        """Return the boxes that nobody needs: those outside of the cell, then those that are lost in it."""
+        parked = [part for part in range(self._count) if self._simulation.is_parked(part)]
+        return parked + [part for part in range(self._count) if part not in parked and self._is_lost(part)]
 
     def _is_lost(self, part: int) -> bool:
         """Return whether a part lies neither in a bin nor in a fixture nor in a gripper."""
