@@ -1,7 +1,7 @@
 """The process of the control cycle: python -m services.whole_body_control.control_process DEPLOYMENT.yaml
 
-It reads the ports `wish` and `person`, and writes the port `state`, in the folder of the deployment. It ends
-with SIGTERM or SIGINT, after the robot stands. Everything else may stall, end or be killed.
+It reads the ports `wish`, `person` and `gains`, and writes the port `state`, in the folder of the deployment.
+It ends with SIGTERM or SIGINT, after the robot stands. Everything else may stall, end or be killed.
 """
 
 import argparse
@@ -17,6 +17,7 @@ from services.whole_body_control.behaviours.walking import WalkingSettings
 from services.whole_body_control.components.robot import Robot
 from services.whole_body_control.cycle.deployment import Deployment, read_deployment
 from services.whole_body_control.cycle.ending import EndBySignal
+from services.whole_body_control.cycle.gains import gain_fields
 from services.whole_body_control.cycle.loop import ControlLoop, CyclePorts, state_fields
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
 from services.whole_body_control.cycle.privileges import stop_collecting, use_real_time
@@ -34,7 +35,7 @@ from services.whole_body_control.solvers.problem import Solver
 
 log = get_logger(__name__)
 
-WISH_PORT, PERSON_PORT, STATE_PORT = "wish", "person", "state"
+WISH_PORT, PERSON_PORT, GAINS_PORT, STATE_PORT = "wish", "person", "gains", "state"
 STAND_TIMEOUT_S = 4.0
 
 
@@ -63,6 +64,7 @@ def control_loop(
     ports = CyclePorts(
         _to_read(deployment.folder / WISH_PORT, WISH),
         _to_read(deployment.folder / PERSON_PORT, PERSON),
+        _to_read(deployment.folder / GAINS_PORT, gain_fields(model)),
         state,
     )
     loop = ControlLoop(

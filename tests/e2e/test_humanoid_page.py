@@ -50,6 +50,19 @@ def test_a_therapist_throws_stops_and_leads_a_session(
     page.get_by_text("left_leg").click()
     expect(page.get_by_role("rowheader", name="LHipSag")).to_be_visible()
 
+    gains = page.get_by_role("region", name="Gains")
+    expect(gains).to_contain_text("These are the gains of the model.")
+    arm = gains.get_by_role("group", name="left_arm")
+    arm.get_by_role("slider", name="Stiffness").fill("1.2")
+    expect(arm).to_contain_text("120 % · 72 N m/rad")
+    expect(gains).to_contain_text("not applied yet")
+    gains.get_by_role("button", name="Apply the gains").click()
+    expect(gains).to_contain_text("The joints have the chosen gains.", timeout=1000 * WITHIN_S)
+    assert humanoid.state()["gains"]["left_arm"] == {"stiffness": 1.2, "damping": 1}
+    keep(page, "humanoid-gains")
+    gains.get_by_role("button", name="Return to the model's gains").click()
+    expect(gains).to_contain_text("These are the gains of the model.", timeout=1000 * WITHIN_S)
+
     recordings = page.get_by_role("region", name="Recordings")
     recordings.get_by_role("textbox", name="Name (optional)").fill("first throw")
     recordings.get_by_role("button", name="Record").click()

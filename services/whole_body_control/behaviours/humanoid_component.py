@@ -8,6 +8,7 @@ How it works:
    that walking commands, in a frame of its own between the soles; walking continues with its own plan, since
    the feet do not move meanwhile.
 3. Each behaviour wants joints of another stiffness; it changes within `GAINS_S`, so that nothing jumps.
+   People may change the gains by chain, which is slower still (`cycle.gains`).
 4. Where a ball should go has been planned elsewhere: a plan comes with the wish, and is checked again here.
 5. It takes over gently: a robot that its drives held hangs in them, and full torques at once would make it
    lurch.
@@ -27,6 +28,7 @@ from services.whole_body_control.behaviours.assistance import AssistedWalking, H
 from services.whole_body_control.behaviours.throwing import Phase, ThrowingController
 from services.whole_body_control.behaviours.walking import SIDES, WalkingController
 from services.whole_body_control.components.robot import NOT_FINITE, JointCommand, RobotSensors, World
+from services.whole_body_control.cycle.gains import GainShares, gain_fields
 from services.whole_body_control.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
 from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 from services.whole_body_control.model.humanoid import Humanoid
@@ -128,6 +130,7 @@ class HumanoidComponent:
         self._stiffness, self._damping = gains.stiffness, gains.damping
         self._firmness = np.ones(len(humanoid.joints))
         """Share of the gains of the model, by joint."""
+        self._shares = GainShares(humanoid)
         self._taken, self._at_first = 0.0, JointCommand(humanoid)
         self._wanted, self._is_commanded, self._person = Wanted(), False, np.zeros(len(PERSON))
         self._ball = _Ball()
@@ -157,6 +160,10 @@ class HumanoidComponent:
         if wish is not None:
             self._wanted = Wanted.of(wish)
         self._person = np.zeros(len(PERSON)) if person is None else person
+
+    def tune(self, gains: Array | None) -> None:
+        """Accept the shares of the gains that people want; None changes nothing."""
+        self._shares.want(gains)
 
     def step(self, sensors: RobotSensors, command: JointCommand) -> str:
         """Compute the next command; return what is wrong, or nothing."""
@@ -209,6 +216,7 @@ class HumanoidComponent:
         is_juggling = self.behaviour is Behaviour.JUGGLING
         for side in SIDES:
             values += [np.nan] * 3 if is_juggling else walking.next_landing(side).tolist()
+        values += self._shares.values.tolist()
         values += self._solver_counts.tolist()
         residuals = self._active.last_step.residuals
         level_of = {name: index for index, name in enumerate(residuals)}
@@ -368,8 +376,9 @@ class HumanoidComponent:
             wanted = self.assistance.firmness
         most = self.control_s / GAINS_S * 3.0
         self._firmness += np.clip(wanted - self._firmness, -most, most)
-        command.stiffness[:] = self._stiffness * self._firmness
-        command.damping[:] = self._damping * np.sqrt(self._firmness)
+        self._shares.step(self.control_s)
+        command.stiffness[:] = self._stiffness * self._firmness * self._shares.stiffness
+        command.damping[:] = self._damping * np.sqrt(self._firmness) * self._shares.damping
         command.is_led = self.behaviour is Behaviour.ASSISTED_WALKING
 
     def _take_over(self, sensors: RobotSensors, command: JointCommand) -> None:
@@ -447,6 +456,7 @@ def _fields(humanoid: Humanoid, residuals: Sequence[tuple[int, str]]) -> tuple[s
     names += [f"{name}.{axis}" for name in ("target", "ball_landed", "predicted") for axis in "xyz"]
     names += ["throw_number", "throw_phase", "fault"]
     names += [f"{side}_landing.{axis}" for side in SIDES for axis in ("x", "y", "yaw")]
+    names += [f"gain.{name}" for name in gain_fields(humanoid)]
     names += [f"solver_us.{bound}" for bound in (*SOLVER_BOUNDS_US, "inf")]
     names += [f"residual.{index}.{name}" for index, name in residuals]
     names += [f"base.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]

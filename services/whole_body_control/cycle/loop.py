@@ -58,6 +58,10 @@ class Controller(Protocol):
         """Accept the values of `WISH` and `PERSON`; None for those that are too old, or not finite."""
         ...
 
+    def tune(self, gains: Array | None) -> None:
+        """Accept the values of the port `gains`; None for values that were not written, or are not finite."""
+        ...
+
     def step(self, sensors: RobotSensors, command: JointCommand) -> str:
         """Compute the next command; return what is wrong, or nothing."""
         ...
@@ -69,10 +73,11 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CyclePorts:
-    """The ports of a cycle: the wish and the person that it reads, and the state that it writes."""
+    """The ports of a cycle: wish, person and gains, which it reads, and the state, which it writes."""
 
     wish: PortReader
     person: PortReader
+    gains: PortReader
     state: PortWriter
 
 
@@ -154,6 +159,7 @@ class ControlLoop(Generic[R, C]):
         if self._is_ending:
             wish = None
         self.controller.follow(wish, _newest(ports.person)[0])
+        self.controller.tune(_last(ports.gains))
         if not self.mode.is_final:
             self.mode = Mode.STANDING if wish is None else Mode.FOLLOWING
         return age_s
@@ -196,3 +202,9 @@ def _newest(port: PortReader) -> tuple[Array | None, float]:
     age_s = port.age_s()
     is_valid = is_read and age_s < WISH_TIMEOUT_S and bool(np.isfinite(port.values).all())
     return (port.values if is_valid else None), age_s
+
+
+def _last(port: PortReader) -> Array | None:
+    """Return the values of a port of any age, None for those that are not finite or not written yet."""
+    is_valid = port.read() and port.time_ns > 0 and bool(np.isfinite(port.values).all())
+    return port.values if is_valid else None

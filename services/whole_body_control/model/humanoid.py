@@ -31,6 +31,14 @@ class Gains:
 
 
 @dataclass(frozen=True, slots=True)
+class GainLimits:
+    """How far people may change the gains of a chain: the least and the most share of those of the model."""
+
+    stiffness: tuple[float, float]
+    damping: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Joint:
     """A joint that moves. Limits in rad, rad/s and N m (m, m/s and N for a prismatic one)."""
 
@@ -110,6 +118,8 @@ class Humanoid:
     """The inertia of a drive behind its gear, seen from its joint, in kg m²; the same for all joints."""
     grips: Mapping[str, Grip] = field(default_factory=dict)
     """The hands that can hold and throw a ball, by name."""
+    gain_limits: Mapping[str, GainLimits] = field(default_factory=dict)
+    """By chain; the gains of other chains are not changed."""
     modes: tuple[JointMode, ...] = (JointMode.IMPEDANCE,)
     """What its drives accept; a driver may have fewer."""
     notes: tuple[str, ...] = ()
@@ -134,6 +144,15 @@ class Humanoid:
     def indices(self, name: str) -> tuple[int, ...]:
         """Return where the joints of a chain or group stand in vectors of joints. Raises `UsageError`."""
         return tuple(self.index(joint) for joint in self.members(name))
+
+    @cached_property
+    def tunable(self) -> Mapping[str, tuple[int, ...]]:
+        """Return the joints whose gains a chain decides: a joint of two chains belongs to the first."""
+        found: dict[str, tuple[int, ...]] = {}
+        for chain in self.chains:
+            taken = {joint for joints in found.values() for joint in joints}
+            found[chain] = tuple(index for index in self.indices(chain) if index not in taken)
+        return found
 
     def members(self, name: str) -> tuple[str, ...]:
         """Return the joints of a chain or group. Raises `UsageError`."""

@@ -3,6 +3,7 @@
 urdf: coman.urdf                 # robot.yaml
 srdf: coman.srdf
 gains: {default: {stiffness: 300, damping: 6}, left_arm: {stiffness: 60, damping: 3}}
+gain_limits: {default: {stiffness: [0.8, 1.5], damping: [0.8, 1.5]}}   # what people may choose
 contacts:
   left_sole: {link: l_sole, corners: [[0.13, 0.05, 0], …], friction: 0.7}
 drive_inertia: 0.05              # of a drive behind its gear, seen from its joint, in kg m²
@@ -29,6 +30,7 @@ from handover.robot_xml import parse_robot_xml
 from services.whole_body_control.model.humanoid import (
     Chain,
     ContactSurface,
+    GainLimits,
     Gains,
     Grip,
     Humanoid,
@@ -56,6 +58,11 @@ class _Strict(BaseModel):
 class _Gains(_Strict):
     stiffness: Positive
     damping: Positive
+
+
+class _GainLimits(_Strict):
+    stiffness: tuple[Positive, Positive]
+    damping: tuple[Positive, Positive]
 
 
 class _Contact(_Strict):
@@ -86,6 +93,7 @@ class _RobotFile(_Strict):
     urdf: Path | _PackagedUrdf
     srdf: Path
     gains: dict[str, _Gains]
+    gain_limits: dict[str, _GainLimits] = Field(default_factory=dict)
     contacts: dict[str, _Contact]
     drive_inertia: Annotated[FiniteFloat, Field(ge=0)] = 0.0
     grips: dict[str, _Grip] = Field(default_factory=dict)
@@ -137,6 +145,7 @@ def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
         srdf=srdf,
         drive_inertia=entry.drive_inertia,
         grips={name: Grip(name, grip.arm, grip.link, grip.point) for name, grip in entry.grips.items()},
+        gain_limits=_gain_limits(entry, semantics),
         modes=tuple(dict.fromkeys(entry.modes)),
         notes=entry.notes,
     )
@@ -261,6 +270,7 @@ def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Itera
         yield f'{FILE} has the mode position without "servo: {{{DEFAULT_GAINS}: …}}", the gains of its drives'
     for name in sorted((entry.gains.keys() | entry.servo.keys()) - known):
         yield f'{FILE} has gains for "{name}", which is no chain, group or joint'
+    yield from _gain_limit_faults(entry, semantics)
     for name, contact in entry.contacts.items():
         if contact.link not in tree.links:
             yield f'the contact "{name}" is on the link "{contact.link}", which the URDF does not have'
@@ -271,6 +281,18 @@ def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Itera
             yield f'the grip "{name}" is moved by "{grip.arm}", which is no chain of the SRDF'
     if not entry.contacts:
         yield f"{FILE} names no contact; a humanoid needs the soles that it stands on"
+
+
+def _gain_limit_faults(entry: _RobotFile, semantics: _Semantics) -> Iterator[str]:
+    for name, limits in entry.gain_limits.items():
+        if name not in {DEFAULT_GAINS, *semantics.chains}:
+            yield f'{FILE} has gain_limits for "{name}", which is no chain'
+        for kind, (least, most) in (("stiffness", limits.stiffness), ("damping", limits.damping)):
+            if not least <= 1 <= most:
+                yield (
+                    f'{FILE} limits the share of the {kind} of "{name}" to {least:g} … {most:g}, which '
+                    "leaves out 1, that of the model"
+                )
 
 
 def _joint(element: Any, entry: _RobotFile, semantics: _Semantics) -> Joint:
@@ -287,6 +309,16 @@ def _joint(element: Any, entry: _RobotFile, semantics: _Semantics) -> Joint:
         gains=gains,
         servo=_gains_of(name, entry.servo, semantics) if DEFAULT_GAINS in entry.servo else None,
     )
+
+
+def _gain_limits(entry: _RobotFile, semantics: _Semantics) -> dict[str, GainLimits]:
+    found = {
+        chain: entry.gain_limits.get(chain, entry.gain_limits.get(DEFAULT_GAINS))
+        for chain in semantics.chains
+    }
+    return {
+        chain: GainLimits(each.stiffness, each.damping) for chain, each in found.items() if each is not None
+    }
 
 
 def _gains_of(joint: str, gains: Mapping[str, _Gains], semantics: _Semantics) -> Gains:

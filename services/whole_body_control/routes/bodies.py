@@ -40,6 +40,33 @@ class BehaviourRequest(Body):
     behaviour: Literal["walking", "assistedWalking", "juggling"]
 
 
+Share = Annotated[FiniteFloat, Field(gt=0, le=100)]
+
+
+class GainShares(Body):
+    """Shares of the gains of the model: 1 is that of the model."""
+
+    stiffness: Share = 1.0
+    damping: Share = 1.0
+
+
+class GainsRequest(Body):
+    """Gains of chains; chains that are not named keep theirs."""
+
+    chains: dict[str, GainShares]
+
+
+class ChainGainsView(Body):
+    """The gains of a chain: the shares that were chosen, their limits, and the joints that have them."""
+
+    chain: str
+    joints: list[str]
+    stiffness: float
+    damping: float
+    stiffness_limits: tuple[float, float]
+    damping_limits: tuple[float, float]
+
+
 class HumanoidView(Body):
     """A model that is installed; one of them runs. There is no driver of a physical humanoid."""
 

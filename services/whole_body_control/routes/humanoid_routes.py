@@ -19,6 +19,8 @@ from services.whole_body_control.robots import HUMANOIDS, humanoid
 from services.whole_body_control.routes.access import of_humanoid
 from services.whole_body_control.routes.bodies import (
     BehaviourRequest,
+    ChainGainsView,
+    GainsRequest,
     HumanoidView,
     LimitSourceView,
     ModelView,
@@ -27,6 +29,7 @@ from services.whole_body_control.routes.bodies import (
     ThrowRequest,
     ThrowView,
 )
+from services.whole_body_control.running.gains import Shares
 from services.whole_body_control.running.humanoid_control import HumanoidControl
 from services.whole_body_control.running.model_view import model_view
 from services.whole_body_control.running.motion import NAMES
@@ -40,6 +43,7 @@ def add_humanoid_routes(app: FastAPI, control: HumanoidControl) -> None:
     """Add the routes of the humanoid."""
     _add_models(app, control)
     _add_acts(app, control)
+    _add_gains(app, control)
     _add_limits(app, control)
     _add_live(app, control)
 
@@ -105,6 +109,43 @@ def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
     async def throw(body: ThrowRequest) -> ThrowView:
         """Throw a ball now; 409 while the robot is stopped or does not juggle, 422 if it is out of reach."""
         return ThrowView(number=await control.throws.throw(body.target, body.hand))
+
+
+def _add_gains(app: FastAPI, control: HumanoidControl) -> None:
+    change = [require(Permission.CONFIGURE, of_humanoid)]
+
+    @app.get("/gains", tags=["gains"], dependencies=[require(Permission.READ, of_humanoid)])
+    async def gains() -> list[ChainGainsView]:
+        """Return the gains of each chain as shares of those of the model, with the limits of the model."""
+        return _gains_view(control)
+
+    @app.put("/gains", tags=["gains"], dependencies=change)
+    async def change_gains(body: GainsRequest) -> list[ChainGainsView]:
+        """Change the gains of chains; the joints follow within a second or so. 422 outside of the limits."""
+        wanted = {chain: Shares(each.stiffness, each.damping) for chain, each in body.chains.items()}
+        await control.change_gains(wanted)
+        return _gains_view(control)
+
+    @app.delete("/gains", tags=["gains"], dependencies=change)
+    async def reset_gains() -> list[ChainGainsView]:
+        """Return to the gains of the model."""
+        await control.reset_gains()
+        return _gains_view(control)
+
+
+def _gains_view(control: HumanoidControl) -> list[ChainGainsView]:
+    model = control.model
+    return [
+        ChainGainsView(
+            chain=chain,
+            joints=[model.joint_names[index] for index in model.tunable[chain]],
+            stiffness=shares.stiffness,
+            damping=shares.damping,
+            stiffness_limits=model.gain_limits[chain].stiffness,
+            damping_limits=model.gain_limits[chain].damping,
+        )
+        for chain, shares in control.gains.by_chain.items()
+    ]
 
 
 def _add_limits(app: FastAPI, control: HumanoidControl) -> None:

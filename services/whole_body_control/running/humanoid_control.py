@@ -16,6 +16,7 @@ from services.whole_body_control.cycle.loop import Mode
 from services.whole_body_control.metrics import FRACTION
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.running.cycle_process import CycleProcess
+from services.whole_body_control.running.gains import ChainGains, Shares
 from services.whole_body_control.running.inputs import PersonInputs
 from services.whole_body_control.running.live import LiveDocument
 from services.whole_body_control.running.motion import NAMES, Motion
@@ -57,14 +58,16 @@ class HumanoidControl:
         self.motion = Motion()
         self.limits = limits
         self.inputs = PersonInputs()
-        self.links = PortLinks(self.process, self._wish, self.inputs.port_values)
+        self.gains = ChainGains(self.model)
+        self.links = PortLinks(self.process, self._wish, self.inputs.port_values, self.gains.port_values)
         self.live = LiveDocument(self.name, self.model.joint_names, self.motion, self.inputs)
         self.live.shown.faults = FAULTS
         self.throws = Throws(self.model, self.motion, lambda: self.links.values)
         self._store = store
 
     def open(self) -> None:
-        """Find or start the control cycle; a stop that was not reset stays in force."""
+        """Find or start the control cycle; a stop that was not reset, and chosen gains, stay in force."""
+        self.gains.restore(self._store.gains_of(self.name))
         self.motion.stopped = self._store.stop_of(self.name)
         self.process.open()
 
@@ -149,6 +152,19 @@ class HumanoidControl:
                 message("humanoid.no_grips", "no hand of this humanoid holds a ball; add grips to its model"),
             )
         self.motion.behaviour = wanted
+
+    async def change_gains(self, wanted: Mapping[str, Shares]) -> None:
+        """Change the gains of chains, and store them. Raises `Problem` 422."""
+        await self._keep_gains(self.gains.changed(wanted))
+
+    async def reset_gains(self) -> None:
+        """Return to the gains of the model."""
+        await self._keep_gains(self.gains.defaults())
+
+    async def _keep_gains(self, gains: Mapping[str, Shares]) -> None:
+        await asyncio.to_thread(self._store.keep_gains, self.name, gains)
+        self.gains.by_chain = gains
+        log.info("gains changed", humanoid=self.name)
 
     def update_limit(self) -> None:
         """Take the least limit of now; without a source the robot is not limited."""

@@ -15,7 +15,7 @@ PHASES: Final = ("standing", "double", "single")
 BEHAVIOURS: Final = ("walking", "assistedWalking", "juggling")
 CAUSES: Final = ("computing", "preempted", "woken late")
 SIDES: Final = ("left", "right")
-RESIDUAL, SOLVER = "residual.", "solver_us."
+RESIDUAL, SOLVER, GAIN = "residual.", "solver_us.", "gain."
 BALL_PHASES: Final = (None, "held", "flying", "landed", "lost")
 _PLACES: Final = 5
 
@@ -72,6 +72,7 @@ class LiveDocument:
             "stack": _stack(values),
             "solver": _solver(values),
             "cycle": _cycle(values),
+            "gains": _gains(values),
             "limit": {
                 "factor": round(limit.fraction, 4),
                 "rule": limit.rule,
@@ -174,6 +175,16 @@ def _cycle(values: Mapping[str, float]) -> dict[str, Any]:
         "lost": _count(values, "lost"),
         "cause": max(counts, key=lambda cause: counts[cause]) if any(counts.values()) else "",
     }
+
+
+def _gains(values: Mapping[str, float]) -> dict[str, dict[str, float | None]]:
+    """Return the shares of the gains of the model that the joints have now, by chain."""
+    found: dict[str, dict[str, float | None]] = {}
+    for name, value in values.items():
+        if name.startswith(GAIN):
+            chain, _, kind = name.removeprefix(GAIN).rpartition(".")
+            found.setdefault(chain, {})[kind] = _round(value)
+    return found
 
 
 def _count(values: Mapping[str, float], name: str) -> int:

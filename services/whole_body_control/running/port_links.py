@@ -23,7 +23,7 @@ Values = Mapping[str, float]
 
 
 class PortLinks:
-    """Writes the wish and what a person does, and reads the state, 50 times a second.
+    """Writes the wish, what a person does and the gains, and reads the state, 50 times a second.
 
     `values` are the newest ones by name, empty without a cycle; `on_tick` is called after each reading.
     """
@@ -33,12 +33,13 @@ class PortLinks:
         process: CycleProcess,
         wish: Callable[[tuple[str, ...]], list[float]],
         person: Callable[[tuple[str, ...]], list[float] | None],
+        gains: Callable[[tuple[str, ...]], list[float]],
     ) -> None:
         self.values: Values = {}
         self.age_s = float("inf")
         self.on_tick: Callable[[], None] = lambda: None
         self._process = process
-        self._wish, self._person = wish, person
+        self._wish, self._person, self._gains = wish, person, gains
         self._writers: dict[str, PortWriter] = {}
         self._state: PortReader | None = None
         self._starts = -1
@@ -72,6 +73,7 @@ class PortLinks:
             return
         self._write("wish", self._wish)
         self._write("person", self._person)
+        self._write("gains", self._gains)
         self._read()
 
     def _write(self, name: str, values_of: Callable[[tuple[str, ...]], list[float] | None]) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from typing import Any
 
 import orjson
 from websockets.sync.client import connect
@@ -48,6 +49,43 @@ def test_a_stop_stays_until_a_person_resets_it_also_over_a_restart_of_the_servic
     assert humanoid.post("/throws", {"target": [0.8, 0, 0.5]}, 409)["title"] == "Stopped"
     assert humanoid.cycle()["pid"] == process  # the killed service has not disturbed the cycle
     assert not humanoid.post("/reset")["isStopped"]
+
+
+def test_gains_of_chains_are_changed_within_their_limits_stored_and_reset(humanoid: HumanoidCell) -> None:
+    humanoid.start()
+
+    def chain(name: str) -> dict[str, Any]:
+        found: list[dict[str, Any]] = humanoid.http.get("/gains").json()
+        return next(each for each in found if each["chain"] == name)
+
+    def applied() -> tuple[float, float]:
+        shares = humanoid.state()["gains"]["left_arm"]
+        return shares["stiffness"], shares["damping"]
+
+    assert (chain("left_arm")["stiffness"], applied()) == (1.0, (1.0, 1.0))
+    most = chain("left_arm")["stiffnessLimits"][1]
+    wanted = {"chains": {"left_arm": {"stiffness": most, "damping": 0.8}}}
+    answer = humanoid.http.put("/gains", json=wanted)
+    assert answer.status_code == 200, answer.text
+    wait_for(lambda: applied() == (most, 0.8), WITHIN_S, "the joints have the gains")
+    refused = humanoid.http.put("/gains", json={"chains": {"left_arm": {"stiffness": 9}}})
+    assert (refused.status_code, refused.json()["title"]) == (422, "Out of limits")
+    assert 'stiffness of "left_arm" must be' in refused.json()["detail"]
+    for wrong in (
+        {"left_arm": {"stiffness": "soft"}},
+        {"left_arm": {"mass": 1}},
+        {"left_arm": {"damping": -1}},
+    ):
+        assert humanoid.http.put("/gains", json={"chains": wrong}).status_code == 422
+    humanoid.cell.restart(SERVICE)
+    humanoid.start()
+    assert chain("left_arm")["stiffness"] == most
+    wait_for(lambda: applied() == (most, 0.8), WITHIN_S, "the joints have the gains")
+    actions = [each["action"] for each in humanoid.http.get("/audit").json()]
+    assert any("gains" in action.lower() for action in actions), actions
+    assert humanoid.http.delete("/gains").status_code == 200
+    wait_for(lambda: applied() == (1.0, 1.0), WITHIN_S, "the gains of the model")
+    assert chain("left_arm")["stiffness"] == 1.0
 
 
 def test_the_end_of_the_control_cycle_is_reported_and_a_person_restarts_it(humanoid: HumanoidCell) -> None:

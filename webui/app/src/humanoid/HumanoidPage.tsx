@@ -12,6 +12,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { StatusBadge } from "~/design/StatusBadge";
 import { mayDo } from "~/session/session";
 import { ForcesCard, ModelCard, SolverCard, StackCard } from "./EngineCards";
+import { GainsCard } from "./GainsCard";
 import type { DocumentSource } from "./Humanoid3d";
 import { inFrame, SERVICE, type HumanoidModel, type Place } from "./humanoid";
 import { LimitsCard } from "./LimitsCard";
@@ -121,6 +122,9 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
             <StackCard document={shown} />
             <SolverCard document={shown} />
             <ForcesCard document={shown} massKg={model.massKg} />
+            <div className="humanoid__wide">
+              <GainsCard document={shown} model={model} />
+            </div>
             <div className="humanoid__wide">
               <ModelCard document={shown} model={model} />
             </div>

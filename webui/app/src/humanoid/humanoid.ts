@@ -96,6 +96,8 @@ export interface LiveDocument {
   stack: readonly TaskState[];
   solver: { medianUs: number | null; p99Us: number | null; histogram: readonly (readonly [bound: number | null, count: number])[] };
   cycle: { count: number; late: number; lost: number; cause: string };
+  /** The shares of the gains of the model that the joints have now, by chain. */
+  gains?: Readonly<Record<string, { stiffness: number | null; damping: number | null }>>;
   limit: { factor: number; rule: string; reason: string; needsReset: boolean };
   stop: { isStopped: boolean; by: string; reason: string };
   needsRelease: boolean;

@@ -32,6 +32,16 @@ export interface BehaviourRequest {
   behaviour: "walking" | "assistedWalking" | "juggling";
 }
 
+/** The gains of a chain: the shares that were chosen, their limits, and the joints that have them. */
+export interface ChainGainsView {
+  chain: string;
+  joints: string[];
+  stiffness: number;
+  damping: number;
+  stiffnessLimits: [number, number];
+  dampingLimits: [number, number];
+}
+
 /** How many sessions were deleted. */
 export interface DeletedView {
   sessions: number;
@@ -48,6 +58,17 @@ export interface FramesView {
   durationS: number;
   frames: FrameView[];
   nextFrom: number | null;
+}
+
+/** Shares of the gains of the model: 1 is that of the model. */
+export interface GainShares {
+  stiffness?: number;
+  damping?: number;
+}
+
+/** Gains of chains; chains that are not named keep theirs. */
+export interface GainsRequest {
+  chains: Record<string, GainShares>;
 }
 
 /** What ends a session; the first one that is reached. */
