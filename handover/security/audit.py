@@ -13,13 +13,16 @@ its salted hash: a person can be deleted, with the text and the salt, and the ch
 
 A resource that names a person (an id of a Person entity) is replaced by a random alias, if the log has a
 table of aliases: deleting the person deletes the alias, and the records name nobody any more.
+
+A log may keep the names of its subjects: a person who asks who looked gets names also after an account was
+deleted. A name is kept while a record of its subject is about somebody with an alias.
 """
 
 import hashlib
 import json
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -95,7 +98,9 @@ class AuditFilter:
 class AuditTables:
     """The tables of an audit log, whose names begin with `component`."""
 
-    def __init__(self, metadata: MetaData, component: str, *, has_aliases: bool = False) -> None:
+    def __init__(
+        self, metadata: MetaData, component: str, *, has_aliases: bool = False, has_names: bool = False
+    ) -> None:
         self.records = Table(
             f"{component}_audit",
             metadata,
@@ -141,6 +146,14 @@ class AuditTables:
                 Column("name", String(400), primary_key=True),
                 Column("alias", String(64), nullable=False, unique=True),
             )
+        self.names: Table | None = None
+        if has_names:
+            self.names = Table(
+                f"{component}_audit_name",
+                metadata,
+                Column("subject", String(64), primary_key=True),
+                Column("name", String(200), nullable=False),
+            )
 
 
 class AuditLog:
@@ -171,10 +184,12 @@ class AuditLog:
         method: str = "",
         text: str | None = None,
         is_personal: bool = False,
+        name: str | None = None,
     ) -> int:
         """Append a record in the transaction of `connection`; return its number.
 
-        `is_personal`: the resource names a person in another way than by the id of a Person.
+        `is_personal`: the resource names a person in another way than by the id of a Person. `name` is that
+        of the subject, for a log that keeps names.
         The row of the head is locked until the transaction ends, so that concurrent appends are ordered.
         """
         seq, previous = self._next(connection)
@@ -204,7 +219,36 @@ class AuditLog:
             }
             connection.execute(self._insert_text, of_text)
         connection.execute(self._set_head, {"new_hash": values["hash"], "now_s": time.time()})
+        if name:
+            self._keep_name(connection, subject, name)
         return seq
+
+    def _keep_name(self, connection: Connection, subject: str, name: str) -> None:
+        names = self._tables.names
+        if names is None:
+            return
+        name, own = name[:200], names.c.subject == subject
+        kept = connection.execute(select(names.c.name).where(own)).scalar()
+        if kept is None:
+            connection.execute(insert(names).values(subject=subject, name=name))
+        elif kept != name:
+            connection.execute(update(names).where(own).values(name=name))
+
+    def names(self, connection: Connection, subjects: Iterable[str]) -> dict[str, str]:
+        """Return the names that are kept of `subjects`."""
+        names = self._tables.names
+        if names is None:
+            return {}
+        query = select(names.c.subject, names.c.name).where(names.c.subject.in_(list(subjects)))
+        return {str(subject): str(name) for subject, name in connection.execute(query)}
+
+    def _delete_names(self, connection: Connection) -> None:
+        """Delete the names of subjects without a record about somebody with an alias."""
+        names, aliases, records = self._tables.names, self._tables.aliases, self._tables.records
+        if names is None or aliases is None:
+            return
+        needed = select(records.c.subject).where(records.c.resource.in_(select(aliases.c.alias)))
+        connection.execute(delete(names).where(names.c.subject.not_in(needed)))
 
     def _next(self, connection: Connection) -> tuple[int, str]:
         head = self._tables.head
@@ -239,6 +283,7 @@ class AuditLog:
         if aliases is not None:
             names += connection.execute(select(aliases.c.alias).where(aliases.c.name == name)).scalars()
             connection.execute(delete(aliases).where(aliases.c.name == name))
+        self._delete_names(connection)
         gone = connection.execute(delete(texts).where(texts.c.subject.in_(names) | texts.c.about.in_(names)))
         return gone.rowcount
 
@@ -266,7 +311,9 @@ class AuditLog:
             update(head).where(head.c.id == 1).values(first_seq=last + 1, first_previous_hash=row)
         )
         connection.execute(delete(texts).where(texts.c.seq <= last))
-        return connection.execute(delete(records).where(records.c.seq <= last)).rowcount
+        gone = connection.execute(delete(records).where(records.c.seq <= last)).rowcount
+        self._delete_names(connection)
+        return gone
 
     def head(self, connection: Connection) -> tuple[int, str]:
         """Return number and hash of the last record; (0, `GENESIS`) if there is none."""

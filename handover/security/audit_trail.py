@@ -47,6 +47,8 @@ REPEAT_S: Final = 600.0
 MAX_REMEMBERED: Final = 10_000
 EXPIRE_EVERY_S: Final = 3600.0
 VERSION: Final = 1
+NAMES_VERSION: Final = 2
+"""The version of the tables of a trail with names."""
 
 DONE, REFUSED, FAILED = "done", "refused", "failed"
 _PRIVATE: Final = frozenset({Permission.READ_HEALTH_DATA, Permission.READ_STUDIES})
@@ -78,6 +80,7 @@ class AuditEntry:
             method=self.method or self.caller.kind,
             text=self.text,
             is_personal=self.is_personal,
+            name=None if self.caller.kind is CallerKind.LOCAL else self.caller.name,
         )
 
 
@@ -159,13 +162,19 @@ def record_deletion(connection: Connection) -> None:
 
 
 class AuditTrail:
-    """The audit log of `service`, in its database `engine` or in one of its own; a context manager."""
+    """The audit log of `service`, in its database `engine` or in one of its own; a context manager.
 
-    def __init__(self, settings: Settings, service: str, engine: Engine | None = None) -> None:
+    `has_names`: it keeps the names of callers, for persons who ask who looked at their data.
+    """
+
+    def __init__(
+        self, settings: Settings, service: str, engine: Engine | None = None, *, has_names: bool = False
+    ) -> None:
         self.service = service
         self._name = service.replace("-", "_")
         self._metadata = MetaData()
-        self.log = AuditLog(AuditTables(self._metadata, self._name, has_aliases=True))
+        self._tables = AuditTables(self._metadata, self._name, has_aliases=True, has_names=has_names)
+        self.log = AuditLog(self._tables)
         self._settings = settings
         self._given = engine
         self._engine: Engine | None = None
@@ -192,7 +201,14 @@ class AuditTrail:
         with self._opening:
             if self._engine is None:
                 engine = self._given or connect(self._settings.database(f"{self.service}-audit"))
-                migrate(engine, self._metadata, component=f"{self._name}_audit", version=VERSION)
+                names = self._tables.names
+                migrate(
+                    engine,
+                    self._metadata,
+                    component=f"{self._name}_audit",
+                    version=VERSION if names is None else NAMES_VERSION,
+                    steps={} if names is None else {VERSION: names.create},
+                )
                 self._engine = engine
             return self._engine
 

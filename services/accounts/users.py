@@ -158,7 +158,8 @@ def delete_user(change: Change, subject: str) -> dict[str, Any]:
             "count": int(records),
             "why": "The audit logs prove that nothing was changed later. Their records name the random id "
             f"{subject}, without a name, until they expire; this is the number in accounts, and the other "
-            "services have more.",
+            "services have more. Human state keeps the name beside its records, for the persons whose "
+            "health data this account has seen.",
         }
     ]
     if row["person"] is not None:

@@ -87,7 +87,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         breaks.close()
         engine.dispose()
 
-    audit = AuditTrail(settings, "human-state", engine)
+    audit = AuditTrail(settings, "human-state", engine, has_names=True)
     app = create_app(
         "Human state",
         description=__doc__ or "",

@@ -29,6 +29,7 @@ class FoxgloveFeed:
         self._monitoring = monitoring
         self._tapped: dict[PersonMonitor, Callable[[Recorded], None]] = {}
         self._has_failed = False
+        self._is_closed = False
         try:
             self._server = FoxgloveServer(port=port)
         except ExchangeError as error:
@@ -41,13 +42,14 @@ class FoxgloveFeed:
         return self._server.port
 
     async def run(self) -> None:
-        """Send until cancelled."""
-        while True:
+        """Send until cancelled or closed."""
+        while not self._is_closed:
             self._follow()
             await asyncio.sleep(CHECK_EVERY_S)
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections; nothing is sent any more."""
+        self._is_closed = True
         for monitor, tap in self._tapped.items():
             monitor.taps.discard(tap)
         self._tapped.clear()

@@ -31,7 +31,8 @@ def add_access_routes(app: FastAPI, people: People, audit: AuditTrail) -> None:
     ) -> list[AccessView]:
         """Return who looked at the data of a person, or changed it, the newest first, before a number.
 
-        The person may see it, and who may read the audit log. The same reading is recorded once in ten
+        The person may see it, and who may read the audit log. `name` is the name that the account had at its
+        last access, also after the account was deleted. The same reading is recorded once in ten
         minutes. Reading the entities in the context broker is in the audit log of the broker.
         """
         require_own_or(request, caller, Permission.READ_AUDIT, person)
@@ -40,18 +41,19 @@ def add_access_routes(app: FastAPI, people: People, audit: AuditTrail) -> None:
         chosen = AuditFilter(about=resource, outcome=DONE)
 
         def read(connection: Connection) -> list[AccessView]:
+            found = audit.log.read(connection, chosen=chosen, after=before, limit=limit, newest_first=True)
+            names = audit.log.names(connection, {one.subject for one in found})
             return [
                 AccessView(
                     number=one.seq,
                     at=datetime.fromtimestamp(one.at_ms / 1000, UTC),
                     subject=one.subject,
+                    name=names.get(one.subject),
                     is_own=one.subject == caller.subject,
                     action=one.action,
                     is_reading=one.action.startswith(_READING),
                 )
-                for one in audit.log.read(
-                    connection, chosen=chosen, after=before, limit=limit, newest_first=True
-                )
+                for one in found
             ]
 
         found: list[AccessView] = await audit.read(read)

@@ -246,6 +246,8 @@ class AccessView(Body):
     number: int
     at: datetime
     subject: str
+    name: str | None
+    """Of the account at its last access, also after the account was deleted; None: in local mode."""
     is_own: bool
     """The caller did it."""
     action: str

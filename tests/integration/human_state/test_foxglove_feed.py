@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -73,3 +74,12 @@ def test_a_port_that_is_used_is_named() -> None:
             FoxgloveFeed(None, feed.port)  # type: ignore[arg-type]
     finally:
         feed.close()
+
+
+async def test_a_closed_feed_taps_nobody_any_more() -> None:
+    monitors: dict[str, Any] = {}
+    feed = FoxgloveFeed(SimpleNamespace(monitors=monitors), 0)  # type: ignore[arg-type] - what it reads
+    feed.close()
+    monitors["aino"] = SimpleNamespace(taps=set(), person=SimpleNamespace(pseudonym="p-1"))
+    await asyncio.wait_for(feed.run(), scaled(30))
+    assert monitors["aino"].taps == set()

@@ -1,6 +1,8 @@
 """Streams of LSL have what the settings name and persons allow, and end with the consent and the service."""
 
 import asyncio
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -12,6 +14,7 @@ pytest.importorskip("pylsl", reason="the extra [human-state] is not installed")
 import pylsl
 
 from services.human_state.exchange.lsl import LslInlet
+from services.human_state.monitoring.lsl_feed import LslFeed
 
 
 async def streams_of(pseudonym: str, wait_s: float) -> list[pylsl.StreamInfo]:
@@ -48,3 +51,12 @@ async def test_an_inlet_gets_the_heart_rate_until_the_consent_is_withdrawn(runni
         again = await add_person(rest, "aino", "live")
         assert await streams_of(again["pseudonym"], scaled(60))
     assert await streams_of(again["pseudonym"], 1.0) == []
+
+
+async def test_a_closed_feed_taps_nobody_any_more() -> None:
+    monitors: dict[str, Any] = {}
+    feed = LslFeed(SimpleNamespace(monitors=monitors), ("aino",), ())  # type: ignore[arg-type] - what it reads
+    feed.close()
+    monitors["aino"] = SimpleNamespace(taps=set(), person=SimpleNamespace(pseudonym="p-1", name="aino"))
+    await asyncio.wait_for(feed.run(), scaled(30))
+    assert monitors["aino"].taps == set()

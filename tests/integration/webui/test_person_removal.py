@@ -100,9 +100,15 @@ def test_a_person_sees_who_looked_at_the_own_health_data(cell: Cell) -> None:
         ("local", "PUT /people/{person}", False),
     ]
     assert anna.send("GET", "/api/human-state/people/anna2/accesses").status_code == 403
+    assert [one["name"] for one in seen] == ["Rosa", None]
     older = anna.send("GET", f"{path}/accesses?before={seen[0]['number']}").json()
     assert older == seen[1:]
     assert owner.send("GET", f"{path}/accesses").json() == seen, "those who read the audit log see it"
     asked = f"/api/accounts/names?subject={subjects['Rosa']}&subject=local"
     assert anna.send("GET", asked).json() == {subjects["Rosa"]: "Rosa"}
     assert httpx.get(f"{cell.url('accounts')}/names?subject=x", timeout=120).status_code == 401
+
+    assert owner.send("DELETE", f"/api/accounts/users/{subjects['Rosa']}").is_success
+    assert anna.send("GET", asked).json() == {}
+    names = {one["subject"]: one["name"] for one in anna.send("GET", f"{path}/accesses").json()}
+    assert names[subjects["Rosa"]] == "Rosa", "the account is deleted, who looked remains"

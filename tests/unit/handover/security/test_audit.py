@@ -157,3 +157,23 @@ def test_filters_select_records() -> None:
         assert [record.seq for record in newest] == [9, 8]
         assert [record.seq for record in LOG.read(connection, newest_first=True, after=8, limit=1)] == [7]
         assert LOG.read(connection, chosen=AuditFilter(action="user.deleted")) == []
+
+
+def test_names_of_subjects_are_kept_while_a_record_is_about_a_person() -> None:
+    metadata = MetaData()
+    log = AuditLog(AuditTables(metadata, "named", has_aliases=True, has_names=True))
+    engine = create_engine("sqlite://")
+    metadata.create_all(engine)
+    anna, bert = "urn:ngsi-ld:Person:demo:anna", "urn:ngsi-ld:Person:demo:bert"
+    with engine.begin() as connection:
+        for subject, name, person in (("s1", "Rosa", anna), ("s2", "Vera", bert), ("s1", "Rosa B.", anna)):
+            log.append(connection, subject, "GET /people/{person}", resource=person, name=name)
+        log.append(connection, "s3", "PUT /settings", resource="settings")
+        assert log.names(connection, ("s1", "s2", "s3")) == {"s1": "Rosa B.", "s2": "Vera"}
+        log.forget(connection, anna)
+        assert log.names(connection, ("s1", "s2")) == {"s2": "Vera"}, "nobody needs the name of Rosa"
+        assert log.verify(connection).fault is None
+        log.expire(connection, 2**60)
+        assert log.names(connection, ("s2",)) == {}
+    with engine.begin() as connection:
+        assert LOG.names(database().connect(), ("s2",)) == {}, "a log without names keeps none"

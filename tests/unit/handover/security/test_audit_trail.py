@@ -14,8 +14,8 @@ from handover.cli.main import app as command_line
 from handover.database import connect
 from handover.errors import Problem
 from handover.security import audit_chains
-from handover.security.audit_trail import AuditTrail, record_deletion, record_request
-from handover.security.caller import CallerKind
+from handover.security.audit_trail import AuditEntry, AuditTrail, record_deletion, record_request
+from handover.security.caller import Caller, CallerKind
 from handover.security.guard import Guard, in_path, require
 from handover.security.permissions import Grant, Permission, Role
 from handover.security.revocations import FollowedRevocations
@@ -25,6 +25,7 @@ from tests.unit.handover.security.test_guard import KEY, UR10, bearer, set_up_ac
 
 ANNA = "urn:ngsi-ld:Person:demo:anna"
 ALL = (Grant(Role.ENGINEER), Grant(Role.RESEARCHER), Grant(Role.ADMIN))
+CALLER = Caller(CallerKind.USER, "s1", "Rosa")
 LAMPS = Table("lamp", MetaData(), Column("name", String(20), primary_key=True))
 
 
@@ -139,8 +140,6 @@ async def test_reading_health_data_is_recorded_once_while_a_page_asks_again(
 
 
 async def test_services_act_for_people_and_are_not_recorded(http: httpx.AsyncClient) -> None:
-    from handover.security.caller import Caller
-
     caller = Caller(CallerKind.SERVICE, "service-1", "webui", (Grant(Role.SERVICE),))
     token = {"Authorization": f"Bearer {KEY.issue(caller, valid_s=60)}"}
     assert (await http.post("/robots/ur10-1/jog", headers=token)).status_code == 200
@@ -186,3 +185,15 @@ async def test_all_logs_of_a_folder_are_verified_and_exported(
     damaged = run.invoke(command_line, ["audit", "verify", *where])
     assert (damaged.exit_code, "record 1 was changed" in damaged.output) == (1, True)
     assert audit_chains.chains_of(Settings(data_dir=tmp_path / "nothing", _env_file=None)) == []
+
+
+async def test_a_trail_of_an_earlier_version_gets_the_names_of_callers(tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path, _env_file=None)
+    engine = connect(settings.database("lamp"))
+    async with AuditTrail(settings, "lamp", engine) as before:
+        await before.store([AuditEntry(CALLER, "GET /pulse", ANNA, "done", "/pulse")])
+    async with AuditTrail(settings, "lamp", engine, has_names=True) as trail:
+        assert await trail.read(lambda connection: trail.log.names(connection, ["s1"])) == {}
+        await trail.store([AuditEntry(CALLER, "GET /pulse", ANNA, "done", "/pulse")])
+        assert await trail.read(lambda connection: trail.log.names(connection, ["s1"])) == {"s1": "Rosa"}
+    engine.dispose()

@@ -28,8 +28,12 @@ export function AccessCard({ person }: { person: PersonView }) {
   const names = useServiceQuery<Record<string, string>>("accounts", hasAccounts && subjects.length > 0 ? `names?${asked.toString()}` : null, { keepsPrevious: true }).value;
   if (!maySee) return null;
   const shown = grouped(value ?? []);
-  const who = ({ subject, isOwn }: AccessView) =>
-    subject === "local" ? t("access.local") : isOwn ? t("access.you") : (names?.[subject] ?? t("access.unknown", { id: subject.slice(0, 12) }));
+  const who = ({ subject, name, isOwn }: AccessView) => {
+    if (subject === "local") return t("access.local");
+    if (isOwn) return t("access.you");
+    if (names?.[subject] !== undefined) return names[subject];
+    return name === null ? t("access.unknown", { id: subject.slice(0, 12) }) : names === null ? name : t("access.deleted", { name });
+  };
   return (
     <Card title={t("access.title")} className="health__access">
       <p className="quiet small">{t("access.means")}</p>

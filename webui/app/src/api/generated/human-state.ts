@@ -9,6 +9,7 @@ export interface AccessView {
   number: number;
   at: string;
   subject: string;
+  name: string | null;
   isOwn: boolean;
   action: string;
   isReading: boolean;
