@@ -396,9 +396,10 @@ class HumanState(Entity):
     Each attribute is a `Measurement` with `observed_at`: the fused value is the default instance, that of
     each sensor has a `datasetId`. Units: heart rate `BPM`, breathing rate and cadence `C94` (per minute),
     heart rate variability `C26` (ms), SpO2 `P1` (%), skin conductance `D80` (microsiemens), skin
-    temperature `CEL`. `movement` (of an accelerometer), `fatigue` and `stress` are fractions from 0 to 1,
-    `body_movement` (of a radar) is in percent. It is the record: a control loop never waits for it, and it
-    is no diagnosis.
+    temperature `CEL`, blink rate `C94`, mean duration of blinks and fixations `C26`, saccade rate `HTZ`,
+    amplitude of saccades `DD` (degree), diameter of the pupils `MMT`. `movement` (of an accelerometer),
+    `fatigue` and `stress` are fractions from 0 to 1, `body_movement` (of a radar) is in percent. It is the
+    record: a control loop never waits for it, and it is no diagnosis.
     """
 
     ref_person: Relationship
@@ -420,6 +421,12 @@ class HumanState(Entity):
     exertion_level: Measurement[Number | str] | None = None
     fatigue: Measurement[Number] | None = None
     stress: Measurement[Number] | None = None
+    blink_rate: Measurement[Number] | None = None
+    blink_duration: Measurement[Number] | None = None
+    fixation_duration: Measurement[Number] | None = None
+    saccade_rate: Measurement[Number] | None = None
+    saccade_amplitude: Measurement[Number] | None = None
+    pupil_diameter: Measurement[Number] | None = None
 
 
 class PressureMat(Entity):

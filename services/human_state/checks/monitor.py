@@ -32,6 +32,7 @@ from services.human_state.model.signals import (
     SensorFault,
     SensorReport,
     SignalInfo,
+    SignalKind,
 )
 
 MAX_AHEAD_S: Final = 0.5
@@ -53,6 +54,8 @@ DRAINING: Final = 0.5
 """Packets that come within this share of the time in which they were measured had to wait."""
 MIN_OFF_PACE_S: Final = (0.02, 0.05)
 """So much earlier or later than all before, a packet that says only when it began has another rate."""
+EVENT_SILENCE_S: Final = {SignalKind.BLINK: 60.0, SignalKind.FIXATION: 10.0, SignalKind.SACCADE: 10.0}
+"""Longer than somebody who is awake does not blink or look elsewhere."""
 MIN_PERIODS: Final = 3
 SILENT_PERIODS: Final = 1.9
 """With the time between two looks (`WATCH_S`), silence is found within two periods."""
@@ -69,9 +72,12 @@ class Checked:
 
 
 def default_silence_s(info: SignalInfo) -> float | None:
-    """Return how long a signal may be silent: 0.85 s from 10 Hz, else under two periods; None: irregular."""
+    """Return how long a signal may be silent: 0.85 s from 10 Hz, else under two periods; None: irregular.
+
+    Events of the eyes have no period: people stare.
+    """
     if info.rate_hz is None:
-        return None
+        return EVENT_SILENCE_S.get(info.kind)
     return FAST_SILENCE_S if info.rate_hz >= 10 else max(FAST_SILENCE_S, 1.8 / info.rate_hz)
 
 

@@ -92,7 +92,7 @@ class SensorDriver(ABC):
     stamps_oldest: ClassVar[bool] = False
     """Whether the device may say only when a packet began. `start_s` is best computed from the newest sample
     and the rate: a wrong rate then shows in the first packet."""
-    max_silence_s: ClassVar[float] = 10.0
+    max_silence_s: float = 10.0
     """A connection that is silent for this long is closed and opened again."""
 
     def __init__(self, source: str, settings: Any) -> None:

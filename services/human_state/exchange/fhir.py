@@ -76,6 +76,12 @@ _UCUM_OF: Final[Mapping[FeatureName, str]] = {
     FeatureName.EDA_PHASIC: "uS",
     FeatureName.EMG_ENVELOPE: "uV",
     FeatureName.SKIN_TEMPERATURE: "Cel",
+    FeatureName.BLINK_RATE: "/min",
+    FeatureName.BLINK_DURATION: "ms",
+    FeatureName.FIXATION_DURATION: "ms",
+    FeatureName.SACCADE_RATE: "Hz",
+    FeatureName.SACCADE_AMPLITUDE: "deg",
+    FeatureName.PUPIL_DIAMETER: "mm",
     FeatureName.CENTRE_OF_PRESSURE_X: "mm",
     FeatureName.CENTRE_OF_PRESSURE_Y: "mm",
 }
@@ -95,6 +101,9 @@ _UCUM_OF_SIGNAL: Final = {
     "MSK": "m/s2",
     "K40": "[g]",
     "MTR": "m",
+    "MMT": "mm",
+    "DD": "deg",
+    "HTZ": "Hz",
     "C62": "1",
     "": "1",
 }

@@ -60,6 +60,31 @@ _BY_CHANNEL: Final[Mapping[SignalKind, tuple[str, tuple[str, ...]]]] = {
         ),
     ),
     SignalKind.MOOD: ("Mood", ("valence", "arousal")),
+    SignalKind.EYE_STATE: (
+        "EyeState",
+        (
+            "pupil_left_mm",
+            "pupil_right_mm",
+            "eyelid_left_mm",
+            "eyelid_right_mm",
+            "eyelid_top_left_rad",
+            "eyelid_bottom_left_rad",
+            "eyelid_top_right_rad",
+            "eyelid_bottom_right_rad",
+            "eyeball_left_x_mm",
+            "eyeball_left_y_mm",
+            "eyeball_left_z_mm",
+            "eyeball_right_x_mm",
+            "eyeball_right_y_mm",
+            "eyeball_right_z_mm",
+            "axis_left_x",
+            "axis_left_y",
+            "axis_left_z",
+            "axis_right_x",
+            "axis_right_y",
+            "axis_right_z",
+        ),
+    ),
 }
 """Type, and the fields that have the names of channels; NaN is a field that is not measured."""
 _EYES: Final[Mapping[SignalKind, int]] = {
@@ -72,6 +97,7 @@ _EYES: Final[Mapping[SignalKind, int]] = {
 _EYE_OF: Final = {number: kind for kind, number in _EYES.items()}
 _GAZE: Final = ("gaze_x", "gaze_y")
 _DURATION: Final = ("duration_s",)
+_OF_MOVEMENTS: Final = ("amplitude_deg", "peak_velocity")
 _KIND_OF: Final = {name: kind for kind, name in _SERIES.items()} | {
     name: kind for kind, (name, _, _) in _SCALARS.items()
 }
@@ -98,10 +124,24 @@ _TYPED: Final[Mapping[FeatureName, tuple[str, str]]] = {
     FeatureName.EXERTION_LEVEL: ("Strain", "exertion"),
     FeatureName.FATIGUE: ("Strain", "fatigue"),
     FeatureName.STRESS: ("Strain", "stress"),
+    FeatureName.BLINK_RATE: ("EyeActivity", "blink_rate_per_min"),
+    FeatureName.BLINK_DURATION: ("EyeActivity", "blink_duration_ms"),
+    FeatureName.FIXATION_DURATION: ("EyeActivity", "fixation_duration_ms"),
+    FeatureName.SACCADE_RATE: ("EyeActivity", "saccade_rate_hz"),
+    FeatureName.SACCADE_AMPLITUDE: ("EyeActivity", "saccade_amplitude_deg"),
+    FeatureName.PUPIL_DIAMETER: ("EyeActivity", "pupil_diameter_mm"),
 }
 _UNKNOWN_FIELDS: Final[Mapping[str, Sequence[str]]] = {
     "HeartRateVariability": ("rmssd_ms", "sdnn_ms", "lf_hf"),
     "Strain": ("exertion", "fatigue", "stress"),
+    "EyeActivity": (
+        "blink_rate_per_min",
+        "blink_duration_ms",
+        "fixation_duration_ms",
+        "saccade_rate_hz",
+        "saccade_amplitude_deg",
+        "pupil_diameter_mm",
+    ),
     "Posture": ("inclination_rad",),
 }
 """Fields that are NaN where they are not computed."""
@@ -320,17 +360,20 @@ def _pressures(samples: Samples, subject: str, at_s: float, row: Any) -> Message
 
 
 def _eye_channels(kind: SignalKind) -> tuple[tuple[str, ...], ...]:
-    """Return the channels that an `EyeEvent` can carry: a gaze lasts no time, events may lack the gaze."""
-    return (_GAZE,) if kind is SignalKind.GAZE else (_DURATION, _DURATION + _GAZE)
+    """Return the channels that an `EyeEvent` can carry: a gaze lasts no time, events have a duration."""
+    if kind is SignalKind.GAZE:
+        return (_GAZE,)
+    rest = ((), _OF_MOVEMENTS[:1], _OF_MOVEMENTS[1:], _OF_MOVEMENTS)
+    return tuple(_DURATION + gaze + of for gaze in ((), _GAZE) for of in rest)
 
 
 def _eye_event(samples: Samples, subject: str, at_s: float, row: Any) -> Message:
-    has_duration = samples.info.kind is not SignalKind.GAZE
+    given = dict(zip(samples.info.channels, row.tolist(), strict=True))
     return {
         **_head(samples, subject, at_s),
         "kind": _EYES[samples.info.kind],
-        "duration_s": float(row[0]) if has_duration else math.nan,
-        "gaze": np.array(row[1:] if has_duration else row, np.float64),
+        **{name: given.get(name, math.nan) for name in _DURATION + _OF_MOVEMENTS},
+        "gaze": np.array([given[name] for name in _GAZE if name in given], np.float64),
     }
 
 
@@ -338,12 +381,14 @@ def _from_eye_event(message: Mapping[str, Any]) -> Samples:
     kind = _EYE_OF.get(message["kind"])
     if kind is None:
         raise ValueError(f"{message['kind']} is no kind of eye event")
-    gaze = [float(value) for value in message["gaze"]]
-    if len(gaze) not in (0, 2):
-        raise ValueError(f"a gaze has two values, not {len(gaze)}")
+    gaze = dict(zip(_GAZE, map(float, message["gaze"]), strict=False))
+    if len(message["gaze"]) not in (0, 2):
+        raise ValueError(f"a gaze has two values, not {len(message['gaze'])}")
     if kind is SignalKind.GAZE:
-        return _single(kind, message, gaze, _GAZE)
-    return _single(kind, message, [message["duration_s"], *gaze], _DURATION + _GAZE[: len(gaze)])
+        return _single(kind, message, list(gaze.values()), _GAZE)
+    of_movements = {name: message[name] for name in _OF_MOVEMENTS if not math.isnan(message[name])}
+    given = {**{name: message[name] for name in _DURATION}, **gaze, **of_movements}
+    return _single(kind, message, list(given.values()), tuple(given))
 
 
 def _from_series(kind: SignalKind, message: Mapping[str, Any]) -> Samples:

@@ -45,6 +45,12 @@ RANGES: Final[Mapping[FeatureName, Range]] = {
     FeatureName.MOVEMENT: Range(0.0, 1.0),
     FeatureName.BODY_MOVEMENT: Range(0.0, 100.0),
     FeatureName.LOAD: Range(0.0, math.inf),
+    FeatureName.BLINK_RATE: Range(0.0, 120.0),
+    FeatureName.BLINK_DURATION: Range(20.0, 2000.0),
+    FeatureName.FIXATION_DURATION: Range(20.0, 10_000.0),
+    FeatureName.SACCADE_RATE: Range(0.0, 10.0),
+    FeatureName.SACCADE_AMPLITUDE: Range(0.0, 120.0),
+    FeatureName.PUPIL_DIAMETER: Range(1.0, 10.0),
 }
 """Heart rate: the contract of human state. The others are what the human body can have."""
 

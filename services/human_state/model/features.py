@@ -32,6 +32,12 @@ class FeatureName(StrEnum):
     EXERTION_LEVEL = "exertionLevel"
     FATIGUE = "fatigue"
     STRESS = "stress"
+    BLINK_RATE = "blinkRate"
+    BLINK_DURATION = "blinkDuration"
+    FIXATION_DURATION = "fixationDuration"
+    SACCADE_RATE = "saccadeRate"
+    SACCADE_AMPLITUDE = "saccadeAmplitude"
+    PUPIL_DIAMETER = "pupilDiameter"
     CENTRE_OF_PRESSURE_X = "copX"
     CENTRE_OF_PRESSURE_Y = "copY"
     LOAD = "load"
@@ -50,6 +56,12 @@ UNITS: dict[FeatureName, str] = {
     FeatureName.SKIN_TEMPERATURE: "CEL",
     FeatureName.BODY_MOVEMENT: "P1",
     FeatureName.CADENCE: "C94",
+    FeatureName.BLINK_RATE: "C94",
+    FeatureName.BLINK_DURATION: "C26",
+    FeatureName.FIXATION_DURATION: "C26",
+    FeatureName.SACCADE_RATE: "HTZ",
+    FeatureName.SACCADE_AMPLITUDE: "DD",
+    FeatureName.PUPIL_DIAMETER: "MMT",
     FeatureName.CENTRE_OF_PRESSURE_X: "MMT",
     FeatureName.CENTRE_OF_PRESSURE_Y: "MMT",
 }

@@ -51,6 +51,12 @@ class SignalKind(StrEnum):
     FIXATION = "fixation"
     SACCADE = "saccade"
     GAZE = "gaze"
+    EYE_STATE = "eyeState"
+    """Diameters of the pupils, how far the lids are open, and where the eyeballs and their axes are."""
+
+
+EYE_EVENTS: Final = frozenset({SignalKind.BLINK, SignalKind.FIXATION, SignalKind.SACCADE})
+"""Signals that come when something has happened, and not while nothing does."""
 
 
 class ClockKind(StrEnum):

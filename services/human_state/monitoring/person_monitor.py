@@ -10,15 +10,18 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from services.human_state.fusion.person_state import FusedValue, PersonState
+from services.human_state.fusion.person_state import FusedValue, PersonState, fused
+from services.human_state.fusion.plausibility import stale_after_s
 from services.human_state.limits.body_limit import RADAR_TIMEOUT_S, TIMEOUT_S, BodyLimit, HeartRate
 from services.human_state.limits.curve import LimitCurve
 from services.human_state.limits.strain import Strain
 from services.human_state.metrics import DELAY, FEATURES, LIMIT_STOPS
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import (
+    EYE_EVENTS,
     LinkState,
     Samples,
+    SensorFault,
     SensorReport,
     SignalInfo,
     SignalKind,
@@ -34,8 +37,14 @@ MAX_WAITING: Final = 256
 """Packets that wait for a page that does not read; the oldest are dropped."""
 BASELINE_S: Final = 600.0
 RADAR: Final = "radar"
+CONTACT_PERIOD_S: Final = 1.0
+WORN, NOT_WORN = "worn", "notWorn"
+EYE_STREAMS: Final = frozenset({SignalKind.GAZE, SignalKind.EYE_STATE})
+"""While an eye tracker sends these, the absence of an event means that nothing has happened."""
 FAULT_SHOWN_S: Final = 10.0
 """A fault is shown for so long after it has ended."""
+
+_OF_ALL_STREAMS: Final = frozenset({SensorFault.GAP, SensorFault.LATE, SensorFault.CLOCK_JUMP})
 
 ClassifierOf = Callable[[], AdlClassifier | None]
 PipelineOf = Callable[[SignalInfo, Collection[SignalKind]], SignalPipeline]
@@ -48,6 +57,8 @@ class SensorView:
     link: LinkState | None = None
     battery: float | None = None
     has_contact: bool | None = None
+    contact_at_s: float = 0.0
+    """When the device last said whether it touches the body."""
     fault: SensorReport | None = None
     fault_at_s: float = 0.0
     """Monotonic, as all times here."""
@@ -59,6 +70,10 @@ class SensorView:
     """The signals that its driver sends."""
     signals: dict[str, SignalInfo] = field(default_factory=dict)
     """Those that were received."""
+
+    def take_contact(self, *, is_touching: bool) -> None:
+        """Take whether the device touches the body."""
+        self.has_contact, self.contact_at_s = is_touching, time.monotonic()
 
     def take_fault(self, report: SensorReport, now_s: float) -> None:
         """Take a fault that lasts, or begins."""
@@ -131,7 +146,7 @@ class PersonMonitor:
             return
         sensor.signals[item.info.kind] = item.info
         if item.has_contact is not None:
-            sensor.has_contact = item.has_contact
+            sensor.take_contact(is_touching=item.has_contact)
         if item.quality > 0:
             sensor.good_at_s = time.monotonic()
         for waiting in self._listeners.values():
@@ -172,15 +187,16 @@ class PersonMonitor:
     def _take_report(self, report: SensorReport, sensor: SensorView) -> None:
         sensor.link = report.link or sensor.link
         sensor.battery = sensor.battery if report.battery is None else report.battery
-        sensor.has_contact = sensor.has_contact if report.has_contact is None else report.has_contact
+        if report.has_contact is not None:
+            sensor.take_contact(is_touching=report.has_contact)
         if report.fault is not None:
             sensor.take_fault(report, time.monotonic())
         elif report.text or report.link is not None:
             sensor.text = report.text
         self.state.report(report)
-        for (source, _), pipeline in self._pipelines.items():
+        for (source, info), pipeline in self._pipelines.items():
             if source == report.source and pipeline is not None:
-                self._take_features(pipeline.report(report))
+                self._take_features(pipeline.report(_concerning(info, report)))
         if self._classifier is not None:
             self._take_features(self._classifier.report(report))
 
@@ -228,6 +244,8 @@ class PersonMonitor:
     def values(self, now_s: float) -> list[FusedValue]:
         """Return all features of the person now; the exertion follows from heart rate and baseline."""
         found = self.state.values(now_s)
+        if worn := self._worn(now_s):
+            found.append(fused(FeatureName.WEAR_STATE, worn))
         rate = self.state.for_limits(FeatureName.HEART_RATE, now_s)
         if rate is not None and all(each.name is not FeatureName.EXERTION_LEVEL for each in found):
             exertion = self.person.baseline.exertion(float(rate.value))
@@ -241,6 +259,25 @@ class PersonMonitor:
                 )
             )
         return found
+
+    def _worn(self, now_s: float) -> list[Feature]:
+        """Return of each sensor that measures it whether it is worn."""
+        return [
+            Feature(
+                FeatureName.WEAR_STATE,
+                name,
+                WORN if sensor.has_contact else NOT_WORN,
+                sensor.contact_at_s,
+                1.0,
+                Status.STALE
+                if now_s - sensor.contact_at_s > stale_after_s(CONTACT_PERIOD_S)
+                else Status.VALID,
+                "contact",
+                period_s=CONTACT_PERIOD_S,
+            )
+            for name, sensor in self.sensors.items()
+            if sensor.has_contact is not None
+        ]
 
     def reset(self) -> None:
         """End a stop, by a person. Raises `RefusedReset`."""
@@ -257,6 +294,13 @@ class PersonMonitor:
     def end_listening(self, waiting: deque[Samples]) -> None:
         """Add nothing more to a queue of `listen`."""
         self._listeners.pop(id(waiting), None)
+
+
+def _concerning(info: SignalInfo, report: SensorReport) -> SensorReport:
+    """Return a report as it concerns a signal: a gap of the gaze is one of the events of the eyes, too."""
+    if info.kind in EYE_EVENTS and report.kind in EYE_STREAMS and report.fault in _OF_ALL_STREAMS:
+        return replace(report, kind=info.kind)
+    return report
 
 
 def _analysis(person: Person) -> PersonAnalysis:

@@ -45,30 +45,38 @@ OWN: Final[dict[SignalKind, tuple[str, ...]]] = {
     SignalKind.INTER_BEAT_INTERVAL: ("intervals:IntervalProcessor",),
     SignalKind.ACCELERATION: ("motion:AccelerationProcessor",),
     SignalKind.PRESSURE_MAP: ("pressure:PressureProcessor",),
+    SignalKind.BLINK: ("eyes:EyeEventProcessor",),
+    SignalKind.FIXATION: ("eyes:EyeEventProcessor",),
+    SignalKind.SACCADE: ("eyes:EyeEventProcessor",),
+    SignalKind.GAZE: ("eyes:GazeProcessor",),
+    SignalKind.EOG: ("eyes:EogProcessor",),
+    SignalKind.EYE_STATE: ("eyes:PupilProcessor",),
 }
 """Our processors by kind, imported when the first signal of the kind comes. Each takes the `SignalInfo`."""
 
 
-def processors_for(info: SignalInfo) -> tuple[Processor, ...]:
+def processors_for(info: SignalInfo, *, has_own: bool = True) -> tuple[Processor, ...]:
     """Return what analyses a signal: one pipeline, or nothing for a kind that nobody analyses.
+
+    Without `has_own` only processors of other packages do.
 
     A signal that cannot be analysed, an ECG of 10 Hz for instance, has no processor either; `pipeline_for`
     raises the reason.
     """
     try:
-        pipeline = pipeline_for(info)
+        pipeline = pipeline_for(info, has_own=has_own)
     except ValueError:
         return ()
     return (pipeline,) if pipeline.has_processors else ()
 
 
-def pipeline_for(info: SignalInfo) -> "SignalPipeline":
+def pipeline_for(info: SignalInfo, *, has_own: bool = True) -> "SignalPipeline":
     """Return the processors of one signal of one sensor, ours first.
 
     Raises `ValueError` if the signal cannot be analysed; the text says why.
     """
     found: list[Processor] = []
-    for place in OWN.get(info.kind, ()):
+    for place in OWN.get(info.kind, ()) if has_own else ():
         module, name = place.split(":")
         found.append(getattr(importlib.import_module(f"{_HERE}.{module}"), name)(info))
     for name in SIGNAL_PROCESSORS.names():

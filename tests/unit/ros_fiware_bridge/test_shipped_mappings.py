@@ -191,6 +191,45 @@ def test_the_messages_of_ros4hc_are_written_without_a_status() -> None:
     assert extracted("ros4hc", "ros4hc-activity", {"adl": 4}).entities[0].values["activity"] == "4"
 
 
+def test_events_of_the_eyes_in_ros4hc_are_written_with_units() -> None:
+    blink = extracted("ros4hc", "ros4hc-blink", {"duration": 0.1834}).entities[0]
+    assert (blink.values["blinkDuration"], blink.attributes["blinkDuration"]["unitCode"]) == (183, "C26")
+    assert "status" not in blink.attributes["blinkDuration"]
+    movement = {"duration": 0.2501, "amplitude_angle_deg": 4.26}
+    fixation = extracted("ros4hc", "ros4hc-fixation", movement).entities[0]
+    assert fixation.values["fixationDuration"] == 250
+    saccade = extracted("ros4hc", "ros4hc-saccade", movement).entities[0]
+    assert (saccade.values["saccadeAmplitude"], saccade.attributes["saccadeAmplitude"]["unitCode"]) == (
+        4.3,
+        "DD",
+    )
+    assert extracted("ros4hc", "ros4hc-blink", {"duration": 0.0}).entities == []
+    pupils = extracted("ros4hc", "ros4hc-pupils", {"pupil_diameter_right": 3.456, "worn": True}).entities[0]
+    assert (pupils.values["pupilDiameter"], pupils.values["wearState"]) == (3.46, "worn")
+    read = HumanState.from_ngsild({"id": pupils.entity_id, "type": pupils.entity_type, **pupils.attributes})
+    assert read.pupil_diameter is not None
+    assert (read.pupil_diameter.value, read.pupil_diameter.unit_code) == (3.46, "MMT")
+
+
+def test_what_the_eyes_do_is_written_with_quality_and_status() -> None:
+    info = {**TYPES.default("handover_human_msgs/msg/SignalInfo"), "subject": "p-1", "source": "glasses"}
+    made = planned("human-state")
+    (rule,) = (one for one in made.ros_to_ngsild if one.name == "eye-activity")
+    extractor = rule.for_topic(made, "/human/p_1/eye_activity", {"person": "p_1"}).extractor
+    assert extractor is not None
+    values = dict.fromkeys(
+        ("blink_duration_ms", "fixation_duration_ms", "saccade_amplitude_deg", "pupil_diameter_mm"), np.nan
+    )
+    message = {
+        **TYPES.default(extractor.type_name), **values, "blink_rate_per_min": 16.24, "saccade_rate_hz": 3.123,
+        "info": {**info, "quality": 0.9, "validity": 1},
+    }  # fmt: skip
+    (entity,) = extractor.extract(message, 1_770_000_000.0).entities
+    assert (entity.values["blinkRate"], entity.values["saccadeRate"]) == (16.2, 3.12)
+    assert entity.values["blinkRate.status"] == "valid"
+    assert "pupilDiameter" not in entity.values, "it was not measured"
+
+
 def test_sub_attributes_are_of_topics_and_have_none_themselves() -> None:
     deep = {"field": "a", "sub_attributes": {"b": {"field": "b", "sub_attributes": {"c": "c"}}}}
     with pytest.raises(ValueError, match="no sub-attributes"):

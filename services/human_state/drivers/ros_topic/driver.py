@@ -1,4 +1,4 @@
-"""One ROS 2 topic of `handover_human_msgs`, read from DDS directly.
+"""One ROS 2 topic of `handover_human_msgs`, or of the eye tracker of ROS4HC, read from DDS directly.
 
 Services do not depend on the bridge, and the broker has no waveforms; so the driver joins the ROS domain by
 itself. Times are those of the publisher: they count as a device clock, mapped to ours.
@@ -6,16 +6,18 @@ itself. Times are those of the publisher: they count as a device clock, mapped t
 
 import asyncio
 from dataclasses import replace
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from handover.ros_dds import MAX_DOMAIN, TopicEndpoints
 from services.human_state.drivers.base import DriverSettings, LinkLost, PacketError, SensorDriver, Sink, now_s
+from services.human_state.drivers.ros_topic import ros4hc
 from services.human_state.drivers.ros_topic.messages import PACKAGE, as_message, fields_of, type_of
 from services.human_state.formats.errors import ExchangeError
 from services.human_state.formats.ros import samples_of
 from services.human_state.model.signals import (
+    EYE_EVENTS,
     ClockKind,
     LinkState,
     Samples,
@@ -26,18 +28,42 @@ from services.human_state.model.signals import (
 
 PULL_S: Final = 0.02
 MAX_MESSAGES: Final = 256
+EVENTS_SILENCE_S: Final = 120.0
+"""A topic of events of the eyes may be silent for so long."""
 
 
 class RosTopicSettings(DriverSettings):
-    """The topic, and the signal that its messages must carry. `source` accepts one sensor of several."""
+    """The topic, and the signal that its messages must carry. `source` accepts one sensor of several.
+
+    The messages of ROS4HC (`ros2_hc_msgs`) say neither unit nor channels, which follow from the kind.
+    """
 
     topic: str = Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_/]*$", max_length=200)
     kind: SignalKind
-    unit: str
+    messages: Literal["handover_human_msgs", "ros2_hc_msgs"] = "handover_human_msgs"
+    unit: str = ""
     rate_hz: float | None = Field(None, gt=0, le=100_000)
     channels: tuple[str, ...] = ("",)
     domain: int = Field(0, ge=0, le=MAX_DOMAIN)
     source: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _follows_from_the_kind(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or given.get("messages", PACKAGE) == PACKAGE:
+            if isinstance(given, dict) and "unit" not in given:
+                raise ValueError("unit is missing: a code of UN/CEFACT Recommendation 20, or an empty text")
+            return given
+        kind = given.get("kind")
+        known = None if kind is None else ros4hc.SIGNALS.get(kind)
+        if known is None:
+            kinds = ", ".join(ros4hc.SIGNALS)
+            raise ValueError(f"kind must be one of {kinds} for messages of {ros4hc.PACKAGE}")
+        if given.keys() & {"unit", "channels", "source"}:
+            raise ValueError(
+                f"leave out unit, channels and source: the messages of {ros4hc.PACKAGE} have fixed ones"
+            )
+        return {**given, "unit": known[0], "channels": known[1]}
 
 
 class RosTopicDriver(SensorDriver):
@@ -46,6 +72,11 @@ class RosTopicDriver(SensorDriver):
     settings_model: ClassVar[type[DriverSettings]] = RosTopicSettings
     max_latency_s = 0.1
     stamps_oldest = True
+
+    def __init__(self, source: str, settings: RosTopicSettings) -> None:
+        super().__init__(source, settings)
+        if settings.kind in EYE_EVENTS:
+            self.max_silence_s = EVENTS_SILENCE_S
 
     @property
     def signals(self) -> tuple[SignalInfo, ...]:
@@ -78,6 +109,8 @@ class RosTopicDriver(SensorDriver):
         """Return the samples of a message, None for those of other sensors; raise `PacketError`."""
         (info,) = self.signals
         try:
+            if self._is_of_ros4hc:
+                return ros4hc.samples_of(info, self.source, message)
             samples = samples_of(type_name, message)
         except ExchangeError as error:
             raise PacketError(str(error)) from error
@@ -107,5 +140,10 @@ class RosTopicDriver(SensorDriver):
             endpoints = TopicEndpoints(settings.domain)
         except OSError as error:
             raise LinkLost(str(error)) from error
-        reader = endpoints.reader(settings.topic, type_of(settings.kind), depth=MAX_MESSAGES)
+        of_kind = ros4hc.type_of if self._is_of_ros4hc else type_of
+        reader = endpoints.reader(settings.topic, of_kind(settings.kind), depth=MAX_MESSAGES)
         return reader, endpoints.failure
+
+    @property
+    def _is_of_ros4hc(self) -> bool:
+        return bool(self.settings.messages == ros4hc.PACKAGE)

@@ -62,7 +62,17 @@ SIGNALS: Final[Mapping[SignalKind, tuple[str, tuple[tuple[str, str], ...]]]] = {
     ),
     **dict.fromkeys(
         (SignalKind.BLINK, SignalKind.FIXATION, SignalKind.SACCADE, SignalKind.GAZE),
-        ("EyeEvent", (("kind", "uint8"), ("duration_s", "float64"), ("gaze", "float64[]"))),
+        ("EyeEvent", (("kind", "uint8"), ("duration_s", "float64"), ("gaze", "float64[]"),
+                      ("amplitude_deg", "float64"), ("peak_velocity", "float64"))),
+    ),
+    SignalKind.EYE_STATE: (
+        "EyeState",
+        tuple((name, "float64") for name in (
+            "pupil_left_mm", "pupil_right_mm", "eyelid_left_mm", "eyelid_right_mm", "eyelid_top_left_rad",
+            "eyelid_bottom_left_rad", "eyelid_top_right_rad", "eyelid_bottom_right_rad", "eyeball_left_x_mm",
+            "eyeball_left_y_mm", "eyeball_left_z_mm", "eyeball_right_x_mm", "eyeball_right_y_mm",
+            "eyeball_right_z_mm", "axis_left_x", "axis_left_y", "axis_left_z", "axis_right_x",
+            "axis_right_y", "axis_right_z")),
     ),
 }  # fmt: skip
 """Type and fields after header and info."""

@@ -16,9 +16,10 @@ from pydantic import Field, model_validator
 from handover.messages import message
 from services.human_state.drivers.base import DriverSettings, FoundDevice, LinkLost, SensorDriver, Sink, now_s
 from services.human_state.drivers.simulated.person import Posture, SimulatedPerson
-from services.human_state.drivers.simulated.waveforms import WAVES, Wave
+from services.human_state.drivers.simulated.waveforms import EVENTS, WAVES, Events, Wave
 from services.human_state.model.cardiovascular import Physiology
 from services.human_state.model.signals import (
+    EYE_EVENTS,
     ClockKind,
     LinkState,
     Samples,
@@ -27,6 +28,8 @@ from services.human_state.model.signals import (
     SignalKind,
 )
 
+EVENTS_SILENCE_S = 120.0
+"""A sensor of nothing but blinks may be silent for so long."""
 FaultKind = Literal[
     "gap",
     "clockJump",
@@ -82,6 +85,7 @@ class Acts(DriverSettings):
     movement: Annotated[float, Field(ge=0, le=100)] | None = None
     contact: bool | None = None
     walking_mps: Annotated[float, Field(ge=0, le=5)] | None = Field(None, alias="walkingMps")
+    blinks_per_minute: Annotated[float, Field(ge=0, le=90)] | None = Field(None, alias="blinksPerMinute")
 
 
 class SimulatedSettings(DriverSettings):
@@ -108,10 +112,11 @@ class SimulatedSettings(DriverSettings):
 
     @model_validator(mode="after")
     def _signals_are_known(self) -> "SimulatedSettings":
-        unknown = [kind for kind in self.signals if kind not in WAVES]
+        known = (*WAVES, *EVENTS)
+        unknown = [kind for kind in self.signals if kind not in known]
         if unknown or not self.signals:
             raise ValueError(
-                f"{', '.join(unknown) or 'no signal'} cannot be simulated; choose from {', '.join(WAVES)}"
+                f"{', '.join(unknown) or 'no signal'} cannot be simulated; choose from {', '.join(known)}"
             )
         return self
 
@@ -130,9 +135,13 @@ class SimulatedDriver(SensorDriver):
         )
         self._has_program = bool(settings.program)
         self._tracks = [
-            _Track(source, _with_rate(*WAVES[kind], settings), settings, number)
+            _EventTrack(source, *EVENTS[kind], settings)
+            if kind in EVENTS
+            else _Track(source, _with_rate(*WAVES[kind], settings), settings, number)
             for number, kind in enumerate(settings.signals, start=1)
         ]
+        if EYE_EVENTS.issuperset(settings.signals):
+            self.max_silence_s = EVENTS_SILENCE_S
         self._elapsed_s = 0.0
         self._began_s: float | None = None
         self._lost: set[SimulatedFault] = set()
@@ -185,7 +194,10 @@ class SimulatedDriver(SensorDriver):
             self._is_worn = acts.contact
         if "walking_mps" in acts.model_fields_set:
             person.walk(acts.walking_mps or 0.0)
-        for name, value in acts.model_dump(exclude={"contact", "walking_mps"}, exclude_none=True).items():
+        if acts.blinks_per_minute is not None:
+            person.eyes.blinks_per_minute = acts.blinks_per_minute
+        done = {"contact", "walking_mps", "blinks_per_minute"}
+        for name, value in acts.model_dump(exclude=done, exclude_none=True).items():
             setattr(person, name, value)
 
     def _advance(self) -> None:
@@ -265,6 +277,43 @@ class _Track:
                 values = values * fault.size
         clipped: np.ndarray = np.clip(values, info.min_value, info.max_value)
         return clipped
+
+
+class _EventTrack:
+    """The events of one irregular signal. Faults: gaps, clock jumps, units, and saturation."""
+
+    def __init__(self, source: str, info: SignalInfo, events: Events, settings: SimulatedSettings) -> None:
+        self.info, self._events = info, events
+        self._source = source
+        self._settings = settings
+        self._next_s = 0.0
+
+    def until(self, person: SimulatedPerson, end_s: float, began_s: float) -> Samples | None:
+        """Return what has ended before `end_s` of simulated time; None for nothing, and in a gap."""
+        found = self._events(person, self._next_s, end_s)
+        given = self._settings.faults
+        faults = [fault for fault in given if fault.is_on(self._next_s, self.info.kind)]
+        self._next_s = end_s
+        if not found or any(fault.kind == "gap" for fault in faults):
+            return None
+        rows = np.array(found)
+        times_s, values = rows[:, 0], rows[:, 1:]
+        for fault in faults:
+            if fault.kind == "unit":
+                values = values * fault.size
+            elif fault.kind == "saturated":
+                values = np.full_like(values, self.info.max_value)
+        times_s = times_s + sum(
+            fault.size
+            for fault in given
+            if fault.kind == "clockJump" and fault.at_s <= end_s and fault.signal in (None, self.info.kind)
+        )
+        clock = ClockKind.RECORDING
+        if self._settings.pace == 1:
+            times_s, clock = 1000.0 + times_s * (1 + self._settings.drift), ClockKind.DEVICE
+        else:
+            times_s = times_s + began_s
+        return Samples(self._source, self.info, float(times_s[0]), values, times_s, clock)
 
 
 def _with_rate(info: SignalInfo, wave: Wave, settings: SimulatedSettings) -> tuple[SignalInfo, Wave]:

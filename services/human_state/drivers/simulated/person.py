@@ -25,6 +25,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from services.human_state.drivers.simulated.eyes import SimulatedEyes
 from services.human_state.model.cardiovascular import Heart, Physiology, cadence_hz
 
 KEEP_S: Final = 10.0
@@ -68,6 +69,7 @@ class SimulatedPerson:
         """How far the upper body leans to the right and forwards, -1 to 1."""
         self.movement: float | None = None
         """The movement that a radar sees, 0 to 100; None: it follows effort."""
+        self.eyes: Final = SimulatedEyes(seed)
         self.now_s = 0.0
         self.beats_s: deque[float] = deque()
         self.beat_count = 0
@@ -106,6 +108,7 @@ class SimulatedPerson:
         self.now_s += seconds
         while self._decided_s < self.now_s + AHEAD_S:
             self._step()
+        self.eyes.advance(self.now_s)
         while self.beats_s and self.beats_s[0] < self.now_s - KEEP_S:
             self.beats_s.popleft()
         while self._breaths and self._breaths[0][0] < self.now_s - KEEP_S:

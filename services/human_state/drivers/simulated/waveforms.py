@@ -12,11 +12,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from services.human_state.drivers.simulated.eyes import EYELID_MM, PUPIL_MM
 from services.human_state.drivers.simulated.person import Posture, SimulatedPerson
 from services.human_state.model.signals import SignalInfo, SignalKind
 
 Floats = NDArray[np.float64]
 Wave = Callable[[SimulatedPerson, Floats, np.random.Generator], Floats]
+Events = Callable[[SimulatedPerson, float, float], list[tuple[float, ...]]]
 
 GRAVITY: Final = 9.80665
 MAT_ROWS: Final = 3
@@ -161,6 +163,49 @@ def _beats(
     return value
 
 
+def eog(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return the vertical and the horizontal lead in microvolt: the gaze, blinks, noise, and slow drift."""
+    gaze = person.eyes.gaze_at(times_s)
+    blink = 250.0 * (1 - person.eyes.lids_at(times_s))  # Bell's phenomenon and the lid over the cornea
+    drift = 20.0 * np.sin(2 * np.pi * 0.03 * times_s)
+    noise = random.normal(0, 4.0, (len(times_s), 2))
+    return np.column_stack((8.0 * gaze[:, 1] + blink + drift, 14.0 * gaze[:, 0] + drift)) + noise
+
+
+def gaze(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return where the eyes look in degrees, to the right and up, with the noise of a video eye tracker."""
+    return person.eyes.gaze_at(times_s) + random.normal(0, 0.05, (len(times_s), 2))
+
+
+def eye_state(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return the pupils, which follow effort, and the openings of the lids, left and right in mm."""
+    pupil = PUPIL_MM + 1.2 * person.effort + 0.1 * np.sin(2 * np.pi * 0.2 * times_s)
+    lids = EYELID_MM * person.eyes.lids_at(times_s)
+    pupils = pupil[:, None] + random.normal(0, 0.03, (len(times_s), 2))
+    return np.column_stack((pupils, np.clip(lids[:, None] + random.normal(0, 0.1, (len(times_s), 2)), 0, 20)))
+
+
+def blinks(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[float, ...]]:
+    """Return the end of each blink that ends in a time, and its duration."""
+    return [(end, end - begin) for begin, end in person.eyes.blinks if begin_s <= end < end_s]
+
+
+def fixations(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[float, ...]]:
+    """Return the end of each fixation that ends in a time, its duration, and the gaze."""
+    ended = [one for one in person.eyes.movements if begin_s <= one.end_s < end_s]
+    return [(one.end_s, one.end_s - one.begin_s, *one.end) for one in ended if not one.amplitude_deg]
+
+
+def saccades(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[float, ...]]:
+    """Return the end of each saccade that ends in a time, duration, gaze at its end, size, peak velocity."""
+    ended = [one for one in person.eyes.movements if begin_s <= one.end_s < end_s]
+    return [
+        (one.end_s, one.end_s - one.begin_s, *one.end, one.amplitude_deg, one.peak_deg_s)
+        for one in ended
+        if one.amplitude_deg
+    ]
+
+
 _MAT_CELLS: Final = tuple(f"r{row}c{column}" for row in range(MAT_ROWS) for column in range(MAT_COLUMNS))
 WAVES: Final[dict[SignalKind, tuple[SignalInfo, Wave]]] = {
     info.kind: (info, wave)
@@ -178,6 +223,18 @@ WAVES: Final[dict[SignalKind, tuple[SignalInfo, Wave]]] = {
         (SignalInfo(SignalKind.SPO2, "P1", 1.0, ("",), 0, 101, 1.0, "finger"), spo2),
         (SignalInfo(SignalKind.SKIN_TEMPERATURE, "CEL", 1.0, ("",), 10, 50, 0.1, "wrist"), skin_temperature),
         (SignalInfo(SignalKind.MOVEMENT, "C62", 1.0, ("",), -1, 101, 1.0, "radar 60 GHz"), movement),
+        (SignalInfo(SignalKind.EOG, "D82", 250.0, ("vertical", "horizontal"), -3_000, 3_000, 0.1, "electrodes around the eyes"), eog),
+        (SignalInfo(SignalKind.GAZE, "DD", 200.0, ("gaze_x", "gaze_y"), -90, 90, None, "eye tracker"), gaze),
+        (SignalInfo(SignalKind.EYE_STATE, "MMT", 200.0, ("pupil_left_mm", "pupil_right_mm", "eyelid_left_mm", "eyelid_right_mm"), -1, 25, None, "eye tracker"), eye_state),
     )
 }  # fmt: skip
 """The signals that can be simulated, with the function that makes them."""
+EVENTS: Final[dict[SignalKind, tuple[SignalInfo, Events]]] = {
+    info.kind: (info, events)
+    for info, events in (
+        (SignalInfo(SignalKind.BLINK, "SEC", None, ("duration_s",), 0, 60, None, "eye tracker"), blinks),
+        (SignalInfo(SignalKind.FIXATION, "DD", None, ("duration_s", "gaze_x", "gaze_y"), -90, 90, None, "eye tracker"), fixations),
+        (SignalInfo(SignalKind.SACCADE, "DD", None, ("duration_s", "gaze_x", "gaze_y", "amplitude_deg", "peak_velocity"), -90, 1000, None, "eye tracker"), saccades),
+    )
+}  # fmt: skip
+"""Those that come irregularly: the time of each event, then its values."""

@@ -3,14 +3,17 @@
 import asyncio
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from services.human_state.drivers.base import PacketError
+from services.human_state.drivers.ros_topic import ros4hc
 from services.human_state.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
 from services.human_state.drivers.ros_topic.messages import INFO, SAMPLES, fields_of, type_of
 from services.human_state.drivers.runner import RunnerTiming, SensorRunner
@@ -24,8 +27,8 @@ MESSAGES = REPOSITORY / "ros_fiware_bridge" / "messages" / "handover_human_msgs"
 ECG = SignalInfo(SignalKind.ECG, "D82", 130.0, ("I",))
 
 
-def definition_of(name: str) -> list[tuple[str, str]]:
-    lines = (line.partition("#")[0].split() for line in (MESSAGES / f"{name}.msg").read_text().splitlines())
+def definition_of(name: str, folder: Path = MESSAGES) -> list[tuple[str, str]]:
+    lines = (line.partition("#")[0].split() for line in (folder / f"{name}.msg").read_text().splitlines())
     words = {"string": "str"}
     return [
         (field, words.get(kind.removesuffix("[]"), kind.removesuffix("[]")) + ("[]" if "[]" in kind else ""))
@@ -145,3 +148,72 @@ def test_another_signal_on_the_same_topic_is_ignored() -> None:
     ((name, message),) = messages_of(Samples("s", info, 1.0, np.ones((1, 1)), np.array([1.0])))
     driver = RosTopicDriver("s", RosTopicSettings(topic="/t", kind=SignalKind.PRESENCE, unit="C62"))
     assert driver.read(name, message) is None
+
+
+ROS4HC = REPOSITORY / "ros_fiware_bridge" / "types" / "definitions" / "ros2_hc_msgs" / "msg"
+EYES = sorted(ros4hc.SIGNALS)
+
+
+def test_the_types_of_ros4hc_are_those_of_the_bridge() -> None:
+    for kind in EYES:
+        name, fields = ros4hc.FIELDS[kind]
+        assert definition_of(name, ROS4HC) == [("header", "std_msgs/Header"), *fields], name
+
+
+def reading(kind: SignalKind, rate_hz: float | None = None) -> RosTopicDriver:
+    given = {"topic": "/eye", "kind": kind, "messages": "ros2_hc_msgs", "rate_hz": rate_hz}
+    return RosTopicDriver("glasses", RosTopicSettings.model_validate(given))
+
+
+def test_events_of_ros4hc_are_read_with_their_end() -> None:
+    header = {"stamp": {"sec": 100, "nanosec": 0}, "frame_id": "pupil_glasses"}
+    blink = {
+        "header": header,
+        "duration": 0.25,
+        "start_time_ns": 99_500_000_000,
+        "end_time_ns": 99_750_000_000,
+    }
+    samples = reading(SignalKind.BLINK).read("", blink)
+    assert samples is not None
+    assert (samples.values.tolist(), samples.sample_times_s().tolist()) == ([[0.25]], [99.75])
+    unstamped = reading(SignalKind.BLINK).read("", {**blink, "end_time_ns": 0})
+    assert unstamped is not None
+    assert unstamped.start_s == 100.0
+    gaze = dict.fromkeys((name for name, _ in ros4hc.FIELDS[SignalKind.GAZE][1]), 3.5)
+    for is_worn in (True, False):
+        pupils = reading(SignalKind.EYE_STATE, 200.0).read("", {"header": header, **gaze, "worn": is_worn})
+        assert pupils is not None
+        assert (pupils.has_contact, pupils.quality, pupils.values.tolist()) == (is_worn, is_worn, [[3.5] * 4])
+
+
+@given(
+    st.sampled_from(EYES),
+    st.dictionaries(
+        st.sampled_from(["duration", "end_time_ns", "start_time_ns", "worn", "gaze_x", "header"]),
+        st.floats() | st.integers() | st.none() | st.text(max_size=3),
+    ),
+)
+def test_a_hostile_message_of_ros4hc_is_read_or_refused(kind: SignalKind, change: dict[str, Any]) -> None:
+    message = dict.fromkeys((name for name, _ in ros4hc.FIELDS[kind][1]), 1)
+    message = {"header": {"stamp": {"sec": 1, "nanosec": 0}}, **message, **change}
+    try:
+        samples = reading(kind).read("", message)
+    except PacketError as error:
+        assert "ros2_hc_msgs" in str(error)
+    else:
+        assert samples is not None
+        assert samples.values.shape == (1, len(samples.info.channels))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"kind": "ecg", "messages": "ros2_hc_msgs"},
+        {"kind": "blink", "messages": "ros2_hc_msgs", "unit": "DD"},
+        {"kind": "ecg"},
+        {"messages": "ros2_hc_msgs"},
+    ],
+)
+def test_settings_of_topics_that_cannot_be_are_refused(given: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        RosTopicSettings.model_validate({"topic": "/eye", **given})

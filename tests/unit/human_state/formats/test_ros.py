@@ -167,15 +167,18 @@ EYES = (SignalKind.BLINK, SignalKind.FIXATION, SignalKind.SACCADE, SignalKind.GA
 
 @given(
     kind=st.sampled_from(EYES),
-    rows=st.lists(st.tuples(*[st.floats(-1e6, 1e6) | st.just(float("nan"))] * 3), min_size=1, max_size=4),
+    rows=st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 5), min_size=1, max_size=4),
     has_gaze=st.booleans(),
+    has_size=st.booleans(),
+    has_speed=st.booleans(),
 )
 def test_events_of_the_eyes_come_back(
-    kind: SignalKind, rows: list[tuple[float, float, float]], has_gaze: bool
+    kind: SignalKind, rows: list[tuple[float, ...]], has_gaze: bool, has_size: bool, has_speed: bool
 ) -> None:
-    channels = ("gaze_x", "gaze_y") if kind is SignalKind.GAZE else ("duration_s", "gaze_x", "gaze_y")
-    if kind is not SignalKind.GAZE and not has_gaze:
-        channels = channels[:1]
+    channels: tuple[str, ...] = ("gaze_x", "gaze_y")
+    if kind is not SignalKind.GAZE:
+        of_movement = ("amplitude_deg",) * has_size + ("peak_velocity",) * has_speed
+        channels = ("duration_s", *channels * has_gaze, *of_movement)
     values = np.array(rows)[:, : len(channels)]
     times_s = 1.0 + np.arange(len(rows))
     one = Samples("glasses", SignalInfo(kind, "DD", None, channels), 1.0, values, times_s)

@@ -7,7 +7,7 @@ import numpy as np
 
 from services.human_state.checks.monitor import SignalMonitor
 from services.human_state.model.features import FeatureName, Status
-from services.human_state.model.signals import Samples, SignalInfo, SignalKind
+from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalInfo, SignalKind
 from services.human_state.monitoring.person_monitor import PersonMonitor
 from services.human_state.monitoring.processors import pipeline_of
 from services.human_state.people.consent import Consent
@@ -145,3 +145,45 @@ def test_a_person_without_sensors_has_no_values_and_stops_the_robot() -> None:
         monitor.step(began_s + second)
         assert monitor.limit.fraction <= 0.25
     assert monitor.limit.fraction == 0.0
+
+
+def test_a_gap_of_the_gaze_ends_the_blink_rate_of_the_same_glasses() -> None:
+    blink = SignalInfo(SignalKind.BLINK, "SEC", None, ("duration_s",))
+    sensors = {name: SensorRow(name, "simulated", {}, "aino") for name in ("glasses", "others")}
+    aino = person("live")
+    monitor = PersonMonitor(Person(aino.row, aino.limit, aino.consent, sensors), pipeline_of)
+    begin_s = time.time() - 60
+    for number in range(16):
+        at_s = begin_s + 4 * number
+        for source in sensors:
+            monitor.take(Samples(source, blink, at_s, np.array([[0.2]]), np.array([at_s])))
+
+    def status(source: str) -> Status:
+        found = monitor.state.sensors(FeatureName.BLINK_RATE, time.monotonic())
+        return next(one.status for one in found if one.source == source)
+
+    assert (status("glasses"), status("others")) == (Status.VALID, Status.VALID)
+    monitor.take(SensorReport("glasses", time.time(), fault=SensorFault.ARTEFACT, kind=SignalKind.GAZE))
+    assert status("glasses") is Status.VALID, "an artefact of the gaze is none of the blinks"
+    monitor.take(SensorReport("glasses", time.time(), fault=SensorFault.GAP, kind=SignalKind.GAZE))
+    assert (status("glasses"), status("others")) == (Status.STALE, Status.VALID)
+
+
+def test_whether_a_sensor_is_worn_is_a_value_of_the_person() -> None:
+    monitor = PersonMonitor(person("live"), pipeline_of)
+
+    def worn() -> tuple[object, Status] | None:
+        values = {one.name: one for one in monitor.values(time.monotonic())}
+        found = values.get(FeatureName.WEAR_STATE)
+        return None if found is None else (found.value, found.status)
+
+    feed(monitor, 70.0, 3)
+    assert worn() is None, "this strap does not measure it"
+    now_s = time.time()
+    touching = Samples("strap", RATE, now_s, np.array([[70.0]]), np.array([now_s]), has_contact=True)
+    monitor.take(touching)
+    assert worn() == ("worn", Status.VALID)
+    monitor.take(SensorReport("strap", now_s, fault=SensorFault.NO_CONTACT, has_contact=False))
+    assert worn() == ("notWorn", Status.VALID)
+    monitor.sensors["strap"].contact_at_s -= 60
+    assert worn() == ("notWorn", Status.STALE)

@@ -14,13 +14,13 @@ export const SILENT_S = 3;
 export const pathOf = (person: string) => `people/${encodeURIComponent(person)}`;
 
 /** In the order in which they are shown; others follow. */
-const ORDER = ["heartRate", "breathingRate", "exertionLevel", "spo2", "hrvRmssd", "hrvSdnn", "hrvLfHf", "skinTemperature", "stress", "fatigue", "edaTonic", "edaPhasic", "emgEnvelope", "movement", "steps", "cadence"];
+const ORDER = ["heartRate", "breathingRate", "exertionLevel", "spo2", "hrvRmssd", "hrvSdnn", "hrvLfHf", "skinTemperature", "stress", "fatigue", "edaTonic", "edaPhasic", "emgEnvelope", "movement", "steps", "cadence", "blinkRate", "blinkDuration", "fixationDuration", "saccadeRate", "saccadeAmplitude", "pupilDiameter"];
 /** They have a card of their own. */
 export const POSITIONS = ["activity", "dailyActivity", "posture", "sleepPosition"] as const;
 const NOT_VITAL = new Set<string>([...POSITIONS, "copX", "copY", "load", "activeCells"]);
 const SHARES = new Set(["exertionLevel", "stress", "fatigue"]);
-const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", "2Z": "mV", C62: "", MSK: "m/s²", "2A": "rad/s", CEL: "°C", MMT: "mm" };
-const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, spo2: 0, steps: 0, cadence: 0, movement: 3, bodyMovement: 0, edaTonic: 2, edaPhasic: 2 };
+const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", "2Z": "mV", C62: "", MSK: "m/s²", "2A": "rad/s", CEL: "°C", MMT: "mm", HTZ: "Hz", DD: "°" };
+const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, spo2: 0, steps: 0, cadence: 0, movement: 3, bodyMovement: 0, edaTonic: 2, edaPhasic: 2, blinkRate: 0, blinkDuration: 0, fixationDuration: 0, pupilDiameter: 2 };
 
 export function vitalSigns(state: StateView): ValueView[] {
   const place = ({ name }: ValueView) => (ORDER.indexOf(name) + ORDER.length + 1) % (ORDER.length + 1);
