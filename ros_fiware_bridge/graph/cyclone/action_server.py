@@ -5,13 +5,11 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-import structlog
-
 from ros_fiware_bridge.errors import BadMessage, GraphError
+from ros_fiware_bridge.graph.action_server import BaseActionServer
 from ros_fiware_bridge.graph.goals import CancelSignal
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
-    GoalEnded,
     GoalStatus,
     Message,
     Publisher,
@@ -21,8 +19,6 @@ from ros_fiware_bridge.graph.port import (
 from ros_fiware_bridge.graph.qos import DEFAULT, LATCHED, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 from ros_fiware_bridge.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
-
-log = structlog.get_logger(__name__)
 
 _RESULT_TTL_S = 900.0
 _MAX_KEPT_GOALS = 1000
@@ -72,7 +68,7 @@ class CycloneServedGoal(CancelSignal):
         self._server.send_feedback(self, feedback)
 
 
-class CycloneActionServer:
+class CycloneActionServer(BaseActionServer):
     """A served action; see `port.Served`."""
 
     def __init__(
@@ -85,15 +81,8 @@ class CycloneActionServer:
         accept: Callable[[Message], bool] | None,
         closed: Callable[[Any], None],
     ) -> None:
-        self.name = action
-        self.type_name = type_name
-        self.calls = 0
-        self.failed = 0
-        self.last_error: str | None = None
+        super().__init__(action, type_name, handler, store=transport.store, accept=accept, closed=closed)
         self._transport = transport
-        self._handler = handler
-        self._accept = accept
-        self._closed = closed
         self._goals: dict[bytes, CycloneServedGoal] = {}
         self._parts: list[Served | Publisher] = []
 
@@ -115,40 +104,22 @@ class CycloneActionServer:
 
     async def _on_send_goal(self, request: Message) -> Message:
         self.calls += 1
-        goal_id = request["goal_id"]["uuid"]
+        goal_id, wanted = request["goal_id"]["uuid"], request["goal"]
         self._forget_old()
-        if goal_id in self._goals or len(self._goals) >= _MAX_KEPT_GOALS or not self._wanted(request["goal"]):
+        if goal_id in self._goals or len(self._goals) >= _MAX_KEPT_GOALS or not self._accepts(wanted):
             return {"accepted": False}
-        goal = CycloneServedGoal(self, goal_id, request["goal"])
+        goal = CycloneServedGoal(self, goal_id, wanted)
         self._goals[goal_id] = goal
         goal.task = asyncio.get_running_loop().create_task(self._work(goal))
         return {"accepted": True, "stamp": goal.info["stamp"]}
 
-    def _wanted(self, goal: Message) -> bool:
-        try:
-            return self._accept is None or self._accept(goal)
-        except Exception as error:  # noqa: BLE001 - one goal must not end the action
-            self._fault(error)
-            return False
-
     async def _work(self, goal: CycloneServedGoal) -> None:
         goal.status = GoalStatus.EXECUTING
         self._publish_status()
-        result: Message = {}
         try:
-            result = await self._handler(goal)
-            self._transport.store.check(f"{self.type_name}_Result", result)
-            status = GoalStatus.SUCCEEDED
-        except GoalEnded as ended:
-            status, result = ended.status, ended.result
-            if not status.is_over or (status is GoalStatus.CANCELED and not goal.cancel_requested):
-                status = GoalStatus.ABORTED
-        except asyncio.CancelledError:
-            status = GoalStatus.ABORTED
-        except Exception as error:  # noqa: BLE001 - one goal must not end the action
-            self._fault(error)
-            status, result = GoalStatus.ABORTED, {}
-        goal.status = status
+            goal.status, result = await self._outcome(goal)
+        except asyncio.CancelledError:  # the action was closed
+            goal.status, result = GoalStatus.ABORTED, {}
         goal.ended_s = time.monotonic()
         if not goal.result.done():
             goal.result.set_result(result)
@@ -205,11 +176,6 @@ class CycloneActionServer:
             full = len(self._goals) >= _MAX_KEPT_GOALS
             if one.ended_s is not None and (full or now_s - one.ended_s > _RESULT_TTL_S):
                 del self._goals[goal_id]
-
-    def _fault(self, error: Exception) -> None:
-        self.failed += 1
-        self.last_error = f"{type(error).__name__}: {error}"
-        log.error("executing a goal failed", action=self.name, error=self.last_error)
 
     async def close(self) -> None:
         """Stop serving; active goals are aborted."""

@@ -7,11 +7,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import structlog
-
 from ros_fiware_bridge.errors import CallTimeout, GoalRefused, ServiceUnavailable
+from ros_fiware_bridge.graph.action_server import BaseActionServer
 from ros_fiware_bridge.graph.goals import CancelSignal, result_within
-from ros_fiware_bridge.graph.port import ActionHandler, GoalEnded, GoalResult, GoalStatus, Message
+from ros_fiware_bridge.graph.port import ActionHandler, GoalResult, GoalStatus, Message
 from ros_fiware_bridge.graph.ros_installed.own_node import (
     DISCOVERY_DELAY_S,
     OwnRosNode,
@@ -20,8 +19,6 @@ from ros_fiware_bridge.graph.ros_installed.own_node import (
     interface,
 )
 from ros_fiware_bridge.graph.waiting import until
-
-log = structlog.get_logger(__name__)
 
 _SERVER_LOST_AFTER_S = 2.0
 _CANCEL_TIMEOUT_S = 1.0
@@ -169,7 +166,7 @@ class RosServedGoal(CancelSignal):
         self._server.send_feedback(self._handle, feedback)
 
 
-class RosActionServer:
+class RosActionServer(BaseActionServer):
     """A served action; see `port.Served`."""
 
     def __init__(
@@ -184,15 +181,8 @@ class RosActionServer:
     ) -> None:
         from rclpy.action import ActionServer, CancelResponse, GoalResponse  # noqa: PLC0415 - where ROS is
 
-        self.name = action
-        self.type_name = type_name
-        self.calls = 0
-        self.failed = 0
-        self.last_error: str | None = None
+        super().__init__(action, type_name, handler, store=node.store, accept=accept, closed=closed)
         self._node = node
-        self._handler = handler
-        self._accept = accept
-        self._closed = closed
         self._loop = asyncio.get_running_loop()
         self._interface = interface(type_name)
         self._goal_response, self._cancel_response = GoalResponse, CancelResponse
@@ -211,12 +201,8 @@ class RosActionServer:
 
     def _wanted(self, goal: Any) -> Any:
         self.calls += 1
-        try:
-            wanted = self._accept is None or self._accept(self._node.from_ros(f"{self.type_name}_Goal", goal))
-        except Exception as error:  # noqa: BLE001 - one goal must not end the action
-            self._fault(error)
-            wanted = False
-        return self._goal_response.ACCEPT if wanted else self._goal_response.REJECT
+        accepted = self._accepts(self._node.from_ros(f"{self.type_name}_Goal", goal))
+        return self._goal_response.ACCEPT if accepted else self._goal_response.REJECT
 
     def _cancelled(self, handle: Any) -> Any:
         goal = self._goals.get(bytes(handle.goal_id.uuid))
@@ -257,19 +243,9 @@ class RosActionServer:
         goal = RosServedGoal(self, handle, request)
         self._goals[goal.goal_id] = goal
         try:
-            result = await self._handler(goal)
-            self._node.store.check(f"{self.type_name}_Result", result)
-        except GoalEnded as ended:
-            status = ended.status
-            if status is GoalStatus.CANCELED and not goal.cancel_requested:
-                status = GoalStatus.ABORTED
-            return status, ended.result
-        except Exception as error:  # noqa: BLE001 - one goal must not end the action
-            self._fault(error)
-            return GoalStatus.ABORTED, {}
+            return await self._outcome(goal)
         finally:
             self._goals.pop(goal.goal_id, None)
-        return GoalStatus.SUCCEEDED, result
 
     def send_feedback(self, handle: Any, feedback: Message) -> None:
         """Publish the feedback of a goal.
@@ -279,11 +255,6 @@ class RosActionServer:
         """
         made = self._interface.Feedback
         handle.publish_feedback(self._node.to_ros(made, f"{self.type_name}_Feedback", feedback))
-
-    def _fault(self, error: Exception) -> None:
-        self.failed += 1
-        self.last_error = f"{type(error).__name__}: {error}"
-        log.error("executing a goal failed", action=self.name, error=self.last_error)
 
     async def close(self) -> None:
         """Stop serving; active goals are aborted."""

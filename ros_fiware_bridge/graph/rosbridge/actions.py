@@ -10,8 +10,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-import structlog
-
 from ros_fiware_bridge.errors import (
     BadMessage,
     GoalRefused,
@@ -20,14 +18,13 @@ from ros_fiware_bridge.errors import (
     PublishBlocked,
     ServiceUnavailable,
 )
+from ros_fiware_bridge.graph.action_server import BaseActionServer
 from ros_fiware_bridge.graph.goals import CancelSignal, result_within
-from ros_fiware_bridge.graph.port import ActionHandler, GoalEnded, GoalResult, GoalStatus, Message
+from ros_fiware_bridge.graph.port import ActionHandler, GoalResult, GoalStatus, Message
 from ros_fiware_bridge.graph.rosbridge.connection import Connection, Operation
 from ros_fiware_bridge.graph.rosbridge.json_codec import JsonCodec
 from ros_fiware_bridge.graph.rosbridge.view import RosapiView
 from ros_fiware_bridge.graph.waiting import until
-
-log = structlog.get_logger(__name__)
 
 REFUSED_WITHIN_S = 0.3
 
@@ -188,7 +185,7 @@ class RosbridgeServedGoal(CancelSignal):
         self._server.send_feedback(self._id, feedback)
 
 
-class RosbridgeActionServer:
+class RosbridgeActionServer(BaseActionServer):
     """A served action; see `port.Served`."""
 
     def __init__(
@@ -202,16 +199,9 @@ class RosbridgeActionServer:
         accept: Callable[[Message], bool] | None,
         closed: Callable[[Any], None],
     ) -> None:
-        self.name = action
-        self.type_name = type_name
-        self.calls = 0
-        self.failed = 0
-        self.last_error: str | None = None
+        super().__init__(action, type_name, handler, store=codec.store, accept=accept, closed=closed)
         self._connection = connection
         self._codec = codec
-        self._handler = handler
-        self._accept = accept
-        self._closed = closed
         self._goals: dict[str, RosbridgeServedGoal] = {}
         self._working: set[asyncio.Task[None]] = set()
         self._open = True
@@ -243,23 +233,19 @@ class RosbridgeActionServer:
 
     async def _work(self, goal_id: str, operation: Operation) -> None:
         self.calls += 1
-        status, result = GoalStatus.SUCCEEDED, {}
+        status = GoalStatus.ABORTED  # the protocol cannot reject a goal
+        result: Message = {}
         try:
             request = self._codec.message(f"{self.type_name}_Goal", operation.get("args") or {})
-            if self._accept is not None and not self._accept(request):
-                status = GoalStatus.ABORTED  # the protocol cannot reject a goal
-            else:
+        except BadMessage as error:
+            self._fault(error)
+        else:
+            if self._accepts(request):
                 self._goals[goal_id] = goal = RosbridgeServedGoal(self, goal_id, request)
-                result = await self._handler(goal)
-        except GoalEnded as ended:
-            status, result = ended.status, ended.result
-        except Exception as error:  # one goal must not end the server
-            self.failed += 1
-            self.last_error = f"{type(error).__name__}: {error}"
-            log.exception("executing a goal failed", action=self.name)
-            status = GoalStatus.ABORTED
-        finally:
-            self._goals.pop(goal_id, None)
+                try:
+                    status, result = await self._outcome(goal)
+                finally:
+                    self._goals.pop(goal_id, None)
         values, _ = self._codec.to_json(f"{self.type_name}_Result", result)
         try:
             self._connection.send(
@@ -272,6 +258,9 @@ class RosbridgeActionServer:
             )
         except PublishBlocked as error:
             self.last_error = str(error)
+
+    def _check(self, result: Message) -> None:
+        self._codec.to_json(f"{self.type_name}_Result", result)
 
     async def close(self) -> None:
         """Stop serving."""

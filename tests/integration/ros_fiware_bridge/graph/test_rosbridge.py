@@ -173,6 +173,22 @@ async def test_goals_succeed_abort_and_are_cancelled(graph: RosGraph, robot: Ros
         await nowhere.send_goal({"order": 3})
 
 
+async def test_a_goal_whose_result_cannot_be_sent_is_aborted(graph: RosGraph, robot: RosGraph) -> None:
+    async def work(goal: ServedGoal) -> dict[str, Any]:
+        if goal.request["order"] == 1:
+            return {"sequence": "not numbers"}
+        raise GoalEnded(GoalStatus.CANCELED)
+
+    served = await robot.serve_action("/work", FIBONACCI, work)
+    action = await graph.action_client("/work", FIBONACCI)
+    assert await action.available(10)
+    invalid = await action.send_goal({"order": 1})
+    assert (await invalid.result(120)).status is GoalStatus.ABORTED
+    assert (served.failed, "sequence" in str(served.last_error)) == (1, True)
+    uncancelled = await action.send_goal({"order": 2})
+    assert (await uncancelled.result(120)).status is GoalStatus.ABORTED
+
+
 async def test_the_graph_is_read_through_rosapi(graph: RosGraph, robot: RosGraph) -> None:
     await robot.publisher("/joints", JOINTS)
     await robot.serve_action("/fibonacci", FIBONACCI, fibonacci)

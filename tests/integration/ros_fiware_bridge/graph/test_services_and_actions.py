@@ -135,6 +135,25 @@ async def test_our_actions_serve_other_nodes(joined: Joined, graph: RosGraph) ->
         assert served.calls == 1
 
 
+async def test_a_goal_whose_result_is_invalid_or_that_nobody_cancelled_is_aborted(
+    joined: Joined, graph: RosGraph
+) -> None:
+    async def work(goal: ServedGoal) -> dict[str, Any]:
+        if goal.request["order"] == 1:
+            return {"sequence": "not numbers"}
+        raise GoalEnded(GoalStatus.CANCELED, {"sequence": [2]})
+
+    served = await graph.serve_action("work", FIBONACCI, work)
+    async with joined(node="other") as other:
+        action = await other.action_client("/work", FIBONACCI)
+        invalid = await (await action.send_goal({"order": 1}, timeout_s=120)).result(120)
+        assert invalid.status is GoalStatus.ABORTED
+        assert (served.failed, "sequence" in str(served.last_error)) == (1, True)
+        uncancelled = await (await action.send_goal({"order": 2}, timeout_s=120)).result(120)
+        assert uncancelled.status is GoalStatus.ABORTED
+        assert uncancelled.result["sequence"].tolist() == [2]
+
+
 @pytest.mark.slow
 async def test_a_killed_server_fails_the_goal_and_its_successor_is_found(
     joined: Joined, adapter: Adapter, domain_id: int
