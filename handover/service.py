@@ -31,6 +31,7 @@ from handover.security.audit_trail import AuditTrail, begin_request
 from handover.security.guard import Guard
 from handover.security.open_streams import EndOfStreams
 from handover.telemetry import get_logger
+from handover.validation import fault_text
 
 log = get_logger(__name__)
 
@@ -46,7 +47,6 @@ _CHANGES: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 _WEBSOCKET_CODES_FROM: Final = 4000
 """A refused WebSocket is closed with 4000 plus the HTTP status: 4401, 4403, 4503."""
 MAX_FAULTS_LISTED: Final = 20
-MAX_FAULT_CHARACTERS: Final = 1_000
 CLIENT_CLOSED_REQUEST: Final = 499
 """The status that nginx logs for a client that disconnected before the response; it is not sent."""
 
@@ -231,14 +231,7 @@ async def _on_http_exception(_: Request, error: Exception) -> Response:
 
 async def _on_validation_error(_: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)  # noqa: S101
-    found = error.errors()
-    faults = [
-        f"{'.'.join(str(part) for part in fault['loc'])}: {fault['msg']}"[:MAX_FAULT_CHARACTERS]
-        for fault in found[:MAX_FAULTS_LISTED]
-    ]
-    if len(found) > len(faults):
-        faults.append(f"and {len(found) - len(faults)} more")
-    return problem_response(Problem(422, "Unprocessable Content", "; ".join(faults)))
+    return problem_response(Problem(422, "Unprocessable Content", fault_text(error, most=MAX_FAULTS_LISTED)))
 
 
 async def _on_disconnect(_: Request, __: Exception) -> Response:

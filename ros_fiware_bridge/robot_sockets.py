@@ -15,6 +15,7 @@ from datamodels.humanoid_stream import HUMANOID_COMMANDS, HumanoidRefusal, Human
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.telemetry import get_logger
+from handover.validation import fault_text
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.running.arm_stream import ArmStream
@@ -159,6 +160,5 @@ async def _refuse(kind: Kind[Any], client: WebSocket, reason: str) -> None:
 
 def _words(error: Exception) -> str:
     if isinstance(error, ValidationError):
-        fault = error.errors()[0]
-        return f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
+        return fault_text(error)
     return str(error) or "no message in time"

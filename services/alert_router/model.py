@@ -27,6 +27,7 @@ from pydantic.alias_generators import to_camel
 
 from datamodels.states import Severity
 from handover.errors import UsageError
+from handover.validation import fault_text
 
 MAX_CHANNELS: Final = 100
 MAX_ROUTES: Final = 200
@@ -227,6 +228,4 @@ def read_configuration(file: Path) -> Configuration:
     try:
         return Configuration.model_validate(content)
     except ValidationError as error:
-        fault = error.errors()[0]
-        where = ".".join(str(part) for part in fault["loc"]) or "the file"
-        raise UsageError(f"the routes {file}: {where}: {fault['msg']}") from None
+        raise UsageError(f"the routes {file}: {fault_text(error, 'the file')}") from None

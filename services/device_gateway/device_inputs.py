@@ -22,6 +22,7 @@ from handover.control.control_link import ControlLink, Ended
 from handover.errors import Problem
 from handover.messages import message
 from handover.telemetry import get_logger
+from handover.validation import fault_text
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.input_mapping import AxisInput, InputMapping, MappedAxes, written
 from services.device_gateway.settings import GatewaySettings
@@ -57,8 +58,7 @@ class DeviceControl:
                 return
             self._link.put(written(self._input_of(line), self._overrides))
         except ValidationError as error:
-            first = error.errors()[0]
-            self.error = f"{'.'.join(map(str, first['loc'])) or 'input'}: {first['msg']}"
+            self.error = fault_text(error, "input")
 
     def _input_of(self, line: bytes) -> HumanInput:
         if self._axes is None:

@@ -117,7 +117,9 @@ class DriveSession:
         """How the robot says that it rests."""
 
     def receive(self, given: HumanInput) -> None:
-        """Take an input. Raises `NotDrivable` for joints that the robot does not have."""
+        """Take an input. Raises `NotDrivable` for a gripper, and for joints that the robot does not have."""
+        if given.gripper is not None:
+            raise NotDrivable("the gripper of this robot acts by its commands, on the page Devices")
         count = len(self._limits.joints)
         if given.joints is not None and len(given.joints) != count:
             raise NotDrivable(f"joints has {len(given.joints)} values, and {self._device.name} has {count}")

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from handover.errors import Problem
+from handover.validation import fault_lines
 from services.study.questionnaires import (
     SUS_ITEMS,
     TLX_PAIRS,
@@ -188,12 +189,7 @@ def checked(step: str, given: Mapping[str, Any]) -> dict[str, Any]:
     try:
         return ANSWERS[step].model_validate(given).model_dump()
     except ValidationError as error:
-        faults = [
-            f"{'.'.join(str(part) for part in fault['loc']) or step}: "
-            f"{fault['msg'].removeprefix('Value error, ')}"
-            for fault in error.errors()
-        ]
-        raise Problem(422, "Incomplete answer", "; ".join(faults)) from None
+        raise Problem(422, "Incomplete answer", "; ".join(fault_lines(error, step))) from None
 
 
 def next_step(step: str) -> str:

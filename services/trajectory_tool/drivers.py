@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from handover.broker import BrokerClient
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint
+from handover.validation import fault_lines
 from services.trajectory_tool.limits.limiter import Limiter
 from services.trajectory_tool.position_file import PositionFile
 from services.trajectory_tool.robot import Joints, Robot
@@ -92,10 +93,7 @@ class RobotContext:
         try:
             return form.model_validate(dict(self.options))
         except ValidationError as error:
-            where = f"robots.{self.robot_id}.settings"
-            faults = (
-                ".".join([where, *map(str, fault["loc"])]) + f": {fault['msg']}" for fault in error.errors()
-            )
+            faults = fault_lines(error, within=f"robots.{self.robot_id}.settings")
             raise UsageError("\n".join(faults)) from None
 
 

@@ -8,16 +8,16 @@ stays with the service: a browser that is lost ends the connection, and silence 
 import asyncio
 from collections import deque
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 import orjson
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from handover.control.control_link import ControlLink, Ended
+from handover.control.control_link import ControlLink
 from handover.errors import Problem
 from handover.telemetry import get_logger
+from handover.websocket_closing import close_websocket
 from webui.http.page_guard import PageGuard
 
 log = get_logger(__name__)
@@ -46,12 +46,12 @@ class ControlProxy:
         headers = dict(socket.scope["headers"])
         if self._guard.session_of(headers) is not None and b"origin" not in headers:
             # A browser always sends it, and `OriginGuard` has compared it; a cookie alone moves nothing.
-            await _close(socket, Ended(FOREIGN_CODE, "the request has no Origin"))
+            await close_websocket(socket, FOREIGN_CODE, "the request has no Origin")
             return
         try:
             credentials = await self._guard.service_headers(headers)
         except Problem as problem:
-            await _close(socket, Ended(4000 + problem.status, problem.detail))
+            await close_websocket(socket, 4000 + problem.status, problem.detail)
             return
         states = _Messages()
         query = socket.scope.get("query_string", b"").decode("latin-1")
@@ -70,7 +70,7 @@ class ControlProxy:
                 task.cancel()
             await asyncio.gather(running, *others, return_exceptions=True)
         if ended is not None:
-            await _close(socket, ended)
+            await close_websocket(socket, ended.code, ended.reason)
 
 
 class _Messages:
@@ -116,9 +116,3 @@ async def _send(socket: WebSocket, states: _Messages) -> None:
                 await socket.send_text(text)
         except (TimeoutError, WebSocketDisconnect, RuntimeError):
             return
-
-
-async def _close(socket: WebSocket, ended: Ended) -> None:
-    code = ended.code if 3000 <= ended.code < 5000 else 1011
-    with suppress(RuntimeError, WebSocketDisconnect):
-        await socket.close(code, ended.reason[:120])

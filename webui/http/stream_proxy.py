@@ -6,7 +6,6 @@ so nothing queues here: the service drops what is too old for a browser that doe
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 
 from handover.errors import Problem
 from handover.tls_trust import tls_of
+from handover.websocket_closing import close_websocket
 from webui.http.page_guard import PageGuard
 
 OPEN_TIMEOUT_S: Final = 3.0
@@ -42,7 +42,7 @@ class StreamProxy:
         try:
             credentials = await self._guard.service_headers(dict(socket.scope["headers"]))
         except Problem as problem:
-            await _close(socket, 4000 + problem.status, str(problem.detail))
+            await close_websocket(socket, 4000 + problem.status, str(problem.detail))
             return
         passing = asyncio.create_task(self._pass_on(socket, service, path, credentials))
         leaving = asyncio.create_task(_until_left(socket))
@@ -54,7 +54,7 @@ class StreamProxy:
                 task.cancel()
             await asyncio.gather(passing, leaving, return_exceptions=True)
         if ended is not None:
-            await _close(socket, *ended)
+            await close_websocket(socket, *ended)
 
     async def _pass_on(
         self, socket: WebSocket, service: str, path: str, credentials: dict[str, str]
@@ -100,8 +100,3 @@ async def _is_sent(socket: WebSocket, text: str) -> bool:
 async def _until_left(socket: WebSocket) -> None:
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass
-
-
-async def _close(socket: WebSocket, code: int, reason: str) -> None:
-    with suppress(RuntimeError, WebSocketDisconnect):
-        await socket.close(code if 3000 <= code < 5000 else 1011, reason[:120])

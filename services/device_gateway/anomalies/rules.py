@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from datamodels.states import Severity
 from handover.errors import UsageError
+from handover.validation import fault_text
 from services.device_gateway.model.description import Part
 
 MAX_RULES: Final = 500
@@ -151,6 +152,4 @@ def read_rules(file: Path) -> dict[str, Rule]:
     try:
         return RuleFile.model_validate(content).rules
     except ValidationError as error:
-        fault = error.errors()[0]
-        where = ".".join(str(part) for part in fault["loc"]) or "the file"
-        raise UsageError(f"the rules {file}: {where}: {fault['msg']}") from None
+        raise UsageError(f"the rules {file}: {fault_text(error, 'the file')}") from None

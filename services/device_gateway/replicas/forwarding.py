@@ -8,13 +8,12 @@ on as they are. One that drives a robot ends with the leader, and so the robot s
 import asyncio
 import re
 from collections.abc import Awaitable, Mapping
-from contextlib import suppress
 from typing import Any, Final
 from urllib.parse import urlsplit
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
@@ -25,6 +24,7 @@ from handover.origin_guard import send_problem
 from handover.security.guard import PUBLIC_PATHS
 from handover.telemetry import get_logger
 from handover.tls_trust import client_context
+from handover.websocket_closing import close_websocket
 from services.device_gateway.gateway import DeviceGateway
 from services.device_gateway.refusals import WrongToken
 from services.device_gateway.replicas.following import Following
@@ -79,7 +79,7 @@ class ToLeader:
                 return
             socket = WebSocket(scope, receive, send)
             await socket.accept()
-            await _close(socket, 4000 + problem.status, str(problem.detail))
+            await close_websocket(socket, 4000 + problem.status, str(problem.detail))
             return
         if scope["type"] == "websocket":
             await self._pass_on_stream(WebSocket(scope, receive, send), leader)
@@ -173,7 +173,7 @@ class ToLeader:
         except (OSError, TimeoutError, InvalidHandshake, ConnectionClosed) as error:
             log.warning("leader does not answer", leader=leader.host, error=str(error))
             code, reason = AWAY_CODE, "the gateway that leads does not answer"
-        await _close(socket, code, reason)
+        await close_websocket(socket, code, reason)
 
 
 async def _first_of(*work: Awaitable[None]) -> None:
@@ -195,11 +195,6 @@ async def _to_leader(socket: WebSocket, link: ClientConnection) -> None:
 async def _from_leader(socket: WebSocket, link: ClientConnection) -> None:
     async for given in link:
         await (socket.send_text(given) if isinstance(given, str) else socket.send_bytes(given))
-
-
-async def _close(socket: WebSocket, code: int, reason: str) -> None:
-    with suppress(RuntimeError, WebSocketDisconnect):
-        await socket.close(code if 3000 <= code < 5000 else 1011, reason[:120])
 
 
 def _target(scope: Scope) -> str:

@@ -14,6 +14,7 @@ from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require_by_handler, require_somewhere
 from handover.security.permissions import Permission
+from handover.validation import fault_text
 from services.human_state.drivers.base import SENSOR_DRIVERS, SensorDriver
 from services.human_state.fusion.baseline import (
     Baseline,
@@ -350,9 +351,7 @@ def _add_sensors(app: FastAPI, parts: Parts) -> None:
         try:
             driver.settings_model.model_validate(given)
         except ValidationError as error:
-            faults = "; ".join(
-                f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:5]
-            )
+            faults = fault_text(error, "settings")
             raise Problem(422, "Bad settings", f"the settings of {body.driver}: {faults}") from None
         row = SensorRow(sensor, body.driver, given, body.person)
         return person_view(await people.put_sensor(row), monitoring)

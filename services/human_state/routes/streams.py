@@ -13,6 +13,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from handover.security.guard import require
 from handover.security.permissions import Permission
+from handover.validation import fault_text
 from services.human_state.drivers.base import NotSimulated
 from services.human_state.fusion.person_state import FusedValue
 from services.human_state.model.signals import Samples
@@ -136,9 +137,7 @@ def _simulated(monitoring: Monitoring, sensor: str, text: str) -> str:
         try:
             driver.simulate(orjson.loads(text))
         except ValidationError as error:
-            reason = "; ".join(
-                f"{'.'.join(map(str, one['loc'])) or 'message'}: {one['msg']}" for one in error.errors()[:3]
-            )
+            reason = fault_text(error)
         except (NotSimulated, ValueError) as error:
             reason = str(error)
         else:

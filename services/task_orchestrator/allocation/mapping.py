@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from handover.errors import UsageError
+from handover.validation import fault_lines
 from services.task_orchestrator.references import is_reference
 
 MAX_ENTRIES = 10_000
@@ -122,8 +123,7 @@ def read_mapping_file(text: str) -> MappingFile:
     except yaml.YAMLError as error:
         raise UsageError(f"the mapping is no YAML: {error}") from None
     except ValidationError as error:
-        faults = (f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors())
-        raise UsageError("; ".join(faults)) from None
+        raise UsageError("; ".join(fault_lines(error, "mapping"))) from None
 
 
 def _check_distinct(entries: Iterable[MappingEntry]) -> None:

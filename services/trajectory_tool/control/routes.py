@@ -1,28 +1,25 @@
 """Control over a WebSocket: inputs of a person in, the state of the robot out; and the leases over REST."""
 
-import asyncio
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Final
 from uuid import uuid4
 
-import orjson
 from fastapi import FastAPI, WebSocket
-from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from datamodels.entities import DeviceState
-from datamodels.streams import HumanInput
 from handover.background_tasks import BackgroundTasks
 from handover.control.lease import Leases
-from handover.control_leasing import OF_ROBOT, REVOKED_CODE, OpenSessions, Person, acquire, add_lease_routes
+from handover.control_leasing import OF_ROBOT, OpenSessions, Person, acquire, add_lease_routes
+from handover.control_session import InputRefused, receive_input, send_error, serve
 from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require
 from handover.security.permissions import Permission
 from handover.telemetry import get_logger
+from handover.websocket_closing import close_websocket
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.control.recording import Recording
 from services.trajectory_tool.control.recording_routes import add_recording_routes
@@ -32,15 +29,9 @@ from services.trajectory_tool.robot import RobotFault
 
 log = get_logger(__name__)
 
-STATE_EVERY_S: Final = 0.05
-VALID_EVERY_S: Final = 0.1
-MAX_SILENCE_S: Final = 30.0
-"""Time without any input after which the control ends; the robot has stopped long before."""
 ACQUIRE_TIMEOUT_S: Final = 0.5
 HAND_OVER_TIMEOUT_S: Final = 10.0
 """How long a new session waits until the robot of the earlier one rests."""
-IDLE_CODE: Final = 4408
-MAX_MESSAGE_BYTES: Final = 4096
 MAX_GAMMA: Final = 2.0
 
 Find = Callable[[str], tuple[Cell, tuple[Cell, ...], Callable[[DeviceState], None]]]
@@ -68,7 +59,7 @@ def _add_socket(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions
             gamma = _gamma(socket.query_params.get("gamma"))
             is_first = await acquire(socket, leases, sessions, cell.name, session_id, person)
         except Problem as problem:
-            await _close(socket, 4000 + problem.status, problem.detail)
+            await close_websocket(socket, 4000 + problem.status, problem.detail)
             return
         except WebSocketDisconnect:
             return
@@ -87,7 +78,8 @@ def _add_socket(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions
                 sessions.add(session_id, session)
                 set_state(DeviceState.BUSY)
                 log.info("control begins", robot=cell.name, holder=caller.name)
-                ending = await _serve(socket, session, caller.subject, may_continue)
+                receiving = _receive(socket, session, caller.subject)
+                ending = await serve(socket, session, receiving, may_continue)
         except RobotBusy as busy:
             ending = 4409, str(busy)
         except OSError as error:
@@ -100,35 +92,7 @@ def _add_socket(app: FastAPI, find: Find, leases: Leases, sessions: OpenSessions
             leases.release(cell.name, session_id)
         ending = ended_by_others or ending
         if ending is not None:
-            await _close(socket, *ending)
-
-
-async def _serve(
-    socket: WebSocket, session: ControlSession, subject: str, may_continue: Callable[[], bool]
-) -> tuple[int, str] | None:
-    """Serve a session until the client leaves or the control is taken away; the robot rests then.
-
-    Return the close code and the reason, None if the client has left.
-    """
-    work = [
-        asyncio.create_task(_receive(socket, session, subject)),
-        asyncio.create_task(_send(socket, session)),
-        asyncio.create_task(_watch(may_continue, session)),
-    ]
-    motion = asyncio.create_task(session.run())
-    try:
-        await asyncio.wait({*work, motion}, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        session.end()
-        for task in work:
-            task.cancel()
-        await asyncio.gather(*work, return_exceptions=True)
-        await asyncio.shield(motion)
-    if not may_continue():
-        return REVOKED_CODE, "the permission to move this robot was removed, or cannot be verified"
-    if session.silence_s() > MAX_SILENCE_S:
-        return IDLE_CODE, f"no input arrived for {MAX_SILENCE_S:.0f} s"
-    return None
+            await close_websocket(socket, *ending)
 
 
 async def _receive(socket: WebSocket, session: ControlSession, subject: str) -> None:
@@ -136,15 +100,13 @@ async def _receive(socket: WebSocket, session: ControlSession, subject: str) -> 
     async with BackgroundTasks("gripper") as acts:
         while True:
             try:
-                text = await socket.receive_text()
-            except (WebSocketDisconnect, RuntimeError, KeyError):
-                return
-            try:
-                given = _read(text)
+                given = await receive_input(socket)
+                if given is None:
+                    return
                 session.receive(given)
-            except (ValidationError, RobotFault) as error:
+            except (InputRefused, RobotFault) as refused:
                 CONTROL_INPUTS.labels("refused").inc()
-                await _send_error(socket, _reason(error))
+                await send_error(socket, str(refused))
                 continue
             CONTROL_INPUTS.labels("accepted").inc()
             if given.gripper is not None and given.seq != gripper_seq and not session.acting:
@@ -158,41 +120,7 @@ async def _act(socket: WebSocket, session: ControlSession, gripper: str, subject
     try:
         await session.act(gripper, subject)
     except (RobotFault, OSError) as error:
-        await _send_error(socket, str(error))
-
-
-async def _send_error(socket: WebSocket, reason: str) -> None:
-    with suppress(RuntimeError, WebSocketDisconnect):
-        await socket.send_text(orjson.dumps({"type": "error", "reason": reason}).decode())
-
-
-async def _send(socket: WebSocket, session: ControlSession) -> None:
-    while True:
-        try:
-            await socket.send_text(orjson.dumps(session.view()).decode())
-        except (WebSocketDisconnect, RuntimeError):
-            return
-        await asyncio.sleep(STATE_EVERY_S)
-
-
-async def _watch(may_continue: Callable[[], bool], session: ControlSession) -> None:
-    while may_continue() and session.silence_s() <= MAX_SILENCE_S:  # noqa: ASYNC110 - time passes
-        await asyncio.sleep(VALID_EVERY_S)
-
-
-def _read(text: str) -> HumanInput:
-    if len(text) > MAX_MESSAGE_BYTES:
-        raise RobotFault(f"a message has at most {MAX_MESSAGE_BYTES} bytes")
-    return HumanInput.model_validate_json(text)
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, ValidationError):
-        faults = (
-            f"{'.'.join(map(str, one['loc'])) or 'message'}: {one['msg']}" for one in error.errors()[:5]
-        )
-        return "; ".join(faults)
-    return str(error)
+        await send_error(socket, str(error))
 
 
 def _gamma(given: str | None) -> float:
@@ -218,8 +146,3 @@ def _recording_of(socket: WebSocket, data_dir: Path, cell: Cell, caller: Caller)
     if socket.query_params.get("record") != "true":
         return None
     return Recording.begin(data_dir, cell.name, caller.name, cell.model.joint_names)
-
-
-async def _close(socket: WebSocket, code: int, reason: str) -> None:
-    with suppress(RuntimeError, WebSocketDisconnect):
-        await socket.close(code, reason[:120])

@@ -26,6 +26,7 @@ from pydantic import (
 
 from handover.errors import UsageError
 from handover.messages import message
+from handover.validation import fault_lines
 
 MAX_FILE_BYTES = 256 * 1024
 
@@ -144,7 +145,6 @@ def read_contact_speed(entry: ContactEntry, folder: Path, robot: str) -> Contact
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UsageError(f"{where} is not YAML: {' '.join(str(error).split())}") from None
     except ValidationError as error:
-        lines = (f"{where}: {'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
-        raise UsageError("\n".join(lines)) from None
+        raise UsageError("\n".join(f"{where}: {line}" for line in fault_lines(error, "table"))) from None
     except ValueError as error:
         raise UsageError(f"{where}: {error}") from None

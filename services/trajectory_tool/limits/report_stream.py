@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from handover.control.speed_limits import RefusedReport
+from handover.validation import fault_text
 from services.trajectory_tool.metrics import LIMIT_REPORTS
 
 MAX_MESSAGE_BYTES = 16 * 1024
@@ -69,10 +70,7 @@ async def _answer(
         report = form.model_validate_json(text)
         await receive(report)
     except ValidationError as error:
-        faults = (
-            f"{'.'.join(map(str, fault['loc'])) or 'message'}: {fault['msg']}" for fault in error.errors()[:5]
-        )
-        return _refusal("; ".join(faults)), "refused"
+        return _refusal(fault_text(error)), "refused"
     except RefusedReport as refused:
         return _refusal(str(refused)), "refused"
     except OSError as error:

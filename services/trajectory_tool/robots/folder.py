@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
 from handover.extensions import UnknownExtension
+from handover.validation import fault_lines
 from services.trajectory_tool.robot_model import Finger, RobotModel, read_model
 from services.trajectory_tool.robots import ROBOTS
 
@@ -69,8 +70,7 @@ def read_folder(folder: Path) -> RobotModel:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UsageError(f"the robot {path} is not YAML: {' '.join(str(error).split())}") from None
     except ValidationError as error:
-        faults = (f"{path}: {'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
-        raise UsageError("\n".join(faults)) from None
+        raise UsageError("\n".join(f"{path}: {line}" for line in fault_lines(error, "robot"))) from None
     return read_model(
         folder / entry.urdf,
         name=entry.name,

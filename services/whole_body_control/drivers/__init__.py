@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from handover.errors import UsageError
 from handover.extensions import ExtensionPoint
+from handover.validation import fault_text
 from services.whole_body_control.components.robot import Robot
 from services.whole_body_control.model.humanoid import Humanoid
 
@@ -41,11 +42,8 @@ class DriverContext:
         try:
             return form.model_validate(dict(self.options))
         except ValidationError as error:
-            fault = error.errors()[0]
-            where = ".".join(map(str, fault["loc"])) or "options"
-            raise UsageError(
-                f"the options of the driver of {self.humanoid.name}: {where}: {fault['msg']}"
-            ) from None
+            faults = fault_text(error, "options")
+            raise UsageError(f"the options of the driver of {self.humanoid.name}: {faults}") from None
 
 
 def make_robot(name: str, context: DriverContext) -> Robot:

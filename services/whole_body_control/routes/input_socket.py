@@ -14,6 +14,7 @@ from starlette.websockets import WebSocketDisconnect
 from handover.errors import Problem
 from handover.security.guard import require_by_request
 from handover.security.permissions import Permission
+from handover.validation import fault_text
 from services.whole_body_control.metrics import INPUTS
 from services.whole_body_control.routes.access import of_humanoid
 from services.whole_body_control.running.humanoid_control import HumanoidControl
@@ -27,6 +28,7 @@ from services.whole_body_control.running.inputs import (
 from services.whole_body_control.running.signals import PatientSignals
 
 MAX_MESSAGE_CHARS: Final = 4096
+MAX_REASON_CHARS: Final = 300
 _NEEDED: Final[dict[str, Permission]] = {
     "patient": Permission.PERFORM_TASKS,
     "therapist": Permission.MOVE_ROBOTS,
@@ -121,10 +123,7 @@ def _read(text: str, role: str) -> PoseMessage | PullMessage | WishMessage | str
     try:
         given: PoseMessage | PullMessage | WishMessage = MESSAGES.validate_json(text)
     except ValidationError as error:
-        faults = (
-            f"{'.'.join(map(str, one['loc'])) or 'message'}: {one['msg']}" for one in error.errors()[:3]
-        )
-        return "; ".join(faults)[:300]
+        return fault_text(error)[:MAX_REASON_CHARS]
     if isinstance(given, WishMessage) is not (role == "therapist"):
         return f'a {role} does not send "{given.kind}"'
     return given

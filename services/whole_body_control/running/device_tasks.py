@@ -15,6 +15,7 @@ from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.messages import message
 from handover.performer import Job, Performer, RequestedAction, TaskFailed
+from handover.validation import fault_text
 from services.whole_body_control.running.humanoid_control import HumanoidControl
 from services.whole_body_control.running.plans import JuggleParameters, WalkParameters, plan_of
 from services.whole_body_control.running.session_writer import SessionWriter
@@ -65,8 +66,7 @@ class HumanoidTasks(Performer):
             plan = plan_of(parameters.model_validate(given), self.settings, task=job.task.id)
             session = await self._writer.begin(plan)
         except ValidationError as error:
-            faults = (f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:5])
-            raise TaskFailed("; ".join(faults)) from None
+            raise TaskFailed(fault_text(error, "parameters")) from None
         except Problem as problem:
             raise TaskFailed(problem.detail) from None
         try:

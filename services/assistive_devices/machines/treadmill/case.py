@@ -14,6 +14,7 @@ from pydantic.alias_generators import to_camel
 from datamodels.times import iso
 from handover.errors import Problem, UsageError
 from handover.messages import Message, message, with_code
+from handover.validation import fault_text
 from services.assistive_devices.machine import Case, Machine, MachineContext, MachineState, Seen
 from services.assistive_devices.machines.treadmill.belt import BeltState, StopReason
 from services.assistive_devices.machines.treadmill.coach import Advice, Decision, Intensity, Reason
@@ -135,7 +136,7 @@ class TreadmillMachine(Machine):
         try:
             self._plan = TrainingOptions.model_validate(options).plan()
         except ValidationError as error:
-            wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:3])
+            wrong = fault_text(error, "training")
             raise Problem(
                 422,
                 "Invalid training",
