@@ -106,7 +106,7 @@ def read_input(text: str) -> HumanInput:
 
 
 async def send_error(socket: WebSocket, reason: str) -> None:
-    """Tell the client why an input was refused, or what failed; a client that has left misses nothing."""
+    """Send the client why an input was refused, or what failed; one that has left is ignored."""
     with suppress(RuntimeError, WebSocketDisconnect):
         await socket.send_text(orjson.dumps({"type": "error", "reason": reason}).decode())
 

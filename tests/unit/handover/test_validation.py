@@ -30,7 +30,7 @@ def test_each_fault_has_its_place() -> None:
     ]
 
 
-def test_a_rule_of_ours_is_told_without_the_name_of_its_exception() -> None:
+def test_a_rule_of_ours_is_shown_without_the_name_of_its_exception() -> None:
     assert fault_text(faults({"joints": []}), "motion") == "motion: a motion has joints"
 
 
