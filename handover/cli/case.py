@@ -2,10 +2,10 @@
 
 import asyncio
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, Protocol
 
 import httpx
 
@@ -26,8 +26,24 @@ QUERY_EVERY_S = 0.3
 CASE_STUDIES = ExtensionPoint(
     "study of a case", "handover.case_studies", {"treadmill": "handover.cli.case_treadmill:perform_study"}
 )
-"""Each takes the seconds of a session, None for those of the paper, and says what happens."""
+"""A `Study` each."""
 COLUMNS = ("figure", "paper", "here", "")
+
+
+class Study(Protocol):
+    """Performs the trial of a case on a clock of its own, faster than life."""
+
+    def __call__(self, duration_s: float | None, say: Say, *, consents_to_model: bool) -> Trial:
+        """Take the seconds of a session, None for those of the paper, and say what happens."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TrialWish:
+    """How a trial is to be: seconds, None for those of the paper, and a consent of its simulated person."""
+
+    duration_s: float | None = None
+    consents_to_model: bool = False
 
 
 def load_case(name: str) -> Case:
@@ -37,7 +53,7 @@ def load_case(name: str) -> Case:
     return case
 
 
-def study_of(name: str) -> Callable[[float | None, Say], Trial] | None:
+def study_of(name: str) -> Study | None:
     """Return what performs the trial of a case on a clock of its own, faster than life; None without one."""
     return CASE_STUDIES.load(name) if name in CASE_STUDIES.names() else None
 
@@ -63,7 +79,7 @@ def services_of(case: Case) -> tuple[Service, ...]:
 
 
 async def run_case(
-    case: Case, settings: Settings, *, once: bool, duration_s: float | None, timeout_s: float, say: Say
+    case: Case, settings: Settings, wish: TrialWish, *, once: bool, timeout_s: float, say: Say
 ) -> None:
     """Start what the case needs, add its person, perform its trial, print the figures.
 
@@ -78,7 +94,8 @@ async def run_case(
         ) as http:
             await add_person(http, case)
             machine = f"{ASSISTIVE_DEVICES.url()}/machines/{case.name}"
-            await _ask(http, "POST", f"{machine}/trial", {"durationS": duration_s})
+            body = {"durationS": wish.duration_s, "consentsToModel": wish.consents_to_model}
+            await _ask(http, "POST", f"{machine}/trial", body)
             try:
                 async with asyncio.timeout(timeout_s):
                     trial = await _follow(http, machine, say)

@@ -2,9 +2,12 @@
 
 Three simulated people walk for ten minutes each, one after the other. Their heart rates come from the samples
 of simulated sensors through drivers, guards, analysis, fusion and limits of human state, and the controller
-ages the limits; only the clock is simulated. The same seed gives the same figures.
+ages the limits; only the clock is simulated. The same seed gives the same figures. After consent the language
+model of the settings words what the trainer says; the decisions, and so the figures, are the same.
 """
 
+import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,11 +15,13 @@ from datamodels.streams import SpeedLimitReport
 from handover.cli.progress import Say
 from handover.control.speed_limits import SpeedLimits
 from handover.errors import UsageError
-from services.assistive_devices.machines.treadmill.case import HEART_RATE_MAX_AGE_S
+from services.assistive_devices.machines.treadmill.case import HEART_RATE_MAX_AGE_S, model_of
+from services.assistive_devices.machines.treadmill.coach import Decision
 from services.assistive_devices.machines.treadmill.report import compare
 from services.assistive_devices.machines.treadmill.simulation import Habits, SimulatedWalker
 from services.assistive_devices.machines.treadmill.training import Plan, Training
-from services.assistive_devices.machines.treadmill.wording import template
+from services.assistive_devices.machines.treadmill.wording import Words, template
+from services.assistive_devices.settings import AssistiveSettings
 from services.assistive_devices.trial import Trial
 from services.human_state.cases.sensed_person import DEFAULT_START_S, SensedPerson
 from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
@@ -50,28 +55,51 @@ PARTICIPANTS: Final = (
 )
 
 
-def perform_study(duration_s: float | None, say: Say) -> Trial:
-    """Let all participants walk for as long as in the paper, or `duration_s`; return the figures."""
+Wording = Callable[[Decision, int], Words]
+"""Words the decision with a number, counted from 0."""
+
+
+def _by_template(decision: Decision, number: int) -> Words:
+    return Words(template(decision, number), "template")
+
+
+def perform_study(duration_s: float | None, say: Say, *, consents_to_model: bool = False) -> Trial:
+    """Let all participants walk for as long as in the paper, or `duration_s`; return the figures.
+
+    After consent the language model of the settings is asked. Raises `UsageError` if there is none.
+    """
     try:
         plan = Plan() if duration_s is None else Plan(duration_s)
     except ValueError as error:
         raise UsageError(str(error)) from None
     trial = Trial(plan.duration_s)
-    perform(plan, SEED, say, trial)
+    if not consents_to_model:
+        perform(plan, SEED, say, trial)
+    else:
+        model = model_of(AssistiveSettings.load())
+        if model is None:
+            raise UsageError("no language model is set; set HANDOVER_TRAINER_MODEL_URL and its name")
+        with asyncio.Runner() as runner:
+
+            def word(decision: Decision, number: int) -> Words:
+                return runner.run(model.word(decision, number, plan.language))
+
+            perform(plan, SEED, say, trial, word)
+            runner.run(model.close())
     trial.is_running = False
     return trial
 
 
-def perform(plan: Plan, seed: int, say: Say, trial: Trial) -> None:
+def perform(plan: Plan, seed: int, say: Say, trial: Trial, word: Wording = _by_template) -> None:
     """Let all participants walk, the first with the seed `seed`, and compare the figures of each."""
     zone = plan.zone
     for number, participant in enumerate(PARTICIPANTS):
         say(f"{participant.name}: {plan.duration_s / 60:g} min, {zone.low_bpm:g} to {zone.high_bpm:g} bpm")
-        training = walk(participant, plan, seed + number, say)
+        training = walk(participant, plan, seed + number, say, word)
         compare(trial, training.figures(), plan, training.belt.reason, participant.name)
 
 
-def walk(participant: Participant, plan: Plan, seed: int, say: Say) -> Training:
+def walk(participant: Participant, plan: Plan, seed: int, say: Say, word: Wording = _by_template) -> Training:
     """Return the training of one person, after it has ended and the belt stands."""
     settings = SimulatedSettings(
         signals=SIGNALS, pace=0, start_s=DEFAULT_START_S, seed=seed, packet_s=PACKET_STEPS * STEP_S
@@ -98,8 +126,10 @@ def walk(participant: Participant, plan: Plan, seed: int, say: Say) -> Training:
             bpm = training.record[-1].bpm
             known = "no heart rate" if bpm is None else f"{bpm:3.0f} bpm"
             at_s = now_s - (training.began_s or 0.0)
-            text = template(decision, len(training.decisions) - 1)
-            say(f"{at_s:6.1f} s  {known}, {training.belt.speed_mps:.2f} m/s: {text}")
+            words = word(decision, len(training.decisions) - 1)
+            by = {"model": " (model)", "template": f" ({words.problem})" if words.problem else ""}
+            spoken = f"{words.text}{by[words.source]}"
+            say(f"{at_s:6.1f} s  {known}, {training.belt.speed_mps:.2f} m/s: {spoken}")
             training.follow(decision.advice)
     return training
 

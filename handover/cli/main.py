@@ -87,11 +87,20 @@ def case(  # noqa: PLR0917 - options of a command
         bool,
         typer.Option("--live", help="With --once: in real time, not on a faster clock of its own."),
     ] = False,
+    consents_to_model: Annotated[
+        bool,
+        typer.Option(
+            "--consent-to-model",
+            help="The simulated persons of the treadmill consent that the language model of the settings "
+            "words the advice.",
+        ),
+    ] = False,
     timeout_s: Annotated[float, typer.Option("--timeout", help="Maximum duration in seconds.")] = 1800.0,
     data_dir: DataDir = None,
 ) -> None:
     """Run a case study: a machine that adapts to the body of a simulated person, on the page Cases."""
     from handover.cli.case import (  # noqa: PLC0415 - only this command
+        TrialWish,
         known_cases,
         load_case,
         print_study,
@@ -106,11 +115,10 @@ def case(  # noqa: PLR0917 - options of a command
     chosen = load_case(name)
     say(f"{chosen.summary} Nothing here is a medical device or a safety function.")
     if once and not live and (study := study_of(name)) is not None:
-        print_study(name, study(duration_s, say), say)
+        print_study(name, study(duration_s, say, consents_to_model=consents_to_model), say)
         return
-    _until_stopped(
-        run_case(chosen, _settings(data_dir), once=once, duration_s=duration_s, timeout_s=timeout_s, say=say)
-    )
+    wish = TrialWish(duration_s, consents_to_model)
+    _until_stopped(run_case(chosen, _settings(data_dir), wish, once=once, timeout_s=timeout_s, say=say))
 
 
 @app.command()

@@ -28,6 +28,8 @@ class TrialStart(Body):
     """How long the machine is used, in s; that of the paper if absent."""
 
     duration_s: Annotated[FiniteFloat, Field(ge=5, le=7200)] | None = None
+    consents_to_model: bool = False
+    """The simulated person consents that a language model words what the treadmill says."""
 
 
 class MachineStart(Body):
@@ -191,7 +193,7 @@ def add_routes(app: FastAPI, runners: dict[str, MachineRunner]) -> None:
     async def trial(case: str, body: TrialStart) -> MachineView:
         """Begin the trial of the case with its simulated person."""
         runner = runner_of(case)
-        runner.begin_trial(body.duration_s)
+        runner.begin_trial(body.duration_s, consents_to_model=body.consents_to_model)
         return _view(runner)
 
 

@@ -43,9 +43,13 @@ class Figure:
 
 @dataclass(slots=True)
 class Trial:
-    """The course of a trial. `duration_s` is how long the machine is used; the paper's by default."""
+    """The course of a trial. `duration_s` is how long the machine is used; the paper's by default.
+
+    `consents_to_model`: the simulated person consents that a language model words what the machine says.
+    """
 
     duration_s: float | None = None
+    consents_to_model: bool = False
     began_s: float = field(default_factory=time.monotonic)
     messages: list[tuple[float, str]] = field(default_factory=list)
     """The time since the beginning in s, and what happened."""

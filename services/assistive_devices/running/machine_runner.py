@@ -91,7 +91,7 @@ class MachineRunner:
         """Release a stop of the limit, at human state and here. Raises `Problem` while it is not possible."""
         await self.link.reset()
 
-    def begin_trial(self, duration_s: float | None) -> None:
+    def begin_trial(self, duration_s: float | None, *, consents_to_model: bool = False) -> None:
         """Begin a trial. Raises `Problem` 409 while one runs."""
         if self.trial is not None and self.trial.is_running:
             raise Problem(
@@ -103,6 +103,7 @@ class MachineRunner:
             )
         self.trial = Trial(
             duration_s,
+            consents_to_model,
             on_reset=self.reset,
             is_permitted=lambda: self.link.allowed(time.monotonic()).fraction > 0,
         )

@@ -31,6 +31,7 @@ from services.assistive_devices.machines.treadmill.training import (
 from services.assistive_devices.machines.treadmill.wording import ModelWording, Words, template
 from services.assistive_devices.model.command import Command, VelocityCommand
 from services.assistive_devices.model.sensor import Sensor
+from services.assistive_devices.settings import AssistiveSettings
 from services.assistive_devices.trial import (
     BODY_IS_CALM,
     HEART_RATE_IS_VALID,
@@ -117,20 +118,9 @@ class TreadmillMachine(Machine):
         self._to_word: asyncio.Queue[tuple[str, Plan, _Intervention, Decision]] = asyncio.Queue()
 
     def prepare(self, context: MachineContext) -> None:
-        settings = context.settings
         self._log = SessionLog(context.engine)
-        self._keep_days = settings.trainer_log_days
-        if settings.trainer_model_url:
-            key = settings.trainer_model_key
-            try:
-                self._model = ModelWording(
-                    settings.trainer_model_url,
-                    settings.trainer_model_name,
-                    "" if key is None else key.get_secret_value(),
-                    settings.trainer_model_timeout_s,
-                )
-            except ValueError as error:
-                raise UsageError(str(error)) from None
+        self._keep_days = context.settings.trainer_log_days
+        self._model = model_of(context.settings)
 
     def configure(self, options: Mapping[str, Any]) -> None:
         try:
@@ -292,7 +282,7 @@ class TreadmillMachine(Machine):
         await trial.until(HEART_RATE_IS_VALID, lambda: self.heart is not None, PATIENCE_S)
         await self._release(trial)
         await trial.until(BODY_IS_CALM, lambda: self.fraction > CALM_FRACTION, PATIENCE_S)
-        self.configure({"durationS": duration_s, "consentsToModel": self._model is not None})
+        self.configure({"durationS": duration_s, "consentsToModel": trial.consents_to_model})
         self.start()
         trial.say(
             message(
@@ -366,6 +356,22 @@ class TreadmillMachine(Machine):
         self._has_contact = True
         await trial.until(HEART_RATE_IS_VALID, lambda: self.heart is not None, PATIENCE_S)
         await self._release(trial)
+
+
+def model_of(settings: AssistiveSettings) -> ModelWording | None:
+    """Return the language model of the settings, None without one. Raises `UsageError`."""
+    if not settings.trainer_model_url:
+        return None
+    key = settings.trainer_model_key
+    try:
+        return ModelWording(
+            settings.trainer_model_url,
+            settings.trainer_model_name,
+            "" if key is None else key.get_secret_value(),
+            settings.trainer_model_timeout_s,
+        )
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
 def _last_of(log: SessionLog) -> list[_Intervention]:

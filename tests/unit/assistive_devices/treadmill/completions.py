@@ -1,6 +1,7 @@
 """A server of the public chat-completions protocol, like those of language models: good ones and bad ones."""
 
 import json
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -85,3 +86,29 @@ def obedient(body: dict[str, Any]) -> str:
         ("keep", "Finnish"): "Hyvä, pidä tämä vauhti.",
         ("slower", "Finnish"): "Kävele nyt hieman hitaammin.",
     }[advice, language]
+
+
+def nonsense(body: dict[str, Any]) -> str:
+    """Answer as a model that does not do what it is asked."""
+    return "Your heart rate is 182, stop at once!" if "faster" in str(body) else "Banana."
+
+
+def main() -> None:
+    """Serve as a process: print the URL, and each request as a line of JSON, until the input ends."""
+    answers = {"obedient": obedient, "nonsense": nonsense, "hangs": obedient}
+    given = sys.argv[1]
+
+    def answer(body: dict[str, Any]) -> str:
+        print(json.dumps({"body": body, "headers": state.headers[-1], "path": state.paths[-1]}), flush=True)
+        return answers[given](body)
+
+    state = Completions(answer)
+    with serving(state):
+        print(state.url, flush=True)
+        if given == "hangs":
+            state.answer = lambda body: (answer(body), state.released.wait(60))[0]
+        sys.stdin.read()
+
+
+if __name__ == "__main__":
+    main()

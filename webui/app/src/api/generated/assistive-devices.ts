@@ -70,6 +70,7 @@ export interface NumberView {
 /** How long the machine is used, in s; that of the paper if absent. */
 export interface TrialStart {
   durationS?: number | null;
+  consentsToModel?: boolean;
 }
 
 /** The last trial; `passed` once it has ended. */
