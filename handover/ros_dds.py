@@ -12,6 +12,7 @@ from typing import Any, Final
 from handover.errors import UsageError
 
 MAX_DOMAIN: Final = 232
+MAX_PUBLISHED: Final = 4096
 Fields = Iterable[tuple[str, Any]]
 """Name and kind of each field, in order: `float64`, `str[]`, or a struct made by `struct_of`."""
 
@@ -53,6 +54,25 @@ class TopicEndpoints:
             self._participant, self._topic(name, struct), qos=_qos(Policy.Reliability.BestEffort, depth)
         )
 
+    def published(self) -> list[tuple[str, str]]:
+        """Return the ROS topics that are published now, each with its type: `/ecg`, `pkg/msg/Ecg`.
+
+        Publishers that joined just before may be missing.
+        """
+        from cyclonedds.builtin import (  # noqa: PLC0415 - of the extra
+            BuiltinDataReader,
+            BuiltinTopicDcpsPublication,
+        )
+
+        found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).read(N=MAX_PUBLISHED)
+        return sorted(
+            {
+                (one.topic_name.removeprefix("rt"), _ros_name(one.type_name))
+                for one in found
+                if getattr(one, "topic_name", "").startswith("rt/")
+            }
+        )
+
     def writer(self, name: str, struct: Any, *, max_blocking_ns: int) -> Any:
         """Return a reliable writer of the newest message, which matches subscribers of either kind."""
         from cyclonedds.pub import DataWriter  # noqa: PLC0415 - of the extra
@@ -65,6 +85,12 @@ class TopicEndpoints:
         from cyclonedds.topic import Topic  # noqa: PLC0415 - of the extra
 
         return Topic(self._participant, f"rt/{name.removeprefix('/')}", struct)
+
+
+def _ros_name(dds_type: str) -> str:
+    """Return `std_msgs/msg/Header` of `std_msgs::msg::dds_::Header_`; others as they are."""
+    package, _, name = dds_type.partition("::msg::dds_::")
+    return f"{package}/msg/{name.removesuffix('_')}" if name else dds_type
 
 
 def _qos(reliability: Any, depth: int) -> Any:

@@ -148,7 +148,7 @@ SENSOR_DRIVERS: Final = ExtensionPoint(
         "max30100": f"{_DRIVERS}.max30100.driver:Max30100Driver",
         "lsl": f"{_DRIVERS}.lsl.driver:LslDriver",
         "brainflow": f"{_DRIVERS}.brainflow.driver:BrainFlowDriver",
-        "vivalink": f"{_DRIVERS}.cloud.vivalink:VivalinkDriver",
+        "vivalink": f"{_DRIVERS}.vivalink.driver:VivalinkDriver",
         "ros-topic": f"{_DRIVERS}.ros_topic.driver:RosTopicDriver",
     },
 )

@@ -1,6 +1,6 @@
 """Devices whose data are with their vendor: polled with OAuth 2, values with their times.
 
-A vendor is a subclass that names its URL and reads its answer; `vivalink.py` is the example. Values are as
+A vendor is a subclass that names its URL and reads its answer; `vivalink` is the example. Values are as
 late as the vendor makes them: their times are kept, so stale ones are stale. Nothing is sent but requests,
 and only to addresses that the outbound policy allows.
 """

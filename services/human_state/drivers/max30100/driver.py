@@ -1,12 +1,21 @@
 """Listens on a UDP port for one stick. Datagrams of others are ignored, and counted in the report."""
 
 import asyncio
+from contextlib import suppress
 from typing import ClassVar, Final, cast
 
 import numpy as np
 from pydantic import Field
 
-from services.human_state.drivers.base import DriverSettings, LinkLost, PacketError, SensorDriver, Sink, now_s
+from services.human_state.drivers.base import (
+    DriverSettings,
+    FoundDevice,
+    LinkLost,
+    PacketError,
+    SensorDriver,
+    Sink,
+    now_s,
+)
 from services.human_state.drivers.max30100.protocol import PulseReading, parse
 from services.human_state.model.signals import (
     ClockKind,
@@ -21,6 +30,8 @@ METHOD: Final = "MAX30100, uncalibrated"
 PPG: Final = SignalInfo(SignalKind.PPG, "C62", None, ("ir", "red"), -1, 65_536, 1.0, METHOD)
 HEART_RATE: Final = SignalInfo(SignalKind.HEART_RATE, "BPM", None, ("",), 0, 1000, None, METHOD)
 SPO2: Final = SignalInfo(SignalKind.SPO2, "P1", None, ("",), 0, 101, None, METHOD)
+SEARCH_HOST: Final = "0.0.0.0"  # noqa: S104 - sticks are in the network, and a search only listens
+MAX_FOUND: Final = 64
 RESTART_S: Final = 1.0
 """A stick whose clock runs back by more was switched on again."""
 
@@ -50,6 +61,25 @@ class Max30100Driver(SensorDriver):
     @property
     def signals(self) -> tuple[SignalInfo, ...]:
         return (PPG, HEART_RATE, SPO2)
+
+    @classmethod
+    async def discover(cls, timeout_s: float, port: int = 1234) -> list[FoundDevice]:
+        """Return the sticks that send to the usual port within `timeout_s`, with their ids.
+
+        Returns nothing while a driver listens on that port.
+        """
+        heard = _Search()
+        try:
+            transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+                lambda: heard, local_addr=(SEARCH_HOST, port)
+            )
+        except OSError:
+            return []
+        try:
+            await asyncio.sleep(timeout_s)
+        finally:
+            transport.close()
+        return list(heard.found.values())
 
     async def run(self, sink: Sink) -> None:
         settings: Max30100Settings = self.settings
@@ -130,3 +160,14 @@ class _Datagrams(asyncio.DatagramProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if not self.failed.done():
             self.failed.set_result(f"the socket failed: {exc}")
+
+
+class _Search(asyncio.DatagramProtocol):
+    def __init__(self) -> None:
+        self.found: dict[tuple[str, str | None], FoundDevice] = {}
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        with suppress(PacketError):
+            device_id = parse(data).device_id
+            if len(self.found) < MAX_FOUND:
+                self.found[addr[0], device_id] = FoundDevice(addr[0], device_id or "MAX30100")

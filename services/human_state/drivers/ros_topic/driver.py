@@ -10,8 +10,17 @@ from typing import Any, ClassVar, Final, Literal
 
 from pydantic import Field, model_validator
 
+from handover.errors import UsageError
 from handover.ros_dds import MAX_DOMAIN, TopicEndpoints
-from services.human_state.drivers.base import DriverSettings, LinkLost, PacketError, SensorDriver, Sink, now_s
+from services.human_state.drivers.base import (
+    DriverSettings,
+    FoundDevice,
+    LinkLost,
+    PacketError,
+    SensorDriver,
+    Sink,
+    now_s,
+)
 from services.human_state.drivers.ros_topic import ros4hc
 from services.human_state.drivers.ros_topic.messages import PACKAGE, as_message, fields_of, type_of
 from services.human_state.formats.errors import ExchangeError
@@ -28,6 +37,9 @@ from services.human_state.model.signals import (
 
 PULL_S: Final = 0.02
 MAX_MESSAGES: Final = 256
+READABLE: Final = frozenset(f"{PACKAGE}/msg/{fields_of(kind)[0]}" for kind in SignalKind) | {
+    f"{ros4hc.PACKAGE}/msg/{name}" for name, _ in ros4hc.FIELDS.values()
+}
 EVENTS_SILENCE_S: Final = 120.0
 """A topic of events of the eyes may be silent for so long."""
 
@@ -82,6 +94,26 @@ class RosTopicDriver(SensorDriver):
     def signals(self) -> tuple[SignalInfo, ...]:
         one: RosTopicSettings = self.settings
         return (SignalInfo(one.kind, one.unit, one.rate_hz, one.channels, method=f"ROS {one.topic}"),)
+
+    @classmethod
+    async def discover(cls, timeout_s: float, domain: int = 0) -> list[FoundDevice]:
+        """Return the topics of a domain whose messages it reads, with their type."""
+
+        def opened() -> TopicEndpoints | None:
+            try:
+                return TopicEndpoints(domain)
+            except (OSError, UsageError):
+                return None
+
+        endpoints = await asyncio.to_thread(opened)
+        if endpoints is None:
+            return []
+        await asyncio.sleep(timeout_s)  # publishers become known one after the other
+        return [
+            FoundDevice(topic, type_name)
+            for topic, type_name in endpoints.published()
+            if type_name in READABLE
+        ]
 
     async def run(self, sink: Sink) -> None:
         settings: RosTopicSettings = self.settings

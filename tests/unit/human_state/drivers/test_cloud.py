@@ -17,8 +17,8 @@ from pydantic import ValidationError
 from handover.outbound_policy import OutboundPolicy
 from services.human_state.drivers.base import PacketError
 from services.human_state.drivers.cloud.driver import CloudSettings
-from services.human_state.drivers.cloud.vivalink import VivalinkDriver
 from services.human_state.drivers.runner import RunnerTiming, SensorRunner
+from services.human_state.drivers.vivalink.driver import VivalinkDriver
 from services.human_state.model.signals import LinkState, Samples, SensorReport, SignalKind
 from tests.kit.waiting import until
 

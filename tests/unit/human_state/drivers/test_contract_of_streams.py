@@ -11,12 +11,12 @@ import pytest
 
 from services.human_state.driver_contract import Device, SensorDriverContract
 from services.human_state.drivers.cloud.driver import CloudSettings
-from services.human_state.drivers.cloud.vivalink import VivalinkDriver
 from services.human_state.drivers.corsano import protocol as corsano
 from services.human_state.drivers.corsano.driver import CorsanoDriver, CorsanoSettings
 from services.human_state.drivers.lsl.driver import LslDriver, LslSettings
 from services.human_state.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
 from services.human_state.drivers.ros_topic.messages import type_of
+from services.human_state.drivers.vivalink.driver import VivalinkDriver
 from services.human_state.formats.ros import messages_of
 from services.human_state.model.signals import Samples, SignalInfo, SignalKind
 from tests.kit.bluetooth import Peripheral

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from handover.ros_dds import TopicEndpoints, struct_of
 from services.human_state.drivers.base import PacketError
 from services.human_state.drivers.ros_topic import ros4hc
 from services.human_state.drivers.ros_topic.driver import RosTopicDriver, RosTopicSettings
@@ -214,3 +215,22 @@ def test_a_hostile_message_of_ros4hc_is_read_or_refused(kind: SignalKind, change
 def test_settings_of_topics_that_cannot_be_are_refused(given: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         RosTopicSettings.model_validate({"topic": "/eye", **given})
+
+
+async def test_a_search_finds_the_topics_that_it_can_read() -> None:
+    domain = ros_domain()
+    endpoints = TopicEndpoints(domain)
+    blink = ros4hc.type_of(SignalKind.BLINK)
+    header = struct_of("std_msgs/msg/String", (("data", "str"),))
+    writers = [
+        endpoints.writer(name, made, max_blocking_ns=0)
+        for name, made in (("/ecg", type_of(SignalKind.ECG)), ("/eye/blink", blink), ("/words", header))
+    ]
+    expected = {("/ecg", "handover_human_msgs/msg/Ecg"), ("/eye/blink", "ros2_hc_msgs/msg/Blink")}
+
+    async def is_found() -> bool:
+        found = await RosTopicDriver.discover(0.2, domain)
+        return {(one.address, one.name) for one in found} == expected
+
+    await until(is_found)
+    assert len(writers) == 3

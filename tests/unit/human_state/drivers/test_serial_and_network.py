@@ -32,6 +32,7 @@ from services.human_state.model.signals import (
     SensorReport,
     SignalKind,
 )
+from tests.kit.ports import next_free_port
 from tests.kit.waiting import until
 
 SHORT = RunnerTiming(0.01, 0.05, 0.01)
@@ -278,3 +279,19 @@ def test_a_board_without_the_signal_is_refused() -> None:
         BrainFlowDriver("board", BrainFlowSettings(signals=("mood",)))
     with pytest.raises(UsageError, match="choose others"):
         BrainFlowDriver("board", BrainFlowSettings(board_id=-99))
+
+
+async def test_a_search_finds_the_sticks_that_send() -> None:
+    port = next_free_port()
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    async def is_found() -> bool:
+        search = asyncio.create_task(Max30100Driver.discover(0.3, port))
+        for _ in range(3):
+            await asyncio.sleep(0.05)
+            sender.sendto(b'{"id": "m5-1", "hr": 71}', ("127.0.0.1", port))
+            sender.sendto(b"rubbish", ("127.0.0.1", port))
+        return [(one.address, one.name) for one in await search] == [("127.0.0.1", "m5-1")]
+
+    await until(is_found)
+    sender.close()

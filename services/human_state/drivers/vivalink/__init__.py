@@ -1,0 +1,1 @@
+"""The Vivalink patch, by the service of its vendor."""
