@@ -1,4 +1,9 @@
-/** The waveforms of the last seconds. Each is drawn with the frames of the screen, only while it is seen and new. */
+/**
+ * The waveforms of the last seconds. Each moves with the frames of the screen, only while it is seen and new.
+ *
+ * A plot is drawn a little wider than it is shown, a few times a second; between that the compositor moves it, which
+ * takes half of the work of drawing each frame. So its labels are beside it, not in it.
+ */
 import { Activity, TimerOff } from "lucide-react";
 import { useEffect, useRef } from "react";
 import { useTranslation } from "react-i18next";
@@ -18,6 +23,8 @@ import { keyOf, WAVE_S, type WaveBuffer } from "./waveform";
 /** The newest packet is drawn so much later that the line moves evenly between packets. */
 const DELAY_S = 0.5;
 const SILENT_MS = 3000;
+/** The plot is drawn so much further than it is shown. */
+const AHEAD_S = 0.25;
 const COLOURS = ["--accent", "--attention", "--ok", "--stop"];
 const DASHES = [[], [6, 3], [2, 3], [10, 3, 2, 3]];
 
@@ -39,20 +46,43 @@ function Waveform({ wave, signals }: { wave: WaveBuffer; signals: LiveSignals })
   useEffect(() => {
     const host = place.current;
     if (host === null) return;
-    const plot = new uPlot(optionsOf(host, wave, i18n.language), wave.columns(), host);
+    const labels = document.createElement("div");
+    labels.className = "waveform__labels";
+    const pane = document.createElement("div");
+    pane.className = "waveform__pane";
+    host.append(labels, pane);
+    let splits: number[] = [];
+    const plot = new uPlot(
+      optionsOf(pane, wave, (found) => {
+        splits = found;
+      }),
+      wave.columns(),
+      pane,
+    );
+    const heightOf = (value: number) => plot.valToPos(value, "y") + plot.over.offsetTop;
     let frame = 0;
     let isSeen = true;
     let shownS = -Infinity;
+    let drawnS = -Infinity;
+    let knownS = -Infinity;
+    const redraw = () => {
+      [drawnS, knownS] = [shownS, wave.endS];
+      plot.batch(() => {
+        plot.setData(wave.columns(), false);
+        plot.setScale("x", { min: shownS - WAVE_S, max: shownS + AHEAD_S });
+      });
+      label(labels, splits, heightOf, i18n.language);
+    };
     const draw = () => {
       frame = 0;
       const sinceS = (Date.now() - wave.receivedMs) / 1000;
       // It never runs ahead of the signal, and never back.
       const endS = Math.min(wave.endS, wave.endS + sinceS - DELAY_S);
       shownS = endS > shownS || shownS - endS > DELAY_S * 4 ? endS : shownS;
-      plot.batch(() => {
-        plot.setData(wave.columns(), false);
-        plot.setScale("x", { min: shownS - WAVE_S, max: shownS });
-      });
+      // Again when what was drawn ahead is shown, or has become known only now, and after a signal began again.
+      if (shownS > drawnS + AHEAD_S || shownS < drawnS || (shownS > knownS && wave.endS > knownS)) redraw();
+      const moved = Number.isFinite(shownS) ? (-(shownS - drawnS) / WAVE_S) * pane.clientWidth : 0;
+      plot.root.style.transform = `translateX(${moved.toFixed(2)}px)`;
       if (sinceS < SILENT_MS / 1000) drawSoon();
     };
     const drawSoon = () => {
@@ -64,8 +94,11 @@ function Waveform({ wave, signals }: { wave: WaveBuffer; signals: LiveSignals })
       drawSoon();
     });
     visibility.observe(host);
-    const resized = new ResizeObserver(() => plot.setSize({ width: host.clientWidth, height: host.clientHeight }));
-    resized.observe(host);
+    const resized = new ResizeObserver(() => {
+      plot.setSize(sizeOf(pane));
+      label(labels, splits, heightOf, i18n.language);
+    });
+    resized.observe(pane);
     drawSoon();
     return () => {
       cancelAnimationFrame(frame);
@@ -73,6 +106,7 @@ function Waveform({ wave, signals }: { wave: WaveBuffer; signals: LiveSignals })
       visibility.disconnect();
       resized.disconnect();
       plot.destroy();
+      host.replaceChildren();
     };
   }, [wave, signals, theme, i18n.language]);
 
@@ -101,28 +135,51 @@ function Waveform({ wave, signals }: { wave: WaveBuffer; signals: LiveSignals })
         )}
       </header>
       <div ref={place} className="waveform__plot" role="img" aria-label={t("waves.label", { name, seconds: WAVE_S })} />
+      <div className="waveform__times small quiet" aria-hidden>
+        {[-WAVE_S, -WAVE_S / 2, 0].map((at) => (
+          <span key={at}>{at} s</span>
+        ))}
+      </div>
     </section>
   );
 }
 
-function optionsOf(host: HTMLElement, wave: WaveBuffer, language: string): uPlot.Options {
-  const style = getComputedStyle(host);
+/** The size of a plot: that of its pane, and what is drawn ahead. */
+function sizeOf(pane: HTMLElement): { width: number; height: number } {
+  return { width: Math.max(1, Math.round(pane.clientWidth * (1 + AHEAD_S / WAVE_S))), height: Math.max(1, pane.clientHeight) };
+}
+
+/** Write the numbers of an axis at their heights; what has not changed is left alone. */
+function label(host: HTMLElement, splits: readonly number[], heightOf: (value: number) => number, language: string): void {
+  while (host.children.length > splits.length) host.lastElementChild?.remove();
+  splits.forEach((value, index) => {
+    const each = host.children.item(index) ?? host.appendChild(document.createElement("span"));
+    const [text, top] = [inWords(value, language), `${Math.round(heightOf(value))}px`];
+    if (each.textContent !== text) each.textContent = text;
+    if (each instanceof HTMLElement && each.style.top !== top) each.style.top = top;
+  });
+}
+
+function optionsOf(pane: HTMLElement, wave: WaveBuffer, onSplits: (splits: number[]) => void): uPlot.Options {
+  const style = getComputedStyle(pane);
   const colour = (name: string) => style.getPropertyValue(name).trim();
-  const axis = { stroke: colour("--text-quiet"), font: `12px ${style.fontFamily}`, grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false } };
   return {
-    width: host.clientWidth,
-    height: host.clientHeight,
+    ...sizeOf(pane),
+    padding: [6, 0, 6, 0],
     legend: { show: false },
     cursor: { show: false },
     scales: { x: { time: false } },
     axes: [
+      { show: false },
       {
-        ...axis,
-        size: 28,
-        splits: (_, __, min, max) => [max - WAVE_S, max - WAVE_S / 2, max].filter((at) => at >= min),
-        values: (_, splits) => splits.map((at) => `${Math.round(at - (splits.at(-1) ?? at))} s`),
+        size: 0,
+        grid: { stroke: colour("--line"), width: 1 },
+        ticks: { show: false },
+        values: (_, splits) => {
+          onSplits(splits);
+          return splits.map(() => "");
+        },
       },
-      { ...axis, size: 56, values: (_, splits) => splits.map((value) => inWords(value, language)) },
     ],
     series: [
       {},
