@@ -68,10 +68,10 @@ class Max30100Driver(SensorDriver):
 
         Returns nothing while a driver listens on that port.
         """
-        heard = _Search()
+        search = _Search()
         try:
             transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-                lambda: heard, local_addr=(SEARCH_HOST, port)
+                lambda: search, local_addr=(SEARCH_HOST, port)
             )
         except OSError:
             return []
@@ -79,7 +79,7 @@ class Max30100Driver(SensorDriver):
             await asyncio.sleep(timeout_s)
         finally:
             transport.close()
-        return list(heard.found.values())
+        return list(search.found.values())
 
     async def run(self, sink: Sink) -> None:
         settings: Max30100Settings = self.settings
