@@ -29,6 +29,8 @@ from handover.security.permissions import Grant, Role
 ALGORITHM: Final = "EdDSA"
 ISSUER: Final = "handover-accounts"
 AUDIENCE: Final = "handover"
+PIN_AUDIENCE: Final = "handover-pin"
+"""Of proofs of a PIN, so that none is accepted as an access token."""
 USER_TOKEN_S: Final = 60.0
 """Life of the token for which the page server exchanges a session."""
 SERVICE_TOKEN_S: Final = 300.0
@@ -84,6 +86,17 @@ class SigningKey:
             claims["person"] = caller.person
         if caller.session is not None:
             claims["sid"] = caller.session
+        return self._signed(claims)
+
+    def prove_pin(self, person: str, task: str) -> str:
+        """Return a proof that `person` has given the own PIN for `task`.
+
+        It does not expire: it is of use for this Task only, and a finished Task never reopens.
+        """
+        issued = {"iss": ISSUER, "aud": PIN_AUDIENCE, "iat": int(time.time())}
+        return self._signed({**issued, "sub": person, "task": task})
+
+    def _signed(self, claims: dict[str, Any]) -> str:
         return jwt.encode(claims, self._key, algorithm=ALGORITHM, headers={"kid": self.key_id})
 
 
@@ -111,6 +124,16 @@ class PublicKeys:
 
     def verify(self, token: str) -> Caller:
         """Return the caller of `token`; raise `InvalidToken` with the reason."""
+        return _caller_of(self._claims(token, AUDIENCE, "exp"))
+
+    def pin_person(self, proof: str, task: str) -> str:
+        """Return the Person who has given the own PIN for `task`; raise `InvalidToken` with the reason."""
+        claims = self._claims(proof, PIN_AUDIENCE, "task")
+        if claims["task"] != task:
+            raise InvalidToken("the proof is of another Task")
+        return str(claims["sub"])
+
+    def _claims(self, token: str, audience: str, required: str) -> dict[str, Any]:
         if len(token) > MAX_TOKEN_CHARACTERS:
             raise InvalidToken("the token is too long")
         try:
@@ -118,20 +141,19 @@ class PublicKeys:
             key = self._keys.get(str(key_id))
             if key is None:
                 raise InvalidToken("the token is signed by an unknown key; sign in again")
-            claims = jwt.decode(
+            return jwt.decode(
                 token,
                 key,
                 algorithms=[ALGORITHM],
-                audience=AUDIENCE,
+                audience=audience,
                 issuer=ISSUER,
                 leeway=LEEWAY_S,
-                options={"require": ["exp", "iat", "sub", "aud", "iss"]},
+                options={"require": [required, "iat", "sub", "aud", "iss"]},
             )
         except jwt.ExpiredSignatureError:
             raise InvalidToken("the token has expired; sign in again") from None
         except jwt.InvalidTokenError as error:
             raise InvalidToken(f"the token is invalid: {error}") from None
-        return _caller_of(claims)
 
 
 def key_set(*keys: SigningKey) -> bytes:

@@ -306,9 +306,9 @@ def _add_actions(app: FastAPI, known: KnownGloves, guard: Guard) -> None:
     ) -> GloveView:
         """Give the own PIN for a Task that demands it; then a gesture or the screen answers the Task."""
         responder = known.named(glove).responder
-        person = await require_pin(guard, caller, given.pin)
         try:
-            responder.give_pin(person, given.task)
+            task = responder.completable(given.task).spec.task_id
+            responder.give_pin(await require_pin(guard, caller, given.pin, task), task)
         except CannotComplete as error:
             raise Problem(409, "Cannot complete", str(error)) from None
         return _view(known.named(glove))

@@ -106,6 +106,7 @@ class PinCheck(_Body):
 
     person: Annotated[str, Field(min_length=1, max_length=300)]
     pin: Annotated[str, Field(min_length=1, max_length=100)]
+    task: Annotated[str, Field(min_length=1, max_length=500)]
 
 
 class IdentifierChange(_Body):

@@ -196,8 +196,10 @@ def _add_service_routes(app: FastAPI, directory: Directory) -> None:
     @app.post("/pin-checks", tags=["services"], dependencies=verifier)
     @max_body(MAX_BODY_BYTES)
     async def check_pin(body: PinCheck) -> PinResult:
-        """Return whether a PIN is that of a Person: 429 after too many attempts."""
-        return {"isRight": await directory.is_pin_of(body.person, body.pin)}
+        """Return whether a PIN is that of a Person, with a proof for a Task: 429 after too many attempts."""
+        is_right = await directory.is_pin_of(body.person, body.pin)
+        key = directory.keys.signing_key() if is_right else None
+        return {"isRight": is_right, "proof": key and key.prove_pin(body.person, body.task)}
 
 
 def _add_identifier_routes(app: FastAPI, directory: Directory) -> None:

@@ -182,9 +182,10 @@ class IdentifiersView(TypedDict):
 
 
 class PinResult(TypedDict):
-    """Whether it is the PIN of the person."""
+    """Whether it is the PIN of the person, and if so the proof of it for the Task."""
 
     isRight: bool
+    proof: str | None
 
 
 class SignInOptions(TypedDict):

@@ -9,6 +9,7 @@ from typing import Protocol
 from datamodels.states import Outcome
 from handover.job import RequestedAction
 from handover.messages import message
+from handover.security.pin_check import ProvenPin
 from services.gesture_controller import metrics
 from services.gesture_controller.gloves.connection_state import ConnectionState
 from services.gesture_controller.prompting import composite
@@ -150,7 +151,7 @@ class GestureResponder:
         `task` is the id of the Task that the button belonged to. If another Task is prompted by now, because
         somebody else or the hand was faster, the press must not answer it.
         """
-        prompt = require_completable(self.prompt, self.name, task, testing=self.modes.testing)
+        prompt = self.completable(task)
         if prompt.spec.requires_pin and (performed_by is None or performed_by != prompt.pin_person):
             raise CannotComplete(
                 message("task.needs_pin", "the Task of {glove} needs a PIN; enter it first", glove=self.name)
@@ -165,10 +166,13 @@ class GestureResponder:
         answer = PromptAnswer(prompt.spec, 0, "screen", operator, outcome, note, performed_by)
         self._answer(prompt, answer, now_s)
 
-    def give_pin(self, person: str, task: str | None = None) -> None:
-        """Note that `person` has given the own PIN for the prompt; raises `CannotComplete`."""
-        prompt = require_completable(self.prompt, self.name, task, testing=self.modes.testing)
-        prompt.pin_person = person
+    def completable(self, task: str | None = None) -> GesturePrompt:
+        """Return the prompt, if it is of `task` and can be answered now; raises `CannotComplete`."""
+        return require_completable(self.prompt, self.name, task, testing=self.modes.testing)
+
+    def give_pin(self, given: ProvenPin, task: str | None = None) -> None:
+        """Note who has given the own PIN for the prompt; raises `CannotComplete`."""
+        self.completable(task).pin = given
         for hand in self._hands():
             hand.restart()
             hand._on_change()
@@ -281,6 +285,8 @@ class GestureResponder:
     def _answer(self, prompt: GesturePrompt, answer: PromptAnswer, now_s: float) -> None:
         if answer.performed_by is None:
             answer = replace(answer, performed_by=self.station.person() or prompt.pin_person)
+        if prompt.pin is not None:
+            answer = replace(answer, pin_proof=prompt.pin.proof)
         prompt.answer.set_result(answer)
         metrics.TASKS_ANSWERED.labels(answer.by, answer.outcome.value).inc()
         for hand in self._hands():

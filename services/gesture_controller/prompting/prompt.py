@@ -9,6 +9,7 @@ from datamodels.states import Outcome
 from handover.job import Job, RequestedAction, TaskFailed
 from handover.messages import message
 from handover.outcomes import reason_of
+from handover.security.pin_check import PROOF_MEMBER, ProvenPin
 from services.gesture_controller.prompting.sequence_gesture import SequenceProgress
 from services.gesture_controller.prompting.two_hand_gesture import TwoHandProgress
 from services.gesture_controller.recognition.gestures import Part, SequenceGesture, TwoHandGesture
@@ -74,6 +75,8 @@ class PromptAnswer:
     outcome: Outcome = Outcome.OK
     note: str | None = None
     performed_by: str | None = None
+    pin_proof: str | None = None
+    """Shows that this Person has given the own PIN for the Task (`handover.security.pin_check`)."""
 
     @property
     def gesture(self) -> str | None:
@@ -98,6 +101,7 @@ class PromptAnswer:
             "outcome": self.outcome.value,
             "note": self.note,
             "performedBy": self.performed_by,
+            PROOF_MEMBER: self.pin_proof,
         }
         return {name: value for name, value in outputs.items() if value is not None}
 
@@ -120,8 +124,13 @@ class GesturePrompt:
     """True while a gesture may answer; the controller sets it."""
     progress: SequenceProgress | TwoHandProgress = field(default_factory=TwoHandProgress)
     """The progress with a composite gesture."""
-    pin_person: str | None = None
-    """The Person who has given the own PIN for this Task."""
+    pin: ProvenPin | None = None
+    """The PIN that was given for this Task."""
+
+    @property
+    def pin_person(self) -> str | None:
+        """The Person who has given the own PIN for this Task."""
+        return None if self.pin is None else self.pin.person
 
     def needs_pin(self, person: str | None) -> bool:
         """Return whether a PIN is missing while `person` has joined the station (None: nobody is known)."""

@@ -5,10 +5,16 @@ from typing import Any
 
 from prometheus_client import Counter
 
-from datamodels.entities import Task
+from datamodels.entities import Task, TaskStatus
+from handover.messages import message, with_code
+from handover.security.caller import InvalidToken
+from handover.security.keys_in_force import KeysInForce
+from handover.security.pin_check import proven_person
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator.allocation.agents import Agents
+from services.task_orchestrator.people_acts import requires_pin
+from services.task_orchestrator.process.process import Process
 from services.task_orchestrator.records import Message, MessageKind, Step
 from services.task_orchestrator.step_writer import StepWriter
 from services.task_orchestrator.working_state import WorkingState
@@ -26,6 +32,7 @@ class BrokerChanges:
     def __init__(self, state: WorkingState, writer: StepWriter) -> None:
         self._state = state
         self._writer = writer
+        self._keys = KeysInForce(state.settings.security_folder)
         self.on_unowned: Callable[[], None] = lambda: None
         """Called when the broker shows an unfinished Task that no running process waits for."""
 
@@ -134,11 +141,41 @@ class BrokerChanges:
         applied = 0
         for task in tasks:
             owner = self._state.active_processes.owner(task.id)
-            if owner is not None and owner.receive(task, step, now):
+            if owner is None or self._refuse_without_pin(owner, task, step):
+                continue
+            if owner.receive(task, step, now):
                 applied += 1
                 RECEIVED.labels("applied").inc()
                 log.info("task moved", task=task.id, status=task.status.value.value, process=owner.record.id)
         return applied
+
+    def _refuse_without_pin(self, owner: Process, seen: Task, step: Step) -> bool:
+        """Let a Task fail that demands a PIN and was completed by somebody who has not proved it.
+
+        A broker without our rules accepts such a change from any program that reaches it.
+        """
+        known = owner.tasks.get(seen.id)
+        if known is None or seen.status.value is not TaskStatus.COMPLETED or not requires_pin(known):
+            return False
+        given = seen.output_parameters
+        outputs = given.value if given is not None and isinstance(given.value, Mapping) else {}
+        try:
+            person = proven_person(self._keys, seen.id, outputs)
+            if outputs.get("performedBy") == person:
+                return False
+            why = "performedBy names another person"
+        except InvalidToken as error:
+            why = str(error)
+        log.warning("task completed without its PIN", task=seen.id, reason=why)
+        reason = message(
+            "task.pin_not_proved",
+            "the Task demands a PIN, and was completed without proof that it was given: {why}; let the person "
+            "answer it on the page Tasks or Work",
+            why=why,
+        )
+        RECEIVED.labels("refused").inc()
+        owner.report(seen.id, [TaskStatus.FAILED], with_code("reason", reason), step, self._state.clock())
+        return True
 
 
 def _is_finished(entity: Mapping[str, Any]) -> bool:

@@ -173,8 +173,9 @@ def add_tasklist(app: FastAPI, at: Components) -> None:
 
         A Task with `requirePin` needs the `pin` of the person who is signed in or has joined the station.
         """
-        if requires_pin(await tasklist.task(_urn(at, task_id))):
-            await require_pin(at.guard, caller, body.pin)
+        found = await tasklist.task(_urn(at, task_id))
+        if requires_pin(found):
+            await require_pin(at.guard, caller, body.pin, found.id)
         await tasklist.complete(
             _urn(at, task_id),
             caller.acting_name(body.by),

@@ -157,8 +157,13 @@ async def test_one_person_is_at_one_station(line: Line) -> None:
 
 async def test_pins_are_limited_and_verified_for_tasks(line: Line) -> None:
     async def is_right(person: str, pin: str) -> Any:
-        answer = await line.accounts.as_page("POST", "/pin-checks", {"person": person, "pin": pin})
-        return answer.json()["isRight"] if answer.status_code == 200 else answer.status_code
+        body = {"person": person, "pin": pin, "task": "urn:ngsi-ld:Task:demo:p-1"}
+        answer = await line.accounts.as_page("POST", "/pin-checks", body)
+        if answer.status_code != 200:
+            return answer.status_code
+        found = answer.json()
+        assert (found["proof"] is not None) is found["isRight"]
+        return found["isRight"]
 
     assert await is_right(ANNA, PINS["Anna"]) is True
     assert await is_right(ANNA, PINS["Ben"]) is False

@@ -8,6 +8,7 @@ import pytest
 
 from datamodels.states import Outcome
 from handover.job import RequestedAction
+from handover.security.pin_check import ProvenPin
 from services.gesture_controller.gloves.gesture_responder import Station
 from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.glove_view import view_of
@@ -451,7 +452,7 @@ async def test_a_task_that_demands_a_pin_is_answered_by_nothing_before_it_was_gi
     assert (view["message"]["key"], view["task"]["needsPin"]) == ("needsPin", True)
     with pytest.raises(CannotComplete, match="needs a PIN"):
         glove.responder.complete_on_screen("Anna", hand.now_s, performed_by=anna)
-    glove.responder.give_pin(anna)
+    glove.responder.give_pin(ProvenPin(anna, "the-proof"))
     present[0] = ben
     hand.show("Thumbs up", 3)
     assert not prompt.answer.done(), "another person has joined"
@@ -461,4 +462,5 @@ async def test_a_task_that_demands_a_pin_is_answered_by_nothing_before_it_was_gi
     assert view_of(glove, hand.now_s)["task"]["needsPin"] is False
     hand.show(None, 0.5)
     hand.show("Thumbs up", 1.6)
-    assert prompt.answer.result().outputs()["performedBy"] == anna
+    outputs = prompt.answer.result().outputs()
+    assert (outputs["performedBy"], outputs["pinProof"]) == (anna, "the-proof")

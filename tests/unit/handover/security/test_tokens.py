@@ -53,6 +53,18 @@ def test_a_token_names_its_caller_with_all_grants() -> None:
     assert (found.person, found.session, found.revision) == (ANNA.person, ANNA.session, ANNA.revision)
 
 
+def test_a_proof_of_a_pin_is_of_use_for_its_task_only_and_is_no_access_token() -> None:
+    anna, task = str(ANNA.person), "urn:ngsi-ld:Task:demo:p-1"
+    proof = KEY.prove_pin(anna, task)
+    assert KEYS.pin_person(proof, task) == anna
+    with pytest.raises(InvalidToken, match="another Task"):
+        KEYS.pin_person(proof, "urn:ngsi-ld:Task:demo:p-2")
+    with pytest.raises(InvalidToken, match="exp|audience"):
+        KEYS.verify(proof)
+    with pytest.raises(InvalidToken):
+        KEYS.pin_person(KEY.issue(ANNA, valid_s=60), task)
+
+
 def test_a_key_that_was_stored_signs_the_same_tokens() -> None:
     again = SigningKey.from_pem(KEY.pem())
     assert KEYS.verify(again.issue(ANNA, valid_s=60)).subject == ANNA.subject
