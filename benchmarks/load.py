@@ -8,7 +8,8 @@ has a session that was made beforehand, and an address of its own (`X-Forwarded-
 proxy). All processes share the cores of this machine, the bench too.
 
 - `replicas`: page servers behind HAProxy (Debian: apt-get install haproxy), which passes on TLS connections;
-  one of several is killed in the middle. Errors may be at most the clients that were open then.
+  one of several is killed in the middle. Errors may be at most the clients that were open then, or began
+  before the process had ended: until then its socket accepts connections.
 - sign-ins: more than the hash workers can check, beside clients; the excess gets 429 with Retry-After.
 - latency: 100 commands until the device has received them and until they are answered, without and with a
   relay that delays both directions.
@@ -19,6 +20,7 @@ Accounts, device gateway and broker run once, with their databases (SQLite).
 import argparse
 import asyncio
 import contextlib
+import os
 import shutil
 import signal
 import ssl
@@ -50,7 +52,10 @@ class Results:
     later_s: list[float] = field(default_factory=list)
     client_s: list[float] = field(default_factory=list)
     faults: Counter[str] = field(default_factory=Counter)
+    begun: int = 0
     open: int = 0
+    most_open: tuple[int, float] = (0, 0.0)
+    """How many clients were open at most, and when."""
 
     def line(self) -> str:
         """Return the times as text."""
@@ -116,7 +121,10 @@ class Client:
             ("GET", "/api/device-gateway/devices", b""),
             ("POST", f"/api/device-gateway/devices/d-{self.number % DEVICES}/commands", command),
         )
+        results.begun += 1
         results.open += 1
+        if results.open > results.most_open[0]:
+            results.most_open = results.open, due_s
         try:
             async with asyncio.timeout(REQUEST_TIMEOUT_S):
                 for place, (method, path, body) in enumerate(requests):
@@ -156,20 +164,22 @@ async def stress(site: Site, replicas: int, clients: int, per_s: float) -> int:
         results, allowed, survivors = Results(), 0, list(site.replicas)
         cpu_s = {replica.pid: cpu_time_s(replica) for replica in site.replicas}
         shared_s = {name: cpu_time_s(process) for name, process in site.shared.items()}
-        own_s, began_s = time.process_time(), time.perf_counter()
+        own_s, began_s, machine_s = time.process_time(), time.perf_counter(), busy_s()
 
         async def visit(number: int, due_s: float) -> None:
             nonlocal allowed
             if replicas > 1 and number == clients // 2:
                 victim = survivors.pop()
                 cpu_s[victim.pid] = cpu_time_s(victim) - cpu_s[victim.pid]
-                allowed = results.open
+                allowed, begun = results.open, results.begun
                 victim.send_signal(signal.SIGKILL)
+                await asyncio.to_thread(os.waitid, os.P_PID, victim.pid, os.WEXITED | os.WNOWAIT)
+                allowed += results.begun - begun
             await Client(site, port, number).visit(due_s, results)
 
         await open_loop(clients, per_s, visit)
         took_s = time.perf_counter() - began_s
-        own_s = time.process_time() - own_s
+        own_s, machine_s = time.process_time() - own_s, busy_s() - machine_s
         for replica in survivors:
             cpu_s[replica.pid] = cpu_time_s(replica) - cpu_s[replica.pid]
         used_s = {"page servers": sum(cpu_s.values())} | {
@@ -187,11 +197,23 @@ async def stress(site: Site, replicas: int, clients: int, per_s: float) -> int:
         print(
             f"  CPU time of a client: {', '.join(f'{name} {_ms(s / clients)}' for name, s in used_s.items())}"
         )
+        others = max(machine_s - sum(used_s.values()) + used_s["all"], 0.0) / took_s
+        most, when_s = results.most_open
+        print(
+            f"  other work on this machine, with HAProxy: {others:.1f} of {psutil.cpu_count()} cores; "
+            f"most clients open at once: {most}, after {when_s - began_s:.1f} s"
+        )
         print(
             f"  errors: {errors}; clients that were open when a replica was killed: {allowed}; "
             f"{dict(results.faults) or ''}"
         )
         return max(0, errors - allowed)
+
+
+def busy_s() -> float:
+    """Return the CPU time that all processes of this machine have used."""
+    times = psutil.cpu_times()
+    return float(times.user + times.nice + times.system + times.irq + times.softirq)
 
 
 def cpu_time_s(process: psutil.Process) -> float:

@@ -134,6 +134,8 @@ async def send_problem(send: Send, problem: Problem) -> None:
         (b"content-length", str(len(body)).encode()),
         (b"x-content-type-options", b"nosniff"),
     ]
+    if (retry_after_s := (problem.extra or {}).get("retryAfterS")) is not None:
+        headers.append((b"retry-after", str(retry_after_s).encode()))
     await send({"type": "http.response.start", "status": problem.status, "headers": headers})
     await send({"type": "http.response.body", "body": body})
 

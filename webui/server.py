@@ -40,6 +40,7 @@ from webui.http.provider_routes import add_provider_sign_in
 from webui.http.proxy import METHODS, ServiceProxy
 from webui.http.secure_headers import SecureHeaders
 from webui.http.session_routes import add_sessions
+from webui.http.sign_in_rate import SignInRate
 from webui.http.stream_proxy import StreamProxy
 from webui.http.user_settings import UserSettings, add_user_settings
 from webui.live.event_log import MAX_EVENTS_PER_REQUEST, MAX_SEQ, EventLog
@@ -216,7 +217,7 @@ def make_app(settings: WebuiSettings, page: PageFiles | None = None) -> ASGIApp:
     _add_api(app, components)
     _add_proxy(app, components)
     _add_page(app, components)
-    return SecureHeaders(CsrfCheck(app, components.guard))
+    return SecureHeaders(SignInRate(CsrfCheck(app, components.guard)))
 
 
 def _add_api(app: FastAPI, components: Components) -> None:

@@ -13,11 +13,12 @@ No delay is for ever: counts are forgotten an hour after the last attempt. They 
 restart forgets them too.
 """
 
-import ipaddress
 import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Final, TypeVar
+
+from handover.client_networks import network_of
 
 FREE_ATTEMPTS: Final = 5
 ATTACKED_AFTER: Final = 20
@@ -70,19 +71,6 @@ class SignInLimits:
             if count is not None:
                 count.failures = max(count.failures - 1, 0)
                 count.next_s = 0.0
-
-
-def network_of(address: str) -> str:
-    """Return an IPv4 address, or the network of an IPv6 address: a customer has a /64 of those."""
-    try:
-        ip = ipaddress.ip_address(address.partition("%")[0])
-    except ValueError:
-        return address
-    if isinstance(ip, ipaddress.IPv6Address):
-        if ip.ipv4_mapped is not None:
-            return str(ip.ipv4_mapped)
-        return str(ipaddress.ip_network((ip, 64), strict=False))
-    return str(ip)
 
 
 def _count(counts: OrderedDict[Key, _Count], key: Key, now_s: float) -> _Count:

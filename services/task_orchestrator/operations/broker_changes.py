@@ -169,8 +169,8 @@ class BrokerChanges:
         log.warning("task completed without its PIN", task=seen.id, reason=why)
         reason = message(
             "task.pin_not_proved",
-            "the Task demands a PIN, and was completed without proof that it was given: {why}; let the person "
-            "answer it on the page Tasks or Work",
+            "the Task demands a PIN, and was completed without proof that it was given: {why}; let the "
+            "person answer it on the page Tasks or Work",
             why=why,
         )
         RECEIVED.labels("refused").inc()

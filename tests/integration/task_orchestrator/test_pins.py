@@ -1,7 +1,7 @@
 """A Task that demands a PIN counts as completed only with a proof of it, whatever broker stores the Task.
 
-The broker of these tests is a foreign one as far as PINs are concerned: without accounts of its own it accepts
-every change of a Task from every program.
+The broker of these tests is a foreign one as far as PINs are concerned: without accounts of its own it
+accepts every change of a Task from every program.
 """
 
 from collections.abc import AsyncIterator
@@ -38,7 +38,9 @@ class Release:
 
     async def begin(self) -> None:
         """Start the process, and wait until the broker has its Task."""
-        await self.orchestrator.deployments.deploy(drawing(start() + SIGN + end() + path("start", "sign", "end")))
+        await self.orchestrator.deployments.deploy(
+            drawing(start() + SIGN + end() + path("start", "sign", "end"))
+        )
         self.process, _ = await self.orchestrator.processes.start("p", {})
         self.task = f"urn:ngsi-ld:Task:demo:{self.process}-sign-1"
 

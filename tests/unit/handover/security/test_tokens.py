@@ -59,7 +59,7 @@ def test_a_proof_of_a_pin_is_of_use_for_its_task_only_and_is_no_access_token() -
     assert KEYS.pin_person(proof, task) == anna
     with pytest.raises(InvalidToken, match="another Task"):
         KEYS.pin_person(proof, "urn:ngsi-ld:Task:demo:p-2")
-    with pytest.raises(InvalidToken, match="exp|audience"):
+    with pytest.raises(InvalidToken, match=r"exp|audience"):
         KEYS.verify(proof)
     with pytest.raises(InvalidToken):
         KEYS.pin_person(KEY.issue(ANNA, valid_s=60), task)
