@@ -199,7 +199,8 @@ def _add_service_routes(app: FastAPI, directory: Directory) -> None:
         """Return whether a PIN is that of a Person, with a proof for a Task: 429 after too many attempts."""
         is_right = await directory.is_pin_of(body.person, body.pin)
         key = directory.keys.signing_key() if is_right else None
-        return {"isRight": is_right, "proof": key and key.prove_pin(body.person, body.task)}
+        proof = None if key is None else key.prove_pin(body.person, body.task)
+        return {"isRight": is_right, "proof": proof}
 
 
 def _add_identifier_routes(app: FastAPI, directory: Directory) -> None:
