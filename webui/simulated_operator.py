@@ -16,6 +16,7 @@ import httpx
 from handover.errors import Problem, UsageError
 from handover.messages import message
 from handover.retry import Backoff
+from handover.security.glove_token import site_glove_token
 from handover.security.service_access import ServiceAccess
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
@@ -152,8 +153,9 @@ class SimulatedOperator:
 
     async def _run(self) -> int:
         environment = {**os.environ, LIFELINE: "1", "PYTHONUNBUFFERED": "1"}
-        if self._settings.glove_token is not None:
-            environment["HANDOVER_GLOVE_TOKEN"] = self._settings.glove_token.get_secret_value()
+        glove_token = site_glove_token(self._settings.glove_token, self._settings.security_folder)
+        if glove_token is not None:
+            environment["HANDOVER_GLOVE_TOKEN"] = glove_token
         with suppress(UsageError):  # without a token the process reports that it is refused
             access_token = self._access.secret_token()
             if access_token is not None:

@@ -6,6 +6,7 @@ from typing import Self
 from pydantic import Field, SecretStr, model_validator
 
 from handover.outbound_policy import is_loopback
+from handover.security.glove_token import site_glove_token
 from handover.settings import Settings
 from services.gesture_controller.recognition.hold import HoldTiming
 
@@ -89,7 +90,7 @@ class ControllerSettings(Settings):
     @property
     def token(self) -> str | None:
         """The token of the site; None if there is none."""
-        return (self.glove_token.get_secret_value() if self.glove_token else "") or None
+        return site_glove_token(self.glove_token, self.security_folder)
 
     @property
     def is_local(self) -> bool:

@@ -21,7 +21,7 @@ from jsonschema.exceptions import ValidationError, best_match
 from sqlalchemy import Engine
 
 from handover.errors import Problem
-from handover.messages import message
+from handover.messages import Message, message, message_in, with_code
 from handover.security.audit_trail import current_request
 from handover.telemetry import get_logger
 from services.device_gateway import metrics
@@ -329,15 +329,21 @@ class Dispatcher:
             if command.boot is not None and link is not None and not one.is_cancelling:
                 link.send(_cancel_message(command))
             reason = (
-                "the device did not connect before the deadline"
+                message("device.command_never_connected", "the device did not connect before the deadline")
                 if command.boot is None
-                else "the device reported no end before the deadline; what it did is unknown"
+                else message(
+                    "device.command_no_end",
+                    "the device reported no end before the deadline; what it did is unknown",
+                )
             )
             await self._end(one, CommandState.EXPIRED, reason)
         elif step is Step.GIVE_UP:
-            reason = "the device started again; whether it executed the command is unknown"
+            reason = message(
+                "device.command_restarted",
+                "the device started again; whether it executed the command is unknown",
+            )
             if command.boot is None:
-                reason = "the gateway stopped before it sent the motion"
+                reason = message("device.command_not_sent", "the gateway stopped before it sent the motion")
             await self._end(one, CommandState.UNKNOWN if command.boot else CommandState.FAILED, reason)
         elif step is Step.SEND and link is not None:
             if command.boot != link.boot:
@@ -354,7 +360,8 @@ class Dispatcher:
             one.sent = Sent(1, self._clock())
             link.send(_message(one.command, self._clock()))
             return
-        one.change(one.command.ended(CommandState.FAILED, "the device disconnected; the motion was not sent"))
+        reason = message("device.command_disconnected", "the device disconnected; the motion was not sent")
+        one.change(one.command.ended(CommandState.FAILED, reason))
         self._writer.add(commands=[_row(one.command)])
         self._close_if_ended(one)
 
@@ -510,6 +517,9 @@ def _row(command: Command) -> CommandRow:
         None if command.result is None else orjson.dumps(dict(command.result)).decode(),
         command.reason,
         command.boot,
+        None
+        if not isinstance(command.reason, Message)
+        else orjson.dumps(with_code("reason", command.reason)).decode(),
     )
 
 
@@ -526,6 +536,6 @@ def command_of(row: CommandRow) -> Command:
         CommandState(row.state),
         row.progress,
         None if row.result is None else orjson.loads(row.result),
-        row.reason,
+        row.reason if row.reason_message is None else message_in(orjson.loads(row.reason_message), "reason"),
         row.boot,
     )

@@ -18,6 +18,7 @@ from typing import Any, Final
 import orjson
 from sqlalchemy import Engine
 
+from handover.messages import Message, message, with_code
 from handover.telemetry import get_logger
 from services.device_gateway.commands.dispatcher import CommandLink, Dispatcher
 from services.device_gateway.gateway import DeviceGateway
@@ -71,11 +72,14 @@ class EdgeCommands:
         self,
         gateway: DeviceGateway,
         max_motion_delay_s: float,
+        *,
+        is_replica: bool = False,
         now: Callable[[], float] = time.monotonic,
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._gateway = gateway
         self._max_motion_delay_s = max_motion_delay_s
+        self._is_replica = is_replica
         self._now = now
         self._clock = clock
         self._motions: dict[tuple[str, str], Link] = {}
@@ -128,8 +132,8 @@ class EdgeCommands:
         if reason is not None or link is None:
             EDGE_COMMANDS.labels("refused").inc()
             log.warning("command not passed on", device=device.name, command=identifier, reason=reason)
-            if is_motion:
-                self._fail(device, identifier, str(reason))
+            if is_motion and reason is not None:
+                self._fail(device, identifier, reason)
             return
         if is_motion and len(self._motions) < MAX_OPEN_MOTIONS:
             self._motions[device.name, identifier] = link
@@ -137,24 +141,22 @@ class EdgeCommands:
         EDGE_COMMANDS.labels("passedOn").inc()
 
     def _reason_against(
-        self, device: Device, message: Mapping[str, Any], age_s: float | None, is_motion: bool
-    ) -> str | None:
+        self, device: Device, given: Mapping[str, Any], age_s: float | None, is_motion: bool
+    ) -> Message | None:
+        refused = _replica_refusals if self._is_replica else _edge_refusals
+        age = "?" if age_s is None else f"{age_s:.1f}"
+        away, too_late, old = refused(device.name, age, f"{self._max_motion_delay_s:g}")
         if device.link is None:
-            return f"{device.name} is not connected to the edge; the command was not passed on"
-        remaining_s = message.get("remaining", 0.0)
+            return away
+        remaining_s = given.get("remaining", 0.0)
         if age_s is not None and isinstance(remaining_s, int | float) and age_s >= remaining_s:
-            return "the command reached the edge after its deadline, and was not passed on"
+            return too_late
         if is_motion and (age_s is None or age_s > self._max_motion_delay_s):
-            known = "of unknown age" if age_s is None else f"up to {age_s:.1f} s old"
-            return (
-                f"the motion reached the edge {known}, and was not passed on: the connection with the centre "
-                f"is slow or was interrupted, and at most {self._max_motion_delay_s:g} s are allowed "
-                "(HANDOVER_EDGE_MAX_MOTION_DELAY_S). Send it again"
-            )
+            return old
         return None
 
     def _fail(self, device: Device, identifier: str, reason: str) -> None:
-        body = orjson.dumps({"type": "error", "id": identifier, "reason": reason}).decode()
+        body = orjson.dumps({"type": "error", "id": identifier, **with_code("reason", reason)}).decode()
         self._gateway.writer.add(relays=[RelayRow(device.name, int(self._clock() * 1e6), body)])
 
     def _drive(self, device: Device, message: Mapping[str, Any], age_s: float | None) -> None:
@@ -182,3 +184,49 @@ class EdgeCommands:
         found = self._driven.pop(name, None)
         if found is not None:
             found[2].cancel()
+
+
+def _edge_refusals(device: str, age: str, allowed: str) -> tuple[Message, Message, Message]:
+    """Return why an edge does not pass a command on: device away, after its deadline, a motion too old."""
+    return (
+        message(
+            "device.edge_device_away",
+            "{device} is not connected to the edge; the command was not passed on",
+            device=device,
+        ),
+        message(
+            "device.edge_too_late", "the command reached the edge after its deadline, and was not passed on"
+        ),
+        message(
+            "device.edge_motion_late",
+            "the motion reached the edge up to {age} s after it was sent, and was not passed on: the "
+            "connection with the centre is slow or was interrupted, and at most {allowed} s are allowed "
+            "(HANDOVER_EDGE_MAX_MOTION_DELAY_S). Send it again",
+            age=age,
+            allowed=allowed,
+        ),
+    )
+
+
+def _replica_refusals(device: str, age: str, allowed: str) -> tuple[Message, Message, Message]:
+    """Return why a replica of the gateway does not pass a command of the leader on, in the same order."""
+    return (
+        message(
+            "device.replica_device_away",
+            "{device} is not connected to this replica of the gateway any more; the command was not passed "
+            "on",
+            device=device,
+        ),
+        message(
+            "device.replica_too_late",
+            "the command reached the replica of the gateway after its deadline, and was not passed on",
+        ),
+        message(
+            "device.replica_motion_late",
+            "the motion reached the replica of the gateway up to {age} s after it was sent, and was not "
+            "passed on: the connection between the replicas is slow or was interrupted, and at most "
+            "{allowed} s are allowed (HANDOVER_EDGE_MAX_MOTION_DELAY_S). Send it again",
+            age=age,
+            allowed=allowed,
+        ),
+    )

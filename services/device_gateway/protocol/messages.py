@@ -29,6 +29,7 @@ from typing import Any, Final
 import orjson
 
 from datamodels.states import DeviceState
+from handover import messages
 from handover.errors import HandoverError
 
 VERSION: Final = 1
@@ -259,13 +260,22 @@ def _event(given: Mapping[str, Any]) -> DeviceEvent:
     return DeviceEvent(seq, _time(given, seq), name, given.get("data"))
 
 
+def _reason(given: Mapping[str, Any]) -> str:
+    """Return the reason of an error: with its code if an edge or a replica gave it with one."""
+    coded = messages.message_in(given, "reason")
+    if isinstance(coded, messages.Message) and len(coded) <= MAX_TEXT:
+        return coded
+    return str(given.get("reason", ""))[:MAX_TEXT] or messages.message(
+        "device.command_no_reason", "the device gave no reason"
+    )
+
+
 def _answer(given: Mapping[str, Any], *, is_error: bool) -> CommandAnswer:
     identifier = given.get("id")
     if not isinstance(identifier, str) or not 0 < len(identifier) <= 128:
         raise BadMessage("badAnswer", "id must be that of the command that the message answers")
     if is_error:
-        reason = given.get("reason", "")
-        return CommandAnswer(identifier, None, reason=str(reason)[:MAX_TEXT] or "the device gave no reason")
+        return CommandAnswer(identifier, None, reason=_reason(given))
     try:
         state = AnswerState(given.get("state", AnswerState.DONE))
     except ValueError:

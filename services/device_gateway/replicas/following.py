@@ -75,7 +75,7 @@ class Following:
     def begin(self) -> None:
         """Begin to relay to the leader."""
         gateway = self._gateway
-        commands = EdgeCommands(gateway, self._settings.edge_max_motion_delay_s)
+        commands = EdgeCommands(gateway, self._settings.edge_max_motion_delay_s, is_replica=True)
         self._uplink = LeaderUplink(
             NOBODY,
             gateway,

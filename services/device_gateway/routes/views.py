@@ -1,10 +1,11 @@
 """What the REST interface shows of devices, commands and history."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NotRequired
 
 from typing_extensions import TypedDict
 
+from handover.messages import with_code
 from services.device_gateway.commands.command import Command
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.registry.device import Device
@@ -121,6 +122,8 @@ class CommandView(TypedDict):
     progress: float | None
     result: Mapping[str, Any] | None
     reason: str | None
+    reasonCode: NotRequired[str]
+    reasonParameters: NotRequired[Mapping[str, Any]]
     createdAt: float
     deadline: float
 
@@ -214,7 +217,8 @@ def command_view(command: Command) -> CommandView:
         "state": command.state.value,
         "progress": command.progress,
         "result": command.result,
-        "reason": command.reason,
+        "reason": None,
+        **({} if command.reason is None else with_code("reason", command.reason)),  # type: ignore[typeddict-item]
         "createdAt": command.created_s,
         "deadline": command.deadline_s,
     }

@@ -71,6 +71,8 @@ class CommandRow(NamedTuple):
     result: str | None
     reason: str | None
     boot: str | None
+    reason_message: str | None = None
+    """Code and parameters of the reason, as JSON."""
 
 
 class EdgeMark(NamedTuple):
@@ -123,7 +125,7 @@ class HistoryWriter:
         self._insert_value = self._insert(tables.values, ("series", "t_us", "value"), "DO NOTHING")
         changing = ", ".join(
             f"{name} = excluded.{name}"
-            for name in ("deadline_us", "state", "progress", "result", "reason", "boot")
+            for name in ("deadline_us", "state", "progress", "result", "reason", "boot", "reason_message")
         )
         self._write_mark = self._insert(
             tables.edge_marks,

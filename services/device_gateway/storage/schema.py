@@ -3,13 +3,13 @@
 import time
 from typing import Final
 
-from sqlalchemy import Connection, Engine
+from sqlalchemy import Connection, Engine, inspect
 
 from handover.migrations import migrate
 from services.device_gateway.storage import partitions
 from services.device_gateway.storage.tables import meta
 
-VERSION: Final = 6
+VERSION: Final = 7
 COMPONENT: Final = "device_gateway"
 
 
@@ -26,6 +26,7 @@ def prepare(engine: Engine) -> None:
             3: _partition_values,
             4: meta.create_all,
             5: meta.create_all,
+            6: _add_reason_messages,
         },
     )
     with engine.begin() as connection:
@@ -35,6 +36,12 @@ def prepare(engine: Engine) -> None:
 def _add_certificates(connection: Connection) -> None:
     connection.exec_driver_sql("ALTER TABLE device ADD COLUMN certificate_sha256 VARCHAR(64)")
     connection.exec_driver_sql("ALTER TABLE device ADD COLUMN certificate_end_us BIGINT")
+
+
+def _add_reason_messages(connection: Connection) -> None:
+    known = {one["name"] for one in inspect(connection).get_columns("device_command")}
+    if "reason_message" not in known:  # a step before may have made the table
+        connection.exec_driver_sql("ALTER TABLE device_command ADD COLUMN reason_message TEXT")
 
 
 def _partition_values(connection: Connection) -> None:

@@ -50,6 +50,7 @@ commands = Table(
     Column("result", Text),
     Column("reason", Text),
     Column("boot", String(64)),
+    Column("reason_message", Text),
     Index("device_command_state", "state"),
     Index("device_command_created", "device", "created_us"),
 )

@@ -1,9 +1,9 @@
 """Admission: which gloves may connect, and their tokens.
 
 A glove that has a token must send it. Any other glove must send the token of the site (HANDOVER_GLOVE_TOKEN)
-if one is set. Without a site token, no token is needed on loopback, and gloves are refused on any other
-address. New gloves that nobody declared are admitted up to a limit, so that invented names cannot block
-gloves in use.
+if there is one: with accounts there always is (`handover.security.glove_token`). Without accounts and a site
+token, no token is needed on loopback, and gloves are refused on any other address. New gloves that nobody
+declared are admitted up to a limit, so that invented names cannot block gloves in use.
 
 A token is shown once, when it is made; the database has only its hash (`handover.security.secret_tokens`).
 """
@@ -12,6 +12,7 @@ import hmac
 
 from sqlalchemy import Engine, delete, insert, select
 
+from handover.security.keys_in_force import KeysInForce
 from handover.security.secret_tokens import is_token
 from services.gesture_controller import tables
 from services.gesture_controller.gloves.connection_state import ConnectionRefused
@@ -42,7 +43,8 @@ class Admission:
     """Decides which hello is accepted."""
 
     def __init__(self, settings: ControllerSettings, store: TokenStore) -> None:
-        self._site_token = settings.token
+        self._settings = settings
+        self._keys = KeysInForce(settings.security_folder)
         self._is_exposed = not settings.is_local
         self._max_undeclared = settings.max_undeclared_gloves
         self._hashes = store.load()
@@ -60,6 +62,7 @@ class Admission:
 
     def require_token(self, hello: Hello) -> None:
         """Raise `ConnectionRefused` unless `hello` has the required token; compares in constant time."""
+        site = self._settings.token
         own, command = self._hashes.get(hello.glove), f"`handover glove token {hello.glove}`"
         if own is not None:
             if not is_token(hello.token, own):
@@ -68,13 +71,19 @@ class Admission:
                     f"the token is wrong; {hello.glove} has a token of its own, so give it that one, or make "
                     f"another with {command}",
                 )
-        elif self._site_token is not None:
-            if not hmac.compare_digest(self._site_token.encode(), hello.token.encode()):
+        elif site is not None:
+            if not hmac.compare_digest(site.encode(), hello.token.encode()):
                 raise ConnectionRefused(
                     "wrong token",
                     "the token is wrong; give the glove the HANDOVER_GLOVE_TOKEN of this site, or make one "
                     f"of its own with {command}",
                 )
+        elif self._keys.keys() is not None:
+            raise ConnectionRefused(
+                "no token",
+                f"{hello.glove} has no token, and with accounts every glove has one; make one with {command} "
+                "and give it to the glove as HANDOVER_GLOVE_TOKEN",
+            )
         elif self._is_exposed:
             raise ConnectionRefused(
                 "no token",

@@ -11,7 +11,7 @@ from handover.database import connect
 from services.device_gateway.edge.commands import EdgeCommands, EdgeDispatcher
 from services.device_gateway.edge.edge_app import NoReports
 from services.device_gateway.gateway import DeviceGateway
-from services.device_gateway.protocol.messages import AnswerState, CommandAnswer
+from services.device_gateway.protocol.messages import AnswerState, CommandAnswer, parse_message
 from services.device_gateway.protocol.times import TimeRule
 from services.device_gateway.storage import schema
 from services.device_gateway.storage.device_store import StoredDevice
@@ -99,14 +99,29 @@ async def test_a_motion_is_fresh_or_fails_with_the_reason(edge: Edge) -> None:
     edge.order("turn", "away", age_s=0.1)
     found = "\n".join(await edge.answers(5))
     for identifier, reason in (
-        ("old", "up to 2.5 s old"),
-        ("unknown", "of unknown age"),
+        ("old", "reached the edge up to 2.5 s after"),
+        ("unknown", "up to ? s after"),
         ("late", "after its deadline"),
         ("away", "not connected to the edge"),
     ):
         assert f'"id":"{identifier}","reason":"' in found
         assert reason in found
     assert "fresh" not in found
+
+
+async def test_a_replica_is_not_called_an_edge(edge: Edge) -> None:
+    edge.commands = EdgeCommands(edge.gateway, max_motion_delay_s=2.0, is_replica=True)
+    edge.order("turn", "old", age_s=2.5)
+    edge.order("turn", "late", age_s=1.0, remaining_s=0.9)
+    edge.gateway.end("arm-1", "away", "away", retry=True)
+    edge.order("turn", "away", age_s=0.1)
+    found = [parse_message(body.encode(), 64 * 1024) for body in await edge.answers(3)]
+    assert [answer.reason.code for answer in found] == [
+        "device.replica_motion_late",
+        "device.replica_too_late",
+        "device.replica_device_away",
+    ]
+    assert not any("edge" in answer.reason.partition("(HANDOVER")[0] for answer in found)
 
 
 async def test_an_action_may_be_late_and_is_left_to_the_centre_when_the_device_is_away(edge: Edge) -> None:

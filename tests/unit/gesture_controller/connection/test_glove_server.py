@@ -13,6 +13,9 @@ import pytest
 from sqlalchemy import Engine
 
 from handover.errors import UsageError
+from handover.security.access_tokens import SigningKey, key_set
+from handover.security.glove_token import GLOVE_TOKEN_FILE, make_glove_token, site_glove_token
+from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from services.gesture_controller.calibration.glove_store import GloveStore
 from services.gesture_controller.configuration.gestures_file import built_in
 from services.gesture_controller.connection.admission import TokenStore
@@ -335,6 +338,29 @@ async def test_beyond_loopback_every_glove_needs_a_token(open_site: OpenSite) ->
     token = await site.gloves.set_token("glove-1")
     line = await site.connect({**HELLO, "token": token})
     assert (await line.receive() or {})["type"] == "ack"
+
+
+async def test_with_accounts_every_glove_needs_a_token_also_on_loopback(
+    open_site: OpenSite, tmp_path: Path
+) -> None:
+    security = tmp_path / "security"
+    site = await open_site(security_dir=security)
+    before = await site.connect({**HELLO, "glove": "before"})
+    assert (await before.receive() or {})["type"] == "ack", "in local mode none is needed"
+    make_glove_token(security)
+    (security / PUBLIC_KEYS_FILE).write_bytes(key_set(SigningKey.generate()))
+    wrong = await site.connect(HELLO)
+    assert "the token is wrong" in (await wrong.receive() or {})["reason"]
+    line = await site.connect({**HELLO, "token": site_glove_token(None, security)})
+    assert (await line.receive() or {})["type"] == "ack"
+    (security / GLOVE_TOKEN_FILE).unlink()
+
+    async def is_refused() -> bool:
+        """The keys are read again within a second."""
+        answer = await (await site.connect({**HELLO, "glove": "other"})).receive() or {}
+        return "with accounts every glove has one" in answer.get("reason", "")
+
+    await until(is_refused)
 
 
 async def test_invented_names_leave_slots_to_gloves_that_are_known(open_site: OpenSite) -> None:

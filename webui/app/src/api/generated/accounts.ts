@@ -220,11 +220,13 @@ export interface PasswordChange {
 export interface PinCheck {
   person: string;
   pin: string;
+  task: string;
 }
 
-/** Whether it is the PIN of the person. */
+/** Whether it is the PIN of the person, and if so the proof of it for the Task. */
 export interface PinResult {
   isRight: boolean;
+  proof: string | null;
 }
 
 /** What a browser brings back from the provider, with the secret of its cookie. */

@@ -104,6 +104,8 @@ export interface CommandView {
   progress: number | null;
   result: Record<string, unknown> | null;
   reason: string | null;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
   createdAt: number;
   deadline: number;
 }

@@ -14,6 +14,7 @@ import { percent, typedNumber } from "~/design/numbers";
 import { RelativeTime } from "~/design/RelativeTime";
 import { Select } from "~/design/Select";
 import { StatusBadge, type Tone } from "~/design/StatusBadge";
+import { localizedText } from "~/i18n/server";
 import type { RegisteredDeviceView } from "~/live/messages";
 import { mayDo } from "~/session/session";
 import { faultText } from "~/tasks/faults";
@@ -148,7 +149,7 @@ function SentCommand({ command, onChanged }: { command: CommandView; onChanged: 
         )}
       </div>
       {Object.keys(parameters).length > 0 && <code>{JSON.stringify(parameters)}</code>}
-      {reason !== null && <p>{reason}</p>}
+      {reason !== null && <p>{localizedText(command, "reason")}</p>}
       {result !== null && Object.keys(result).length > 0 && (
         <p>
           {t("commands.result")} <code>{JSON.stringify(result)}</code>
