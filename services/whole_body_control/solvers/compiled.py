@@ -2,7 +2,8 @@
 
 The first problem of a process waits for the compiler or, later, for its cache on the disk; `Compiled` solves
 a small problem when it is made, so that no control cycle pays for this. Memory is allocated once for each
-shape of problem. Without numba `fastest_solver` answers with daqp, and says so.
+shape of problem; it keeps which bounds were active, for the next problem of this shape (a warm start).
+Without numba `fastest_solver` answers with daqp, and says so.
 """
 
 from types import ModuleType
@@ -36,7 +37,8 @@ class _Memory:
         self.spans = [slice(*each) for each in zip(self.ends[:-1], self.ends[1:], strict=True)]
         self.squares, self.equal_rows = np.zeros((5, n, n)), np.zeros((m, n))
         self.reduced = np.zeros((n, rows))
-        self.vectors, self.whole = np.zeros((15, longest)), np.zeros((5, longest), dtype=np.int64)
+        self.vectors, self.whole = np.zeros((15, longest)), np.zeros((6, longest), dtype=np.int64)
+        self.guesses = np.zeros((len(counts), longest + 1), dtype=np.int64)
         self.no_slack = np.zeros(m)
         self.no_slack.flags.writeable = False
 
@@ -78,6 +80,7 @@ class Compiled:
                 memory.reduced,
                 memory.vectors,
                 memory.whole,
+                memory.guesses,
             )
             if state != self._kernels.ZERO_IS_OUTSIDE:
                 break
@@ -85,6 +88,7 @@ class Compiled:
             lower, upper, is_started = lower - slack, upper + slack, True
         if state == self._kernels.SOLVED:
             return Solution(velocity, tuple(residuals.tolist()), slack)
+        memory.guesses[:] = 0
         require_finite(problem)
         self.fallbacks += 1
         return self._reference.solve(problem)

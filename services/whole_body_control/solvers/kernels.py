@@ -14,6 +14,10 @@ A level whose least squares violate a bound is solved by a dual active-set metho
 it starts at the least squares and adds one violated bound after the other. In the turned coordinates the
 Hessian is a small block and a multiple of the identity, so its factor is cheap.
 
+Warm start: the bounds that were active at the end of the last problem become active at once, but for those
+whose multiplier is then negative. What is left is the minimum on its active bounds with multipliers that are
+not negative, where the method could have come to by itself; so the solution is the same.
+
 All arrays are made by the caller; nothing is allocated here.
 """
 
@@ -27,6 +31,8 @@ from services.whole_body_control.model.kinematics import Array
 
 RANK_TOLERANCE, FEASIBLE, EQUALITY, PRIMAL_TOLERANCE = 1e-6, 1e-8, 1e-12, 1e-9
 """As in `cascade`; a test compares them."""
+INDEPENDENT = 1e-10
+"""The same share above which a row may become active at once, in a warm start."""
 DEPENDENT = 1e-20
 """The share of the square of a row outside of the active ones below which it depends on them."""
 RECOMPUTE = 1e-3
@@ -316,6 +322,23 @@ def deactivate(inverse: Array, upper: Array, which: int, count: int, size: int) 
 
 
 @machine_code
+def drop(
+    inverse: Array,
+    upper: Array,
+    which: int,
+    count: int,
+    size: int,
+    active: Indices,
+    signs: Indices,
+    values: Array,
+) -> None:
+    """Remove an active row from the factors and from the lists of the active ones."""
+    deactivate(inverse, upper, which, count, size)
+    for row in range(which, count - 1):
+        active[row], signs[row], values[row] = active[row + 1], signs[row + 1], values[row + 1]
+
+
+@machine_code
 def multipliers(upper: Array, direction: Array, count: int, result: Array) -> None:
     """Solve R result = direction[:count]."""
     result[:count] = direction[:count]
@@ -335,6 +358,102 @@ def first_to_leave(duals: Array, change: Array, count: int) -> int:
 
 
 @machine_code
+def warm_start(
+    matrix: Array,
+    low: Array,
+    high: Array,
+    guess: Indices,
+    is_used: Indices,
+    active: Indices,
+    signs: Indices,
+    z: Array,
+    reached: Array,
+    done: int,
+    last: int,
+    reflections: Array,
+    scales: Array,
+    inverse: Array,
+    upper: Array,
+    turned: Array,
+    vectors: Array,
+) -> int:
+    """Move z[done:] to the minimum on bounds of `guess`, and return how many of them are active.
+
+    `guess` has their number, then each as the number of its row from 1 on: positive for the lower bound,
+    negative for the upper one. The multipliers in vectors[1] are not negative afterwards.
+    """
+    size, count, known = z.shape[0] - done, 0, 0
+    gaps, duals, along, direction, work = vectors[0], vectors[1], vectors[2], vectors[3], vectors[6]
+    for each in range(guess[0]):
+        row = abs(guess[1 + each]) - 1
+        if known < size and is_used[row] == 0:
+            signs[known] = 1 if guess[1 + each] > 0 else -1
+            active[known] = row
+            turned[known] = matrix[row]
+            known += 1
+    reflect_rows(turned[:known], reflections, scales, 0, last)
+    for each in range(known):
+        row, sign = active[each], signs[each]
+        for index in range(size):
+            direction[index] = sign * dot(inverse[index, :size], turned[each, done:])
+        total = dot(direction[:size], direction[:size])
+        if dot(direction[count:size], direction[count:size]) <= INDEPENDENT * total:
+            continue
+        activate(inverse, upper, direction, count, size, work)
+        gaps[count] = sign * ((low[row] if sign > 0 else high[row]) - reached[row])
+        active[count], signs[count], is_used[row] = row, sign, 1
+        count += 1
+    while count > 0:
+        for index in range(count):  # R' along = gaps, then R duals = along
+            along[index] = (gaps[index] - dot(upper[index, :index], along[:index])) / upper[index, index]
+        multipliers(upper, along, count, duals)
+        leaving = 0
+        for index in range(1, count):
+            if duals[index] < duals[leaving]:
+                leaving = index
+        if duals[leaving] >= 0.0:
+            break
+        is_used[active[leaving]] = 0
+        drop(inverse, upper, leaving, count, size, active, signs, gaps)
+        count -= 1
+    for index in range(count):
+        add(along[index], inverse[index, :size], z[done:])
+    return count
+
+
+@machine_code
+def remember(guess: Indices, active: Indices, signs: Indices, count: int) -> None:
+    """Keep the active bounds for the next problem."""
+    guess[0] = count
+    for row in range(count):
+        guess[1 + row] = signs[row] * (active[row] + 1)
+
+
+@machine_code
+def move(
+    length: float,
+    direction: Array,
+    count: int,
+    z: Array,
+    velocity: Array,
+    done: int,
+    last: int,
+    reflections: Array,
+    scales: Array,
+    inverse: Array,
+    step: Array,
+) -> None:
+    """Move z and velocity = Q z towards a bound, along the active ones."""
+    size = z.shape[0] - done
+    step[:] = 0.0
+    for row in range(count, size):
+        add(direction[row], inverse[row, :size], step[done:])
+    add(length, step[done:], z[done:])
+    reflect_back(step, reflections, scales, last)
+    add(length, step, velocity)
+
+
+@machine_code
 def satisfy(
     matrix: Array,
     columns: Indices,
@@ -350,21 +469,49 @@ def satisfy(
     scales: Array,
     inverse: Array,
     upper: Array,
+    rows: Array,
     vectors: Array,
+    guess: Indices,
 ) -> int:
     """Move z[done:] from the unbounded minimum to the bounded one (Goldfarb and Idnani 1983).
 
-    `velocity` is Q z and `reached` is matrix @ velocity, before and after.
+    `velocity` is Q z and `reached` is matrix @ velocity, before and after. `guess` are the active bounds of a
+    similar problem, and then those of this one, as `warm_start` has them; `rows` (n, n) is memory for it.
     """
     n, m = z.shape[0], reached.shape[0]
-    size, count, rounds = n - done, 0, 0
-    is_used, active = whole[1, :m], whole[2]
+    size, rounds = n - done, 0
+    is_used, active, signs = whole[1, :m], whole[2], whole[5]
     is_used[:] = whole[0, :m]
+    count = warm_start(
+        matrix,
+        low,
+        high,
+        guess,
+        is_used,
+        active,
+        signs,
+        z,
+        reached,
+        done,
+        last,
+        reflections,
+        scales,
+        inverse,
+        upper,
+        rows,
+        vectors,
+    )
+    guess[0] = 0
+    if count > 0:
+        velocity[:] = z
+        reflect_back(velocity, reflections, scales, last)
+        multiply(matrix, columns, velocity, reached)
     duals, change, direction = vectors[1], vectors[2], vectors[3]
     step, turned, work = vectors[4, :n], vectors[5, :n], vectors[6]
     while True:
         added = most_violated(is_used, low, high, reached)
         if added < 0:
+            remember(guess, active, signs, count)
             return FEASIBLE_STEP
         sign = 1.0 if reached[added] < low[added] else -1.0
         wanted = low[added] if sign > 0 else high[added]
@@ -378,11 +525,10 @@ def satisfy(
                 return CIRCLE
             for row in range(size):
                 direction[row] = dot(inverse[row, :size], turned[done:])
-            total = dot(direction[:size], direction[:size])
             slope = dot(direction[count:size], direction[count:size])
             multipliers(upper, direction, count, change)
             leaving = first_to_leave(duals, change, count)
-            can_move = slope > DEPENDENT * total
+            can_move = slope > DEPENDENT * dot(direction[:size], direction[:size])
             if leaving < 0 and not can_move:
                 return NO_STEP
             length = sign * (wanted - reached[added]) / slope if can_move else np.inf
@@ -390,25 +536,18 @@ def satisfy(
             if not is_full:
                 length = duals[leaving] / change[leaving]
             if can_move:
-                step[:] = 0.0
-                for row in range(count, size):
-                    add(direction[row], inverse[row, :size], step[done:])
-                add(length, step[done:], z[done:])
-                reflect_back(step, reflections, scales, last)
-                add(length, step, velocity)
+                move(length, direction, count, z, velocity, done, last, reflections, scales, inverse, step)
                 multiply(matrix, columns, velocity, reached)
             add(-length, change[:count], duals[:count])
             dual += length
             if is_full:
                 activate(inverse, upper, direction, count, size, work)
-                active[count], duals[count] = added, dual
+                active[count], signs[count], duals[count] = added, int(sign), dual
                 is_used[added] = 1
                 count += 1
                 break
             is_used[active[leaving]] = 0
-            deactivate(inverse, upper, leaving, count, size)
-            for row in range(leaving, count - 1):
-                active[row], duals[row] = active[row + 1], duals[row + 1]
+            drop(inverse, upper, leaving, count, size, active, signs, duals)
             count -= 1
 
 
@@ -613,6 +752,7 @@ def solve(
     reduced: Array,
     vectors: Array,
     whole: Indices,
+    guesses: Indices,
 ) -> int:
     """Solve all levels. `rows` and `targets` are overwritten; `velocity` obeys the bounds afterwards.
 
@@ -620,7 +760,9 @@ def solve(
     with the bounds that are equal obeys all, this returns ZERO_IS_OUTSIDE, and has overwritten nothing else.
 
     Shapes: rows (R, n), targets (R,), ends (levels + 1,), matrix (m, n), squares (5, n, n), equal_rows
-    (m, n), reduced (n, R), vectors (15, max(R, m, n)), whole (5, max(R, m, n)).
+    (m, n), reduced (n, R), vectors (15, max(R, m, n)), whole (6, max(R, m, n)), guesses
+    (levels, max(R, m, n) + 1), which has the active bounds of each level: of the last problem before, of this
+    one afterwards.
     """
     state = examined(rows, targets, matrix, lower, upper)
     if state == NOT_FINITE:
@@ -710,7 +852,9 @@ def solve(
                     scales,
                     inverse,
                     triangular,
+                    squares[4],
                     vectors[:7],
+                    guesses[level],
                 )
                 if found == CIRCLE:
                     return STUCK
