@@ -8,6 +8,7 @@ of pressure of each inside of its sole, and the joints carry body and forces (Ka
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from services.whole_body_control.model.kinematics import (
     Kinematics,
     cross,
 )
-from services.whole_body_control.patterns.regions import Footprint, Side
+from services.whole_body_control.patterns.regions import Footprint, Side, turn
 
 UPWARDS = np.array([0.0, 0.0, GRAVITY_MPS2])
 
@@ -29,10 +30,18 @@ def nearest_in_sole(foot: Footprint, sole: Array, point: Array, margin_m: float)
     """Return the point (2,) of a rectangular sole, `margin_m` inside, that is nearest to a point."""
     cosine, sine = math.cos(foot.yaw), math.sin(foot.yaw)
     x, y = float(point[0]) - foot.x, float(point[1]) - foot.y
-    (low_x, low_y), (high_x, high_y) = sole.min(axis=0).tolist(), sole.max(axis=0).tolist()
+    low_x, low_y, high_x, high_y = _sides(sole.tobytes())
     ahead = min(max(cosine * x + sine * y, low_x + margin_m), high_x - margin_m)
     left = min(max(cosine * y - sine * x, low_y + margin_m), high_y - margin_m)
     return np.array([foot.x + cosine * ahead - sine * left, foot.y + sine * ahead + cosine * left])
+
+
+@lru_cache(maxsize=16)
+def _sides(sole: bytes) -> tuple[float, float, float, float]:
+    """Return the least and the largest x and y of the corners of a sole: least x, least y, and the others."""
+    corners = np.frombuffer(sole, dtype=np.float64).reshape(-1, 2)
+    (low_x, low_y), (high_x, high_y) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    return low_x, low_y, high_x, high_y
 
 
 def shares(
@@ -43,10 +52,11 @@ def shares(
         ((name, foot),) = feet.items()
         return {name: (1.0, nearest_in_sole(foot, sole, zmp, margin_m))}
     (first, one), (second, other) = feet.items()
-    centre = sole.mean(axis=0)
-    start, end = (one.to_ground(centre[None])[0], other.to_ground(centre[None])[0])
+    low_x, low_y, high_x, high_y = _sides(sole.tobytes())
+    centre = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2])
+    start, end = turn(one.yaw) @ centre + one.place, turn(other.yaw) @ centre + other.place
     line = end - start
-    share = float(np.clip((zmp - start) @ line / (line @ line), 0.0, 1.0))
+    share = min(max(float((zmp - start) @ line / (line @ line)), 0.0), 1.0)
     offset = zmp - (start + share * line)
     points = [
         nearest_in_sole(foot, sole, middle + offset, margin_m)
@@ -105,7 +115,7 @@ class FeedForward:
             arm = np.array([*(point - pose.translation[:2]), -pose.translation[2]])
             wrench[:3], wrench[3:] = share * needed.force, share * cross(arm, needed.force)
             wrench[5] += share * needed.yaw_moment
-            found = found - kinematics.jacobian(link)[:, BASE_VELOCITIES:].T @ wrench
+            found = found - wrench @ kinematics.jacobian(link)[:, BASE_VELOCITIES:]
         return np.asarray(found + self._damping * velocity[BASE_VELOCITIES:])
 
     def write(

@@ -9,6 +9,7 @@ they stand. The ground is flat, at height 0. Yaw and position on the ground have
 the steps.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -153,7 +154,7 @@ class StateEstimator:
         """Integrate the gyroscope and return the angular velocity of the base in its own frame."""
         spin = self._of_inertial @ sensors.gyroscope - self._bias
         force = self._of_inertial @ sensors.accelerometer
-        strength = float(np.linalg.norm(force))
+        strength = math.sqrt(force.dot(force))
         if not self._has_begun:
             self._has_begun = True
             is_at_rest = abs(strength - GRAVITY_MPS2) < REST_MPS2 and spin @ spin < REST_RADPS**2
@@ -184,9 +185,9 @@ class StateEstimator:
             foot.sideways_n = wrench[:2].copy()
             if foot.is_standing:
                 total += foot.force_n
-                force, torque = wrench[:3], wrench[3:] - cross(foot.to_sole, wrench[:3])
-                at = np.array([-torque[1], torque[0]]) / force[2]
-                foot.pressure = np.clip(at, foot.low, foot.high)
+                torque = wrench[3:] - cross(foot.to_sole, wrench[:3])
+                at = np.array([-torque[1], torque[0]]) / wrench[2]
+                foot.pressure = np.minimum(np.maximum(at, foot.low, out=at), foot.high)
         for foot in self.feet.values():
             foot.share = foot.force_n / total if foot.is_standing else 0.0
 
@@ -216,7 +217,7 @@ class StateEstimator:
 
 
 def _yaw(rotation: Array) -> float:
-    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    return math.atan2(rotation[1, 0], rotation[0, 0])
 
 
 def _foot(kinematics: Kinematics, link: str, corners: Array) -> FootState:

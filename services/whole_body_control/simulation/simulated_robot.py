@@ -3,6 +3,7 @@
 With the same model, seed and commands the motion is the same, bit by bit. Not thread-safe.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,7 +53,7 @@ class SimulatedRobot:
         servo = [joint.servo or joint.gains for joint in humanoid.joints]
         self._servo_stiffness = np.array([each.stiffness for each in servo])
         self._servo_damping = np.array([each.damping for each in servo])
-        self._target, self._stiffness = np.zeros(len(servo)), np.zeros(len(servo))
+        self._target, self._stiffness, self._zeros = np.zeros((3, len(servo)))
         self.model = build(humanoid) if model is None else model
         self._data = mujoco.MjData(self.model)
         self._noise, self._random = noise, np.random.default_rng(seed)
@@ -73,6 +74,13 @@ class SimulatedRobot:
             raise UsageError(f"the base of {humanoid.name} is not the first joint of its model")
         self._push_until_s, self._pushed = -np.inf, np.zeros(6)
         self._root = model.body(humanoid.root).id
+        self._bodies = {link: model.body(link).id for link in humanoid.links if _has_body(model, link)}
+        data = self._data
+        # Views of what MuJoCo keeps in place: each access to an attribute of it makes a new array.
+        self._qpos, self._qvel, self._ctrl = data.qpos, data.qvel, data.ctrl
+        self._efforts, self._sensed, self._forces = data.actuator_force, data.sensordata, data.xfrc_applied
+        self._gain, self._bias_of_q = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1]
+        self._bias_of_v = model.actuator_biasprm[:, 2]
         if not humanoid.sensors.inertial:
             raise UsageError(f"{humanoid.name} has no inertial sensor; add it to the group imu_sensors")
         self._wrenches_at = 6 * len(humanoid.sensors.inertial)
@@ -88,20 +96,19 @@ class SimulatedRobot:
 
     def read(self, sensors: RobotSensors) -> None:
         """Write the present measurements into `sensors`."""
-        data, noise = self._data, self._noise
-        sensors.time_s = data.time
-        sensors.positions[:] = data.qpos[self._q_of]
-        sensors.velocities[:] = data.qvel[self._v_of]
-        sensors.torques[:] = data.actuator_force
-        sensors.gyroscope[:], sensors.accelerometer[:] = data.sensordata[:3], data.sensordata[3:6]
-        sensors.wrenches.ravel()[:] = data.sensordata[self._wrenches_at :]
+        sensed, noise = self._sensed, self._noise
+        sensors.time_s = self._data.time
+        self._qpos.take(self._q_of, out=sensors.positions, mode="clip")
+        self._qvel.take(self._v_of, out=sensors.velocities, mode="clip")
+        sensors.torques[:] = self._efforts
+        sensors.gyroscope[:], sensors.accelerometer[:] = sensed[:3], sensed[3:6]
+        sensors.wrenches.ravel()[:] = sensed[self._wrenches_at :]
         sensors.wrenches *= -1.0  # MuJoCo: what the limb exerts on the world
         if noise is not QUIET:
             self._disturb(sensors)
 
     def write(self, command: JointCommand) -> None:
         """Set the drives. Raises `ValueError` for a command that it cannot follow; the last one holds."""
-        model = self.model
         if command.mode not in self.modes:
             raise ValueError(f'{self.humanoid.name} has no mode "{command.mode}" of joints')
         target, stiffness, damping = self._target, self._servo_stiffness, self._servo_damping
@@ -114,22 +121,19 @@ class SimulatedRobot:
             target += command.positions
         else:
             target[:] = command.positions if command.mode is JointMode.POSITION else command.torques
-        if not np.isfinite(target).all():
+        if not math.isfinite(target.dot(self._zeros)):  # 0 times infinity is not a number
             raise ValueError("the command has a value that is not finite; the drives keep the last one")
-        self._data.ctrl[:] = target
+        self._ctrl[:] = target
         if command.mode is JointMode.TORQUE:
-            model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3] = 1.0, 0.0
+            self._gain[:], self._bias_of_q[:], self._bias_of_v[:] = 1.0, 0.0, 0.0
             return
-        model.actuator_gainprm[:, 0] = stiffness
-        np.negative(stiffness, out=model.actuator_biasprm[:, 1])
-        np.negative(damping, out=model.actuator_biasprm[:, 2])
+        self._gain[:] = stiffness
+        np.negative(stiffness, out=self._bias_of_q)
+        np.negative(damping, out=self._bias_of_v)
 
     def wait(self) -> None:
         """Simulate one period."""
-        if self._push_until_s > self._data.time:
-            self._data.xfrc_applied[self._root] = self._pushed
-        else:
-            self._data.xfrc_applied[self._root] = 0.0
+        self._forces[self._root] = self._pushed if self._push_until_s > self._data.time else 0.0
         mujoco.mj_step(self.model, self._data)
 
     def close(self) -> None:
@@ -143,7 +147,7 @@ class SimulatedRobot:
     def pull(self, link: str, force: Array) -> None:
         """Pull at a link with a force (3,) in N in the frame of the root link, until the next call."""
         rotation = self._data.xmat[self._root].reshape(3, 3)
-        self._data.xfrc_applied[self.model.body(link).id, :3] = rotation @ force
+        self._forces[self._bodies[link], :3] = rotation @ force
 
     @property
     def time_s(self) -> float:
@@ -167,10 +171,15 @@ class SimulatedRobot:
         return np.concatenate([rotation.T @ base[:3], base[3:], self._data.qvel[self._v_of]])
 
     def _disturb(self, sensors: RobotSensors) -> None:
-        noise = self._random.standard_normal(len(self._deviations)) * self._deviations
+        noise = self._random.standard_normal(len(self._deviations))
+        noise *= self._deviations
         noise[self._gyroscope_at : self._gyroscope_at + 3] += self._bias
         end = 0
         for part in (sensors.positions, sensors.velocities, sensors.gyroscope, sensors.accelerometer):
             np.add(part, noise[end : end + len(part)], out=part)
             end += len(part)
         sensors.wrenches += noise[end:].reshape(sensors.wrenches.shape)
+
+
+def _has_body(model: Any, link: str) -> bool:
+    return bool(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link) >= 0)

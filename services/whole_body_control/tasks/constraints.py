@@ -56,15 +56,22 @@ class Contact(Constraint):
     def __init__(self, link: str, target: Any = None, gain: float = 10.0) -> None:
         self.name, self.link = f"contact of {link}", link
         self.target, self.gain = target, gain
+        self._bounds: Bounds | None = None
 
     def bounds(self, kinematics: Kinematics, q: Array, dt_s: float) -> Bounds:  # noqa: ARG002
         """Return six rows that are zero, or lead back to the target."""
-        wanted = np.zeros(6)
+        if self._bounds is None:
+            wanted = np.zeros(6)
+            self._bounds = Bounds(np.zeros((6, kinematics.n_velocities)), wanted, wanted)
+        wanted = self._bounds.lower
+        kinematics.write_jacobian(self.link, self._bounds.matrix)
+        wanted[:] = 0.0
         if self.target is not None:
             pose = kinematics.pose(self.link)
-            wanted[:3] = self.gain * (self.target.translation - pose.translation)
-            wanted[3:] = self.gain * pin.log3(self.target.rotation @ pose.rotation.T)
-        return Bounds(kinematics.jacobian(self.link), wanted, wanted.copy())
+            np.subtract(self.target.translation, pose.translation, out=wanted[:3])
+            wanted[3:] = pin.log3(self.target.rotation @ pose.rotation.T)
+            wanted *= self.gain
+        return self._bounds
 
 
 class SupportPolygon(Constraint):
