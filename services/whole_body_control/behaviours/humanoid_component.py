@@ -182,25 +182,26 @@ class HumanoidComponent:
         return fault
 
     def write_state(self, state: Array) -> None:
-        """Write the values of `fields`. Places are in m on the ground of the estimate."""
+        """Write the values of `fields`. Places are in m, and velocities in m/s, on the ground of the
+        estimate."""
         walking, ball, estimator = self.walking, self._ball, self.walking.estimator
         now = walking.state
         phase = 0 if self.behaviour is Behaviour.JUGGLING else PHASES.index(now.stance.phase)
         feet = estimator.feet_frame()
         of_feet = [estimator.feet[walking.settings.contacts[side]] for side in SIDES]
         intention = self.assistance.velocity if self.assistance else np.zeros(2)
-        com, reference = now.com[:2], now.reference.com
+        com, reference = estimator.com[:2], walking.on_estimate(now.reference.com)
         if self.behaviour is Behaviour.JUGGLING and self._throwing is not None:
-            com, reference = estimator.com[:2], feet[:2] + turn(feet[2]) @ self._throwing.com_reference
+            reference = feet[:2] + turn(feet[2]) @ self._throwing.com_reference
         values = [
             self.behaviour,
             phase,
             *(foot.share for foot in of_feet),
             *com,
             *reference,
-            *now.wanted_zmp,
+            *walking.on_estimate(now.wanted_zmp),
             *estimator.centre_of_pressure,
-            *intention,
+            *walking.turned_to_estimate(intention),
             *feet,
         ]
         for foot in of_feet:

@@ -8,10 +8,11 @@ farther by the error of the capture point. Every control period
 3. the stack of tasks computes the joints for the planned centre of mass and feet,
 4. the torques of the wanted forces are fed forward to the joint impedance.
 
-The plan lives on the ground of the footsteps. The estimate drifts against it with every step, and is moved by
-what the standing feet are off their footprints.
+The plan lives on the ground of the footsteps. The estimate drifts against it with every step, in place and
+yaw, and is moved onto it by where the standing feet are off their footprints.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -71,6 +72,25 @@ class WalkingState:
     fault: str = ""
 
 
+class _Ground:
+    """Where the ground of the plan is on that of the estimate: the same feet stand on both."""
+
+    def __init__(self) -> None:
+        self._planned, self._estimated, self.turned = np.zeros(2), np.zeros(2), np.eye(2)
+
+    def set(self, planned: Array, estimated: Array, yaw: float) -> None:
+        """Let a place (2,) of the estimate be one of the plan, which is turned by `yaw` in rad against it."""
+        self._planned, self._estimated, self.turned = planned, estimated, turn(yaw)
+
+    def of_estimate(self, place: Array) -> Array:
+        """Return a place (2,) of the estimate on the ground of the plan."""
+        return np.asarray(self.turned @ (place - self._estimated) + self._planned)
+
+    def of_plan(self, place: Array) -> Array:
+        """Return a place (2,) of the plan on the ground of the estimate."""
+        return np.asarray(self.turned.T @ (place - self._planned) + self._estimated)
+
+
 class WalkingController:
     """Walks with a commanded velocity. Not thread-safe; `step` performs no I/O."""
 
@@ -112,7 +132,8 @@ class WalkingController:
         self._engine_of = engine_maker(engine, solver)
         self._tasks(humanoid)
         self.wish = Wish(np.zeros(2))
-        self._shift, self._capture_error = np.zeros(2), np.zeros(2)
+        self._ground = _Ground()
+        self._capture_error = np.zeros(2)
         self._foot_offset, self._foot_wanted = np.zeros(3), np.zeros(3)
 
     def sway(self, *, little: bool) -> None:
@@ -256,9 +277,11 @@ class WalkingController:
                 self._contacts[side].target = self._on_ground(stance.foot(side), 0.0)
         step = self._engines[tuple(standing)].step(self._q, dt_s)
         change = (step.velocity - self._velocity) / dt_s
-        self._acceleration += ACCELERATION_SHARE * (
-            np.clip(change, -MAX_ACCELERATION, MAX_ACCELERATION) - self._acceleration
-        )
+        np.minimum(change, MAX_ACCELERATION, out=change)
+        np.maximum(change, -MAX_ACCELERATION, out=change)
+        change -= self._acceleration
+        change *= ACCELERATION_SHARE
+        self._acceleration += change
         self._q, self._velocity, self.last_step = step.q, step.velocity, step
         return step.fault
 
@@ -273,11 +296,12 @@ class WalkingController:
         yaw = start.yaw + moved(min(max(now / whole, 0.0), 1.0)) * (landing.yaw - start.yaw)
         task = self._swing[stance.swing]
         foot = self.estimator.sole(self.settings.contacts[stance.swing])
-        foot[:2] += self._shift
+        foot[:2] = self._ground.of_estimate(foot[:2])
         missed = self._foot_wanted - foot if now > 1.5 * dt_s else np.zeros(3)
         self._foot_wanted = places[0]
         kept = self._foot_offset if now > 1.5 * dt_s else np.zeros(3)
-        self._foot_offset = np.clip(kept + FOOT_GAIN * dt_s * missed, -MAX_OFFSET_M, MAX_OFFSET_M)
+        offset = kept + FOOT_GAIN * dt_s * missed
+        self._foot_offset = np.minimum(np.maximum(offset, -MAX_OFFSET_M, out=offset), MAX_OFFSET_M)
         place = places[0] + self._foot_offset
         task.target = self._on_ground(
             Footprint(stance.swing, float(place[0]), float(place[1]), yaw), float(place[2])
@@ -301,15 +325,30 @@ class WalkingController:
 
     def _on_plan(self, stance: Stance) -> tuple[Array, Array, Array]:
         """Return the centre of mass, its velocity and the ZMP as measured, moved onto the footprints."""
-        estimator, shift = self.estimator, np.zeros(2)
+        estimator, ground = self.estimator, self._ground
+        planned, estimated, yaw = np.zeros(2), np.zeros(2), 0.0
         for side in SIDES:
             foot = estimator.feet[self.settings.contacts[side]]
-            footprint = self._planned_footprint(stance, side)
-            shift += foot.share * (footprint.place - estimator.sole(self.settings.contacts[side])[:2])
-        self._shift = shift
-        com = estimator.com.copy()
-        com[:2] += shift
-        return com, estimator.com_velocity, estimator.centre_of_pressure + shift
+            if foot.share:
+                footprint, pose = self._planned_footprint(stance, side), estimator.kinematics.pose(foot.link)
+                planned += foot.share * footprint.place
+                estimated += foot.share * pose.translation[:2]
+                turned = footprint.yaw - math.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
+                yaw += foot.share * math.remainder(turned, 2 * math.pi)
+        if estimated.any():  # a foot stands
+            ground.set(planned, estimated, yaw)
+        com, velocity = estimator.com.copy(), estimator.com_velocity.copy()
+        com[:2] = ground.of_estimate(com[:2])
+        velocity[:2] = ground.turned @ velocity[:2]
+        return com, velocity, ground.of_estimate(estimator.centre_of_pressure)
+
+    def on_estimate(self, place: Array) -> Array:
+        """Return a place (2,) of the plan, as `WalkingState` has them, on the ground of the estimate."""
+        return self._ground.of_plan(place)
+
+    def turned_to_estimate(self, vector: Array) -> Array:
+        """Return a direction (2,) of the plan on the ground of the estimate."""
+        return np.asarray(self._ground.turned.T @ vector)
 
     def _planned_footprint(self, stance: Stance, side: Side) -> Footprint:
         """Return where a foot stands by the plan; one in the air may touch the ground early."""

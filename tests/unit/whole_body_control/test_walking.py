@@ -1,8 +1,11 @@
 """COMAN walks, turns, stops and is pushed in MuJoCo; its estimate is compared with the truth."""
 
+import gc
+import tracemalloc
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk, WalkRecord
@@ -107,3 +110,46 @@ def test_a_sensor_that_is_not_finite_leaves_the_last_command() -> None:
     assert (one.command.positions == before[0]).all()
     assert (one.command.torques == before[1]).all()
     assert one.controller.step(walk(noisy=False).sensors, one.command).fault == ""
+
+
+def test_an_estimate_that_has_drifted_far_in_place_and_yaw_does_not_disturb_it() -> None:
+    one = walk(noisy=True)
+    controller, ahead = one.controller, Wish(np.array([SPEED_MPS, 0.0]))
+    one.run(2.0, lambda _: ahead)
+    estimator, drift = controller.estimator, np.array([0.5, -0.3, 0.0])
+    turned = pin.exp3(np.array([0.0, 0.0, 1.0]))
+    estimator._rotation = turned @ estimator._rotation
+    estimator._position = turned @ estimator._position + drift
+    for foot in estimator.feet.values():
+        foot.anchor = turned @ foot.anchor + drift
+    start = one.robot.true_configuration()[0]
+    record = one.run(4.0, lambda _: ahead)
+    assert not record.has_fallen
+    assert record.tracking_rms_m() < 0.01
+    assert one.robot.true_configuration()[0] > start + 0.15
+    reference = controller.on_estimate(controller.state.reference.com)  # as the state of the cycle has it
+    assert np.linalg.norm(reference - estimator.com[:2]) < 0.02
+    assert np.linalg.norm(controller.state.reference.com - estimator.com[:2]) > 0.2
+
+
+def test_a_control_period_allocates_little_and_keeps_nothing() -> None:
+    controller, ahead = WalkingController(COMAN), Wish(np.array([SPEED_MPS, 0.0]))
+    one = SimulatedWalk(controller, SimulatedRobot(COMAN, controller.start, TYPICAL_NOISE, 1, MODEL))
+    one.run(1.0, lambda _: ahead)
+    gc.collect()
+    gc.disable()
+    tracemalloc.start(1)
+    try:
+        peaks = []
+        for _ in range(40):
+            one.robot.read(one.sensors)
+            tracemalloc.reset_peak()
+            before, _ = tracemalloc.get_traced_memory()
+            one.controller.step(one.sensors, one.command)
+            peaks.append(tracemalloc.get_traced_memory()[1] - before)
+            one.robot.write(one.command)
+            one.robot.wait()
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+    assert np.median(peaks) < 10_000  # short-lived arrays of a few values; a Jacobian alone has 1,680 bytes
