@@ -16,7 +16,8 @@ from services.whole_body_control.patterns.throwing import OutOfReach, ThrowPlann
 from services.whole_body_control.simulation.ball import build_with_ball
 from services.whole_body_control.solvers.problem import Solver
 
-DIRECTIONS_RAD = (0.0, -0.2, 0.2)
+DIRECTIONS_RAD = (0.0, -0.2, 0.2, -0.1, 0.1)
+"""From the direction of the target; that itself is rehearsed first and last."""
 
 
 def rehearse(
@@ -26,16 +27,19 @@ def rehearse(
     target: Array,
     solver: Solver | None = None,
 ) -> None:
-    """Let each hand throw in some directions, as far and as high as `target` (3,) in the frame of the robot.
+    """Let each hand throw to `target` (3,) in the frame of the robot, and as far and high to both sides of
+    it.
 
     A direction that a hand cannot reach is left out. Each throw takes about half a second of CPU time.
     """
     game = SimulatedThrow(humanoid, build_with_ball(humanoid), solver)
     base = game.controller.start[:2]
     distance_m = float(np.linalg.norm(target[:2] - base))
+    ahead = float(np.arctan2(target[1] - base[1], target[0] - base[0]))
     for name in grips:
         planner = ThrowPlanner(Kinematics(humanoid), game.controller.start, humanoid.grips[name])
-        for angle in DIRECTIONS_RAD:
+        for offset in (*DIRECTIONS_RAD, 0.0):
+            angle = ahead + offset
             way = distance_m * np.array([np.cos(angle), np.sin(angle)])
             place = np.array([*(base + way), target[2]])
             try:

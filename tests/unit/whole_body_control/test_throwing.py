@@ -174,6 +174,18 @@ def test_the_first_throw_lands_after_a_rehearsal() -> None:
     assert np.linalg.norm(record.landed - TARGET) < 0.05
 
 
+def test_what_the_robot_sees_of_its_throws_is_where_they_land_although_its_feet_turn() -> None:
+    game, practice = SimulatedThrow(COMAN, build_with_ball(COMAN), noise=TYPICAL_NOISE, seed=1), Practice()
+    start = game.controller.start[:2]
+    rehearse(practice, COMAN, ["right_hand"], TARGET)
+    for _ in range(3):
+        planned = planner("right_hand").plan(practice.aim("right_hand", start, TARGET))
+        record = game.throw(planned)
+        assert np.linalg.norm(record.predicted - record.landed) < 0.02  # 4 cm with the line between the soles
+        assert np.linalg.norm(record.landed - TARGET) < 0.025
+        practice.learn("right_hand", start, planned.landing, record.predicted)
+
+
 def test_one_throw_at_a_time() -> None:
     controller, throw = ThrowingController(COMAN), planner("left_hand").plan(TARGET)
     controller.throw(throw)
