@@ -113,7 +113,7 @@ def throw(  # noqa: PLR0917 - options of a command
 @app.command()
 def lead(
     script: Annotated[
-        str, typer.Argument(help="What the person does: forward, side, turn, stop, stumble or tour.")
+        str, typer.Argument(help="What the person does: forward, side, turn, stop, stumble, tour or long.")
     ] = "forward",
     robot: Name = "coman",
     intention: Annotated[

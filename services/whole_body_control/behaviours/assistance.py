@@ -8,6 +8,7 @@ with more than `MAX_PULL_N` may be falling, and would topple the robot: its hand
 still, until the person has let go of it as well.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
@@ -31,7 +32,7 @@ from services.whole_body_control.patterns.intention import (
     hand_place,
     manipulability,
 )
-from services.whole_body_control.patterns.lead import LeadReference, hand_force
+from services.whole_body_control.patterns.lead import HoldStiffness, LeadReference, hand_force
 from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.regions import Side, turn
 
@@ -49,10 +50,17 @@ THRESHOLD_SHARE: Final = 0.93
 """The threshold of manipulability as a share of that of the pose."""
 STIFFNESS_NPM, DAMPING_NSPM = 40.0, 8.0
 """Of the hold of a hand that has a place: the arm of the person."""
+ARM_DAMPING_S: Final = DAMPING_NSPM / STIFFNESS_NPM
+"""Of the arms of a person; their stiffness differs more than this time."""
 MAX_PULL_N: Final = 15.0
 """At one hand. 30 N of both move the zero moment point by 8 cm, to the toes."""
 MAX_SIDEWAYS_N: Final = 14.0
 """Of both hands; 14 N move it by 4 cm, to the edge of the sole that stands."""
+PULL_S: Final = 0.1
+"""Forces are smoothed over this time before they are compared with the limits above: a short pull moves the
+robot little, and a person who changes direction makes one."""
+JERK_SHARE: Final = 1.5
+"""Beyond this share of the limits a force counts at once."""
 STAND_S: Final = 0.4
 YAW_DEADBAND_M, YAW_GAIN, MAX_YAW_RADPS = 0.04, 1.5, 0.2
 EVERY_S: Final = 0.02
@@ -118,6 +126,9 @@ class AssistedWalking:
         """The hands that have opened, until the person lets go."""
         self._yaw_rate, self._is_wanted, self._taken, self._since_s = 0.0, False, 0.0, 0.0
         self._held: tuple[Side, ...] = ()
+        self._pull = {side: np.zeros(3) for side in SIDES}
+        """The smoothed force (3,) of each hand of the person."""
+        self._hold_stiffness = HoldStiffness()
         self._volumes: Mapping[str, float] = {}
 
     def begin(self, *, is_wanted: bool) -> None:
@@ -151,9 +162,13 @@ class AssistedWalking:
                 self._open.discard(side)
             elif side not in self._open:
                 forces[side] = values[4:7].copy() if values[0] == 2 else self._hold(side, values[1:4])
-        sideways = abs(sum(float(force[1]) for force in forces.values()))
+            self._pull[side] += self._control_s / PULL_S * (forces[side] - self._pull[side])
+        sideways = max(_sideways(self._pull), _sideways(forces) / JERK_SHARE)
         for side, force in forces.items():
-            if float(np.linalg.norm(force)) > MAX_PULL_N or (sideways > MAX_SIDEWAYS_N and force.any()):
+            if not force.any():
+                continue
+            pull = max(_length(self._pull[side]), _length(force) / JERK_SHARE)
+            if pull > MAX_PULL_N or sideways > MAX_SIDEWAYS_N:
                 self._open.add(side)
                 forces[side] = np.zeros(3)
         self._held = tuple(side for side, force in forces.items() if force.any())
@@ -183,6 +198,7 @@ class AssistedWalking:
         feet = estimator.feet_frame()
         if not self._held:
             self._external.restart()
+            self._hold_stiffness.restart()
             self._stand = feet
             if self._taken >= 1.0 and self._walking.is_at_rest:
                 self._root = turn(-feet[2]) @ (estimator.q[:2] - feet[:2])
@@ -203,7 +219,7 @@ class AssistedWalking:
 
     def _update(self, share: float, dt_s: float) -> None:
         may_walk = self._is_wanted and self._taken >= 1.0 and not self.is_pulled_hard
-        arms: dict[str, ArmState] = {side: self._arm(side) for side in (self._held if may_walk else ())}
+        arms = self._arms_led(dt_s) if may_walk else {}
         intention = self._reference.update(arms, dt_s, share * self._reference.max_mps)
         self._volumes = intention.manipulability
         self.velocity = turn(self._walking.heading) @ intention.velocity
@@ -213,8 +229,27 @@ class AssistedWalking:
             beyond = np.sign(apart) * max(abs(apart) - YAW_DEADBAND_M, 0.0)
             self._yaw_rate = share * float(np.clip(YAW_GAIN * beyond, -MAX_YAW_RADPS, MAX_YAW_RADPS))
 
-    def _arm(self, side: Side) -> ArmState:
-        """Return the state of an arm with its lead."""
+    def _arms_led(self, dt_s: float) -> dict[str, ArmState]:
+        """Return the state of each arm that is held, with its lead."""
+        felt = [self._arm(side) for side in self._held]
+        if not felt:
+            return {}
+        places = [np.asarray(place[:2]) for _, place, _ in felt]
+        stiffness = self._hold_stiffness.update(
+            np.mean(places, axis=0), np.mean([force[:2] for _, _, force in felt], axis=0), dt_s
+        )
+        return {
+            side: replace(state, lead=place + force / stiffness)
+            for side, (state, place, force) in zip(self._held, felt, strict=True)
+        }
+
+    def _arm(self, side: Side) -> tuple[ArmState, Array, Array]:
+        """Return the state of an arm, the place of its hand (3,) from its rest pose, and the force (3,) at
+        it.
+
+        The place is measured from where the robot is apart from its swaying, and is ahead by what the damping
+        of the person's arm makes of the velocity.
+        """
         estimator, grip = self._walking.estimator, self._grips[side]
         joints = np.array(estimator.kinematics.humanoid.indices(grip.arm))
         state = arm_state(estimator.kinematics, *_names(grip), self._rest[side])
@@ -224,8 +259,8 @@ class AssistedWalking:
         hand[:2] = back @ (hand[:2] - self._stand[:2]) - self._root
         hand[2] -= estimator.q[2]
         speed = estimator.kinematics.velocity(grip.link)[:3]
-        force[:2] += DAMPING_NSPM * (back @ (speed[:2] - self.velocity))
-        return replace(state, lead=hand - self._rest[side] + force / STIFFNESS_NPM)
+        hand[:2] += ARM_DAMPING_S * (back @ (speed[:2] - self.velocity))
+        return state, hand - self._rest[side], force
 
     def _apart(self, arm: ArmState) -> float:
         """Return how far a hand is ahead, by the lead if this is what is read."""
@@ -253,3 +288,12 @@ class AssistedWalking:
 
 def _names(grip: Grip) -> tuple[str, str]:
     return grip.arm, grip.link
+
+
+def _length(force: Array) -> float:
+    return math.sqrt(force.dot(force))
+
+
+def _sideways(forces: Mapping[Side, Array]) -> float:
+    """Return how strong forces are to one side together."""
+    return abs(sum(float(force[1]) for force in forces.values()))

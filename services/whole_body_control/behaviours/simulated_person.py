@@ -2,10 +2,11 @@
 figures.
 
 The person stands in front of the robot, follows it with the inertia of a body, and holds each hand by a
-spring with damping between the hand of the robot and the own hand. The own hands are where those of the robot
-rest, plus the lead of the script: ahead, to a side, one ahead and one back for a turn. So a script is an
-intention with a direction, and what the robot reads of it can be compared. The person knows the truth of the
-simulation, the robot knows its sensors.
+spring with damping between the hand of the robot and the own hand. The person walks on a curve while the
+robot turns, and walks no further in the old direction when another one is wanted. The own hands are where
+those of the robot rest, plus the lead of the script: ahead, to a side, one ahead and one back for a turn. So
+a script is an intention with a direction, and what the robot reads of it can be compared. The person knows
+the truth of the simulation, the robot knows its sensors.
 """
 
 from collections.abc import Mapping, Sequence
@@ -64,25 +65,29 @@ class Lead:
 
 
 MIN_LEAD_M: Final = 0.05
+LET_GO_S: Final = 2.0
+"""How long a person lets go when a hand of the robot has opened, before they take both again."""
 STILL: Final = Lead(3.0)
+TOUR: Final = (
+    Lead(10.0, ahead_m=0.18),
+    Lead(8.0, left_m=0.14),
+    Lead(8.0, ahead_m=0.12, left_m=0.12),
+    STILL,
+    Lead(8.0, ahead_m=0.15, apart_m=0.12),
+    Lead(8.0, left_m=-0.14),
+    Lead(8.0, ahead_m=-0.15),
+    Lead(7.0),
+)
 SCRIPTS: Final[Mapping[str, Sequence[Lead]]] = {
     "forward": (Lead(8.0, ahead_m=0.18), STILL, Lead(6.0, ahead_m=-0.15), STILL),
     "side": (Lead(8.0, left_m=0.14), STILL, Lead(8.0, left_m=-0.14), STILL),
     "turn": (Lead(8.0, apart_m=0.12), STILL, Lead(8.0, apart_m=-0.12), STILL),
     "stop": (Lead(5.0, ahead_m=0.18), STILL, Lead(5.0, ahead_m=0.18), Lead(4.0, holds=False)),
     "stumble": (Lead(5.0, ahead_m=0.18), Lead(2.0, ahead_m=0.3, jerk_n=40.0), Lead(3.0, holds=False), STILL),
-    "tour": (
-        Lead(10.0, ahead_m=0.18),
-        Lead(8.0, left_m=0.14),
-        Lead(8.0, ahead_m=0.12, left_m=0.12),
-        STILL,
-        Lead(8.0, ahead_m=0.15, apart_m=0.12),
-        Lead(8.0, left_m=-0.14),
-        Lead(8.0, ahead_m=-0.15),
-        Lead(7.0),
-    ),
+    "tour": TOUR,
+    "long": TOUR * 5,
 }
-"""Intentions by name; `tour` has all directions in 60 s."""
+"""Intentions by name; `tour` has all directions in 60 s, `long` five of them: five minutes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +148,7 @@ class LedWalk:
         self._truth = Kinematics(humanoid)
         self._height_m = float(start[2])
         self._body, self._body_velocity, self._drift = np.zeros(3), np.zeros(3), np.zeros(3)
+        self._takes_again_s = 0.0
         self._cycle(None)
         while self.robot.time_s < SETTLE_S:
             self._cycle(None)
@@ -166,6 +172,7 @@ class LedWalk:
         has_fallen = False
         for lead in script:
             since_s = self.robot.time_s
+            self._drift[:] = 0.0
             while self.robot.time_s < since_s + lead.seconds - 1e-9 and not has_fallen:
                 is_jerk = self.robot.time_s - since_s < 0.1
                 states.append(self._cycle(lead, lead.jerk_n if is_jerk else 0.0))
@@ -225,13 +232,16 @@ class LedWalk:
         dt_s = self.component.control_s
         error = self.place - self._body
         error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
+        self._drift[:2] = turn(dt_s * self._body_velocity[2]) @ self._drift[:2]
         self._drift += dt_s * FOLLOW_PS**2 * error
         self._body_velocity = self._drift + 2 * FOLLOW_PS * error
         self._body = self._body + dt_s * self._body_velocity
 
     def _hands(self, lead: Lead | None, jerk_n: float) -> Array | None:
         """Return what the hands of the person do, as forces in the frame between the soles."""
-        if lead is None or not lead.holds:
+        if self.assistance.is_pulled_hard and self.robot.time_s >= self._takes_again_s:
+            self._takes_again_s = self.robot.time_s + LET_GO_S
+        if lead is None or not lead.holds or self.robot.time_s < self._takes_again_s:
             return None
         self._truth.update(self.robot.true_configuration(), self.robot.true_velocity())
         values = np.zeros(len(PERSON))

@@ -8,10 +8,12 @@ well, joint positions and joint torques:
 - The torques of an arm beyond those that carry its weight are `J^T force`; so the force at the hand is the
   least-squares solution, damped by `FORCE_DAMPING`.
 - A hand that holds softly, as a spring, is `displacement + force / stiffness` from where the hand of the
-  robot rests: the lead. A person who is stiffer or softer than assumed is read in nearly the same direction.
-- The lead is measured from the feet, not from the body of the robot, which sways with each step.
-- The mean lead of the hands that are held is smoothed over `smoothing_s`. Beyond `start_m` the robot moves
-  along it, until it falls below `stop_m`. Feet that do not cross are slow to the side: the velocity is
+  robot rests: the lead.
+- The lead is measured from the feet, not from the body of the robot, which sways with each step. With the
+  wrong stiffness the sway would still read as a lead; so `HoldStiffness` follows that of the person.
+- The mean lead of the hands that are held is smoothed over `smoothing_s`, and changes by `max_lead_mps` at
+  most, so that the shock of a foot that lands hardly counts. Beyond `start_m` the robot moves along it,
+  until it falls below `stop_m`. Feet that do not cross are slow to the side: the velocity is
   shortened until its part to the side is within `max_left_mps`, which keeps its direction.
 """
 
@@ -25,6 +27,7 @@ from services.whole_body_control.patterns.intention import (
     ArmState,
     CappedVelocity,
     Intention,
+    capped,
     fault_of,
     manipulability,
 )
@@ -38,15 +41,24 @@ class LeadLimits:
     """The parameters of the module; `gain_ps` (1/s) makes a velocity of a lead."""
 
     gain_ps: float = 0.8
-    start_m: float = 0.06
-    stop_m: float = 0.04
-    smoothing_s: float = 0.08
+    start_m: float = 0.08
+    stop_m: float = 0.05
+    smoothing_s: float = 0.16
+    max_lead_mps: float = 0.42
     max_mps: float = 0.12
     max_left_mps: float = 0.06
     max_mps2: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("gain_ps", "stop_m", "smoothing_s", "max_mps", "max_left_mps", "max_mps2"):
+        for name in (
+            "gain_ps",
+            "stop_m",
+            "smoothing_s",
+            "max_lead_mps",
+            "max_mps",
+            "max_left_mps",
+            "max_mps2",
+        ):
             value = getattr(self, name)
             if not 0 < value < np.inf:
                 raise ValueError(f"{name} is {value}; it must be above 0 and finite")
@@ -76,7 +88,8 @@ class LeadReference:
             self._is_active = False
             return Intention(self._velocity.follow(np.zeros(2), dt_s), False, {}, fault)
         lead = np.mean([arm.lead[:2] for arm in arms.values()], axis=0)
-        self._lead += min(dt_s / self.limits.smoothing_s, 1.0) * (lead - self._lead)
+        change = min(dt_s / self.limits.smoothing_s, 1.0) * (lead - self._lead)
+        self._lead += capped(change, self.limits.max_lead_mps * dt_s)
         length = float(np.linalg.norm(self._lead))
         self._is_active = length > (self.limits.stop_m if self._is_active else self.limits.start_m)
         wanted = self.limits.gain_ps * self._lead if self._is_active else np.zeros(2)
@@ -91,3 +104,46 @@ def hand_force(jacobian: Array, torques: Array) -> Array:
     """Return the force (3,) in N that makes these torques (joints,) in an arm with this Jacobian (3,
     joints)."""
     return np.asarray(np.linalg.solve(jacobian @ jacobian.T + FORCE_DAMPING * np.eye(3), jacobian @ torques))
+
+
+class HoldStiffness:
+    """The stiffness of the arms of a person who holds the hands, in N/m.
+
+    The hands of the robot sway with its steps, those of the person do not. So while the person wants the
+    same, the force changes against the place of the hand by the stiffness: it is the regression of force on
+    place, both without their slow changes (`SLOW_S`), over `MEMORY_S`. Samples in which the place of the
+    person's hand itself changed by more than `STEADY_M` do not count, nor those that sway by less than
+    `MIN_SWAY_M`. It begins with `DEFAULT_NPM`, which counts as a sway with the variance `PRIOR_M2`.
+    """
+
+    DEFAULT_NPM, MIN_NPM, MAX_NPM = 40.0, 15.0, 80.0
+    SLOW_S, MEMORY_S, STEADY_M, MIN_SWAY_M, PRIOR_M2 = 0.2, 4.0, 0.025, 0.005, 1e-4
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the person."""
+        self.npm = self.DEFAULT_NPM
+        self._slow: tuple[Array, Array] | None = None
+        self._squares, self._products = self.PRIOR_M2, self.PRIOR_M2 * self.DEFAULT_NPM
+
+    def update(self, place: Array, force: Array, dt_s: float) -> float:
+        """Return the stiffness, with the mean place (2,) in m of the hands and the mean force (2,) in N at
+        them."""
+        if not (np.isfinite(place).all() and np.isfinite(force).all()):
+            return self.npm
+        if self._slow is None:
+            self._slow = (place.copy(), force.copy())
+        slow_place, slow_force = self._slow
+        moved, pulled = place - slow_place, force - slow_force
+        slow_place += dt_s / self.SLOW_S * moved
+        slow_force += dt_s / self.SLOW_S * pulled
+        person = moved + pulled / self.npm
+        sway = float(moved @ moved)
+        if float(person @ person) < self.STEADY_M**2 and sway > self.MIN_SWAY_M**2:
+            share = dt_s / self.MEMORY_S
+            self._squares += share * (sway - self._squares)
+            self._products += share * (-float(pulled @ moved) - self._products)
+            self.npm = min(max(self._products / self._squares, self.MIN_NPM), self.MAX_NPM)
+        return self.npm

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from services.whole_body_control.model.kinematics import Array
 from services.whole_body_control.patterns.intention import ArmState
-from services.whole_body_control.patterns.lead import LeadLimits, LeadReference, hand_force
+from services.whole_body_control.patterns.lead import HoldStiffness, LeadLimits, LeadReference, hand_force
 
 LIMITS = LeadLimits()
 DT_S = 0.02
@@ -25,7 +25,7 @@ def settled(reference: LeadReference, *leads: Array) -> Array:
     return intention.velocity
 
 
-@given(angle=st.floats(-3.14, 3.14), length=st.floats(0.07, 0.4), height=finite)
+@given(angle=st.floats(-3.14, 3.14), length=st.floats(0.09, 0.4), height=finite)
 def test_the_velocity_has_the_direction_of_the_lead_and_is_slower_to_the_side(
     angle: float, length: float, height: float
 ) -> None:
@@ -54,7 +54,51 @@ def test_it_begins_farther_out_than_it_ends_and_rests_in_between() -> None:
     def moves(ahead_m: float) -> bool:
         return bool(settled(reference, np.array([ahead_m, 0.0, 0.0])).any())
 
-    assert [moves(each) for each in (0.05, 0.07, 0.05, 0.03, 0.05)] == [False, True, True, False, False]
+    assert [moves(each) for each in (0.07, 0.09, 0.07, 0.04, 0.07)] == [False, True, True, False, False]
+
+
+def test_a_shock_of_a_foot_that_lands_does_not_turn_it() -> None:
+    reference, ahead = LeadReference(), np.array([0.15, 0.0, 0.0])
+    settled(reference, ahead)
+    shock = arm(np.array([-0.8, 0.4, 0.0]))
+    velocity = reference.update({"left": shock, "right": shock}, DT_S).velocity
+    assert velocity[0] > 0
+    assert abs(np.arctan2(velocity[1], velocity[0])) < np.radians(5)
+
+
+def swaying(step: int, sway_m: float) -> float:
+    return float(sway_m * np.sin(2 * np.pi * step * DT_S / 1.6))
+
+
+@given(
+    stiffness=st.floats(18.0, 60.0),
+    sway_m=st.floats(0.02, 0.04),
+    angle=st.floats(-3.14, 3.14),
+    seed=st.integers(0, 99),
+)
+def test_the_stiffness_of_a_person_is_found_from_the_sway_of_the_hands(
+    stiffness: float, sway_m: float, angle: float, seed: int
+) -> None:
+    hold, random = HoldStiffness(), np.random.default_rng(seed)
+    person = 0.15 * np.array([np.cos(angle), np.sin(angle)])
+    for step in range(800):
+        hand = np.array([0.02, swaying(step, sway_m)])
+        force = stiffness * (person - hand) + random.normal(scale=0.05 * stiffness * sway_m, size=2)
+        found = hold.update(hand, force, DT_S)
+    assert found == pytest.approx(stiffness, rel=0.3)
+
+
+def test_a_person_who_changes_the_lead_is_not_taken_for_a_soft_one() -> None:
+    hold, followed = HoldStiffness(), 0.0
+    for step in range(800):
+        ahead = 0.15 if step // 100 % 2 else -0.15
+        followed += 0.1 * (0.2 * ahead - followed)  # compliant arms follow a little
+        hand = np.array([followed, swaying(step, 0.02)])
+        found = hold.update(hand, 40.0 * (np.array([ahead, 0.0]) - hand), DT_S)
+    assert found == pytest.approx(40.0, rel=0.25)
+    assert hold.update(np.array([np.nan, 0.0]), np.zeros(2), DT_S) == found
+    hold.restart()
+    assert hold.npm == HoldStiffness.DEFAULT_NPM
 
 
 def test_hands_that_lead_apart_do_not_move_it() -> None:
@@ -84,7 +128,9 @@ def test_the_force_at_a_hand_is_found_from_the_torques_that_it_makes(seed: int) 
     assert np.isfinite(hand_force(np.zeros((3, 7)), np.ones(7))).all()
 
 
-@pytest.mark.parametrize("name", ["gain_ps", "stop_m", "smoothing_s", "max_mps", "max_left_mps", "start_m"])
+@pytest.mark.parametrize(
+    "name", ["gain_ps", "stop_m", "smoothing_s", "max_lead_mps", "max_mps", "max_left_mps", "start_m"]
+)
 def test_limits_without_meaning_are_named(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         LeadLimits(**{name: 0.0})
