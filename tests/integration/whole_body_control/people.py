@@ -4,9 +4,11 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from threading import Event
 from typing import Any
 
+import httpx
 import orjson
 from websockets.sync.client import ClientConnection, connect
 
@@ -72,6 +74,52 @@ def resume(humanoid: HumanoidCell) -> None:
     session = humanoid.state()["session"]
     if session is not None and session["state"] == "paused":
         humanoid.http.post(f"/sessions/{session['id']}/resume")
+
+
+class Heart:
+    """The heart of Aino, 40 years old, who uses the humanoid; human state measures it."""
+
+    def __init__(self, humanoid: HumanoidCell, body: httpx.Client) -> None:
+        self._humanoid, self._body = humanoid, body
+        ends = (datetime.now(UTC) + timedelta(hours=1)).isoformat()
+        self._put("/people/aino", {"age": 40})
+        purposes = ["live", "speedLimits"]
+        self._put("/people/aino/consent", {"purposes": purposes, "ends": ends, "givenBy": "Aino"})
+        self.beats(65)
+        self._put("/people/aino/robots/coman-1", {})
+
+    def beats(self, bpm: float) -> None:
+        """Let it beat at a rate from now on."""
+        settings = {"signals": ["heartRate"], "packet_s": 0.1, "rest_bpm": bpm}
+        self._put("/sensors/strap", {"person": "aino", "driver": "simulated", "settings": settings})
+
+    def allows(self, fraction: float) -> bool:
+        """Reset what has stopped the robot; return whether the limit allows more than a fraction."""
+        self._body.post("/people/aino/limit/reset", json={"name": "Aino"})
+        self._humanoid.http.post("/reset")
+        limit: dict[str, Any] = self._humanoid.state()["limit"]
+        return not limit["needsReset"] and limit["rule"].startswith("body-") and limit["factor"] > fraction
+
+    def _put(self, path: str, given: Any) -> None:
+        self._body.put(path, json=given).raise_for_status()
+
+
+@contextmanager
+def heart_at(humanoid: HumanoidCell) -> Iterator[Heart]:
+    """Run human state with a calm person; afterwards the robot is free of its limits."""
+    humanoid.cell.run("human_state")
+    with httpx.Client(base_url=humanoid.cell.url("human_state"), trust_env=False, timeout=60) as body:
+        yield Heart(humanoid, body)
+    sources = [one["source"] for one in humanoid.http.get("/limits").json()]
+    humanoid.cell.kill("human_state")
+
+    def is_free() -> bool:  # what was received before the end may still be read, and bring a source back
+        for source in sources:
+            assert humanoid.http.delete(f"/limits/{source}").status_code in {204, 404}
+        humanoid.http.post("/reset")
+        return bool(humanoid.state()["limit"]["factor"] == 1.0)
+
+    wait_for(is_free, WITHIN_S, "the sources of limits are removed")
 
 
 @contextmanager
