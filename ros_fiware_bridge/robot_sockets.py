@@ -1,4 +1,8 @@
-"""The WebSockets `/arm` and `/humanoid`: a driver commands a robot of the graph. One client a robot."""
+"""The WebSockets of robots, one client a robot.
+
+`/arm` and `/humanoid`: a driver commands a robot of the graph. `/humanoid/link`: whole-body control shows the
+graph its humanoid, and receives the wishes of other nodes.
+"""
 
 import asyncio
 from collections.abc import Callable
@@ -11,6 +15,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from datamodels.arm_stream import ARM_COMMANDS, ArmJoints, ArmRefusal, ArmSetup
+from datamodels.humanoid_link import LINK_STATES, LinkRefusal, LinkSetup, LinkWish
 from datamodels.humanoid_stream import HUMANOID_COMMANDS, HumanoidRefusal, HumanoidSetup, HumanoidState
 from handover.security.guard import require
 from handover.security.permissions import Permission
@@ -19,6 +24,7 @@ from handover.validation import fault_text
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.running.arm_stream import ArmStream
+from ros_fiware_bridge.running.humanoid_link import HumanoidLink
 from ros_fiware_bridge.running.humanoid_stream import HumanoidStream
 
 log = get_logger(__name__)
@@ -76,10 +82,21 @@ HUMANOID: Final = Kind(
     HumanoidStream,
 )
 
+HUMANOID_LINK: Final = Kind(
+    "humanoid link",
+    LinkSetup,
+    LINK_STATES,
+    lambda reason: LinkRefusal(reason=reason),
+    LinkWish,
+    2,  # only the newest wish counts
+    lambda setup: setup.wish,
+    HumanoidLink,
+)
+
 
 def add_routes(app: FastAPI, graph: Callable[[], RosGraph]) -> None:
     """Add the WebSockets. `graph` raises `Problem` while the bridge starts."""
-    arms, humanoids = set[str](), set[str]()
+    arms, humanoids, links = set[str](), set[str](), set[str]()
 
     @app.websocket("/arm", dependencies=[require(Permission.MOVE_ROBOTS)])
     async def arm(client: WebSocket) -> None:
@@ -88,6 +105,10 @@ def add_routes(app: FastAPI, graph: Callable[[], RosGraph]) -> None:
     @app.websocket("/humanoid", dependencies=[require(Permission.MOVE_ROBOTS)])
     async def humanoid(client: WebSocket) -> None:
         await _run(HUMANOID, client, graph, humanoids)
+
+    @app.websocket("/humanoid/link", dependencies=[require(Permission.MOVE_ROBOTS)])
+    async def humanoid_link(client: WebSocket) -> None:
+        await _run(HUMANOID_LINK, client, graph, links)
 
 
 async def _run(kind: Kind[Setup], client: WebSocket, graph: Callable[[], RosGraph], in_use: set[str]) -> None:

@@ -4,8 +4,9 @@ The controller never waits for it: it uses what was received last and ages it wi
 state that is killed lowers the limit and then stops the robot, without a message.
 """
 
+import asyncio
 import time
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +14,7 @@ from urllib.parse import quote
 
 import orjson
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, WebSocketException
 
 from datamodels.streams import SpeedLimitReport
 from handover.control.speed_limits import Allowed, RefusedReport, SpeedLimits
@@ -65,6 +66,21 @@ async def keep_connected(
         ) as error:
             on_problem(f"{peer}: {str(error) or type(error).__name__}"[:200])
         await backoff.wait()
+
+
+async def exchange(
+    link: ClientConnection, send: Coroutine[Any, Any, None], take: Callable[[str | bytes], None]
+) -> None:
+    """Take each message of a connection while `send` sends, until the peer ends it; then `send` is
+    cancelled."""
+    sending = asyncio.create_task(send)
+    try:
+        async for received in link:
+            take(received)
+    finally:
+        sending.cancel()
+        with suppress(asyncio.CancelledError, WebSocketException):
+            await sending
 
 
 class LimitLink:

@@ -29,6 +29,7 @@ from datamodels.arm_stream import (
     TrajectoryPoint,
 )
 from handover.broker import Credentials
+from handover.control.limit_link import exchange
 from handover.errors import HandoverError
 from handover.messages import message, text_of
 from handover.retry import Backoff
@@ -150,14 +151,7 @@ class RosLink:
             self._outgoing.task_done()
         self.fault = f"{self.setup.joint_states} has not been received"
         self._socket = socket
-        sending = asyncio.create_task(self._write(socket))
-        try:
-            async for received in socket:
-                self._take(received)
-        finally:
-            sending.cancel()
-            with suppress(asyncio.CancelledError, WebSocketException):
-                await sending
+        await exchange(socket, self._write(socket), self._take)
 
     async def _write(self, socket: ClientConnection) -> None:
         while True:

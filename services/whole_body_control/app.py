@@ -29,6 +29,7 @@ from services.whole_body_control.routes.session_routes import add_session_routes
 from services.whole_body_control.running.device import HumanoidDevice
 from services.whole_body_control.running.device_tasks import HumanoidTasks
 from services.whole_body_control.running.humanoid_control import HumanoidControl
+from services.whole_body_control.running.ros_link import RosLink
 from services.whole_body_control.running.session_store import SessionStore
 from services.whole_body_control.running.session_writer import SessionWriter
 from services.whole_body_control.running.signals import PatientSignals
@@ -89,6 +90,8 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
                 tasks.start_restarting(device.run)
                 tasks.start_restarting(session_writer.run)
                 tasks.start_restarting(recordings.run)
+                if settings.humanoid_ros_link:
+                    tasks.start_restarting(RosLink(settings, control, guard.access).run)
                 await performer.act_for(device.id)
                 async with performer:
                     yield

@@ -8,3 +8,7 @@ FRACTION = Gauge("handover_humanoid_limit_fraction", "The speed limit of the hum
 STOPS = Counter("handover_humanoid_stops_total", "Stops of the humanoid", ["cause"])
 INPUTS = Counter("handover_humanoid_inputs_total", "Messages of people who steer or catch", ["outcome"])
 REJECTED = Counter("handover_humanoid_entities_rejected_total", "Entities that the broker refused")
+LINK_DELAY = Gauge(
+    "handover_humanoid_link_delay_seconds",
+    "How old the newest wish of the ROS graph was, by the clock of the robot.",
+)

@@ -43,6 +43,11 @@ class WholeBodySettings(Settings):
         description="how assisted walking reads where a person leads the humanoid: lead, from the forces and "
         "places of the hands, or manipulability, by equation 3 of CoSiMA",
     )
+    humanoid_ros_link: bool = Field(
+        False,
+        description="show the state of the humanoid on topics of the ROS graph, through the ROS bridge, and "
+        "walk it by a topic of wishes: any node of the graph can then walk it",
+    )
     humanoid_required_limits: Names = Field(
         (), description="sources of speed limits without which the humanoid does not move, with commas"
     )
@@ -97,6 +102,12 @@ class WholeBodySettings(Settings):
     def humanoid_bridge(self) -> str:
         """The URL of the WebSocket for humanoids of the ROS bridge."""
         return f"ws{self.url_of(self.bridge_port, self.bridge_url).removeprefix('http')}/humanoid"
+
+    @property
+    def humanoid_link(self) -> str:
+        """The URL of the WebSocket of the ROS bridge for the state of the humanoid and the wishes of
+        nodes."""
+        return f"{self.humanoid_bridge}/link"
 
     @property
     def human_state(self) -> str:

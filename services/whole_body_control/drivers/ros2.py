@@ -25,12 +25,11 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Annotated, Final
+from typing import Annotated, Final, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 from websockets.asyncio.client import ClientConnection
-from websockets.exceptions import WebSocketException
 
 from datamodels.humanoid_stream import (
     HUMANOID_REPORTS,
@@ -39,7 +38,7 @@ from datamodels.humanoid_stream import (
     HumanoidSetup,
     HumanoidState,
 )
-from handover.control.limit_link import keep_connected
+from handover.control.limit_link import exchange, keep_connected
 from handover.errors import UsageError
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
@@ -55,10 +54,13 @@ log = get_logger(__name__)
 
 SENSOR_TIMEOUT_S: Final = 0.05
 CLOSE_TIMEOUT_S: Final = 5.0
+USUAL_HZ, TORQUE_HZ, MIN_TORQUE_HZ = 100.0, 500.0, 250.0
+"""COMAN in simulation falls with torques that are computed from sensors 12 ms old if they are sent 100
+times a second, and with 20 ms if they are sent 500 times; joint impedance and positions bear more."""
+MIN_RATE: Final = 0.05
+"""The slowest clock of a robot that is believed."""
 RESTARTED_S: Final = 1.0
 """A clock that is set back by so much is that of a robot that has started again."""
-FORGET_PER_S: Final = 0.01
-"""By so much the fastest way is forgotten, since clocks drift, and a simulation has 99 % of real time."""
 
 
 class Ros2Options(BaseModel):
@@ -72,15 +74,45 @@ class Ros2Options(BaseModel):
     joint_commands: str = "/joint_commands"
     gains: str | None = None
     modes: Annotated[tuple[JointMode, ...], Field(min_length=1)] = (JointMode.IMPEDANCE,)
-    command_hz: FiniteFloat = Field(100.0, ge=10, le=500)
+    command_hz: FiniteFloat | None = Field(None, ge=10, le=500)
+    """By default `USUAL_HZ`, with torques `TORQUE_HZ`."""
     watchdog_s: FiniteFloat = Field(0.2, gt=0, le=2)
+
+    @model_validator(mode="after")
+    def _torques_are_sent_often(self) -> Self:
+        if JointMode.TORQUE in self.modes and self.hz < MIN_TORQUE_HZ:
+            raise ValueError(
+                f"command_hz is {self.hz:g}; the mode torque needs {MIN_TORQUE_HZ:g} at least, since a "
+                "torque that is held longer makes the robot fall over a link of milliseconds; raise it, or "
+                "leave torque out of modes"
+            )
+        return self
+
+    @property
+    def hz(self) -> float:
+        """How often a command is sent."""
+        return self.command_hz or (TORQUE_HZ if JointMode.TORQUE in self.modes else USUAL_HZ)
 
 
 class LinkDelay:
-    """How long ago a measurement was made, by stamps of the robot's clock and echoes. Times in s."""
+    """How long ago a measurement was made, by stamps of the robot's clock and echoes. Times in s.
+
+    A message is late by how much longer its way was than that of the fastest one. The clock of the robot may
+    run at another rate than ours, as that of a simulation that is slower than real time does; then each way
+    seems longer than the last. So the fastest of each `WINDOW_S` is kept, and the slope between two of them
+    is the rate: a delay that grows steadily over several windows is taken for a slow clock.
+    """
+
+    WINDOW_S: Final = 1.0
 
     def __init__(self) -> None:
-        self.round_trip_s, self._fastest_s, self._at_s = 0.0, np.inf, 0.0
+        self.round_trip_s = 0.0
+        self._slope = 0.0
+        """By how much a way seems longer per second."""
+        self._fastest: tuple[float, float] | None = None
+        """When the fastest of the last whole window was received, and its way; so for those below."""
+        self._newest: tuple[float, float] | None = None
+        self._begun_s = 0.0
 
     def echo(self, round_trip_s: float) -> None:
         """Accept the time that a command and its echo took on the way."""
@@ -92,10 +124,26 @@ class LinkDelay:
         First by the link alone, then with the stamp.
         """
         way_s = received_s - stamp_s  # and how far the clocks are apart
-        self._fastest_s = min(way_s, self._fastest_s + FORGET_PER_S * (received_s - self._at_s))
-        self._at_s = received_s
+        if self._newest is None:
+            self._newest, self._begun_s = (received_s, way_s), received_s
+        elif received_s - self._begun_s > self.WINDOW_S:
+            passed_s = np.inf if self._fastest is None else self._newest[0] - self._fastest[0]
+            if self._fastest is not None and passed_s > self.WINDOW_S / 2:
+                self._slope = (self._newest[1] - self._fastest[1]) / passed_s
+            if passed_s > self.WINDOW_S / 2:  # two that are nearer to each other do not show the rate
+                self._fastest = self._newest
+            self._newest, self._begun_s = (received_s, way_s), received_s
+        elif way_s - self._expected(self._newest, received_s) < 0:
+            self._newest = (received_s, way_s)
+        known = [each for each in (self._fastest, self._newest) if each is not None]
+        late_s = way_s - min(self._expected(each, received_s) for each in known)
+        late_s /= max(1.0 - self._slope, MIN_RATE)  # while it was late, the clock of the robot went on slowly
         of_link_s = self.round_trip_s / 2 + waited_s
-        return of_link_s, max(of_link_s, way_s - self._fastest_s)
+        return of_link_s, max(of_link_s, late_s)
+
+    def _expected(self, fastest: tuple[float, float], now_s: float) -> float:
+        """Return the way of a fastest message now."""
+        return fastest[1] + self._slope * (now_s - fastest[0])
 
 
 class Ros2Robot:
@@ -205,20 +253,13 @@ class Ros2Robot:
     async def _exchange(self, socket: ClientConnection) -> None:
         await socket.send(self._setup.model_dump_json(by_alias=True))
         self._say(f"{self._setup.joint_states} has not been received")
-        sending = asyncio.create_task(self._send(socket))
-        try:
-            async for received in socket:
-                self._take(received)
-        finally:
-            sending.cancel()
-            with suppress(asyncio.CancelledError, WebSocketException):
-                await sending
+        await exchange(socket, self._send(socket), self._take)
 
     async def _send(self, socket: ClientConnection) -> None:
         """Send the newest command in each period, and the gains when they have changed."""
         due_s, gains = time.monotonic(), np.zeros((2, len(self.humanoid.joints)))
         while True:
-            due_s = max(due_s + 1.0 / self.options.command_hz, time.monotonic())
+            due_s = max(due_s + 1.0 / self.options.hz, time.monotonic())
             with self._lock:
                 kept, self._command = self._command, None
                 values = None if kept is None else kept[1].tolist()

@@ -1,7 +1,6 @@
 """The WebSocket of people who exercise or steer. Nothing queues: each message replaces the one before."""
 
 import asyncio
-import time
 from contextlib import suppress
 from typing import Any, Final
 
@@ -20,9 +19,9 @@ from services.whole_body_control.routes.access import of_humanoid
 from services.whole_body_control.running.humanoid_control import HumanoidControl
 from services.whole_body_control.running.inputs import (
     MESSAGES,
-    SILENT_S,
     PoseMessage,
     PullMessage,
+    Turns,
     WishMessage,
 )
 from services.whole_body_control.running.signals import PatientSignals
@@ -46,29 +45,9 @@ def _needed(connection: HTTPConnection) -> Permission:
     return _NEEDED[_role(connection)]
 
 
-class _Turns:
-    """Who sends in a role: one connection at a time, another one once that is silent."""
-
-    def __init__(self) -> None:
-        self._holder: object | None = None
-        self._received_s = float("-inf")
-
-    def takes(self, who: object) -> bool:
-        """Return whether the message of `who` counts."""
-        now_s = time.monotonic()
-        if self._holder is not who and now_s - self._received_s <= SILENT_S:
-            return False
-        self._holder, self._received_s = who, now_s
-        return True
-
-    def leave(self, who: object) -> None:
-        if self._holder is who:
-            self._holder, self._received_s = None, float("-inf")
-
-
 def add_input_socket(app: FastAPI, control: HumanoidControl, signals: PatientSignals) -> None:
     """Add the WebSocket of inputs."""
-    turns = {role: _Turns() for role in _NEEDED}
+    turns = {"patient": Turns(), "therapist": control.steering}
 
     @app.websocket(
         "/input",
@@ -99,9 +78,7 @@ def add_input_socket(app: FastAPI, control: HumanoidControl, signals: PatientSig
                 await asyncio.gather(sending, return_exceptions=True)
 
 
-def _take(
-    control: HumanoidControl, role: str, turns: _Turns, who: object, text: str
-) -> dict[str, Any] | None:
+def _take(control: HumanoidControl, role: str, turns: Turns, who: object, text: str) -> dict[str, Any] | None:
     """Take a message; return the answer, if it has one."""
     given = _read(text, role)
     if isinstance(given, str) or not turns.takes(who):

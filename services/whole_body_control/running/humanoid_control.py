@@ -17,7 +17,7 @@ from services.whole_body_control.metrics import FRACTION
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.running.cycle_process import CycleProcess
 from services.whole_body_control.running.gains import ChainGains, Shares
-from services.whole_body_control.running.inputs import PersonInputs
+from services.whole_body_control.running.inputs import PersonInputs, Turns
 from services.whole_body_control.running.live import LiveDocument
 from services.whole_body_control.running.motion import NAMES, Motion
 from services.whole_body_control.running.port_links import PortLinks
@@ -58,6 +58,8 @@ class HumanoidControl:
         self.motion = Motion()
         self.limits = limits
         self.inputs = PersonInputs()
+        self.steering = Turns()
+        """Who has the dead-man control: a therapist at the page, or a node of a ROS graph."""
         self.gains = ChainGains(self.model)
         self.links = PortLinks(self.process, self._wish, self.inputs.port_values, self.gains.port_values)
         self.live = LiveDocument(self.name, self.model.joint_names, self.motion, self.inputs)

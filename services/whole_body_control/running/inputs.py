@@ -87,6 +87,27 @@ InputMessage = Annotated[PoseMessage | PullMessage | WishMessage, Field(discrimi
 MESSAGES: Final[TypeAdapter[Any]] = TypeAdapter(InputMessage)
 
 
+class Turns:
+    """Who sends in a role: one sender at a time, another one once that is silent."""
+
+    def __init__(self) -> None:
+        self._holder: object | None = None
+        self._received_s = float("-inf")
+
+    def takes(self, who: object) -> bool:
+        """Return whether the message of `who` counts."""
+        now_s = time.monotonic()
+        if self._holder is not who and now_s - self._received_s <= SILENT_S:
+            return False
+        self._holder, self._received_s = who, now_s
+        return True
+
+    def leave(self, who: object) -> None:
+        """Let another one send at once."""
+        if self._holder is who:
+            self._holder, self._received_s = None, float("-inf")
+
+
 @dataclass
 class PersonInputs:
     """The newest input of the patient; times are those of the monotonic clock in s."""

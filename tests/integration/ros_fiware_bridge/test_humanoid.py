@@ -194,6 +194,7 @@ def test_options_that_do_not_fit_the_model_are_refused() -> None:
         ({"wrenches": {**WRENCHES, "tail": "/tail"}}, 'no force-torque sensor "tail"'),
         ({"wrenches": WRENCHES, "modes": ["voltage"]}, "modes.0"),
         ({"wrenches": WRENCHES, "speed": 3}, "speed"),
+        ({"wrenches": WRENCHES, "modes": ["torque"], "command_hz": 100}, "the mode torque needs 250"),
     ):
         with pytest.raises(UsageError, match=says):
             make_robot("ros2", DriverContext(COMAN, options))
@@ -210,6 +211,19 @@ def test_the_delay_is_half_of_the_round_trip_or_how_late_a_stamp_is() -> None:
     assert delay.of(10.1, 10.1 + apart_s, 0.001) == pytest.approx((0.004, 0.004))
     assert delay.of(10.2, 10.23 + apart_s, 0.001) == pytest.approx((0.004, 0.03), abs=2e-3)
     assert delay.of(10.3, 10.28 + apart_s, 0.0) == pytest.approx((0.003, 0.003))  # faster than any before
+
+
+@pytest.mark.parametrize("rate", [0.3, 0.9, 0.99, 1.0, 1.01])
+def test_a_robot_whose_clock_has_another_rate_is_not_taken_for_a_late_one(rate: float) -> None:
+    delay, random = LinkDelay(), np.random.default_rng(1)
+    for number in range(800):
+        sent_s = 0.01 * number
+        way_s = 0.002 + random.exponential(0.002)
+        _, late_s = delay.of(rate * sent_s, 50.0 + sent_s + way_s, 0.0)
+        if number > 400:
+            assert late_s == pytest.approx(way_s - 0.002, abs=0.01)
+    _, late_s = delay.of(rate * 8.0, 58.0 + 0.1, 0.0)
+    assert late_s == pytest.approx(0.1, abs=0.015)
 
 
 @pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS)
