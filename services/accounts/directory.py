@@ -9,6 +9,7 @@ from sqlalchemy import Column, Connection, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from handover.background_tasks import BackgroundTasks
+from handover.client_networks import network_of
 from handover.errors import Problem
 from handover.security.access_tokens import SERVICE_TOKEN_S, USER_TOKEN_S
 from handover.security.caller import Caller, CallerKind
@@ -336,6 +337,7 @@ class Directory:
             "csrf": sessions.csrf_token(session_token),
             "isStation": is_station,
             "endsInS": max(self.session_limits.ends_s(session) - time.time(), 0.0),
+            "network": network_of(session["address"]) if self.settings.session_bound else None,
         }
 
     async def service_token(self, caller: Caller) -> dict[str, Any]:

@@ -36,6 +36,7 @@ _WITH_USER: Final = (
         sessions.c.subject,
         sessions.c.created_s,
         sessions.c.seen_s,
+        sessions.c.address,
         users.c.name,
         users.c.person,
         stations.c.subject.label("station"),

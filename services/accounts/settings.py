@@ -13,6 +13,12 @@ class AccountsSettings(Settings):
     session_idle_h: float = Field(
         12.0, gt=0, le=8760, description="a session ends after so many hours without a request"
     )
+    session_bound: bool = Field(
+        False,
+        description="a session is of use only from the network of its sign-in (an IPv4 address, an IPv6 "
+        "/64), so that a stolen cookie is of none elsewhere; after a change of the network a new sign-in is "
+        "necessary",
+    )
     session_max_h: float = Field(
         168.0, gt=0, le=8760, description="a session ends so many hours after the sign-in, in any case"
     )

@@ -17,7 +17,9 @@ from typing import Any, Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from handover.client_networks import network_of
 from handover.errors import Problem, UsageError
+from handover.messages import message
 from handover.origin_guard import send_problem
 from handover.security.authentication import Guard
 from handover.security.caller import Caller, InvalidToken
@@ -49,6 +51,18 @@ class PageAccess:
     csrf: str
     renew_s: float
     is_station: bool = False
+    network: str | None = None
+    """The only network from which the session may be used."""
+
+    def require_place(self, address: str | None) -> None:
+        """Raise `Problem` 401 if the session may not be used from `address`."""
+        if self.network is None or (address is not None and network_of(address) == self.network):
+            return
+        raise Problem(
+            401,
+            "Signed out",
+            message("session.other_address", "this session was begun at another address; sign in again"),
+        )
 
 
 class PageGuard(Guard):
@@ -65,7 +79,9 @@ class PageGuard(Guard):
         session = self.session_of(headers)
         if session is None or b"authorization" in headers or not self.has_accounts():
             return await super().authenticate(address, headers)
-        return (await self.access_of(session)).caller
+        access = await self.access_of(session)
+        access.require_place(address)
+        return access.caller
 
     def session_of(self, headers: Headers) -> str | None:
         """Return the session token in the cookie of a request, if it has one."""
@@ -110,6 +126,7 @@ class PageGuard(Guard):
             str(document["csrf"]),
             asked_s + float(document["expiresInS"]) - RENEW_BEFORE_S,
             document.get("isStation") is True,
+            document.get("network"),
         )
         while len(self._accesses) >= MAX_REMEMBERED:
             self._accesses.popitem(last=False)
@@ -156,11 +173,13 @@ class PageGuard(Guard):
         if session is None or b"authorization" in headers or not self.has_accounts():
             return await super().renewed(caller, address, headers)
         try:
-            return (await self.access_of(session)).caller
+            access = await self.access_of(session)
+            access.require_place(address)
         except Problem as problem:
             if problem.status == 401 or not self.is_valid(caller) or _is_expired(caller):
                 raise Problem(401, "Signed out", "the session has ended; sign in again") from None
-        return caller
+            return caller
+        return access.caller
 
     async def require_csrf_token(self, method: str, path: str, headers: Headers) -> None:
         """Raise `Problem` 403 unless a request that changes something by a cookie has the CSRF token."""

@@ -180,6 +180,7 @@ async def _view(guard: PageGuard, headers: dict[bytes, bytes], request: Request)
         return await _signed_out(guard)
     try:
         access = await guard.access_of(token)
+        access.require_place(request.client.host if request.client else None)
     except Problem as problem:
         if problem.status != 401:
             raise

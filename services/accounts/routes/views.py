@@ -209,13 +209,14 @@ class SignedOut(TypedDict):
 
 
 class UserToken(TypedDict):
-    """The access token of a session."""
+    """The access token of a session; `network` is the only one from which it may be used, or null."""
 
     token: str
     expiresInS: float
     csrf: str
     isStation: bool
     endsInS: float
+    network: str | None
 
 
 class ServiceToken(TypedDict):

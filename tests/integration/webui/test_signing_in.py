@@ -66,6 +66,7 @@ class Browser:
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     with new_cell(tmp_path_factory.mktemp("cell")) as made:
         made.extra["HANDOVER_TRUSTED_PROXIES"] = "127.0.0.1"
+        made.extra["HANDOVER_SESSION_BOUND"] = "true"
         made.start("accounts", "webui", "study", within_s=90)
         yield made
 
@@ -151,6 +152,21 @@ def test_a_stolen_cookie_is_of_no_use_to_another_page(cell: Cell, owner: Browser
             origin="http://evil.example",  # type: ignore[arg-type]
             additional_headers={"Cookie": owner.cookies()},
         ).close()
+
+
+def test_a_stolen_cookie_is_of_no_use_at_another_address(cell: Cell, owner: Browser) -> None:
+    carla = invited(cell, owner, "Carla", {"role": "viewer", "resource": "*"})
+    stolen = {"Cookie": carla.cookies(), "X-Forwarded-For": "203.0.113.66"}
+    thief = httpx.Client(base_url=cell.url("webui"), headers=stolen, timeout=120, trust_env=False)
+    with thief:
+        refused = thief.get("/api/accounts/me")
+        assert (refused.status_code, refused.json()["detailCode"]) == (401, "session.other_address")
+        view = thief.get("/api/session").json()
+        assert (view["user"], view["csrf"]) == (None, None)
+    url = cell.url("webui").replace("http", "ws") + "/api/live"
+    with pytest.raises(InvalidStatus):
+        connect(url, proxy=None, additional_headers=stolen).close()
+    assert carla.send("GET", "/api/accounts/me").status_code == 200, "her own session goes on"
 
 
 def test_a_cookie_moves_a_robot_only_with_the_right_and_from_our_own_page(cell: Cell, owner: Browser) -> None:

@@ -364,13 +364,14 @@ export interface UserChange {
   person: string | null;
 }
 
-/** The access token of a session. */
+/** The access token of a session; `network` is the only one from which it may be used, or null. */
 export interface UserToken {
   token: string;
   expiresInS: number;
   csrf: string;
   isStation: boolean;
   endsInS: number;
+  network: string | null;
 }
 
 /** A user; `sessions` is the number of open sessions. */
