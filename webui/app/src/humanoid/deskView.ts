@@ -1,22 +1,25 @@
-/** The 3D view of the desk page: camera, light, ground, and picking of places where a ball is to land. */
-import {
-  DirectionalLight, type GridHelper, Mesh, MeshStandardMaterial, PerspectiveCamera, Plane, PlaneGeometry, Raycaster, Scene, Vector2,
-  Vector3, WebGLRenderer,
-} from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { ambientLights, castShadows, groundGrid } from "~/robot3d/light";
-import { stepOf, stepped } from "~/robot3d/orbit";
+/** The 3D view of the desk page: it follows the robot and the person who exercises, and picks places where balls are to land. */
+import { Mesh, MeshStandardMaterial, Plane, PlaneGeometry, Raycaster, Vector2, Vector3 } from "three";
+import { castShadows } from "~/robot3d/light";
+import { OrbitView } from "~/robot3d/orbitView";
 import { HumanoidFigure, type FigureColours } from "./figure";
 import { onGround, type HumanoidModel, type LiveDocument, type Place } from "./humanoid";
 
-const MAX_PIXEL_RATIO = 2;
 const DISTANCES = { least: 0.5, most: 8 };
-/** From the middle of the robot to the camera. */
+const GROUND_M = 20;
+/** From the middle of what is shown to the camera: of the robot alone, and of the robot with a person in front of it. */
 const START = new Vector3(1.9, -1.9, 0.75);
+const START_WITH_PERSON = new Vector3(0.9, -3.3, 0.9);
 const MIDDLE_M = 0.45;
+/** A person sits so far in front of the robot, where the headset does not say it. */
+const PERSON_MIDDLE = { share: 0.5, upM: 0.65 };
 /** A press that moves farther turns the view. */
 const CLICK_PX = 5;
 const FOLLOWS_M = 0.002;
+/** A person who is away for longer is gone; a late pose must not move the camera. */
+const GONE_MS = 3000;
+/** Below this ratio of width to height the camera moves back. */
+const FITS_AT_ASPECT = 1.4;
 
 export interface DeskColours extends FigureColours {
   background: string;
@@ -26,19 +29,15 @@ export interface DeskColours extends FigureColours {
 
 export class DeskView {
   readonly figure: HumanoidFigure;
-  readonly #host: HTMLElement;
-  readonly #renderer: WebGLRenderer;
-  readonly #scene = new Scene();
-  readonly #camera = new PerspectiveCamera(38, 1, 0.05, 40);
-  readonly #controls: OrbitControls;
-  readonly #resized: ResizeObserver;
-  readonly #seen: IntersectionObserver;
-  readonly #ground = new Mesh(new PlaneGeometry(20, 20), new MeshStandardMaterial({ roughness: 1 }));
-  readonly #sun = new DirectionalLight("#ffffff", 2.2);
-  #grid: GridHelper | null = null;
-  #frame = 0;
-  #isInView = true;
+  readonly #view: OrbitView;
+  readonly #ground = new Mesh(new PlaneGeometry(GROUND_M, GROUND_M), new MeshStandardMaterial({ roughness: 1 }));
+  readonly #middle = new Vector3(0, 0, MIDDLE_M);
+  readonly #wanted = new Vector3();
   #pressedAt: Vector2 | null = null;
+  #personMs = -Infinity;
+  #showsPerson = false;
+  /** The view shows all until a user turns it. */
+  #isTurned = false;
   /** Where a person pressed, on the horizontal plane at `pickHeightM`; null ignores presses. */
   onPick: ((place: Place) => void) | null = null;
   pickHeightM = 0;
@@ -47,38 +46,22 @@ export class DeskView {
 
   /** Throws where the browser has no WebGL, or for a URDF that cannot be drawn. */
   constructor(host: HTMLElement, urdf: string, model: HumanoidModel, colours: DeskColours) {
-    this.#host = host;
-    this.#renderer = new WebGLRenderer({ antialias: true, powerPreference: "low-power" });
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MAX_PIXEL_RATIO));
-    this.#renderer.shadowMap.enabled = true;
-    this.#renderer.domElement.setAttribute("aria-hidden", "true");
-    this.#renderer.domElement.style.touchAction = "pan-y";
-    host.append(this.#renderer.domElement);
-    this.figure = new HumanoidFigure(urdf, model, colours);
+    this.#view = new OrbitView(host, Math.PI / 2 - 0.02, { onFit: () => !this.#isTurned && this.reset() });
+    this.#view.distances = DISTANCES;
+    try {
+      this.figure = new HumanoidFigure(urdf, model, colours);
+    } catch (error) {
+      this.#view.dispose();
+      throw error;
+    }
     this.#ground.receiveShadow = true;
     this.#ground.position.z = -0.001;
-    this.#scene.add(this.figure.root, this.#ground, this.#sun, this.#sun.target, ...ambientLights());
-    this.#sun.position.set(-1.2, -1.8, 3);
-    castShadows(this.#sun, 1.5, 0.5, 8);
-    this.#camera.up.set(0, 0, 1);
-    this.#controls = new OrbitControls(this.#camera, this.#renderer.domElement);
-    this.#controls.maxPolarAngle = Math.PI / 2 - 0.02;
-    this.#controls.minDistance = DISTANCES.least;
-    this.#controls.maxDistance = DISTANCES.most;
-    this.#controls.enableZoom = false; // the wheel scrolls the page until the view is used
-    this.#controls.addEventListener("change", this.draw);
-    host.addEventListener("focusin", this.#taken);
-    host.addEventListener("focusout", this.#left);
-    this.#renderer.domElement.addEventListener("pointerdown", this.#pressed);
-    this.#renderer.domElement.addEventListener("pointerup", this.#released);
-    this.#resized = new ResizeObserver(() => this.#fit());
-    this.#resized.observe(host);
-    this.#seen = new IntersectionObserver(([entry]) => {
-      this.#isInView = entry?.isIntersecting ?? true;
-      this.draw();
-    });
-    this.#seen.observe(host);
-    document.addEventListener("visibilitychange", this.draw);
+    this.#view.scene.add(this.figure.root, this.#ground);
+    this.#view.sun.position.set(-1.2, -1.8, 3);
+    castShadows(this.#view.sun, 1.8, 0.5, 8);
+    this.#view.controls.addEventListener("start", () => (this.#isTurned = true));
+    this.#view.canvas.addEventListener("pointerdown", this.#pressed);
+    this.#view.canvas.addEventListener("pointerup", this.#released);
     this.recolour(colours);
     this.reset();
   }
@@ -88,75 +71,47 @@ export class DeskView {
     this.figure.show(live);
     const { stance } = live;
     this.figure.preview(this.target === null || stance === null ? null : onGround(stance, this.target));
-    const [x, y] = live.base ?? [];
-    if (x !== undefined && y !== undefined) this.#follow(x, y);
-    this.draw();
+    this.#follow(live);
+    this.#view.draw();
   }
 
   recolour(colours: DeskColours): void {
-    this.#renderer.setClearColor(colours.background);
     this.#ground.material.color.set(colours.ground);
-    this.#grid?.removeFromParent();
-    this.#grid?.dispose();
-    this.#grid = groundGrid(20, colours.line);
-    this.#scene.add(this.#grid);
     this.figure.recolour(colours);
-    this.draw();
+    this.#view.recolour(colours.background, colours.line, GROUND_M, 0);
   }
 
   /** Handle a key; returns whether it had an effect. */
   key(key: string): boolean {
-    const step = stepOf(key);
-    if (step === null) return false;
-    if (step === "reset") this.reset();
-    else {
-      this.#camera.position.set(...stepped(this.#camera.position.toArray(), this.#controls.target.toArray(), step, DISTANCES));
-      this.#controls.update();
-    }
-    this.draw();
-    return true;
+    const done = this.#view.key(key);
+    if (done === "reset") this.reset();
+    else if (done) this.#isTurned = true;
+    return done !== false;
   }
 
   reset(): void {
-    const { x, y } = this.#controls.target;
-    this.#controls.target.set(x, y, MIDDLE_M);
-    this.#camera.position.copy(START).add(this.#controls.target);
-    this.#controls.update();
-    this.draw();
+    const { controls, camera, draw } = this.#view;
+    this.#isTurned = false;
+    controls.target.copy(this.#middle);
+    const back = Math.max(1, FITS_AT_ASPECT / camera.aspect);
+    camera.position.copy(this.#showsPerson ? START_WITH_PERSON : START).multiplyScalar(back).add(controls.target);
+    controls.update();
+    draw();
   }
 
-  readonly draw = (): void => {
-    if (this.#frame !== 0 || document.hidden || !this.#isInView) return;
-    this.#frame = requestAnimationFrame(() => {
-      this.#frame = 0;
-      this.#renderer.render(this.#scene, this.#camera);
-    });
-  };
-
   dispose(): void {
-    cancelAnimationFrame(this.#frame);
-    this.#frame = -1;
-    this.#resized.disconnect();
-    this.#seen.disconnect();
-    document.removeEventListener("visibilitychange", this.draw);
-    this.#host.removeEventListener("focusin", this.#taken);
-    this.#host.removeEventListener("focusout", this.#left);
-    this.#controls.dispose();
-    this.#grid?.dispose();
     this.figure.dispose();
     this.#ground.geometry.dispose();
-    this.#sun.dispose();
-    this.#renderer.dispose();
-    this.#renderer.forceContextLoss(); // browsers limit the contexts, and collect them late
-    this.#renderer.domElement.remove();
+    this.#ground.material.dispose();
+    this.#view.dispose();
   }
 
   /** The place on the plane of picking below a point of the screen; null above the horizon. */
   placeAt(clientX: number, clientY: number): Place | null {
-    const box = this.#renderer.domElement.getBoundingClientRect();
+    const box = this.#view.canvas.getBoundingClientRect();
     const at = new Vector2((2 * (clientX - box.left)) / box.width - 1, 1 - (2 * (clientY - box.top)) / box.height);
     const ray = new Raycaster();
-    ray.setFromCamera(at, this.#camera);
+    ray.setFromCamera(at, this.#view.camera);
     return ray.ray.intersectPlane(new Plane(new Vector3(0, 0, 1), -this.pickHeightM), new Vector3())?.toArray() ?? null;
   }
 
@@ -172,33 +127,30 @@ export class DeskView {
     if (place !== null) this.onPick(place);
   };
 
-  readonly #taken = (): void => {
-    this.#controls.enableZoom = true;
-  };
-
-  readonly #left = (): void => {
-    this.#controls.enableZoom = false;
-  };
-
-  #follow(x: number, y: number): void {
-    const { target } = this.#controls;
-    const [dx, dy] = [x - target.x, y - target.y];
-    if (Math.hypot(dx, dy) < FOLLOWS_M) return;
-    target.x = x;
-    target.y = y;
-    this.#camera.position.x += dx;
-    this.#camera.position.y += dy;
-    this.#sun.position.set(x - 1.2, y - 1.8, 3);
-    this.#sun.target.position.set(x, y, MIDDLE_M);
-    this.#controls.update();
-  }
-
-  #fit(): void {
-    const { clientWidth: width, clientHeight: height } = this.#host;
-    if (width === 0 || height === 0) return;
-    this.#renderer.setSize(width, height);
-    this.#camera.aspect = width / height;
-    this.#camera.updateProjectionMatrix();
-    this.draw();
+  /** Keep the robot, and a person in front of it, in the middle; a person who comes or goes changes the initial view only. */
+  #follow({ base, patient }: LiveDocument): void {
+    const [x, y] = base ?? [];
+    if (x === undefined || y === undefined) return;
+    const now = performance.now();
+    const person = patient?.headset?.position ?? null;
+    if (person !== null) this.#personMs = now;
+    const showsPerson = now - this.#personMs < GONE_MS;
+    const isOther = showsPerson !== this.#showsPerson;
+    this.#showsPerson = showsPerson;
+    if (person !== null) this.#wanted.set(x + PERSON_MIDDLE.share * (person[0] - x), y + PERSON_MIDDLE.share * (person[1] - y), PERSON_MIDDLE.upM);
+    else if (!showsPerson) this.#wanted.set(x, y, MIDDLE_M);
+    const { controls, camera, sun } = this.#view;
+    if (this.#wanted.distanceTo(this.#middle) < FOLLOWS_M && !isOther) return;
+    const moved = this.#wanted.clone().sub(this.#middle);
+    this.#middle.copy(this.#wanted);
+    sun.position.set(this.#middle.x - 1.2, this.#middle.y - 1.8, 3);
+    sun.target.position.set(this.#middle.x, this.#middle.y, MIDDLE_M);
+    if (isOther && !this.#isTurned) {
+      this.reset();
+      return;
+    }
+    controls.target.add(moved);
+    camera.position.add(moved);
+    controls.update();
   }
 }

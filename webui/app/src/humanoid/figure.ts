@@ -16,6 +16,8 @@ const LIFTED_M = { polygon: 0.002, steps: 0.003, landings: 0.004, points: 0.005 
 /** The length of the arrow of a force. */
 const M_PER_N = 1 / 500;
 const MAX_FOOTSTEPS = 24;
+/** The length of the line that shows where a person looks. */
+const GAZE_M = 0.45;
 /** A foot that steps moves farther than the estimate drifts. */
 const MOVED_M = 0.02;
 /** A foot with this share of the weight stands. */
@@ -56,7 +58,7 @@ export class HumanoidFigure {
   readonly #target: Mesh;
   readonly #landed: Mesh;
   readonly #preview: Mesh;
-  readonly #head: Group;
+  readonly #head: Head;
   readonly #palms: Record<Side, Mesh>;
   readonly #stepMaterial = new LineBasicMaterial();
   readonly #last: Partial<Record<Side, readonly Pair[]>> = {};
@@ -77,7 +79,7 @@ export class HumanoidFigure {
     this.#palms = { left: palm(), right: palm() };
     this.overlays.add(this.#com, this.#plumb, this.#zmp, this.#zmpReference, this.#area, this.#polygon, this.#steps, this.#target, this.#landed, this.#preview);
     for (const side of SIDES) this.overlays.add(this.#feet[side], this.#hands[side], this.#landings[side].edge, this.#landings[side].area);
-    this.person.add(this.#head, this.#palms.left, this.#palms.right);
+    this.person.add(this.#head.root, this.#palms.left, this.#palms.right);
     this.#ball.castShadow = true;
     this.root.add(this.#robot, this.overlays, this.#ball, this.person);
     for (const part of [...this.overlays.children, this.#ball, ...this.person.children]) part.visible = false;
@@ -107,7 +109,9 @@ export class HumanoidFigure {
     paint(this.#target, colours.target);
     paint(this.#landed, colours.ball);
     paint(this.#preview, colours.target);
-    paint(this.#head, colours.person);
+    paint(this.#head.skull, colours.person);
+    paint(this.#head.visor, colours.steps);
+    paint(this.#head.gaze, colours.target);
   }
 
   /** Show a document; what it does not know is hidden. */
@@ -211,8 +215,8 @@ export class HumanoidFigure {
 
   #patient(patient: PatientState | null): void {
     const headset = patient?.headset ?? null;
-    place(this.#head, headset?.position ?? null);
-    if (headset !== null) this.#head.quaternion.set(...headset.rotation);
+    place(this.#head.root, headset?.position ?? null);
+    if (headset !== null) this.#head.root.quaternion.set(...headset.rotation);
     for (const side of SIDES) {
       const hand = patient?.hands[side] ?? null;
       place(this.#palms[side], hand?.position ?? null);
@@ -262,16 +266,24 @@ function arrow(): ArrowHelper {
   return new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 0.1);
 }
 
-/** A head with a headset; it looks along its x axis with its z axis up, as the robot does. */
-function headOf(): Group {
-  const head = new Group();
+interface Head {
+  root: Group;
+  skull: Mesh;
+  visor: Mesh;
+  gaze: Line;
+}
+
+/** A head with a headset and the line of where it looks: along its x axis with its z axis up, as the robot does. */
+function headOf(): Head {
+  const root = new Group();
   const skull = new Mesh(new SphereGeometry(0.1, 24, 16), new MeshStandardMaterial({ roughness: 0.8 }));
   skull.scale.set(1, 0.8, 1.2);
   const visor = new Mesh(new SphereGeometry(0.07, 16, 12), new MeshStandardMaterial({ roughness: 0.3 }));
   visor.scale.set(0.6, 1.1, 0.6);
   visor.position.set(0.08, 0, 0.02);
-  head.add(skull, visor);
-  return head;
+  const gaze = new Line(new BufferGeometry().setFromPoints([new Vector3(0.12, 0, 0.02), new Vector3(0.12 + GAZE_M, 0, 0.02)]), new LineBasicMaterial());
+  root.add(skull, visor, gaze);
+  return { root, skull, visor, gaze };
 }
 
 function palm(): Mesh {

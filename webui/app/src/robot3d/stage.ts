@@ -1,20 +1,16 @@
-/**
-* The 3D view of the robot in its cell, with three.js. It renders only when a joint, the camera, the theme or
-* the size has changed, and never while it is not visible.
- */
+/** The 3D view of the robot in its cell. It renders only when a joint, the camera, the theme or the size has changed. */
 import {
-  Box3, BoxGeometry, type BufferGeometry, type ColorRepresentation, CylinderGeometry, DirectionalLight, EdgesGeometry, type GridHelper, Group,
-  LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, SphereGeometry, Vector3,
-  WebGLRenderer,
+  Box3, BoxGeometry, type BufferGeometry, type ColorRepresentation, CylinderGeometry, EdgesGeometry, Group, LineBasicMaterial, LineSegments, Mesh,
+  MeshStandardMaterial, Sphere, SphereGeometry, Vector3,
 } from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { URDFRobot } from "urdf-loader";
 import type { RobotDescription } from "~/robot/description";
 import { bend, boxesOf, grip, parsed, release } from "./urdf";
 import { type CellScene, type Footprint, type Form, furnitureOf, PART_SIZE, type Piece, type PieceKind, type Triple } from "./furniture";
 import { JointTrack } from "./joint_track";
-import { ambientLights, castShadows, groundGrid } from "./light";
-import { DISTANCES, type Distances, stepOf, stepped } from "./orbit";
+import { castShadows } from "./light";
+import { DISTANCES } from "./orbit";
+import { OrbitView } from "./orbitView";
 
 /** The direction from the middle of the cell to the camera. */
 const DIRECTION = new Vector3(-1.75, -1.45, 0.98).normalize();
@@ -24,7 +20,6 @@ const FILLED = 0.78;
 const LOWERED = 0.12;
 /** Below this ratio of width to height the camera moves back. */
 const FITS_AT_ASPECT = 1.3;
-const MAX_PIXEL_RATIO = 2;
 const GROUND_M = -0.051;
 /** Edges of curved surfaces are not drawn. */
 const EDGE_DEG = 30;
@@ -57,37 +52,25 @@ interface Neighbour {
 }
 
 export class Stage {
-  readonly #host: HTMLElement;
-  readonly #renderer: WebGLRenderer;
-  readonly #scene = new Scene();
-  readonly #camera = new PerspectiveCamera(38, 1, 0.05, 20);
-  readonly #controls: OrbitControls;
-  readonly #resized: ResizeObserver;
-  readonly #visibility: IntersectionObserver;
+  readonly #view: OrbitView;
   readonly #furniture = new Group();
   readonly #track = new JointTrack();
   readonly #description: RobotDescription;
   readonly #robot: URDFRobot;
   readonly #robotBox: Box3;
   readonly #foot: Footprint;
-  readonly #sun = new DirectionalLight("#ffffff", 2.2);
   readonly #grippedPart: Mesh;
   readonly #neighbours = new Map<string, Neighbour>();
   readonly #neighbourBox = new Box3();
   #palette: Palette;
-  #grid: GridHelper | null = null;
   #cell: CellScene | null = null;
-  #distances: Distances = DISTANCES;
   /** The view follows the size of the cell until a user turns it. */
   #isTurned = false;
   #names: readonly string[] = [];
   #gripper = "";
-  #frame = 0;
-  #inView = true;
 
   /** Throws when the browser has no WebGL or the description cannot be drawn. */
   constructor(host: HTMLElement, description: RobotDescription, palette: Palette) {
-    this.#host = host;
     this.#description = description;
     const robot = (this.#robot = placed(description));
     const boxes = boxesOf(robot, description.joints.map((joint) => joint.name), description.home);
@@ -95,40 +78,16 @@ export class Stage {
     const { min, max } = boxes.root.isEmpty() ? new Box3(new Vector3(), new Vector3()) : boxes.root;
     this.#foot = [[min.x, min.y], [max.x, max.y]];
     this.#palette = palette;
-    this.#renderer = new WebGLRenderer({ antialias: true, powerPreference: "low-power" });
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MAX_PIXEL_RATIO));
-    this.#renderer.shadowMap.enabled = true;
-    this.#renderer.domElement.setAttribute("aria-hidden", "true");
-    host.append(this.#renderer.domElement);
-
-    this.#camera.up.set(0, 0, 1);
-    this.#controls = new OrbitControls(this.#camera, this.#renderer.domElement);
-    this.#controls.maxPolarAngle = Math.PI / 2 + 0.08;
-    // The wheel scrolls the page until the view has been used; vertical touch gestures always scroll.
-    this.#controls.enableZoom = false;
-    this.#renderer.domElement.style.touchAction = "pan-y";
-    this.#controls.addEventListener("change", this.draw);
-    this.#controls.addEventListener("start", () => (this.#isTurned = true));
+    this.#view = new OrbitView(host, Math.PI / 2 + 0.08, { onFrame: (nowMs) => this.#bend(nowMs), onFit: () => !this.#isTurned && this.reset() });
+    this.#view.controls.addEventListener("start", () => (this.#isTurned = true));
 
     this.#grippedPart = new Mesh(new BoxGeometry(...PART_SIZE), new MeshStandardMaterial());
     this.#grippedPart.visible = false;
     this.#grippedPart.castShadow = true;
     robot.links[description.tip]?.add(this.#grippedPart);
-    this.#scene.add(robot, this.#furniture, this.#sun, this.#sun.target, ...ambientLights());
+    this.#view.scene.add(robot, this.#furniture);
     this.#shine();
     this.restyle(palette);
-
-    this.#resized = new ResizeObserver(() => this.#fit());
-    this.#resized.observe(host);
-    this.#visibility = new IntersectionObserver(([entry]) => {
-      this.#inView = entry?.isIntersecting ?? true;
-      this.draw();
-    });
-    this.#visibility.observe(host);
-    document.addEventListener("visibilitychange", this.draw);
-    host.addEventListener("focusin", this.#taken);
-    host.addEventListener("focusout", this.#left);
-    this.#renderer.domElement.addEventListener("webglcontextrestored", this.draw);
   }
 
   /** Set the target positions of the joints; the arm is interpolated to them. */
@@ -143,7 +102,7 @@ export class Stage {
     const { robot: box } = boxesOf(robot, description.joints.map((joint) => joint.name), description.home);
     this.#neighbourBox.union(box);
     this.#neighbours.set(name, { robot, track: new JointTrack(), names: [] });
-    this.#scene.add(robot);
+    this.#view.scene.add(robot);
     if (!this.#isTurned) this.reset();
     this.draw();
   }
@@ -176,47 +135,35 @@ export class Stage {
 
   restyle(palette: Palette): void {
     this.#palette = palette;
-    this.#renderer.setClearColor(palette.ground);
     (this.#grippedPart.material as MeshStandardMaterial).color.set(palette.part);
-    this.#dropGrid();
     const size = Math.max(6, Math.ceil(4 * sphereOf(this.#robotBox).radius));
-    this.#grid = groundGrid(size, palette.line);
-    this.#grid.position.z = GROUND_M;
-    this.#scene.add(this.#grid);
+    this.#view.recolour(palette.ground, palette.line, size, GROUND_M);
     this.furnish(this.#cell);
   }
 
   /** Handle a key; returns whether it had an effect. */
   key(key: string): boolean {
-    const step = stepOf(key);
-    if (step === null) return false;
-    if (step === "reset") {
-      this.reset();
-    } else {
-      this.#isTurned = true;
-      const target = this.#controls.target;
-      this.#camera.position.set(...stepped(this.#camera.position.toArray(), target.toArray(), step, this.#distances));
-      this.#controls.update();
-    }
-    this.draw();
-    return true;
+    const done = this.#view.key(key);
+    if (done === "reset") this.reset();
+    else if (done) this.#isTurned = true;
+    return done !== false;
   }
 
   /** Restore the initial view of the whole cell. */
   reset(): void {
+    const { camera, controls } = this.#view;
     const { center, radius } = sphereOf(this.#extent());
-    const back = Math.max(1, FITS_AT_ASPECT / this.#camera.aspect);
-    const distance = (FILLED * back * radius) / Math.sin((this.#camera.fov * Math.PI) / 360);
-    this.#distances = { least: Math.min(DISTANCES.least, distance / 3), most: Math.max(DISTANCES.most, 2 * distance) };
-    this.#controls.minDistance = this.#distances.least;
-    this.#controls.maxDistance = this.#distances.most;
-    this.#camera.far = 3 * this.#distances.most;
-    this.#camera.updateProjectionMatrix();
+    const back = Math.max(1, FITS_AT_ASPECT / camera.aspect);
+    const distance = (FILLED * back * radius) / Math.sin((camera.fov * Math.PI) / 360);
+    const distances = { least: Math.min(DISTANCES.least, distance / 3), most: Math.max(DISTANCES.most, 2 * distance) };
+    this.#view.distances = distances;
+    camera.far = 3 * distances.most;
+    camera.updateProjectionMatrix();
     center.z -= LOWERED * radius;
-    this.#controls.target.copy(center);
-    this.#camera.position.copy(DIRECTION).multiplyScalar(distance).add(center);
+    controls.target.copy(center);
+    camera.position.copy(DIRECTION).multiplyScalar(distance).add(center);
     this.#isTurned = false;
-    this.#controls.update();
+    controls.update();
     this.draw();
   }
 
@@ -228,62 +175,29 @@ export class Stage {
   }
 
   /** Request a frame if the view is visible. */
-  readonly draw = (): void => {
-    if (this.#frame !== 0 || document.hidden || !this.#inView) return;
-    this.#frame = requestAnimationFrame((nowMs) => {
-      this.#frame = 0;
-      bend(this.#robot, this.#names, this.#track.at(nowMs));
-      for (const { robot, names, track } of this.#neighbours.values()) bend(robot, names, track.at(nowMs));
-      this.#renderer.render(this.#scene, this.#camera);
-      if ([this.#track, ...[...this.#neighbours.values()].map(({ track }) => track)].some((track) => track.glides(nowMs))) this.draw();
-    });
-  };
+  readonly draw = (): void => this.#view.draw();
 
   dispose(): void {
-    cancelAnimationFrame(this.#frame);
-    this.#frame = -1;
-    this.#resized.disconnect();
-    this.#visibility.disconnect();
-    document.removeEventListener("visibilitychange", this.draw);
-    this.#host.removeEventListener("focusin", this.#taken);
-    this.#host.removeEventListener("focusout", this.#left);
-    this.#controls.dispose();
-    this.#dropGrid();
     for (const piece of [...this.#furniture.children]) release(piece);
     release(this.#robot);
-    for (const { robot } of this.#neighbours.values()) release(robot);
-    this.#sun.dispose();
-    this.#renderer.dispose();
-    // Browsers limit WebGL contexts to about 16: release it now, not at garbage collection.
-    this.#renderer.forceContextLoss();
-    this.#renderer.domElement.remove();
+    this.#view.dispose();
   }
 
-  readonly #taken = (): void => {
-    this.#controls.enableZoom = true;
-  };
-
-  readonly #left = (): void => {
-    this.#controls.enableZoom = false;
-  };
+  /** Move the joints to where they are now; returns whether one still moves. */
+  #bend(nowMs: number): boolean {
+    bend(this.#robot, this.#names, this.#track.at(nowMs));
+    for (const { robot, names, track } of this.#neighbours.values()) bend(robot, names, track.at(nowMs));
+    return [this.#track, ...[...this.#neighbours.values()].map(({ track }) => track)].some((track) => track.glides(nowMs));
+  }
 
   /** Place the light above the robot; its shadows cover the reach of the arm. */
   #shine(): void {
     const { center, radius } = sphereOf(this.#robotBox);
     const reach = Math.max(1.6, 1.6 * radius);
-    this.#sun.position.set(-0.75, -1.13, 1.88).multiplyScalar(reach).add(center);
-    this.#sun.target.position.copy(center);
-    castShadows(this.#sun, reach, 0.3 * reach, 3.8 * reach);
-  }
-
-  #fit(): void {
-    const { clientWidth: width, clientHeight: height } = this.#host;
-    if (width === 0 || height === 0) return;
-    this.#renderer.setSize(width, height);
-    this.#camera.aspect = width / height;
-    this.#camera.updateProjectionMatrix();
-    if (!this.#isTurned) this.reset();
-    this.draw();
+    const { sun } = this.#view;
+    sun.position.set(-0.75, -1.13, 1.88).multiplyScalar(reach).add(center);
+    sun.target.position.copy(center);
+    castShadows(sun, reach, 0.3 * reach, 3.8 * reach);
   }
 
   #piece({ kind, form, size, position, orientation }: Piece): Group {
@@ -310,11 +224,6 @@ export class Stage {
       table, fixture, bin, nest: line, part, truePart: truepart, obstacle, fence: line, camera: obstacle,
       keepOut: keepout, reducedSpeed: reduced, people,
     }[kind];
-  }
-
-  #dropGrid(): void {
-    this.#grid?.dispose();
-    this.#grid?.removeFromParent();
   }
 }
 
