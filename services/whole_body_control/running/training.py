@@ -294,7 +294,8 @@ def _walk(session: Session, values: Mapping[str, float]) -> None:
         float(np.linalg.norm([values.get(f"{side}_hand.force.{axis}", 0.0) for axis in "xyz"]))
         for side in ("left", "right")
     ]
-    session.walk.update(t, np.array([x, y]), wish, velocity, max(forces))
+    feet = np.array([values.get(f"feet.{axis}", np.nan) for axis in "xy"])
+    session.walk.update(t, feet, wish, velocity, max(forces))
 
 
 def _camel(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,6 +9,8 @@ from services.whole_body_control.model.kinematics import Array
 MIN_MPS = 0.02
 """Below this speed the wish has no direction."""
 LONGEST_GAP_S = 0.5
+LEAST_M = 0.005
+"""A shorter way is noise of the estimate."""
 
 
 @dataclass(slots=True)
@@ -23,21 +25,29 @@ class WalkFigures:
     highest_force_n: float = 0.0
     _turned_s: float = 0.0
     _last_s: float | None = None
-    _last_com: Array | None = None
+    _counted: Array | None = None
+    """Where the distance was counted last."""
 
-    def update(self, time_s: float, com: Array, wish: Array, velocity: Array, hand_force_n: float) -> None:
-        """Take centre of mass (2,) in m, wished and real velocity (2,) in m/s, and the largest hand force."""
-        values = (time_s, *com, *wish, *velocity, hand_force_n)
+    def update(self, time_s: float, place: Array, wish: Array, velocity: Array, hand_force_n: float) -> None:
+        """Take the middle of the feet (2,) in m, which does not sway with each step, the wished and the real
+        velocity of the centre of mass (2,) in m/s, and the largest hand force.
+        """
+        values = (time_s, *place, *wish, *velocity, hand_force_n)
         if not np.isfinite(values).all():
             return
         dt_s = time_s - self._last_s if self._last_s is not None else np.inf
-        if 0 < dt_s <= LONGEST_GAP_S and self._last_com is not None:
-            self.distance_m += float(np.linalg.norm(com - self._last_com))
+        if 0 < dt_s <= LONGEST_GAP_S and self._counted is not None:
+            moved_m = float(np.linalg.norm(place - self._counted))
+            if moved_m >= LEAST_M:
+                self.distance_m += moved_m
+                self._counted = place.copy()
             if float(np.linalg.norm(wish)) >= MIN_MPS:
                 self.walked_s += dt_s
                 self._turned_s += dt_s * angle_between(wish, velocity)
+        else:
+            self._counted = place.copy()
         self.highest_force_n = max(self.highest_force_n, hand_force_n)
-        self._last_s, self._last_com = time_s, com.copy()
+        self._last_s = time_s
 
     @property
     def mean_direction_error_rad(self) -> float | None:

@@ -230,3 +230,8 @@ def test_the_figures_of_a_walk_leave_gaps_and_nan_out() -> None:
     assert figures.highest_force_n == 7.0
     figures.update(101.2, np.array([9.0, 0.02]), aside, ahead, 7.0)
     assert figures.mean_direction_error_rad == pytest.approx(0.2 / 1.2 * np.pi / 2)
+    walked_m = figures.distance_m
+    for step in range(20):  # it stands, and its estimate is noisy
+        place = np.array([9.0 + 0.002 * (-1) ** step, 0.02])
+        figures.update(101.21 + 0.01 * step, place, 0 * ahead, ahead, 7.0)
+    assert figures.distance_m == walked_m
