@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
+from services.whole_body_control.model.kinematics import Kinematics
+from services.whole_body_control.robots import humanoid
 from tests.e2e.conftest import OpenPage
+from tests.integration.whole_body_control.people import THROW_S
 from tests.kit.cell import Cell, new_cell
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import wait_for
@@ -26,8 +30,12 @@ WEAR = """
 const device = new IWER.XRDevice(IWER.metaQuest3);
 device.installRuntime({ forceInstall: true });
 device.position.set(1, 1.15, 2);
-for (const [side, x] of [["left", 0.8], ["right", 1.2]]) device.controllers[side].position.set(x, 0.9, 1.7);
+for (const held of [device.controllers, device.hands])
+  for (const [side, x] of [["left", 0.8], ["right", 1.2]]) held[side].position.set(x, 0.9, 1.7);
 window.headset = device;
+window.pulses = [];
+const actuator = device.controllers.right.inputSource.gamepad.hapticActuators[0];
+Object.getPrototypeOf(actuator).pulse = (_, ms) => Promise.resolve(pulses.push(ms));
 """
 # Rendering in software is slow: the picture is small, which changes none of the poses.
 SMALL = {"width": 640, "height": 480}
@@ -36,6 +44,24 @@ CATCH = """([x, y, z]) => {
   // the seat is 1.15 m in front of the robot; the person looks along -z of the room
   headset.controllers.right.position.set(1 + y, z, 2 - (1.15 - x));
 }"""
+
+# Hold the right controller at a place of the room, and point it at another one.
+AIM = """([from, to]) => {
+  const [x, y, z] = [0, 1, 2].map((axis) => to[axis] - from[axis]);
+  const [yaw, pitch] = [Math.atan2(-x, -z) / 2, Math.atan2(y, Math.hypot(x, z)) / 2];
+  headset.controllers.right.position.set(...from);
+  headset.controllers.right.quaternion.set(
+    Math.cos(yaw) * Math.sin(pitch), Math.sin(yaw) * Math.cos(pitch),
+    -Math.sin(yaw) * Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch),
+  );
+}"""
+FRAMES = (
+    "async () => { for (let i = 0; i < 4; i++) await new Promise((next) => requestAnimationFrame(next)); }"
+)
+PUT_HAND = "([side, place]) => headset.hands[side].position.set(...place)"
+PINCH = "(value) => { for (const side of ['left', 'right']) headset.hands[side].updatePinchValue(value); }"
+THROWN_MS = 40
+Place = tuple[float, float, float]
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +107,225 @@ def session(cell: Cell) -> dict[str, Any]:
     return found
 
 
+def patient(cell: Cell) -> dict[str, Any]:
+    """Return the person as the live document has them."""
+    found: dict[str, Any] = state(cell)["patient"] or {}
+    return found
+
+
+def in_room(place: Place) -> list[float]:
+    """Return a place of the robot (ahead, to its left, up) in the room of the person, who faces the robot."""
+    ahead, left, up = place
+    return [1 + left, up, 2 - (1.15 - ahead)]
+
+
+def robot_hands(cell: Cell) -> dict[str, Place]:
+    """Return where the hands of the robot are, in the frame of its base on the ground."""
+    now, coman = state(cell), humanoid("coman")
+    kinematics = Kinematics(coman)
+    kinematics.update(np.array([*now["base"], *now["joints"]]))
+    yaw = 2 * np.arctan2(now["base"][5], now["base"][6])
+    found = {}
+    for side in ("left", "right"):
+        grip = coman.grips[f"{side}_hand"]
+        x, y, z = kinematics.pose(grip.link).act(np.array(grip.point))
+        x, y = x - now["base"][0], y - now["base"][1]
+        ahead, left = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
+        found[side] = (float(ahead), float(left), float(z))
+    return found
+
+
+class Wearer:
+    """A person with the headset, before the panel in the scene."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.panel = page.get_by_role("region", name="What the person sees on the panel")
+
+    def press(self, button: str) -> None:
+        """Press a button of a controller."""
+        for value in (1, 0):
+            self.page.evaluate(
+                "([id, value]) => headset.controllers.right.updateButtonValue(id, value)", [button, value]
+            )
+            self.page.evaluate(FRAMES)
+
+    def choose(self, label: str) -> None:
+        """Point at a button of the panel, and pull the trigger."""
+        button = self.panel.get_by_role("button", name=label, exact=True)
+        expect(button).to_be_visible()
+        labels = [each.inner_text() for each in self.panel.get_by_role("button").all()]
+        width = (1280 - 80 - (len(labels) - 1) * 24) / len(labels)
+        across = (40 + labels.index(label) * (width + 24) + width / 2) / 1280
+        self.point_at([0.35 + 1.3 * across, 1.206, -0.05])
+        self.press("trigger")
+
+    def point_at(self, place: list[float]) -> None:
+        """Point the right controller at a place of the room."""
+        self.page.evaluate(AIM, [[1.2, 1.0, 1.7], place])
+        self.page.evaluate(FRAMES)
+
+
+def test_a_therapist_chooses_the_landing_and_a_person_leads_the_robot_by_tracked_hands(
+    cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path]
+) -> None:
+    page = open_page("/", viewport=SMALL, forgives=("XRSession", "already", "status of 409", "status of 502"))
+    page.set_default_timeout(1000 * WITHIN_S)
+    page.add_init_script(f"{EMULATOR.read_text()}\n{WEAR}")
+    page.goto("/humanoid/vr")
+    expect(page.get_by_role("application")).to_be_visible()
+    page.get_by_role("button", name="Enter virtual reality").click()
+    wait_for(lambda: patient(cell).get("tracking") == "ok", WITHIN_S, "the poses reach the service")
+    wearer = Wearer(page)
+    expect(wearer.panel).to_contain_text("Sit comfortably")
+
+    wait_for(lambda: state(cell)["phase"] == "standing", WITHIN_S, "it stands")
+    post(cell, "behaviour", behaviour="juggling")
+    wearer.choose("Choose the target")
+    expect(wearer.panel).to_contain_text("Choose where the ball lands")
+    target = (0.8, 0.1, 0.6)
+    wearer.point_at(in_room(target))
+    number = None
+
+    def is_thrown() -> bool:  # the hand keeps the ball when wishes are late on a slow machine: throw again
+        nonlocal number
+        now = state(cell)
+        if number is None or now["t"] - number > THROW_S:
+            number = now["t"]
+            wearer.press("trigger")
+        return THROWN_MS in page.evaluate("pulses")
+
+    wait_for(is_thrown, WITHIN_S, "the throw is felt")
+    reached = state(cell)["ball"]["target"]
+    assert np.hypot(reached[0] - target[0], reached[1] - target[1]) < 0.1
+    assert reached[2] == pytest.approx(target[2])  # the ray met the plane of the chosen height
+
+    wait_for(
+        lambda: (
+            httpx.post(f"{cell.url(SERVICE)}/behaviour", json={"behaviour": "walking"}).status_code == 200
+        ),
+        WITHIN_S,
+        "it stands after the throw",
+    )
+    begun = post(cell, "sessions", application="walking", goal={"seconds": 600})
+    expect(wearer.panel).to_contain_text("Hold the hands of the robot")
+    page.evaluate("headset.primaryInputMode = 'hand'")
+    wait_for(lambda: all((patient(cell).get("hands") or {}).values()), WITHIN_S, "the hands are tracked")
+
+    def lead(ahead_m: float) -> bool:
+        """Take the hands of the robot where they are, and draw them; return whether the robot walks so."""
+        if session(cell)["state"] == "paused":  # for silence, on a slow machine
+            httpx.post(f"{cell.url(SERVICE)}/sessions/{begun['id']}/resume", timeout=120)
+        page.evaluate(PINCH, 0)
+        page.evaluate(FRAMES)
+        places = robot_hands(cell)
+        for pulled_m in (0.0, 0.5 * ahead_m, ahead_m):  # a hand that is torn away at once holds nothing
+            for side, of_robot in (("left", "right"), ("right", "left")):
+                ahead, left, up = places[of_robot]
+                page.evaluate(PUT_HAND, [side, in_room((ahead + pulled_m, left, up))])
+            page.evaluate(FRAMES)
+            page.evaluate(PINCH, 1)
+            page.evaluate(FRAMES)
+        begun_s = state(cell)["t"]
+        wait_for(lambda: has_walked() or state(cell)["t"] > begun_s + 4, WITHIN_S)
+        return has_walked()
+
+    before = state(cell)["base"][0]
+
+    def has_walked() -> bool:
+        return bool(state(cell)["base"][0] > before + 0.06)
+
+    wait_for(lambda: lead(0.2), WITHIN_S, "the robot walks where the hands lead it")
+    assert session(cell)["distanceM"] > 0.03
+    hands = patient(cell)["hands"]
+    assert {side: hands[side]["grip"] for side in hands} == {"left": 1.0, "right": 1.0}
+    keep(page, "humanoid-vr-led")
+    page.evaluate(PINCH, 0)
+
+    page.evaluate("headset.primaryInputMode = 'controller'")
+    wait_for(lambda: all((patient(cell).get("hands") or {}).values()), WITHIN_S, "the controllers are back")
+
+    def runs() -> bool:
+        if session(cell)["state"] == "paused":
+            wearer.choose("Resume")
+        return bool(session(cell)["state"] == "running")
+
+    wait_for(runs, WITHIN_S, "the session runs")
+
+    def is_paused() -> bool:
+        if session(cell)["state"] == "running":
+            wearer.press("a-button")
+        return bool(session(cell)["state"] == "paused")
+
+    wait_for(is_paused, WITHIN_S, "a button of the controller pauses")
+    expect(wearer.panel).to_contain_text("Paused")
+    wait_for(runs, WITHIN_S, "the ray at the panel resumes")
+
+    page.evaluate("headset.position.set(1.3, 1.15, 2.2)")
+    wearer.press("b-button")
+
+    def is_at_seat() -> bool:
+        now = state(cell)
+        head = (now["patient"] or {}).get("headset")
+        if head is None:
+            return False
+        away = np.hypot(head["position"][0] - now["base"][0], head["position"][1] - now["base"][1])
+        return bool(abs(away - 1.15) < 0.08)
+
+    wait_for(is_at_seat, WITHIN_S, "recentred")
+    post(cell, f"sessions/{begun['id']}/end")
+    wait_for(lambda: state(cell)["phase"] == "standing", WITHIN_S, "the robot stands")
+
+
+def test_a_person_without_a_headset_catches_by_the_pointer_and_pauses_by_a_key(
+    cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None], keep: Callable[[Page, str], Path]
+) -> None:
+    page = open_page("/humanoid/vr", viewport=SMALL, forgives=("status of 409",))
+    page.set_default_timeout(1000 * WITHIN_S)
+    stage = page.get_by_role("application")
+    expect(stage).to_be_visible()
+    page.get_by_role("button", name="Without a headset").click()
+    panel = page.get_by_role("region", name="What the person sees on the panel")
+    expect(panel).to_contain_text("Sit comfortably")
+    stage.locator("canvas").hover(position={"x": 300, "y": 200})
+    wait_for(lambda: (patient(cell).get("hands") or {}).get("right") is not None, WITHIN_S, "a hand")
+    first = patient(cell)["hands"]["right"]["position"]
+    stage.locator("canvas").hover(position={"x": 380, "y": 200})
+    wait_for(lambda: patient(cell)["hands"]["right"]["position"][1] > first[1] + 0.02, WITHIN_S, "it moves")
+    stage.locator("canvas").hover(position={"x": 300, "y": 200})
+    page.mouse.wheel(0, -300)
+    wait_for(lambda: patient(cell)["hands"]["right"]["position"][0] < first[0] - 0.01, WITHIN_S, "deeper")
+    page.mouse.down()
+    wait_for(lambda: patient(cell)["hands"]["right"]["grip"] == 1, WITHIN_S, "it closes")
+    page.mouse.up()
+    stage.focus()
+    page.keyboard.press("h")
+    page.keyboard.press("ArrowUp")
+    wait_for(lambda: (patient(cell).get("hands") or {}).get("left") is not None, WITHIN_S, "the other hand")
+
+    wait_for(lambda: state(cell)["phase"] == "standing", WITHIN_S, "it stands")
+    panel.get_by_role("button", name="Start").click()
+    wait_for(lambda: session(cell).get("state") in {"running", "paused"}, WITHIN_S, "a session")
+    identity = session(cell)["id"]
+    keep(page, "humanoid-vr-pointer")
+    accessible(page)
+    stage.focus()
+
+    def is_paused() -> bool:
+        if session(cell)["state"] == "running":
+            page.keyboard.press("p")
+        return "person" in session(cell)["pauseReason"]
+
+    wait_for(is_paused, WITHIN_S, "a key pauses")
+    panel.get_by_role("button", name="Resume").click()
+    wait_for(lambda: session(cell)["state"] == "running", WITHIN_S, "it continues")
+    panel.get_by_role("button", name="Leave").click()
+    wait_for(lambda: session(cell)["state"] == "paused", WITHIN_S, "leaving pauses")
+    expect(panel).to_be_hidden()
+    post(cell, f"sessions/{identity}/end")
+    wait_for(lambda: state(cell)["phase"] == "standing", WITHIN_S, "the robot stands")
+
+
 def test_a_person_with_a_headset_catches_a_ball_and_a_lost_tracking_pauses_the_session(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path]
 ) -> None:
@@ -91,17 +336,13 @@ def test_a_person_with_a_headset_catches_a_ball_and_a_lost_tracking_pauses_the_s
     page.get_by_text("Measure", exact=True).click()
     page.get_by_role("button", name="Enter virtual reality").click()
 
-    def patient() -> dict[str, Any]:
-        found: dict[str, Any] = state(cell)["patient"] or {}
-        return found
-
-    wait_for(lambda: patient().get("tracking") == "ok", WITHIN_S, "the poses reach the service")
-    head = patient()["headset"]["position"]
+    wait_for(lambda: patient(cell).get("tracking") == "ok", WITHIN_S, "the poses reach the service")
+    head = patient(cell)["headset"]["position"]
     base = state(cell)["base"]
     assert abs(head[0] - base[0] - 1.15) < 0.05  # at the seat, whatever place in the room that is
     assert abs(head[1] - base[1]) < 0.05
     assert abs(head[2] - 1.15) < 0.05
-    right, left = (patient()["hands"][side]["position"] for side in ("right", "left"))
+    right, left = (patient(cell)["hands"][side]["position"] for side in ("right", "left"))
     assert right[1] > left[1]  # the right hand of the person is at the left of the robot, which they face
     frames = page.locator("[data-measured=period]")
     expect(frames).not_to_have_attribute("data-count", "0")

@@ -70,7 +70,7 @@ export function GainsCard({ document, model }: { document: LiveDocument; model: 
           );
         })}
       </div>
-      <p className="small" role="status">
+      <p className="humanoid-gains__status" role="status">
         {isChanged ? t("gains.unsaved") : isMoving ? t("gains.moving") : t(isOfModel ? "gains.ofModel" : "gains.changed")}
       </p>
       {mayChange && gains !== null && gains.length > 0 && (

@@ -87,7 +87,7 @@ function Walk() {
   const keys = walk.driver.keyboard.keys;
   return (
     <div className="humanoid-walk">
-      <p className="small quiet">{t("walk.means", { hold: keyName(keys.hold), keys: [keys["x+"], keys["y+"], keys["x-"], keys["y-"], keys["rz+"], keys["rz-"]].map(keyName).join(" ") })}</p>
+      <p className="small quiet">{t("walk.means", { hold: keys.hold === "Space" ? t("walk.space") : keyName(keys.hold), keys: [keys["x+"], keys["y+"], keys["x-"], keys["y-"], keys["rz+"], keys["rz-"]].map(keyName).join(" ") })}</p>
       <JogPanel driver={walk.driver} isOn isBase />
       <HoldButton
         className="humanoid-walk__hold"
@@ -118,7 +118,7 @@ function Throw({ ball, target, onTarget }: { ball: LiveDocument["ball"]; target:
       <Slider label={t("throw.ahead")} value={ahead} min={0.3} max={2} step={0.01} text={metres(ahead)} onChange={(x) => onTarget([x, left, up])} />
       <Slider label={t("throw.left")} value={left} min={-1} max={1} step={0.01} text={metres(left)} onChange={(y) => onTarget([ahead, y, up])} />
       <Slider label={t("throw.height")} value={up} min={0} max={1.5} step={0.01} text={metres(up)} onChange={(z) => onTarget([ahead, left, z])} />
-      <Button kind="main" icon={<Target aria-hidden size={18} />} isDisabled={isBusy} onPress={() => void act("throws", { target, hand })}>
+      <Button kind="main" size="large" icon={<Target aria-hidden size={22} />} isDisabled={isBusy} onPress={() => void act("throws", { target, hand })}>
         {t("throw.act")}
       </Button>
       <p role="status">

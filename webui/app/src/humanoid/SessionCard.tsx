@@ -72,11 +72,11 @@ function Running({ session }: { session: SessionState }) {
       {!isOver && (
         <div className="humanoid__acts">
           {session.state === "running" ? (
-            <Button icon={<Pause aria-hidden size={18} />} onPress={() => void act(`${path}/pause`)}>{t("session.act.pause")}</Button>
+            <Button size="large" icon={<Pause aria-hidden size={22} />} onPress={() => void act(`${path}/pause`)}>{t("session.act.pause")}</Button>
           ) : (
-            <Button kind="main" icon={<Play aria-hidden size={18} />} onPress={() => void act(`${path}/resume`)}>{t("session.act.resume")}</Button>
+            <Button kind="main" size="large" icon={<Play aria-hidden size={22} />} onPress={() => void act(`${path}/resume`)}>{t("session.act.resume")}</Button>
           )}
-          <Button icon={<Square aria-hidden size={18} />} onPress={() => void act(`${path}/end`)}>{t("session.act.end")}</Button>
+          <Button size="large" icon={<Square aria-hidden size={22} />} onPress={() => void act(`${path}/end`)}>{t("session.act.end")}</Button>
         </div>
       )}
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
@@ -120,7 +120,7 @@ function Begin({ behaviours }: { behaviours: readonly string[] }) {
         <Slider label={t("session.minutes")} value={minutes} min={1} max={60} step={1} text={t("session.minutesText", { count: minutes })} onChange={setMinutes} />
       )}
       <p className="small quiet">{t("session.needsPatient")}</p>
-      <Button kind="main" icon={<Play aria-hidden size={18} />} isDisabled={isBusy} onPress={() => void begin()}>
+      <Button kind="main" size="large" icon={<Play aria-hidden size={22} />} isDisabled={isBusy} onPress={() => void begin()}>
         {t("session.begin", { application: t(`application.${application}`) })}
       </Button>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}

@@ -9,6 +9,7 @@ import { mayDo } from "~/session/session";
 import { useUserName } from "~/shell/userName";
 import { SERVICE, type LiveDocument } from "./humanoid";
 import { holdersOf } from "./holders";
+import "./HumanoidPage.css";
 
 export function StopBar({ document }: { document: LiveDocument | null }) {
   const { t } = useTranslation("humanoid");

@@ -1,5 +1,5 @@
 /** The person's view of the humanoid: virtual reality with a headset, or the pointer without one. */
-import { Glasses, LogOut, MousePointer2 } from "lucide-react";
+import { Glasses, MousePointer2 } from "lucide-react";
 import { useEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
@@ -18,6 +18,8 @@ import { StopBar } from "../StopBar";
 import type { Posture } from "./bounds";
 import { hasHeadset } from "./headset";
 import type { Quantiles } from "./durations";
+import type { PanelContent } from "./panel";
+import type { Act } from "./words";
 import { MEASURED, type Measured } from "./measuring";
 import { type Using, VrView } from "./vrView";
 import "./VrPage.css";
@@ -59,6 +61,7 @@ function PersonView({ model, urdf }: { model: HumanoidModel; urdf: string }) {
   const [application, setApplication] = useState<Application>("juggling");
   const [isMeasuring, setIsMeasuring] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
+  const [panel, setPanel] = useState<PanelContent | null>(null);
   const [shown, setShown] = useState<Shown>({ document: null, figures: null });
   const chosen = useRef(application);
 
@@ -86,7 +89,7 @@ function PersonView({ model, urdf }: { model: HumanoidModel; urdf: string }) {
         );
       };
       try {
-        view.current = new VrView(place, urdf, model, { onUsing: setUsing, onAct: start });
+        view.current = new VrView(place, urdf, model, { onUsing: setUsing, onAct: start, onPanel: setPanel });
         setShowing("shown");
       } catch (error) {
         setShowing(error instanceof InvalidDescription ? "noDescription" : "noWebgl");
@@ -130,11 +133,7 @@ function PersonView({ model, urdf }: { model: HumanoidModel; urdf: string }) {
               {t("pointer")}
             </Button>
           </>
-        ) : (
-          <Button icon={<LogOut aria-hidden size={20} />} onPress={() => void view.current?.leave()}>
-            {t("act.leave")}
-          </Button>
-        )}
+        ) : null}
       </div>
       {headset === false && <p className="small quiet">{t(window.isSecureContext ? "noHeadset" : "notSecure")}</p>}
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
@@ -156,6 +155,23 @@ function PersonView({ model, urdf }: { model: HumanoidModel; urdf: string }) {
           </div>
         )}
       </div>
+      {using !== "nothing" && panel !== null && (
+        <section className="vr__panel" aria-label={t("panel.shown")} data-warning={panel.isWarning || undefined}>
+          <div role="status">
+            <h2>{panel.title}</h2>
+            {panel.lines.map((line) => (
+              <p key={line}>{line}</p>
+            ))}
+          </div>
+          <div className="vr__acts">
+            {panel.buttons.map(({ id, label }) => (
+              <Button key={id} size="large" onPress={() => view.current?.act(id as Act)}>
+                {label}
+              </Button>
+            ))}
+          </div>
+        </section>
+      )}
       <p className="small quiet">{t(using === "pointer" ? "pointerHelp" : "headsetHelp")}</p>
       <Card title={t("measured.title")}>
         <Checkbox isSelected={isMeasuring} onChange={setIsMeasuring}>

@@ -7,7 +7,8 @@ import type { TrackedHand } from "./hands";
 const DEPTHS_M = { least: 0.2, most: 0.9, start: 0.4 };
 const DEPTH_STEP_M = 0.02;
 const KEY_STEP = 0.04;
-const LOOKS_AT = new Vector3(0, 0.65, 0);
+/** So that the panel and the feet of the robot are in the picture. */
+const LOOKS_AT = new Vector3(0, 0.8, 0);
 
 export type PointerKey = "recentre" | "pause";
 

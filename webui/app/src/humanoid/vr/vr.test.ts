@@ -8,6 +8,7 @@ import cases from "./catching.fixture.json";
 import { closest, Contact } from "./catching";
 import { Durations } from "./durations";
 import { recentred, SEAT_M, SEATED_EYES_M, toGround, toScene, turnToGround, yawOf } from "./frames";
+import { Haptics } from "./haptics";
 import { Holding } from "./holding";
 import { Measuring } from "./measuring";
 import { poseMessage, type SentPose } from "./messages";
@@ -251,4 +252,37 @@ it("durations are medians and 99 %, and the way of a pose is measured to the pic
   measuring.drawn(118);
   const { ownHands, sent, answered, stateDrawn, poseDrawn, period } = measuring.figures();
   expect([ownHands?.count, sent?.median, answered?.median, stateDrawn?.median, poseDrawn?.median, period?.median]).toEqual([2, 1, 10, 8, 18, 11]);
+});
+
+describe("haptic pulses", () => {
+  const felt: string[] = [];
+  const hand = (side: "left" | "right") => ({ isTracked: true, position: { x: side === "left" ? 1 : 0, y: 0, z: 0 }, pulse: (_: number, ms: number) => felt.push(`${side} ${ms}`) });
+  const since = () => felt.splice(0);
+
+  it("tell both hands of a throw and of a pause once, and of leaving the bounds every second", () => {
+    const haptics = new Haptics({ left: hand("left"), right: hand("right") });
+    const document = (state: "running" | "paused", phase: "held" | "flying") => ({ session: { state }, ball: { phase } }) as unknown as Parameters<Haptics["receive"]>[0];
+    haptics.receive(document("running", "held"));
+    expect(since()).toEqual([]);
+    haptics.receive(document("running", "flying"));
+    haptics.receive(document("running", "flying"));
+    expect(since()).toEqual(["left 40", "right 40"]);
+    haptics.receive(document("paused", "flying"));
+    haptics.receive(document("paused", "flying"));
+    expect(since()).toEqual(["left 200", "right 200"]);
+    haptics.warn(true, 1000);
+    haptics.warn(true, 1500);
+    haptics.warn(false, 2600);
+    expect(since()).toEqual(["left 200", "right 200"]);
+    haptics.warn(true, 2700);
+    expect(since()).toEqual(["left 200", "right 200"]);
+  });
+
+  it("tell the hand that a ball reaches, once for a flight", () => {
+    const haptics = new Haptics({ left: hand("left"), right: hand("right") });
+    haptics.touch({ x: 0, y: 0, z: 1 }, 0.12);
+    haptics.touch({ x: 0, y: 0, z: -1 }, 0.12);
+    haptics.touch({ x: 0, y: 0, z: 0 }, 0.12);
+    expect(since()).toEqual(["right 30"]);
+  });
 });

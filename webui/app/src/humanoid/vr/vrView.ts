@@ -12,8 +12,8 @@ import { InputLink, type Answer } from "../inputLink";
 import { HumanoidLive, OLD_MS } from "../liveState";
 import { BallPrediction } from "./ball";
 import { outside, type Outside, type Posture } from "./bounds";
-import { Contact } from "./catching";
 import { toGround, type Vector } from "./frames";
+import { Haptics } from "./haptics";
 import { Headset } from "./headset";
 import { Holding } from "./holding";
 import { Measuring } from "./measuring";
@@ -22,13 +22,12 @@ import { Pointer } from "./pointer";
 import { RobotClock } from "./robotClock";
 import { DEFAULT_REACH_M, Room } from "./room";
 import { StateTrack } from "./stateTrack";
+import type { PanelContent } from "./panel";
 import { panelContent, type Act } from "./words";
 
 /** Of a headset. */
 const LIVE_HZ = 120;
 const PANEL_EVERY_MS = 250;
-const WARNING = { intensity: 0.6, ms: 200 };
-const CONTACT = { intensity: 0.3, ms: 30 };
 /** How fast the scene follows a robot that walks, so that it does not sway with its steps. */
 const FOLLOW_S = 0.5;
 const HEIGHT_MPS = 0.5;
@@ -40,6 +39,8 @@ export type Using = "nothing" | "headset" | "pointer";
 export interface ViewEvents {
   onUsing: (using: Using) => void;
   onAct: (act: Act) => void;
+  /** The panel says something else. */
+  onPanel: (content: PanelContent) => void;
 }
 
 export class VrView {
@@ -56,7 +57,7 @@ export class VrView {
   readonly #flight = new BallPrediction();
   readonly #track: StateTrack;
   readonly #holding: Record<Side, Holding> = { left: new Holding(), right: new Holding() };
-  readonly #contacts: Record<Side, Contact> = { left: new Contact(), right: new Contact() };
+  readonly #haptics: Haptics;
   readonly #events: ViewEvents;
   readonly #resized: ResizeObserver;
   readonly #end: () => void;
@@ -72,8 +73,8 @@ export class VrView {
   #receivedMs = -Infinity;
   #panelMs = -Infinity;
   #isAnchored = false;
-  #wasPaused = false;
   #outside: Outside | null = null;
+  #said = "";
   #isChoosing = false;
   #hasChosen = false;
   #heightM = NO_THROW_HEIGHT_M;
@@ -91,6 +92,7 @@ export class VrView {
     this.#renderer.shadowMap.type = PCFShadowMap;
     this.#renderer.xr.enabled = true;
     this.#room = new Room(urdf, model);
+    this.#haptics = new Haptics(this.#room.hands);
     this.#robotHand = this.#pointer.camera.position.clone();
     this.#track = new StateTrack(model.joints.length);
     const { left, right } = this.#room.hands;
@@ -151,6 +153,13 @@ export class VrView {
   /** Handle a key for the pointer; returns whether it had an effect. */
   key(key: string): boolean {
     if (this.#using !== "pointer") return false;
+    if (key === " " || key === "Enter") {
+      this.#aim();
+      if (this.#aimed !== null || this.#isChoosing) {
+        this.#select("right");
+        return true;
+      }
+    }
     const done = this.#pointer.key(key);
     if (done === "recentre") this.#recentre();
     else if (done === "pause") this.#pauseOrResume();
@@ -213,9 +222,8 @@ export class VrView {
     const { ball, session } = document;
     if (ball?.phase !== "flying" || ball.position === null || document.t === null) this.#flight.clear();
     else this.#flight.add(document.t, ...ball.position);
-    const isPaused = session?.state === "paused";
-    if (isPaused && !this.#wasPaused) for (const side of SIDES) this.#room.hands[side].pulse(WARNING.intensity, WARNING.ms);
-    this.#wasPaused = isPaused;
+    this.#haptics.receive(document);
+    if (session?.state === "running" || document.behaviour !== "juggling") this.#isChoosing = false;
     for (const side of SIDES) this.#room.hands[side].setReach(session?.catch?.radiusM ?? DEFAULT_REACH_M);
   }
 
@@ -261,6 +269,7 @@ export class VrView {
       this.#outside = null;
     }
     this.#room.showOutside(this.#outside !== null);
+    this.#haptics.warn(this.#outside !== null, performance.now());
   }
 
   #moveRobot(nowS: number, dtS: number): void {
@@ -297,10 +306,7 @@ export class VrView {
   #feel(): void {
     const ball = this.#document?.ball?.phase === "flying" ? this.#room.ball : null;
     const reachM = this.#document?.session?.catch?.radiusM ?? DEFAULT_REACH_M;
-    for (const side of SIDES) {
-      const hand = this.#room.hands[side];
-      if (this.#contacts[side].update(ball, hand.isTracked ? hand.position : null, reachM)) hand.pulse(CONTACT.intensity, CONTACT.ms);
-    }
+    this.#haptics.touch(ball, reachM);
     const isWalking = this.#document?.session?.application === "walking" || this.#document?.behaviour === "assistedWalking";
     for (const side of SIDES) {
       const hand = this.#room.hands[side];
@@ -312,7 +318,7 @@ export class VrView {
       const held = holding.holds;
       const isNear = hand.isTracked && this.#room.body.hand(OTHER[side], this.#robotHand);
       if (!holding.update(hand.grip, isNear ? this.#robotHand.distanceTo(hand.position) : null)) sent.grip = 0;
-      if (holding.holds !== held) hand.pulse(CONTACT.intensity, CONTACT.ms);
+      if (holding.holds !== held) this.#haptics.contact(side);
     }
   }
 
@@ -386,18 +392,21 @@ export class VrView {
 
   #showPanel(nowMs: number): void {
     this.#panelMs = nowMs;
-    this.#room.panel.show(
-      panelContent({
-        document: this.#document,
-        isOld: nowMs - this.#receivedMs > OLD_MS,
-        isTracked: this.#using !== "headset" || this.#isTracked,
-        outside: this.#outside,
-        isChoosing: this.#isChoosing,
-        mayChoose: mayDo("moveRobots"),
-        mayExercise: mayDo("performTasks"),
-        failure: this.#failure,
-      }),
-    );
+    const content = panelContent({
+      document: this.#document,
+      isOld: nowMs - this.#receivedMs > OLD_MS,
+      isTracked: this.#using !== "headset" || this.#isTracked,
+      outside: this.#outside,
+      isChoosing: this.#isChoosing,
+      mayChoose: mayDo("moveRobots"),
+      mayExercise: mayDo("performTasks"),
+      failure: this.#failure,
+    });
+    this.#room.panel.show(content);
+    const said = JSON.stringify(content);
+    if (said === this.#said) return;
+    this.#said = said;
+    this.#events.onPanel(content);
   }
 
   readonly #moved = ({ clientX, clientY }: PointerEvent): void => {

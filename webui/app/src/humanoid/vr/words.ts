@@ -1,5 +1,6 @@
 /** What the panel in the scene says: instructions, score, and why a session is paused, in the language of the reader. */
 import i18next from "i18next";
+import { number } from "~/design/numbers";
 import { holdersOf } from "../holders";
 import type { LiveDocument } from "../humanoid";
 import type { Outside } from "./bounds";
@@ -23,7 +24,7 @@ export function panelContent(situation: Situation): PanelContent {
   const { document, isOld, isTracked, outside, failure, isChoosing } = situation;
   const t = i18next.getFixedT(null, "humanoidVr");
   const session = document?.session ?? null;
-  const buttons = actsIn(situation).map((id): PanelButton => ({ id, label: t(`act.${id}`) }));
+  const buttons = actsIn(situation).map((id): PanelButton => ({ id, label: t(`act.${id === "choose" && isChoosing ? "chosen" : id}`) }));
   const warn = (title: string, ...lines: string[]): PanelContent => ({ title, lines, isWarning: true, buttons });
   if (document === null || isOld) return warn(t("panel.noState"), t("panel.stands"));
   if (!isTracked) return warn(t("panel.trackingLost"), t("panel.stands"));
@@ -36,7 +37,7 @@ export function panelContent(situation: Situation): PanelContent {
   }
   if (isChoosing) return { title: t("panel.choose"), lines: [t("panel.chooseHow"), ...holders], isWarning: holders.length > 0, buttons };
   if (session === null) return { title: t("panel.welcome"), lines: [...holders, t("panel.seated"), t("panel.notSafe")], isWarning: holders.length > 0, buttons };
-  const score = { caught: session.caught, throws: session.throws, score: session.score, metres: session.distanceM.toFixed(1) };
+  const score = { caught: session.caught, throws: session.throws, score: session.score, metres: number(session.distanceM, i18next.language, { minimumFractionDigits: 1, maximumFractionDigits: 1 }) };
   const result = session.application === "juggling" ? t("panel.caught", score) : t("panel.walked", score);
   if (session.state === "ended") return { title: t("panel.ended"), lines: [result, ...holders], isWarning: holders.length > 0, buttons };
   const how = session.application === "walking" ? "panel.hold" : session.catch?.needsGrip === true ? "panel.catchGrip" : "panel.catch";
