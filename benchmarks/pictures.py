@@ -6,7 +6,8 @@ It starts `handover up` with a glove and a simulated robot in a temporary folder
 headless Chromium, and records the Work page while a gesture confirms a Task (`confirm.webp`). With
 `--all-looks` it also takes every page in both themes, three languages and four sizes, for review.
 
-The person at the glove, the accuracy test and the answers of the study are invented.
+The person at the glove, the one who catches balls, the accuracy test and the answers of the study are
+invented.
 """
 
 import argparse
@@ -30,8 +31,9 @@ import httpx
 import orjson
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
+from websockets.sync.client import connect
 
-from benchmarks.handover import environment, stop, up
+from benchmarks.handover import environment, free_ports, stop, up
 from services.device_gateway.device_client import DeviceClient
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.simulation import SimulatedDevice, examples
@@ -58,6 +60,7 @@ PAGES = {
     "system": "/system", "alerts": "/system?tab=alerts", "events": "/system?tab=events",
     "robots": "/system?tab=robots",
     "sensors": "/sensors", "devices": "/devices?device=sim-panda",
+    "humanoid": "/humanoid", "humanoid-vr": "/humanoid/vr",
     "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
 }  # fmt: skip
 INITIAL_ORDER = 4711
@@ -156,6 +159,7 @@ class Product:
         self.base = f"http://127.0.0.1:{env['HANDOVER_WEBUI_PORT']}"
         self.http = httpx.Client(base_url=f"{self.base}/api", timeout=60, trust_env=False)
         self.hand = Hand(int(env["HANDOVER_GLOVE_PORT"]))
+        self.humanoid = f"ws://127.0.0.1:{env['HANDOVER_WHOLE_BODY_PORT']}"
         self.out = out
         self._browser = browser
         self._orders = 0
@@ -440,6 +444,85 @@ def study(product: Product) -> None:
         product.keep(page, "study")
 
 
+class Patient:
+    """A person who sits in front of the humanoid, looks at the ball, and holds a hand where it lands."""
+
+    def __init__(self, url: str) -> None:
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(url,), daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Take the headset off."""
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self, url: str) -> None:
+        with (
+            connect(f"{url}/live?hz=60", proxy=None, ping_interval=None) as live,
+            connect(f"{url}/input?role=patient", proxy=None, ping_interval=None) as sent,
+        ):
+            while not self._ended.is_set():
+                sent.send(orjson.dumps(_pose(orjson.loads(live.recv(timeout=60)))).decode())
+                while orjson.loads(sent.recv(timeout=60))["kind"] == "haptic":
+                    pass  # the answer to the pose comes after it
+
+
+def _pose(state: dict[str, Any]) -> dict[str, Any]:
+    x, y = (state["base"] or (0.0, 0.0))[:2]
+    ball = state["ball"] or {}
+    head = (x + 1.15, y, 1.15)
+    place = ball.get("target") or (x + 0.8, y + 0.15, 0.6)
+    is_seen = ball.get("phase") in {"held", "flying"}
+    seen = (ball["position"] if is_seen else None) or (x, y, 0.6)
+    ahead, left, up = (there - here for there, here in zip(seen, head, strict=True))
+    yaw, pitch = math.atan2(left, ahead) / 2, -math.atan2(up, math.hypot(ahead, left)) / 2
+    turn = (
+        -math.sin(yaw) * math.sin(pitch),
+        math.cos(yaw) * math.sin(pitch),
+        math.sin(yaw) * math.cos(pitch),
+        math.cos(yaw) * math.cos(pitch),
+    )
+    return {
+        "kind": "pose",
+        "t": time.monotonic(),
+        "headset": {"position": head, "rotation": turn},
+        "hands": {
+            "right": {"position": place, "grip": 0.0},
+            "left": {"position": (x + 0.85, y - 0.2, 0.7), "grip": 0.0},
+        },
+    }
+
+
+def humanoid(product: Product) -> None:
+    """The humanoid during a session: a ball flies to a person who has caught one already."""
+    service = "/whole-body-control"
+
+    def state() -> dict[str, Any]:
+        return dict(product.http.get(f"{service}/state").raise_for_status().json())
+
+    wait_until(lambda: state()["fault"] is None and state()["phase"] == "standing")
+    patient = Patient(product.humanoid)
+    try:
+        wait_until(lambda: state()["patient"] is not None)
+        session = product.post(f"{service}/sessions", application="juggling", goal={"throws": 10})["id"]
+        with product.page("/humanoid") as page:
+            page.get_by_role("application").wait_for()
+
+            def is_thrown() -> bool:
+                now = state()
+                if now["session"]["state"] == "paused":  # poses came late beside other work
+                    product.http.post(f"{service}/sessions/{session}/resume")
+                has_caught = now["session"]["caught"] > 0
+                return bool(has_caught and (now["ball"] or {}).get("phase") == "flying")
+
+            wait_until(is_thrown, 240.0)
+            page.screenshot(path=product.out / "humanoid.png")
+        product.post(f"{service}/sessions/{session}/end")
+    finally:
+        patient.close()
+
+
 def study_answer(session: dict[str, Any], invented: random.Random) -> dict[str, Any]:
     """Return an invented answer to the current step."""
     step = session["step"]
@@ -480,7 +563,7 @@ def all_looks(product: Product, folder: Path) -> None:
 
 SCENES = {"people": people, "devices": devices, "work": work, "processes": processes, "tasks": tasks,
           "cockpit": cockpit, "system": system, "calibrate": calibrate, "test": test,
-          "study": study}  # fmt: skip
+          "humanoid": humanoid, "study": study}  # fmt: skip
 
 
 def main() -> None:
@@ -499,7 +582,16 @@ def main() -> None:
     # Otherwise the services would outlive a script that `timeout` terminates.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
-        env = {**environment(folder), "HANDOVER_ANNOUNCE_MS": "500", "HANDOVER_CONFIRM_MS": "1500"}
+        (whole_body,) = free_ports(1)
+        env = {
+            **environment(folder),
+            "HANDOVER_ANNOUNCE_MS": "500",
+            "HANDOVER_CONFIRM_MS": "1500",
+            "HANDOVER_WHOLE_BODY_PORT": str(whole_body),
+            "HANDOVER_HUMANOID_PORTS_DIR": f"{folder}/ports",
+        }
+        if "humanoid" in arguments.only or arguments.all_looks is not None:
+            env["HANDOVER_HUMANOID_MODEL"] = "coman"
         services, _ = up(env)
         try:
             browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
