@@ -11,6 +11,7 @@ import { Checkbox } from "~/design/Checkbox";
 import { EmptyState } from "~/design/EmptyState";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { SegmentedControl } from "~/design/SegmentedControl";
+import { StatusBadge } from "~/design/StatusBadge";
 import { InvalidDescription } from "~/robot3d/urdf";
 import { mayDo } from "~/session/session";
 import { SERVICE, type HumanoidModel, type LiveDocument } from "../humanoid";
@@ -27,6 +28,8 @@ import "./VrPage.css";
 type Application = "juggling" | "walking";
 const GOALS: Readonly<Record<Application, object>> = { juggling: { throws: 10 }, walking: { seconds: 120 } };
 const SHOWN_EVERY_MS = 500;
+/** Of our part of the way from a pose to its picture. */
+const AIM_MS = 30;
 
 interface Shown {
   document: LiveDocument | null;
@@ -187,27 +190,35 @@ function PersonView({ model, urdf }: { model: HumanoidModel; urdf: string }) {
 function Figures({ figures }: { figures: Record<Measured, Quantiles | null> }) {
   const { t, i18n } = useTranslation("humanoidVr");
   const ms = new Intl.NumberFormat(i18n.language, { minimumFractionDigits: 1, maximumFractionDigits: 1 });
+  const hands = figures.ownHands;
   return (
-    <table className="vr__table">
-      <thead>
-        <tr>
-          <th scope="col">{t("measured.what")}</th>
-          <th scope="col">{t("measured.median")}</th>
-          <th scope="col">{t("measured.p99")}</th>
-        </tr>
-      </thead>
-      <tbody>
-        {MEASURED.map((name) => {
-          const found = figures[name];
-          return (
-            <tr key={name} data-measured={name} data-median={found?.median} data-p99={found?.p99} data-count={found?.count}>
-              <th scope="row">{t(`measured.${name}`)}</th>
-              <td>{found === null ? "–" : ms.format(found.median)}</td>
-              <td>{found === null ? "–" : ms.format(found.p99)}</td>
-            </tr>
-          );
-        })}
-      </tbody>
-    </table>
+    <>
+      {hands !== null && (
+        <p className="vr__aim">
+          <StatusBadge tone={hands.median < AIM_MS ? "ok" : "attention"}>{t("measured.aim", { ms: ms.format(hands.median), goal: AIM_MS })}</StatusBadge>
+        </p>
+      )}
+      <table className="vr__table">
+        <thead>
+          <tr>
+            <th scope="col">{t("measured.what")}</th>
+            <th scope="col">{t("measured.median")}</th>
+            <th scope="col">{t("measured.p99")}</th>
+          </tr>
+        </thead>
+        <tbody>
+          {MEASURED.map((name) => {
+            const found = figures[name];
+            return (
+              <tr key={name} data-measured={name} data-median={found?.median} data-p99={found?.p99} data-count={found?.count}>
+                <th scope="row">{t(`measured.${name}`)}</th>
+                <td>{found === null ? "–" : ms.format(found.median)}</td>
+                <td>{found === null ? "–" : ms.format(found.p99)}</td>
+              </tr>
+            );
+          })}
+        </tbody>
+      </table>
+    </>
   );
 }
