@@ -288,20 +288,27 @@ def test_a_person_without_a_headset_catches_by_the_pointer_and_pauses_by_a_key(
     panel = page.get_by_role("region", name="What the person sees on the panel")
     expect(panel.get_by_role("button", name="Start")).to_be_visible()
     stage.locator("canvas").hover(position={"x": 300, "y": 200})
-    wait_for(lambda: (patient(cell).get("hands") or {}).get("right") is not None, WITHIN_S, "a hand")
-    first = patient(cell)["hands"]["right"]["position"]
+
+    def hand(side: str = "right") -> dict[str, Any] | None:
+        return (patient(cell).get("hands") or {}).get(side)
+
+    def hand_is_at(reached: Callable[[list[float]], bool]) -> Callable[[], bool]:
+        return lambda: (now := hand()) is not None and reached(now["position"])
+
+    found = wait_for(hand, WITHIN_S, "a hand")
+    first = found["position"]
     stage.locator("canvas").hover(position={"x": 380, "y": 200})
-    wait_for(lambda: patient(cell)["hands"]["right"]["position"][1] > first[1] + 0.02, WITHIN_S, "it moves")
+    wait_for(hand_is_at(lambda place: place[1] > first[1] + 0.02), WITHIN_S, "it moves")
     stage.locator("canvas").hover(position={"x": 300, "y": 200})
     page.mouse.wheel(0, -300)
-    wait_for(lambda: patient(cell)["hands"]["right"]["position"][0] < first[0] - 0.01, WITHIN_S, "deeper")
+    wait_for(hand_is_at(lambda place: place[0] < first[0] - 0.01), WITHIN_S, "deeper")
     page.mouse.down()
-    wait_for(lambda: patient(cell)["hands"]["right"]["grip"] == 1, WITHIN_S, "it closes")
+    wait_for(lambda: (hand() or {}).get("grip") == 1, WITHIN_S, "it closes")
     page.mouse.up()
     stage.focus()
     page.keyboard.press("h")
     page.keyboard.press("ArrowUp")
-    wait_for(lambda: (patient(cell).get("hands") or {}).get("left") is not None, WITHIN_S, "the other hand")
+    wait_for(lambda: hand("left") is not None, WITHIN_S, "the other hand")
 
     wait_for(lambda: state(cell)["phase"] == "standing", WITHIN_S, "it stands")
     panel.get_by_role("button", name="Start").click()
