@@ -259,7 +259,7 @@ describe("haptic pulses", () => {
   const hand = (side: "left" | "right") => ({ isTracked: true, position: { x: side === "left" ? 1 : 0, y: 0, z: 0 }, pulse: (_: number, ms: number) => felt.push(`${side} ${ms}`) });
   const since = () => felt.splice(0);
 
-  it("tell both hands of a throw and of a pause once, and of leaving the bounds every second", () => {
+  it("reach both hands once for a throw and for a pause, and every second outside of the bounds", () => {
     const haptics = new Haptics({ left: hand("left"), right: hand("right") });
     const document = (state: "running" | "paused", phase: "held" | "flying") => ({ session: { state }, ball: { phase } }) as unknown as Parameters<Haptics["receive"]>[0];
     haptics.receive(document("running", "held"));
@@ -278,7 +278,7 @@ describe("haptic pulses", () => {
     expect(since()).toEqual(["left 200", "right 200"]);
   });
 
-  it("tell the hand that a ball reaches, once for a flight", () => {
+  it("reach the hand that a ball touches, once for a flight", () => {
     const haptics = new Haptics({ left: hand("left"), right: hand("right") });
     haptics.touch({ x: 0, y: 0, z: 1 }, 0.12);
     haptics.touch({ x: 0, y: 0, z: -1 }, 0.12);
