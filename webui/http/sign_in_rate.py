@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from handover.client_networks import network_of
 from handover.errors import Problem
@@ -39,6 +39,7 @@ USUAL: Final = Rate(5.0, 50.0)
 IN_A_FLOOD: Final = Rate(0.2, 3.0)
 """Of an address, while there are more attempts than `OF_ALL`."""
 OF_ALL: Final = Rate(30.0, 300.0)
+SIGN_IN_PATH: Final = "/api/session"
 MAX_NETWORKS: Final = 50_000
 """Of more addresses, the ones that were quiet for longest are forgotten."""
 
@@ -67,16 +68,29 @@ class SignInRate:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one ASGI connection."""
         if scope["type"] == "http" and scope["method"] == "POST" and scope["path"] in OPEN_PATHS:
-            wait_s = self._attempt(str(scope["client"][0]) if scope.get("client") else "")
+            network = network_of(str(scope["client"][0]) if scope.get("client") else "")
+            wait_s = self._attempt(network)
             if wait_s:
                 REJECTED_REQUESTS.labels("sign-in").inc()
                 await send_problem(send, _too_many(wait_s))
                 return
+            if scope["path"] == SIGN_IN_PATH:
+                send = self._forgiving(network, send)
         await self._app(scope, receive, send)
 
-    def _attempt(self, address: str) -> int:
+    def _forgiving(self, network: str, send: Send) -> Send:
+        """Return `send`, which forgets the attempts of a network when one has succeeded."""
+
+        async def observed(sent: Message) -> None:
+            if sent["type"] == "http.response.start" and sent["status"] < 300:
+                self._networks.pop(network, None)
+            await send(sent)
+
+        return observed
+
+    def _attempt(self, network: str) -> int:
         """Count an attempt; return 0 if it may be made, else the seconds to wait."""
-        now_s, network = self._clock(), network_of(address)
+        now_s = self._clock()
         self._all.pass_time(now_s, OF_ALL.per_s)
         self._all.attempts = min(self._all.attempts + 1.0, 2 * OF_ALL.burst)  # it ends soon after the flood
         rate = IN_A_FLOOD if self._all.attempts > OF_ALL.burst else USUAL
