@@ -101,7 +101,7 @@ class StateEstimator:
             for foot in self.feet.values():
                 pose = self.kinematics.pose(foot.link)
                 places += (pose.translation + pose.rotation @ foot.middle)[:2]
-                yaw += _yaw(pose.rotation) - own_yaw
+                yaw += math.remainder(_yaw(pose.rotation) - own_yaw, 2 * math.pi)
             count = len(self.feet)
             self._feet_frame = np.array([*(places / count), own_yaw + yaw / count])
         return self._feet_frame.copy()

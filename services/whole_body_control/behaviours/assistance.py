@@ -121,7 +121,7 @@ class AssistedWalking:
         self._external = ExternalTorques(walking.estimator, control_s)
         self._stand = np.zeros(3)
         self.velocity = np.zeros(2)
-        """The reference (2,) of the centre of mass in m/s on the ground of the estimate."""
+        """The reference (2,) of the centre of mass in m/s on the ground of the plan."""
         self._open: set[Side] = set()
         """The hands that have opened, until the person lets go."""
         self._yaw_rate, self._is_wanted, self._taken, self._since_s = 0.0, False, 0.0, 0.0
@@ -205,7 +205,8 @@ class AssistedWalking:
             return
         self._external.update(sensors)
         share = self._control_s / STAND_S
-        self._stand[:2] += self._control_s * self.velocity + share * (feet[:2] - self._stand[:2])
+        velocity = self._walking.turned_to_estimate(self.velocity)
+        self._stand[:2] += self._control_s * velocity + share * (feet[:2] - self._stand[:2])
         self._stand[2] = feet[2]
 
     def wish(self, share: float) -> tuple[Array, float]:
@@ -259,7 +260,8 @@ class AssistedWalking:
         hand[:2] = back @ (hand[:2] - self._stand[:2]) - self._root
         hand[2] -= estimator.q[2]
         speed = estimator.kinematics.velocity(grip.link)[:3]
-        hand[:2] += ARM_DAMPING_S * (back @ (speed[:2] - self.velocity))
+        velocity = self._walking.turned_to_estimate(self.velocity)
+        hand[:2] += ARM_DAMPING_S * (back @ (speed[:2] - velocity))
         return state, hand - self._rest[side], force
 
     def _apart(self, arm: ArmState) -> float:
