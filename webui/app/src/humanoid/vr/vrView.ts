@@ -6,6 +6,7 @@
  */
 import { PCFShadowMap, Quaternion, type Vector3, WebGLRenderer } from "three";
 import { errorText, requestService } from "~/api/http";
+import { drawsInSoftware } from "~/robot3d/graphicsCard";
 import { mayDo } from "~/session/session";
 import { inFrame, SERVICE, SIDES, type Footprint, type HumanoidModel, type LiveDocument, type Place, type Side } from "../humanoid";
 import { InputLink, type Answer } from "../inputLink";
@@ -31,6 +32,8 @@ const PANEL_EVERY_MS = 250;
 /** How fast the scene follows a robot that walks, so that it does not sway with its steps. */
 const FOLLOW_S = 0.5;
 const HEIGHT_MPS = 0.5;
+/** Pictures that are drawn in software come 20 times a second, so that the processor has time for the robot beside it. */
+const SLOW_FRAME_MS = 48;
 const OTHER: Readonly<Record<Side, Side>> = { left: "right", right: "left" };
 const NO_THROW_HEIGHT_M = 0.6;
 
@@ -49,6 +52,7 @@ export class VrView {
   /** Wait for the picture of each frame, so that its time is measured; slower. */
   waitsForPicture = false;
   readonly #host: HTMLElement;
+  readonly #isSlow = drawsInSoftware();
   readonly #renderer: WebGLRenderer;
   readonly #room: Room;
   readonly #live = new HumanoidLive(LIVE_HZ);
@@ -81,14 +85,16 @@ export class VrView {
   #aimed: string | null = null;
   #failure: string | null = null;
   #frameS = 0;
+  #drawnMs = -Infinity;
 
   /** Throws where the browser has no WebGL, or for a URDF that cannot be drawn. */
   constructor(host: HTMLElement, urdf: string, model: HumanoidModel, events: ViewEvents) {
     this.#host = host;
     this.#events = events;
-    this.#renderer = new WebGLRenderer({ antialias: true });
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-    this.#renderer.shadowMap.enabled = true;
+    // In software, smooth edges and shadows take most of the time of a frame, and a late hand is worse than a rough one.
+    this.#renderer = new WebGLRenderer({ antialias: !this.#isSlow });
+    this.#renderer.setPixelRatio(this.#isSlow ? 1 : Math.min(devicePixelRatio, 2));
+    this.#renderer.shadowMap.enabled = !this.#isSlow;
     this.#renderer.shadowMap.type = PCFShadowMap;
     this.#renderer.xr.enabled = true;
     this.#room = new Room(urdf, model);
@@ -250,6 +256,8 @@ export class VrView {
     if (this.#using !== "nothing") this.#say(true);
     this.#aim();
     if (nowMs - this.#panelMs > PANEL_EVERY_MS) this.#showPanel(nowMs);
+    if (this.#isSlow && nowMs - this.#drawnMs < SLOW_FRAME_MS) return; // the hands were read and sent all the same
+    this.#drawnMs = nowMs;
     this.#renderer.render(this.#room.scene, this.#headset?.camera ?? this.#pointer.camera);
     this.measuring.worked(performance.now());
     if (this.waitsForPicture) this.#renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, PIXEL);
