@@ -1,4 +1,4 @@
-import { act, render, screen, within } from "@testing-library/react";
+import { act, render, screen, waitFor, within } from "@testing-library/react";
 import userEvent from "@testing-library/user-event";
 import i18next from "i18next";
 import { afterEach, beforeAll, beforeEach, describe, expect, it, vi } from "vitest";
@@ -209,7 +209,7 @@ describe("the operator's page", () => {
     expect(sent).toEqual([
       ["/api/gesture-controller/gloves/glove-1/complete", { by: "Anna", task: task.id, outcome: "notGood", note: "scratched" }],
     ]);
-    expect(screen.queryByRole("dialog")).toBeNull();
+    await waitFor(() => expect(screen.queryByRole("dialog")).toBeNull());
   });
 
   it("shows the gestures that answer otherwise, and only those that are configured", async () => {
