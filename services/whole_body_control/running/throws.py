@@ -116,15 +116,15 @@ class Throws:
     def _planned(self, target: Array, hand: str) -> tuple[Array, Throw]:
         """Return where to aim, and the throw that does; runs in the worker."""
         name = f"{hand}_hand"
-        planner = self._planners.get(name) or self._prepared(name)
+        planner = self._planners.get(name) or self._prepared(name, target)
         aimed = self._practice.aim(name, self._base, target)
         try:
             return aimed, planner.plan(aimed)
         except OutOfReach:
             return target, planner.plan(target)  # the place itself, where aiming off is beyond reach
 
-    def _prepared(self, name: str) -> ThrowPlanner:
-        """Return the planner of a hand, which has rehearsed."""
+    def _prepared(self, name: str, target: Array) -> ThrowPlanner:
+        """Return the planner of a hand, which has rehearsed unless the place is beyond its reach."""
         grip = self._humanoid.grips.get(name)
         if grip is None:
             there = ", ".join(self._humanoid.grips) or "none"
@@ -132,8 +132,10 @@ class Throws:
         kinematics = Kinematics(self._humanoid)
         start = kinematics.standing(POSE)
         self._base = start[:2].copy()
+        planner = ThrowPlanner(kinematics, start, grip)
+        planner.plan(target)  # the refusal does not wait for the rehearsal
         rehearse(self._practice, self._humanoid, [name], REHEARSED, fastest_solver())
-        planner = self._planners[name] = ThrowPlanner(kinematics, start, grip)
+        self._planners[name] = planner
         return planner
 
     def _refuse(self, number: int, reason: str) -> None:
