@@ -21,6 +21,7 @@ from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.telemetry import get_logger
 from handover.validation import fault_text
+from handover.websocket_closing import close_websocket
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.running.arm_stream import ArmStream
@@ -176,7 +177,7 @@ async def _refuse(kind: Kind[Any], client: WebSocket, reason: str) -> None:
     log.warning(f"{kind.name} stream refused", reason=reason)
     with suppress(WebSocketDisconnect, RuntimeError):
         await client.send_text(kind.refusal(reason).model_dump_json())
-        await client.close(4400, reason[:100])
+        await close_websocket(client, 4400, reason)
 
 
 def _words(error: Exception) -> str:

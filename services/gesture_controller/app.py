@@ -24,6 +24,7 @@ from handover.security.protection import require_protection
 from handover.service import create_app
 from handover.storage import storage_check
 from handover.telemetry import get_logger
+from handover.websocket_closing import close_websocket
 from services.gesture_controller.accuracy_tests.accuracy_test_runner import AccuracyTestRunner
 from services.gesture_controller.accuracy_tests.routes import add_accuracy_tests
 from services.gesture_controller.accuracy_tests.store import AccuracyTestStore
@@ -326,7 +327,7 @@ def _add_streams(app: FastAPI, known: KnownGloves) -> None:
             followed = known.named(glove)
         except Problem as problem:
             await screen.accept()
-            await screen.close(4404, problem.detail[:120])
+            await close_websocket(screen, 4404, problem.detail)
             return
         await send_views(followed, screen)
 

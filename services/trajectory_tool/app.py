@@ -20,6 +20,7 @@ from handover.security.guard import Guard, ResourceOf, require, require_somewher
 from handover.security.permissions import Permission
 from handover.service import create_app
 from handover.storage import storage_check
+from handover.websocket_closing import close_websocket
 from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.control import routes as control_routes
 from services.trajectory_tool.controller import Controller, Controllers
@@ -223,7 +224,7 @@ def _add_stream(app: FastAPI, controllers: Controllers) -> None:
             hz = _rate(reader.query_params.get("hz"))
         except Problem as problem:
             await reader.accept()
-            await reader.close(4000 + problem.status, problem.detail[:120])
+            await close_websocket(reader, 4000 + problem.status, problem.detail)
             return
         await stream(controller.cell.robot, controller.cell.model.joint_names, reader, hz)
 

@@ -7,6 +7,7 @@ from contextlib import suppress
 import orjson
 from fastapi import WebSocket, WebSocketDisconnect
 
+from handover.websocket_closing import close_websocket
 from services.gesture_controller.gloves.glove import Glove
 from services.gesture_controller.gloves.glove_view import view_of
 
@@ -48,7 +49,7 @@ async def send_views(glove: Glove, screen: WebSocket) -> None:
                 task.exception()  # a screen that closes during a send is no error
     if glove.observers.forgotten.is_set():
         with suppress(RuntimeError, WebSocketDisconnect):
-            await screen.close(4404, f"{glove.name} is not known any more")
+            await close_websocket(screen, 4404, f"{glove.name} is not known any more")
 
 
 async def stream_frames(glove: Glove) -> AsyncIterator[bytes]:

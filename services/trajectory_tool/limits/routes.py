@@ -18,6 +18,7 @@ from handover.errors import Problem
 from handover.messages import message
 from handover.security.guard import in_path, require
 from handover.security.permissions import Permission
+from handover.websocket_closing import close_websocket
 from services.trajectory_tool.limits.report_stream import Report, receive_reports
 from services.trajectory_tool.limits.robot_limits import RobotLimits
 from services.trajectory_tool.limits.store import MeasuredStop, Mode, SafeSpeed
@@ -197,6 +198,6 @@ async def _receive(
     try:
         limits, _ = find(robot)
     except Problem as problem:
-        await sender.close(4000 + problem.status, problem.detail[:120])
+        await close_websocket(sender, 4000 + problem.status, problem.detail)
         return
     await receive_reports(sender, kind, form, receiver(limits))

@@ -166,7 +166,7 @@ def test_a_stolen_cookie_is_of_no_use_at_another_address(cell: Cell, owner: Brow
     url = cell.url("webui").replace("http", "ws") + "/api/live"
     with pytest.raises(InvalidStatus):
         connect(url, proxy=None, additional_headers=stolen).close()
-    assert carla.send("GET", "/api/accounts/me").status_code == 200, "her own session goes on"
+    assert carla.send("GET", "/api/accounts/me").status_code == 200, "her own session continues"
 
 
 def test_a_cookie_moves_a_robot_only_with_the_right_and_from_our_own_page(cell: Cell, owner: Browser) -> None:
