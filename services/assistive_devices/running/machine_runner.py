@@ -33,6 +33,14 @@ class Point:
     values: dict[str, float]
 
 
+def next_due_s(due_s: float, now_s: float) -> float:
+    """Return when the cycle after the one of `due_s` is due: half a period from now at the earliest.
+
+    So a late cycle is followed neither at once nor by those that were missed.
+    """
+    return max(due_s, now_s - PERIOD_S / 2) + PERIOD_S
+
+
 class MachineRunner:
     """The machine of one case, with the link to the body of its person."""
 
@@ -53,9 +61,10 @@ class MachineRunner:
         clock = asyncio.get_running_loop().time
         before_s = due_s = clock()
         while True:
-            due_s = max(due_s + PERIOD_S, clock())
+            due_s = next_due_s(due_s, clock())
             await asyncio.sleep(due_s - clock())
-            passed_s, before_s = clock() - before_s, clock()
+            now_s = clock()
+            passed_s, before_s = now_s - before_s, now_s
             CYCLES.observe(passed_s)
             self.cycle(min(passed_s, MAX_STEP_S))
 

@@ -32,10 +32,14 @@ ALPHA: Final = 0.4
 BETA: Final = 0.1
 DEAD_ZONE_M: Final = 0.08
 """A belt at rest ignores a walker so near the middle: who stands sways."""
+READING_EVERY_S: Final = 0.05
+"""A rate is never computed over less: a step right after a late one would turn noise into a speed."""
 MAX_STEP_S: Final = 0.2
 """A longer pause between two steps accelerates no more than this."""
 LOST_S: Final = 0.5
 """Without a reading for so long the walker is lost."""
+MAX_PAUSE_S: Final = 1.0
+"""After a longer pause between two steps the belt stops, whatever is read then: nobody controlled it."""
 MAX_WALK_MPS: Final = 3.5
 MAX_JUMP_M: Final = 0.5
 """A reading that is further from the expected place is not the walker."""
@@ -157,7 +161,7 @@ class Belt:
         error_m = found_m - place_m
         if abs(error_m) > MAX_JUMP_M and now_s - since_s < LOST_S:
             return replace(self, place_m=place_m)
-        walk_mps = self.walk_mps + (BETA * error_m / step_s if step_s > 0 else 0.0)
+        walk_mps = self.walk_mps + BETA * error_m / max(step_s, READING_EVERY_S)
         return replace(
             self,
             place_m=place_m + ALPHA * error_m,
@@ -170,7 +174,7 @@ class Belt:
             return StopReason.LIMIT
         if self.seen_s is None:
             return None if self.speed_mps == 0.0 else StopReason.LOST
-        if passed_s > LOST_S or self.at_s + passed_s - self.seen_s >= LOST_S:
+        if passed_s > MAX_PAUSE_S or self.at_s + passed_s - self.seen_s >= LOST_S:
             return StopReason.LOST
         if self.place_m > self.settings.front_end_m:
             return StopReason.FRONT_END

@@ -1,6 +1,8 @@
 """The belt follows the walker, keeps its limits in every case, and stops when it does not see them."""
 
 import math
+import random
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from services.assistive_devices.machines.treadmill.belt import (
     LOST_S,
+    MAX_PAUSE_S,
     Belt,
     BeltSettings,
     BeltState,
@@ -98,6 +101,49 @@ def test_a_walker_too_near_an_end_stops_the_belt(place_m: float, reason: StopRea
     for share in (0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0):
         belt = belt.step(SETTINGS.sensor_to_middle_m - share * place_m, FREE, belt.at_s + STEP_S)
     assert (belt.state, belt.reason) == (BeltState.STOPPING, reason)
+
+
+def busy_steps(seed: int, seconds: float) -> Iterator[float]:
+    """Yield the times between the cycles of a busy machine: many are late, the next one follows at once."""
+    chance, passed_s = random.Random(seed), 0.0
+    while passed_s < seconds:
+        late_s = chance.uniform(STEP_S, 0.9 * MAX_PAUSE_S) if chance.random() < 0.3 else 0.0
+        for step_s in (late_s, 0.0005) if late_s else (STEP_S,):
+            passed_s += step_s
+            yield step_s
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_cycles_that_are_late_and_then_follow_at_once_stop_no_belt(seed: int) -> None:
+    made = scene(0.9, seed)
+    for step_s in busy_steps(seed, 60):
+        made.walker.step(min(step_s, 0.2), made.belt.speed_mps)  # the machine pauses, and so does its walker
+        reading = made.walker.reading(SETTINGS.sensor_to_middle_m)
+        made.belt = made.belt.step(reading, FREE, made.belt.at_s + step_s)
+        assert made.belt.state is BeltState.FOLLOWING, (made.belt.reason, made.walker.place_m)
+        assert made.belt.place_m == pytest.approx(made.walker.place_m, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_walker_who_falls_back_on_a_busy_machine_stops_the_belt(seed: int) -> None:
+    made = scene(1.2, seed)
+    belt, place_m = made.run(30), made.walker.place_m
+    for step_s in busy_steps(seed, 10):
+        place_m -= belt.speed_mps * min(step_s, 0.2)  # who has stopped walking is carried back
+        belt = belt.step(SETTINGS.sensor_to_middle_m - place_m, FREE, belt.at_s + step_s)
+        if belt.state is not BeltState.FOLLOWING:
+            break
+    assert belt.reason is StopReason.REAR_END
+    assert place_m < 0.5 * SETTINGS.rear_end_m
+
+
+def test_a_pause_without_control_stops_the_belt_though_the_walker_is_seen_after_it() -> None:
+    made = scene(0.9)
+    belt = made.run(20)
+    seen_m = SETTINGS.sensor_to_middle_m - made.walker.place_m
+    assert belt.step(seen_m, FREE, belt.at_s + 0.9 * MAX_PAUSE_S).state is BeltState.FOLLOWING
+    assert belt.step(None, FREE, belt.at_s + 0.9 * MAX_PAUSE_S).reason is StopReason.LOST
+    assert belt.step(seen_m, FREE, belt.at_s + 1.1 * MAX_PAUSE_S).reason is StopReason.LOST
 
 
 def test_readings_that_cannot_be_the_walker_do_not_move_the_belt() -> None:
