@@ -38,14 +38,12 @@ from services.assistive_devices.trial import (
     LIMIT_FALLS,
     NOT_IN_PAPER,
     Trial,
-    TrialFailed,
 )
 
 HEART_RATE_MAX_AGE_S: Final = 5.0
 SHOWN_INTERVENTIONS: Final = 20
 PATIENCE_S: Final = 240.0
 BELT_STANDS: Final = message("case.treadmill.wait.stands", "the belt stands")
-RELEASE_EVERY_S: Final = 0.5
 CALM_FRACTION: Final = 0.95
 STRAP_TEST_S: Final = 60.0
 """A trial that is to be shorter leaves out the strap that comes off."""
@@ -280,8 +278,8 @@ class TreadmillMachine(Machine):
         duration_s = min(max(trial.duration_s or DEFAULT_DURATION_S, MIN_DURATION_S), MAX_DURATION_S)
         self._has_contact = True
         await trial.until(HEART_RATE_IS_VALID, lambda: self.heart is not None, PATIENCE_S)
-        await self._release(trial)
-        await trial.until(BODY_IS_CALM, lambda: self.fraction > CALM_FRACTION, PATIENCE_S)
+        await trial.permission(PATIENCE_S)
+        await trial.calm(BODY_IS_CALM, lambda: self.fraction > CALM_FRACTION, PATIENCE_S)
         self.configure({"durationS": duration_s, "consentsToModel": trial.consents_to_model})
         self.start()
         trial.say(
@@ -313,21 +311,6 @@ class TreadmillMachine(Machine):
         if duration_s >= STRAP_TEST_S:
             await self._lose_strap(trial)
 
-    async def _release(self, trial: Trial) -> None:
-        """Let the person in charge release a stop of the limit, as soon as that is possible."""
-        ends_s = time.monotonic() + PATIENCE_S
-        while self._needs_reset:
-            try:
-                await trial.reset()
-            except Problem as still:
-                if time.monotonic() > ends_s:
-                    raise TrialFailed(
-                        message(
-                            "case.not_released", "the limit cannot be released: {reason}", reason=still.detail
-                        )
-                    ) from still
-            await asyncio.sleep(RELEASE_EVERY_S)
-
     def _has_news(self, said: int) -> bool:
         return not self.training.is_running or any(one.number > said for one in self._interventions)
 
@@ -355,7 +338,7 @@ class TreadmillMachine(Machine):
         )
         self._has_contact = True
         await trial.until(HEART_RATE_IS_VALID, lambda: self.heart is not None, PATIENCE_S)
-        await self._release(trial)
+        await trial.permission(PATIENCE_S)
 
 
 def model_of(settings: AssistiveSettings) -> ModelWording | None:
