@@ -27,6 +27,7 @@ from services.human_state.checks.continuity import Continuity
 from services.human_state.checks.timing import WINDOW_S, ClockMap
 from services.human_state.checks.values import ValueChecks
 from services.human_state.model.signals import (
+    EYE_EVENTS,
     ClockKind,
     Samples,
     SensorFault,
@@ -54,8 +55,14 @@ DRAINING: Final = 0.5
 """Packets that come within this share of the time in which they were measured had to wait."""
 MIN_OFF_PACE_S: Final = (0.02, 0.05)
 """So much earlier or later than all before, a packet that says only when it began has another rate."""
-EVENT_SILENCE_S: Final = {SignalKind.BLINK: 60.0, SignalKind.FIXATION: 10.0, SignalKind.SACCADE: 10.0}
-"""Longer than somebody who is awake does not blink or look elsewhere."""
+EVENT_SILENCE_S: Final = {
+    SignalKind.BLINK: 60.0,
+    SignalKind.FIXATION: 10.0,
+    SignalKind.SACCADE: 10.0,
+    SignalKind.GAIT: math.inf,
+    SignalKind.MOOD: math.inf,
+}
+"""Longer than somebody who is awake does not blink or look elsewhere; who stands has no gait at all."""
 MIN_PERIODS: Final = 3
 SILENT_PERIODS: Final = 1.9
 """With the time between two looks (`WATCH_S`), silence is found within two periods."""
@@ -74,7 +81,7 @@ class Checked:
 def default_silence_s(info: SignalInfo) -> float | None:
     """Return how long a signal may be silent: 0.85 s from 10 Hz, else under two periods; None: irregular.
 
-    Events of the eyes have no period: people stare.
+    Events of the eyes and of a gait have no period: people stare, and stand.
     """
     if info.rate_hz is None:
         return EVENT_SILENCE_S.get(info.kind)
@@ -109,6 +116,8 @@ class SignalMonitor:
         self._has_contact: bool | None = None
         self._last_out_s = -math.inf
         self._periods_s: deque[float] = deque(maxlen=9)
+        self._quiet_s = -math.inf
+        """Until then nothing is known to have happened."""
         self._late_s = 0.0
         self._is_draining = False
         """Whether packets come faster than they were measured: those that had to wait."""
@@ -149,6 +158,27 @@ class SignalMonitor:
         )
         return self._report(SensorFault.GAP, at_s, text, {"silence_s": silent_s})
 
+    def nothing_happened(self, until_s: float, arrival_s: float) -> Samples | None:
+        """Take note that a sensor that sends other signals has had no event of this one until `until_s`.
+
+        Returns an empty packet with that time, once a second. `until_s` is on our clock.
+        """
+        self._arrival_s = arrival_s
+        self._is_silent = False
+        if 0 <= until_s - self._quiet_s < _REPEAT_S:
+            return None
+        self._quiet_s = until_s
+        return Samples(self._source, self.info, until_s, np.empty((0, len(self.info.channels))), np.empty(0))
+
+    def _empty(self, samples: Samples, arrival_s: float) -> Samples | None:
+        """Take an empty packet: of events of the eyes it says that there was none."""
+        until_s = samples.start_s
+        if self.info.kind not in EYE_EVENTS or not samples.quality > 0 or not abs(until_s) <= MAX_TIME_S:
+            return None
+        if samples.clock is ClockKind.DEVICE:
+            until_s += self._clock.observe(until_s, arrival_s)
+        return self.nothing_happened(min(until_s, arrival_s), arrival_s)
+
     def _silence_limit_s(self) -> float | None:
         """Return how long the signal may be silent: under two periods of one that comes irregularly."""
         if self._silence_s is not None or self.info.rate_hz is not None or len(self._periods_s) < MIN_PERIODS:
@@ -158,7 +188,7 @@ class SignalMonitor:
     def take(self, samples: Samples, arrival_s: float) -> Checked:
         """Check the samples of one packet that arrived at `arrival_s`, in s since 1970."""
         if len(samples.values) == 0:
-            return Checked(None)
+            return Checked(self._empty(samples, arrival_s))
         if self._arrival_s is not None and not self._is_silent:
             self._periods_s.append(max(arrival_s - self._arrival_s, 0.0))
         passed_s = math.inf if self._arrival_s is None else arrival_s - self._arrival_s

@@ -19,7 +19,15 @@ from handover.messages import Message, message, text_of
 from handover.retry import Backoff
 from services.human_state.checks.monitor import SignalMonitor
 from services.human_state.drivers.base import LinkLost, SensorDriver, Sink
-from services.human_state.model.signals import LinkState, Samples, SensorFault, SensorReport, SignalInfo
+from services.human_state.model.signals import (
+    EYE_EVENTS,
+    EYE_STREAMS,
+    LinkState,
+    Samples,
+    SensorFault,
+    SensorReport,
+    SignalInfo,
+)
 
 log = logging.getLogger(__name__)
 
@@ -215,6 +223,16 @@ class SensorRunner:
             self._sink(report)
         if checked.samples is not None:
             self._sink(checked.samples)
+            if checked.samples.info.kind in EYE_STREAMS and checked.samples.quality > 0:
+                self._nothing_happened(checked.samples.end_s)
+
+    def _nothing_happened(self, until_s: float) -> None:
+        """Pass on that the eyes, which the tracker sees, have done nothing since their last events."""
+        for info, monitor in self._monitors.items():
+            if info.kind in EYE_EVENTS:
+                empty = monitor.nothing_happened(until_s, self._wall_s())
+                if empty is not None:
+                    self._sink(empty)
 
     def _first_samples(self) -> None:
         self.connections += 1

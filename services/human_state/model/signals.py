@@ -57,6 +57,8 @@ class SignalKind(StrEnum):
 
 EYE_EVENTS: Final = frozenset({SignalKind.BLINK, SignalKind.FIXATION, SignalKind.SACCADE})
 """Signals that come when something has happened, and not while nothing does."""
+EYE_STREAMS: Final = frozenset({SignalKind.GAZE, SignalKind.EYE_STATE})
+"""While an eye tracker sends these, the absence of an event means that nothing has happened."""
 
 
 class ClockKind(StrEnum):
@@ -102,6 +104,8 @@ class Samples:
     `values` has one row per sample and one column per channel, in the unit of the signal. NaN is what
     the device could not measure. The first sample was taken at `start_s`, in s since 1970, with
     `uncertainty_s`; the others follow at `info.rate_hz`, or, for irregular signals, at `times_s`.
+
+    An empty packet of events says that nothing happened until `start_s`.
     """
 
     source: str

@@ -19,6 +19,7 @@ from services.human_state.metrics import DELAY, FEATURES, LIMIT_STOPS
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import (
     EYE_EVENTS,
+    EYE_STREAMS,
     LinkState,
     Samples,
     SensorFault,
@@ -39,8 +40,6 @@ BASELINE_S: Final = 600.0
 RADAR: Final = "radar"
 CONTACT_PERIOD_S: Final = 1.0
 WORN, NOT_WORN = "worn", "notWorn"
-EYE_STREAMS: Final = frozenset({SignalKind.GAZE, SignalKind.EYE_STATE})
-"""While an eye tracker sends these, the absence of an event means that nothing has happened."""
 FAULT_SHOWN_S: Final = 10.0
 """A fault is shown for so long after it has ended."""
 
@@ -140,6 +139,9 @@ class PersonMonitor:
         if Purpose.LIVE not in self.person.purposes() or item.source not in self.person.sensors:
             return
         sensor = self.sensors.setdefault(item.source, SensorView())
+        if isinstance(item, Samples) and not len(item.values):  # news for the analysis, and no samples
+            self._analyse(item, sensor)
+            return
         self._tap(item)
         if isinstance(item, SensorReport):
             self._take_report(item, sensor)
@@ -151,11 +153,14 @@ class PersonMonitor:
             sensor.good_at_s = time.monotonic()
         for waiting in self._listeners.values():
             waiting.append(item)
+        self._analyse(item, sensor)
+        self._take_activity(item)
+
+    def _analyse(self, item: Samples, sensor: SensorView) -> None:
         pipeline = self._pipeline(item, sensor)
         if pipeline is not None:
             self._take_features(pipeline.feed(item))
             self._take_failures(pipeline, sensor)
-        self._take_activity(item)
 
     def _take_activity(self, item: Samples) -> None:
         """Classify what the person does, from a wrist and a seat together."""

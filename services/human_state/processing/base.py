@@ -1,7 +1,7 @@
 """What a processor is: it turns samples of one signal of one sensor into features."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from services.human_state.model.features import Feature
 from services.human_state.model.signals import Samples, SensorReport
@@ -19,4 +19,13 @@ class Processor(Protocol):
 
     def report(self, report: SensorReport) -> Sequence[Feature]:
         """Take a fault or lost contact: no later value may depend on samples before and after it."""
+        ...
+
+
+@runtime_checkable
+class EventProcessor(Processor, Protocol):
+    """A processor of events that has something to say while none comes."""
+
+    def nothing_happened(self, source: str, until_s: float) -> Sequence[Feature]:
+        """Take note that there was no event until `until_s`; return the features that this completes."""
         ...

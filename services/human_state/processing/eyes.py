@@ -11,6 +11,9 @@ sent events for t s, less than a window, n - 1 intervals in t. The quality rises
 that is known, and reaches 0.5, from which a value counts, after half of it. An event whose duration no eye
 has counts for the rate only, and lowers the quality by its share.
 
+While the same tracker sends gaze or pupils, the time without an event is known, too: the rates of blinks and
+saccades follow each second from what the window has, down to 0 of somebody who stares.
+
 Gaze: a saccade is faster than 30 degrees/s over 20 ms (I-VT, Salvucci and Goldberg 2000, "Identifying
 fixations and saccades in eye-tracking protocols"), for 5 ms at least; a fixation is what lies between two,
 for 60 ms at least. EOG: a blink is a wave of the vertical lead above its slow course, by the higher of 80
@@ -49,6 +52,10 @@ WINDOWS_S: Final = {
     SignalKind.BLINK: BLINK_WINDOW_S,
     SignalKind.FIXATION: MOVEMENT_WINDOW_S,
     SignalKind.SACCADE: MOVEMENT_WINDOW_S,
+}
+_DURATION_OF: Final = {
+    SignalKind.BLINK: FeatureName.BLINK_DURATION,
+    SignalKind.FIXATION: FeatureName.FIXATION_DURATION,
 }
 DURATION: Final = "duration_s"
 AMPLITUDE: Final = "amplitude_deg"
@@ -97,20 +104,40 @@ class EventWindow:
         """Add an event; return the features that are due."""
         lowest, highest = DURATIONS_S[self._kind]
         is_plausible = lowest <= duration_s <= highest
-        while self._events and self._events[0][0] < at_s - self.window_s:
-            self._events.popleft()
-        before = len(self._events)
+        before = self._count(at_s)
         self._events.append((at_s, duration_s if is_plausible else np.nan, amplitude, quality))
+        return self._due(source, at_s, before) if is_plausible else []
+
+    def nothing_happened(self, source: str, until_s: float) -> list[Feature]:
+        """Take note that no event ended after the last one until `until_s`; return the features that are due.
+
+        The duration of fixations does not follow from that: one may last.
+        """
+        count = self._count(until_s)
+        if self._kind is SignalKind.FIXATION or (self._events and until_s < self._events[-1][0]):
+            return []
+        return self._due(source, until_s, count)
+
+    def _count(self, at_s: float) -> int:
+        """Return how many events the window before `at_s` has; the first time begins what is known."""
         if self._first_s is None:
             self._first_s = at_s
-        covered_s = min(at_s - self._first_s, self.window_s)
-        if not is_plausible or covered_s <= 0 or at_s < self._due_s:
+        while self._events and self._events[0][0] < at_s - self.window_s:
+            self._events.popleft()
+        return len(self._events)
+
+    def _due(self, source: str, at_s: float, count: int) -> list[Feature]:
+        """Return the features of `count` events in the known part of the window, once a second."""
+        covered_s = min(at_s - (self._first_s or 0.0), self.window_s)
+        if covered_s <= 0 or at_s < self._due_s:
             return []
         self._due_s = at_s + EACH_S
-        table = np.array(self._events)
+        table = np.array(self._events).reshape(-1, 4)
         known = np.isfinite(table[:, 1])
-        certain = covered_s / self.window_s * float(known.mean()) * float(table[known, 3].mean())
-        return list(self._features(source, at_s, before / covered_s, table[known], min(certain, 1.0)))
+        certain = covered_s / self.window_s
+        if len(table):
+            certain *= float(known.mean()) * (float(table[known, 3].mean()) if known.any() else 0.0)
+        return list(self._features(source, at_s, count / covered_s, table[known], min(certain, 1.0)))
 
     def _features(
         self, source: str, at_s: float, rate_hz: float, table: Floats, quality: float
@@ -124,13 +151,11 @@ class EventWindow:
                 period_s=period_s,
             )  # fmt: skip
 
-        lasted_ms = 1000 * float(table[:, 1].mean())
         if is_blink:
             yield feature(FeatureName.BLINK_RATE, 60 * rate_hz)
-            yield feature(FeatureName.BLINK_DURATION, lasted_ms)
-        elif self._kind is SignalKind.FIXATION:
-            yield feature(FeatureName.FIXATION_DURATION, lasted_ms)
-        else:
+        if self._kind in _DURATION_OF and len(table):
+            yield feature(_DURATION_OF[self._kind], 1000 * float(table[:, 1].mean()))
+        if self._kind is SignalKind.SACCADE:
             yield feature(FeatureName.SACCADE_RATE, rate_hz)
             sizes = table[np.isfinite(table[:, 2]), 2]
             if len(sizes):
@@ -156,6 +181,10 @@ class EyeEventProcessor:
                 samples.source, float(at_s), float(row[self._duration]), size, samples.quality
             )
         return found
+
+    def nothing_happened(self, source: str, until_s: float) -> Sequence[Feature]:
+        """Return the rates of eyes that do nothing."""
+        return self._window.nothing_happened(source, until_s)
 
     def report(self, report: SensorReport) -> Sequence[Feature]:
         """Forget the events before a fault."""

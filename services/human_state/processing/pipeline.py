@@ -29,7 +29,7 @@ from typing import Final
 from handover.extensions import ExtensionPoint
 from services.human_state.model.features import Feature, FeatureName, Status
 from services.human_state.model.signals import SILENT, Samples, SensorReport, SignalInfo, SignalKind
-from services.human_state.processing.base import Processor
+from services.human_state.processing.base import EventProcessor, Processor
 
 SIGNAL_PROCESSORS: Final = ExtensionPoint("signal processor", "handover.signal_processors", {})
 
@@ -110,9 +110,16 @@ class SignalPipeline:
         return bool(self._processors)
 
     def feed(self, samples: Samples) -> Sequence[Feature]:
-        """Take the next packet; return the features that it completes."""
-        if not samples.quality > 0 or not len(samples.values):
+        """Take the next packet; return the features that it completes.
+
+        An empty one, which says that nothing happened, is for each `EventProcessor`.
+        """
+        if not samples.quality > 0:
             return []
+        if not len(samples.values):
+            return self._each(
+                lambda processor: _nothing_happened(processor, samples), samples.source, samples.end_s
+            )
         return self._each(lambda processor: processor.feed(samples), samples.source, samples.end_s)
 
     def report(self, report: SensorReport) -> Sequence[Feature]:
@@ -159,3 +166,9 @@ class SignalPipeline:
                 yield feature
             else:
                 self._valid.pop(feature.name, None)
+
+
+def _nothing_happened(processor: Processor, samples: Samples) -> Sequence[Feature]:
+    if samples.info.rate_hz is not None or not isinstance(processor, EventProcessor):
+        return ()
+    return processor.nothing_happened(samples.source, samples.start_s)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.human_state.checks.monitor import SignalMonitor
+from services.human_state.drivers.runner import SensorRunner
 from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
 from services.human_state.drivers.simulated.eyes import EyeMovement, SimulatedEyes
 from services.human_state.fusion.person_state import PersonState
@@ -204,6 +205,56 @@ def test_somebody_who_stares_is_no_silent_sensor_and_a_tracker_that_is_gone_is()
     silent = monitor.silence(START_S + 7 + 61)
     assert silent is not None
     assert silent.fault is SensorFault.GAP
+
+
+def test_who_stares_while_the_tracker_sees_the_eyes_has_a_rate_and_no_silent_sensor() -> None:
+    monitor, pipeline = SignalMonitor("glasses", BLINK), pipeline_for(BLINK)
+    features: list[Feature] = []
+
+    def take(samples: Samples | None) -> None:
+        features.extend(() if samples is None else pipeline.feed(samples))
+
+    for number in range(100):
+        at_s = START_S + number
+        if number < 30 and number % 3 == 0:
+            blink = Samples("glasses", BLINK, at_s, np.array([[0.2]]), np.array([at_s]))
+            take(monitor.take(blink, at_s).samples)
+        for part in (0.1, 0.5, 0.9):
+            take(monitor.nothing_happened(at_s + part, at_s + part + 0.05))
+        assert monitor.silence(at_s + 1) is None
+    rates = [one for one in features if one.name is FeatureName.BLINK_RATE]
+    assert len(rates) == pytest.approx(100, abs=35), "about once a second, with an event or without"
+    known = {round(one.at_s - START_S): one for one in rates if one.quality >= 0.5}
+    assert known[32].value == pytest.approx(20, abs=2)
+    assert known[60].value == pytest.approx(10, abs=1.1)
+    assert (known[99].value, known[99].quality) == (0.0, 1.0)
+    assert all(one.value > 0 for one in features if one.name is FeatureName.BLINK_DURATION)
+    gone = monitor.silence(START_S + 99 + 62)
+    assert gone is not None, "a tracker that sends nothing is silent again"
+    assert gone.fault is SensorFault.GAP
+
+
+async def test_a_tracker_that_sends_gaze_or_pupils_says_that_there_was_no_blink() -> None:
+    for stream in (SignalKind.GAZE, SignalKind.EYE_STATE):
+        items = await run_tracker((SignalKind.BLINK, stream), blinks_per_minute=0.0)
+        empty = [one for one in items if one.info.kind is SignalKind.BLINK]
+        assert all(len(one.values) == 0 for one in empty)
+        assert [one.start_s - empty[0].start_s for one in empty] == pytest.approx(range(len(empty)), abs=0.3)
+        assert len(empty) == pytest.approx(20, abs=2)
+    alone = await run_tracker((SignalKind.BLINK, SignalKind.FIXATION), blinks_per_minute=0.0)
+    assert not [one for one in alone if one.info.kind is SignalKind.BLINK]
+
+
+async def run_tracker(signals: tuple[SignalKind, ...], blinks_per_minute: float) -> list[Samples]:
+    """Return what 20 s of a simulated tracker send through its runner."""
+    driver = SimulatedDriver(
+        "glasses", SimulatedSettings(signals=signals, pace=0, start_s=START_S, duration_s=20)
+    )
+    driver.person.eyes.blinks_per_minute = blinks_per_minute
+    driver.person.eyes.blinks.clear()
+    items: list[Samples | SensorReport] = []
+    await SensorRunner(driver, items.append).run()
+    return [one for one in items if isinstance(one, Samples)]
 
 
 def test_the_eyes_are_the_same_whatever_the_steps_of_time() -> None:

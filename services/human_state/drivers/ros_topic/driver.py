@@ -5,9 +5,12 @@ itself. Times are those of the publisher: they count as a device clock, mapped t
 """
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar, Final, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from handover.errors import UsageError
@@ -35,11 +38,13 @@ from services.human_state.model.signals import (
     SignalKind,
 )
 
+TOPIC: Final = r"^/?[A-Za-z_][A-Za-z0-9_/]*$"
 PULL_S: Final = 0.02
 MAX_MESSAGES: Final = 256
 READABLE: Final = frozenset(f"{PACKAGE}/msg/{fields_of(kind)[0]}" for kind in SignalKind) | {
     f"{ros4hc.PACKAGE}/msg/{name}" for name, _ in ros4hc.FIELDS.values()
 }
+Read = Callable[[dict[str, Any]], Samples | None]
 EVENTS_SILENCE_S: Final = 120.0
 """A topic of events of the eyes may be silent for so long."""
 
@@ -50,7 +55,7 @@ class RosTopicSettings(DriverSettings):
     The messages of ROS4HC (`ros2_hc_msgs`) say neither unit nor channels, which follow from the kind.
     """
 
-    topic: str = Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_/]*$", max_length=200)
+    topic: str = Field(pattern=TOPIC, max_length=200)
     kind: SignalKind
     messages: Literal["handover_human_msgs", "ros2_hc_msgs"] = "handover_human_msgs"
     unit: str = ""
@@ -58,6 +63,8 @@ class RosTopicSettings(DriverSettings):
     channels: tuple[str, ...] = ("",)
     domain: int = Field(0, ge=0, le=MAX_DOMAIN)
     source: str | None = None
+    gaze_topic: str | None = Field(None, pattern=TOPIC, max_length=200)
+    """Of events of the eyes: the gaze of the same tracker, so that staring is no silence."""
 
     @model_validator(mode="before")
     @classmethod
@@ -77,6 +84,14 @@ class RosTopicSettings(DriverSettings):
             )
         return {**given, "unit": known[0], "channels": known[1]}
 
+    @model_validator(mode="after")
+    def _gaze_is_for_events(self) -> "RosTopicSettings":
+        if self.gaze_topic is not None and self.kind not in EYE_EVENTS:
+            raise ValueError(
+                f"gaze_topic is for {', '.join(sorted(EYE_EVENTS))}; leave it out for {self.kind}"
+            )
+        return self
+
 
 class RosTopicDriver(SensorDriver):
     """One topic."""
@@ -87,7 +102,7 @@ class RosTopicDriver(SensorDriver):
 
     def __init__(self, source: str, settings: RosTopicSettings) -> None:
         super().__init__(source, settings)
-        if settings.kind in EYE_EVENTS:
+        if settings.kind in EYE_EVENTS and settings.gaze_topic is None:
             self.max_silence_s = EVENTS_SILENCE_S
 
     @property
@@ -116,26 +131,41 @@ class RosTopicDriver(SensorDriver):
         ]
 
     async def run(self, sink: Sink) -> None:
-        settings: RosTopicSettings = self.settings
-        reader, failure = await asyncio.to_thread(self._open)
+        readers, failure = await asyncio.to_thread(self._open)
         sink(SensorReport(self.source, now_s(), link=LinkState.CONNECTED))
-        type_name = f"{PACKAGE}/msg/{fields_of(settings.kind)[0]}"
         while True:
-            try:
-                received = reader.take(N=MAX_MESSAGES)
-            except failure as error:
-                raise LinkLost(f"DDS failed: {error}") from error
-            for sample in received:
-                if type(sample).__name__ == "InvalidSample":
-                    continue  # a publisher that left
+            for reader, read in readers:
                 try:
-                    samples = self.read(type_name, as_message(sample))
-                except PacketError as error:
-                    self.reject(sink, error)
-                    continue
-                if samples is not None:
-                    sink(samples)
+                    received = reader.take(N=MAX_MESSAGES)
+                except failure as error:
+                    raise LinkLost(f"DDS failed: {error}") from error
+                for sample in received:
+                    if type(sample).__name__ == "InvalidSample":
+                        continue  # a publisher that left
+                    try:
+                        samples = read(as_message(sample))
+                    except PacketError as error:
+                        self.reject(sink, error)
+                        continue
+                    if samples is not None:
+                        sink(samples)
             await asyncio.sleep(PULL_S)
+
+    def read_gaze(self, message: dict[str, Any]) -> Samples | None:
+        """Return an empty packet of the events: until this gaze nothing happened. None: it saw no eyes."""
+        (info,) = self.signals
+        try:
+            if self._is_of_ros4hc:
+                gaze = ros4hc.samples_of(ros4hc.GAZE, self.source, message)
+            else:
+                gaze = samples_of(_type_name(SignalKind.GAZE), message)
+        except ExchangeError as error:
+            raise PacketError(str(error)) from error
+        is_other = gaze.info.kind is not SignalKind.GAZE or self.settings.source not in (None, gaze.source)
+        if is_other or not gaze.quality > 0 or not np.isfinite(gaze.values).all():
+            return None
+        empty = np.empty((0, len(info.channels)))
+        return Samples(self.source, info, gaze.end_s, empty, np.empty(0), ClockKind.DEVICE)
 
     def read(self, type_name: str, message: dict[str, Any]) -> Samples | None:
         """Return the samples of a message, None for those of other sensors; raise `PacketError`."""
@@ -166,16 +196,27 @@ class RosTopicDriver(SensorDriver):
             samples, source=self.source, info=info, start_s=start_s, times_s=times_s, clock=ClockKind.DEVICE
         )
 
-    def _open(self) -> tuple[Any, type[Exception]]:
+    def _open(self) -> tuple[list[tuple[Any, Read]], type[Exception]]:
         settings: RosTopicSettings = self.settings
         try:
             endpoints = TopicEndpoints(settings.domain)
         except OSError as error:
             raise LinkLost(str(error)) from error
         of_kind = ros4hc.type_of if self._is_of_ros4hc else type_of
-        reader = endpoints.reader(settings.topic, of_kind(settings.kind), depth=MAX_MESSAGES)
-        return reader, endpoints.failure
+        wanted: list[tuple[str, SignalKind, Read]] = [
+            (settings.topic, settings.kind, partial(self.read, _type_name(settings.kind)))
+        ]
+        if settings.gaze_topic is not None:
+            wanted.append((settings.gaze_topic, SignalKind.GAZE, self.read_gaze))
+        readers = [
+            (endpoints.reader(topic, of_kind(kind), depth=MAX_MESSAGES), read) for topic, kind, read in wanted
+        ]
+        return readers, endpoints.failure
 
     @property
     def _is_of_ros4hc(self) -> bool:
         return bool(self.settings.messages == ros4hc.PACKAGE)
+
+
+def _type_name(kind: SignalKind) -> str:
+    return f"{PACKAGE}/msg/{fields_of(kind)[0]}"

@@ -59,6 +59,7 @@ SIGNALS: Final[Mapping[SignalKind, tuple[str, tuple[str, ...]]]] = {
     ),
 }  # fmt: skip
 """Unit and channels."""
+GAZE: Final = SignalInfo(SignalKind.GAZE, SIGNALS[SignalKind.GAZE][0], None, SIGNALS[SignalKind.GAZE][1])
 
 
 @cache

@@ -18,6 +18,7 @@ from services.human_state.storage.store import ConsentRow, LimitRow, PersonRow, 
 YEAR_US = int(365 * 86400e6)
 WRIST = SignalInfo(SignalKind.ACCELERATION, "MSK", 50.0, ("x", "y", "z"), method="wrist")
 SEAT = SignalInfo(SignalKind.PRESSURE_MAP, "C62", 10.0, tuple(f"r{i // 4}c{i % 4}" for i in range(12)))
+BLINK = SignalInfo(SignalKind.BLINK, "SEC", None, ("duration_s",))
 RATE = SignalInfo(SignalKind.HEART_RATE, "BPM", None, method="chest strap")
 
 
@@ -117,6 +118,22 @@ def test_a_contact_that_is_back_is_shown() -> None:
                 monitor.take(item)
         shown.append(monitor.sensors["strap"].has_contact)
     assert shown == [True, False, True]
+
+
+def test_that_nothing_happened_is_news_for_the_analysis_only() -> None:
+    glasses = {"glasses": SensorRow("glasses", "simulated", {}, "aino")}
+    monitor = PersonMonitor(replace(person("live"), sensors=glasses), pipeline_of)
+    tapped: list[object] = []
+    monitor.taps.add(tapped.append)
+    waiting = monitor.listen()
+    now_s = time.time()
+    for second in range(62):
+        monitor.take(Samples("glasses", BLINK, now_s - 61 + second, np.empty((0, 1)), np.empty(0)))
+    assert not waiting
+    assert not [one for one in tapped if isinstance(one, Samples)]
+    assert monitor.sensors["glasses"].signals == {}
+    (rate,) = [each for each in monitor.values(time.monotonic()) if each.name is FeatureName.BLINK_RATE]
+    assert (rate.value, rate.status) == (0.0, Status.VALID)
 
 
 def test_two_sensors_40_bpm_apart_limit_by_the_higher_rate_and_say_so() -> None:
