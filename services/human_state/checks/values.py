@@ -49,7 +49,7 @@ ELECTRODES: Final = frozenset(
 """Kinds of which no channel is ever constant on a body; of other waveforms all channels have to be."""
 WAVEFORMS: Final = ELECTRODES | {
     SignalKind.EDA, SignalKind.RESPIRATION, SignalKind.ACCELERATION, SignalKind.ANGULAR_VELOCITY,
-    SignalKind.MAGNETIC_FIELD,
+    SignalKind.MAGNETIC_FIELD, SignalKind.JOINT_ANGLES, SignalKind.JOINT_MOMENTS,
 }  # fmt: skip
 STEADY_LEVEL: Final = frozenset({SignalKind.ECG, SignalKind.PPG, SignalKind.RESPIRATION})
 """Kinds whose level does not rise tenfold while they mean anything. A muscle or an arm may."""

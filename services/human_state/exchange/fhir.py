@@ -104,6 +104,13 @@ _UCUM_OF_SIGNAL: Final = {
     "MMT": "mm",
     "DD": "deg",
     "HTZ": "Hz",
+    "OHM": "Ohm",
+    "NEW": "N",
+    "NU": "N.m",
+    "2A": "rad/s",
+    "D81": "uT",
+    "MLT": "mL",
+    "L2": "L/min",
     "C62": "1",
     "": "1",
 }

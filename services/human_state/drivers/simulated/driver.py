@@ -19,7 +19,6 @@ from services.human_state.drivers.simulated.person import Posture, SimulatedPers
 from services.human_state.drivers.simulated.waveforms import EVENTS, WAVES, Events, Wave
 from services.human_state.model.cardiovascular import Physiology
 from services.human_state.model.signals import (
-    EYE_EVENTS,
     ClockKind,
     LinkState,
     Samples,
@@ -29,7 +28,9 @@ from services.human_state.model.signals import (
 )
 
 EVENTS_SILENCE_S = 120.0
-"""A sensor of nothing but blinks may be silent for so long."""
+"""A sensor of nothing but events, such as blinks, may be silent for so long."""
+STRAP = "chest strap"
+"""How the method of a signal begins whose sensor measures its contact."""
 FaultKind = Literal[
     "gap",
     "clockJump",
@@ -135,12 +136,12 @@ class SimulatedDriver(SensorDriver):
         )
         self._has_program = bool(settings.program)
         self._tracks = [
-            _EventTrack(source, *EVENTS[kind], settings)
+            _EventTrack(source, EVENTS[kind], settings, number)
             if kind in EVENTS
             else _Track(source, _with_rate(*WAVES[kind], settings), settings, number)
             for number, kind in enumerate(settings.signals, start=1)
         ]
-        if EYE_EVENTS.issuperset(settings.signals):
+        if EVENTS.keys() >= set(settings.signals):
             self.max_silence_s = EVENTS_SILENCE_S
         self._elapsed_s = 0.0
         self._began_s: float | None = None
@@ -179,7 +180,7 @@ class SimulatedDriver(SensorDriver):
         return [self._worn(samples) for samples in made if samples is not None]
 
     def _worn(self, samples: Samples) -> Samples:
-        is_off = not self._is_worn and samples.info.method.startswith("chest strap")
+        is_off = not self._is_worn and samples.info.method.startswith(STRAP)
         return replace(samples, has_contact=False) if is_off else samples
 
     def _begin(self) -> float:
@@ -243,7 +244,9 @@ class _Track:
             return None
         times_s = self._next_s + np.arange(count) / true_hz
         start_s, self._next_s = self._next_s, self._next_s + count / true_hz
-        values = self._faulty(self._wave(person, times_s, self._random), faults)
+        values = self._wave(person, times_s, self._random)
+        values = _with_faults(values, self.info, faults, self._random, self._last)
+        values = np.clip(values, self.info.min_value, self.info.max_value)
         self._last = values[-1]
         if any(fault.kind == "gap" for fault in faults):
             return None
@@ -257,36 +260,21 @@ class _Track:
             origin_s = 1000.0  # any; a device counts from when it was switched on
             device_s = origin_s + device_s * (1 + self._settings.drift)
             samples = replace(samples, start_s=device_s, clock=ClockKind.DEVICE)
-        if any(fault.kind == "strapOff" for fault in faults):
-            return replace(samples, has_contact=False)
-        return replace(samples, has_contact=True if self.info.method.startswith("chest strap") else None)
-
-    def _faulty(self, values: np.ndarray, faults: Sequence[SimulatedFault]) -> np.ndarray:
-        info, random = self.info, self._random
-        for fault in faults:
-            if fault.kind == "artefact":
-                spread = max(1.0, float(np.nanstd(values)))
-                values = values + random.normal(0, 8 * spread, values.shape)
-            elif fault.kind in {"strapOff", "silentStrapOff"}:
-                values = np.zeros_like(values) if fault.kind == "silentStrapOff" else values * 0.01
-            elif fault.kind == "saturated":
-                values = np.full_like(values, info.max_value)
-            elif fault.kind == "flat":
-                values = np.tile(values[:1] if self._last is None else self._last, (len(values), 1))
-            elif fault.kind == "unit":
-                values = values * fault.size
-        clipped: np.ndarray = np.clip(values, info.min_value, info.max_value)
-        return clipped
+        return _with_contact(samples, faults)
 
 
 class _EventTrack:
-    """The events of one irregular signal. Faults: gaps, clock jumps, units, and saturation."""
+    """The events of one irregular signal, with its faults; there is no rate that could lie."""
 
-    def __init__(self, source: str, info: SignalInfo, events: Events, settings: SimulatedSettings) -> None:
-        self.info, self._events = info, events
+    def __init__(
+        self, source: str, made: tuple[SignalInfo, Events], settings: SimulatedSettings, number: int
+    ) -> None:
+        self.info, self._events = made
         self._source = source
         self._settings = settings
+        self._random = np.random.default_rng([settings.seed, number])
         self._next_s = 0.0
+        self._last: np.ndarray | None = None
 
     def until(self, person: SimulatedPerson, end_s: float, began_s: float) -> Samples | None:
         """Return what has ended before `end_s` of simulated time; None for nothing, and in a gap."""
@@ -297,13 +285,9 @@ class _EventTrack:
         if not found or any(fault.kind == "gap" for fault in faults):
             return None
         rows = np.array(found)
-        times_s, values = rows[:, 0], rows[:, 1:]
-        for fault in faults:
-            if fault.kind == "unit":
-                values = values * fault.size
-            elif fault.kind == "saturated":
-                values = np.full_like(values, self.info.max_value)
-        times_s = times_s + sum(
+        values = _with_faults(rows[:, 1:], self.info, faults, self._random, self._last)
+        self._last = values[-1]
+        times_s = rows[:, 0] + sum(
             fault.size
             for fault in given
             if fault.kind == "clockJump" and fault.at_s <= end_s and fault.signal in (None, self.info.kind)
@@ -313,7 +297,37 @@ class _EventTrack:
             times_s, clock = 1000.0 + times_s * (1 + self._settings.drift), ClockKind.DEVICE
         else:
             times_s = times_s + began_s
-        return Samples(self._source, self.info, float(times_s[0]), values, times_s, clock)
+        samples = Samples(self._source, self.info, float(times_s[0]), values, times_s, clock)
+        return _with_contact(samples, faults)
+
+
+def _with_faults(
+    values: np.ndarray,
+    info: SignalInfo,
+    faults: Sequence[SimulatedFault],
+    random: np.random.Generator,
+    last: np.ndarray | None,
+) -> np.ndarray:
+    """Return the values that a faulty sensor sends; `last` is the row before them."""
+    for fault in faults:
+        if fault.kind == "artefact":
+            spread = max(1.0, float(np.nanstd(values)) or float(np.nanmean(np.abs(values))))
+            values = values + random.normal(0, 8 * spread, values.shape)
+        elif fault.kind in {"strapOff", "silentStrapOff"}:
+            values = np.zeros_like(values) if fault.kind == "silentStrapOff" else values * 0.01
+        elif fault.kind == "saturated":
+            values = np.full_like(values, info.max_value)
+        elif fault.kind == "flat":
+            values = np.tile(values[:1] if last is None else last, (len(values), 1))
+        elif fault.kind == "unit":
+            values = values * fault.size
+    return values
+
+
+def _with_contact(samples: Samples, faults: Sequence[SimulatedFault]) -> Samples:
+    if any(fault.kind == "strapOff" for fault in faults):
+        return replace(samples, has_contact=False)
+    return replace(samples, has_contact=True if samples.info.method.startswith(STRAP) else None)
 
 
 def _with_rate(info: SignalInfo, wave: Wave, settings: SimulatedSettings) -> tuple[SignalInfo, Wave]:

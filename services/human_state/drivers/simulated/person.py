@@ -26,7 +26,13 @@ from typing import Final, Literal
 import numpy as np
 
 from services.human_state.drivers.simulated.eyes import SimulatedEyes
-from services.human_state.model.cardiovascular import Heart, Physiology, cadence_hz
+from services.human_state.model.cardiovascular import (
+    Heart,
+    Physiology,
+    cadence_hz,
+    speed_mps_of_cadence,
+    stroke_volume_ml,
+)
 
 KEEP_S: Final = 10.0
 AHEAD_S: Final = 1.0
@@ -41,6 +47,7 @@ BREATHING_MAX: Final = 45.0
 
 
 Posture = Literal["sitting", "standing", "lying", "lyingLeft", "lyingRight", "prone"]
+LYING: Final[frozenset[Posture]] = frozenset({"lying", "lyingLeft", "lyingRight", "prone"})
 
 
 class SimulatedPerson:
@@ -93,10 +100,19 @@ class SimulatedPerson:
         return max(30.0, rate * (1 - 0.15 * max(self._apnoea, 0.0) + 0.2 * max(-self._apnoea, 0.0)))
 
     @property
+    def strain(self) -> float:
+        """Return the share of the heart rate reserve that the heart uses now, 0 to 1."""
+        return self._heart.total(self.body)
+
+    @property
+    def stroke_volume_ml(self) -> float:
+        """Return what the heart pumps with each beat."""
+        return stroke_volume_ml(self.strain, is_lying=self.posture in LYING)
+
+    @property
     def breathing_rate(self) -> float:
         """Return the breaths per minute; 0 in an apnoea."""
-        share = self._heart.total(self.body)
-        return (BREATHING_REST + share * (BREATHING_MAX - BREATHING_REST)) if self.is_breathing else 0.0
+        return (BREATHING_REST + self.strain * (BREATHING_MAX - BREATHING_REST)) if self.is_breathing else 0.0
 
     def walk(self, speed_mps: float, grade: float = 0.0) -> None:
         """Walk at a speed from now on, on a grade; 0 stands still."""
@@ -130,11 +146,30 @@ class SimulatedPerson:
             return 1.5 + 1.0 * self.effort if self.effort > MIN_GAIT_EFFORT else 0.0
         return cadence_hz(self.walking_mps) if self.walking_mps > MIN_WALK_MPS else 0.0
 
+    @property
+    def is_walking(self) -> bool:
+        """Return whether there is a gait: the steps of somebody who stands up, or walks at a speed."""
+        is_upright = self.posture == "standing" or self.walking_mps is not None
+        return is_upright and self.steps_hz > 0
+
+    @property
+    def gait_mps(self) -> float:
+        """Return the speed of the gait; 0 without one."""
+        if not self.is_walking:
+            return 0.0
+        return speed_mps_of_cadence(self.steps_hz) if self.walking_mps is None else self.walking_mps
+
     def gait_at(self, times_s: "np.ndarray") -> "np.ndarray":
         """Return the phase of the gait in rad, a step each turn: continuous, whatever the speed does."""
         known = np.array(self._gait)
         phase: np.ndarray = np.interp(times_s, known[:, 0], known[:, 1])
         return phase
+
+    def gait_times_s(self, phases: "np.ndarray") -> "np.ndarray":
+        """Return when the gait had these phases, in the last `KEEP_S`."""
+        known = np.array(self._gait)
+        times_s: np.ndarray = np.interp(phases, known[:, 1], known[:, 0])
+        return times_s
 
     def _step(self) -> None:
         self._heart = self._heart.step(self.effort, STEP_S, self.body)
@@ -145,7 +180,7 @@ class SimulatedPerson:
             self._apnoea = -1.0
         else:
             self._apnoea += (0.0 - self._apnoea) * STEP_S / 6.0
-        calm = 1 - self._heart.total(self.body)
+        calm = 1 - self.strain
         self._breath_phase += math.tau * self.breathing_rate / 60 * STEP_S
         self._wave_phase += math.tau * 0.1 * STEP_S
         depth = (1.0 if self.is_breathing else 0.0) * (1 + 0.5 * (1 - calm))

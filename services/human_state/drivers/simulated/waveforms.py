@@ -1,22 +1,16 @@
-"""What sensors measure on a simulated person: samples of a signal at times, vectorized.
-
-The ECG and the PPG are sums of Gaussians in the time of each beat: McSharry, Clifford, Tarassenko, Smith, "A
-dynamical model for generating synthetic electrocardiogram signals", IEEE TBME 50(3), 2003, without the
-integration, so that each sample depends on its time only and rates may change at every beat. `neurokit2` has
-the integrated model, but for whole records at one rate; a test compares what it detects with our beats.
-"""
+"""What sensors measure on a simulated person: samples of a signal at times, vectorized, and events."""
 
 from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from services.human_state.drivers.simulated import circulation, gait
+from services.human_state.drivers.simulated.beat_waves import BeatWave, Floats, beat_waves
 from services.human_state.drivers.simulated.eyes import EYELID_MM, PUPIL_MM
 from services.human_state.drivers.simulated.person import Posture, SimulatedPerson
 from services.human_state.model.signals import SignalInfo, SignalKind
 
-Floats = NDArray[np.float64]
 Wave = Callable[[SimulatedPerson, Floats, np.random.Generator], Floats]
 Events = Callable[[SimulatedPerson, float, float], list[tuple[float, ...]]]
 
@@ -24,16 +18,15 @@ GRAVITY: Final = 9.80665
 MAT_ROWS: Final = 3
 MAT_COLUMNS: Final = 4
 
-# Amplitude in microvolt, offset from the R peak and width in s at 60 bpm. P and T move with the root of RR
-# (Bazett).
-_ECG_WAVES: Final = (
+_ECG_WAVES: Final[tuple[BeatWave, ...]] = (
     (110.0, -0.17, 0.025, True),
     (-120.0, -0.028, 0.010, False),
     (1100.0, 0.0, 0.011, False),
     (-230.0, 0.028, 0.010, False),
     (280.0, 0.26, 0.045, True),
 )
-_PPG_WAVES: Final = ((1.0, 0.25, 0.09, True), (0.35, 0.50, 0.10, True))
+"""In microvolt: P, Q, R, S, T."""
+_PPG_WAVES: Final[tuple[BeatWave, ...]] = ((1.0, 0.25, 0.09, True), (0.35, 0.50, 0.10, True))
 _POSTURES: Final[dict[Posture, tuple[float, float, float]]] = {
     "sitting": (0.10, 0.05, 0.994),
     "standing": (0.0, 0.0, 1.0),
@@ -43,10 +36,15 @@ _POSTURES: Final[dict[Posture, tuple[float, float, float]]] = {
     "prone": (0.0, -0.995, 0.10),
 }
 
+_FIXED_SIDE: Final = np.array([0.6, 0.64, 0.48])
+MOOD_EVERY_S: Final = 60.0
+UNPLEASANT_FROM: Final = 0.6
+"""The share of the heart rate reserve, near the ventilatory threshold, above which effort is unpleasant."""
+
 
 def ecg(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
     """Return one lead in microvolt, with wander of the baseline and noise of muscles that grows with effort."""
-    wave = _beats(person, times_s, _ECG_WAVES)
+    wave = beat_waves(person, times_s, _ECG_WAVES)
     wander = 60.0 * person.breath_at(times_s)
     noise = random.normal(0, 8.0 + 25.0 * person.effort, len(times_s))
     return (wave + wander + noise)[:, None]
@@ -55,7 +53,7 @@ def ecg(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -
 def ppg(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
     """Return a pulse wave in the units of the converter, 20,000 to 80,000, with breathing in its amplitude."""
     breath = person.breath_at(times_s)
-    wave = _beats(person, times_s, _PPG_WAVES) * (1 + 0.1 * breath)
+    wave = beat_waves(person, times_s, _PPG_WAVES) * (1 + 0.1 * breath)
     noise = random.normal(0, 0.01 + 0.05 * person.effort, len(times_s))
     values: Floats = 50_000 + 4_000 * (wave + noise) + 800 * breath
     return values[:, None]
@@ -116,6 +114,14 @@ def pressure_map(person: SimulatedPerson, times_s: Floats, random: np.random.Gen
     return np.clip(np.round(shape + random.normal(0, 6, shape.shape)), 0, 4095)
 
 
+def magnetic_field(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return the field of the earth at the chest in microtesla: 45 downwards and 20 to a fixed side."""
+    up = np.array(_POSTURES[person.posture])
+    side = _FIXED_SIDE - (_FIXED_SIDE @ up) * up
+    field: Floats = -45.0 * up + 20.0 * side / np.linalg.norm(side)
+    return field + random.normal(0, 0.3, (len(times_s), 3))
+
+
 def heart_rate(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
     """Return what a strap computes: the mean of the last beats."""
     beats = np.array([beat for beat in person.beats_s if beat <= times_s[-1]])
@@ -145,24 +151,6 @@ def movement(person: SimulatedPerson, times_s: Floats, random: np.random.Generat
     return np.clip(np.round(seen + random.normal(0, 2, (len(times_s), 1))), 0, 100)
 
 
-def _beats(
-    person: SimulatedPerson, times_s: Floats, waves: tuple[tuple[float, float, float, bool], ...]
-) -> Floats:
-    beats = np.array([beat for beat in person.beats_s if times_s[0] - 1.5 < beat < times_s[-1] + 0.5])
-    value = np.zeros(len(times_s))
-    if len(beats) == 0:
-        return value
-    intervals = np.diff(beats, append=beats[-1] + 60 / person.heart_rate_bpm)
-    since_s = times_s[None, :] - beats[:, None]
-    stretch = np.sqrt(np.clip(intervals, 0.25, 2.0))[:, None]
-    for amplitude, offset_s, width_s, is_stretched in waves:
-        scale = stretch if is_stretched else 1.0
-        value += (amplitude * np.exp(-0.5 * ((since_s - offset_s * scale) / (width_s * scale)) ** 2)).sum(
-            axis=0
-        )
-    return value
-
-
 def eog(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
     """Return the vertical and the horizontal lead in microvolt: the gaze, blinks, noise, and slow drift."""
     gaze = person.eyes.gaze_at(times_s)
@@ -183,6 +171,28 @@ def eye_state(person: SimulatedPerson, times_s: Floats, random: np.random.Genera
     lids = EYELID_MM * person.eyes.lids_at(times_s)
     pupils = pupil[:, None] + random.normal(0, 0.03, (len(times_s), 2))
     return np.column_stack((pupils, np.clip(lids[:, None] + random.normal(0, 0.1, (len(times_s), 2)), 0, 20)))
+
+
+def presence(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return 1: somebody is there."""
+    return np.ones((len(times_s), 1))
+
+
+def distance(person: SimulatedPerson, times_s: Floats, random: np.random.Generator) -> Floats:
+    """Return how far the chest is from a radar in m: it moves with lean and breath."""
+    chest_m = 1.2 - 0.2 * person.lean[1] - 0.004 * person.breath_at(times_s)
+    return (chest_m + random.normal(0, 0.002, len(times_s)))[:, None]
+
+
+def moods(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[float, ...]]:
+    """Return what the person says of the mood every minute: valence and arousal, -1 to 1.
+
+    Effort excites; it is pleasant until the ventilatory threshold, and less so above it (Ekkekakis, Parfitt,
+    Petruzzello 2011, Sports Med 41:641). The figures are ours.
+    """
+    asked = np.arange(np.ceil(begin_s / MOOD_EVERY_S), np.ceil(end_s / MOOD_EVERY_S))
+    beyond = max(person.strain - UNPLEASANT_FROM, 0.0) / (1 - UNPLEASANT_FROM)
+    return [(float(number) * MOOD_EVERY_S, 0.5 - 1.2 * beyond, 1.4 * person.strain - 0.4) for number in asked]
 
 
 def blinks(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[float, ...]]:
@@ -226,6 +236,18 @@ WAVES: Final[dict[SignalKind, tuple[SignalInfo, Wave]]] = {
         (SignalInfo(SignalKind.EOG, "D82", 250.0, ("vertical", "horizontal"), -3_000, 3_000, 0.1, "electrodes around the eyes"), eog),
         (SignalInfo(SignalKind.GAZE, "DD", 200.0, ("gaze_x", "gaze_y"), -90, 90, None, "eye tracker"), gaze),
         (SignalInfo(SignalKind.EYE_STATE, "MMT", 200.0, ("pupil_left_mm", "pupil_right_mm", "eyelid_left_mm", "eyelid_right_mm"), -1, 25, None, "eye tracker"), eye_state),
+        (SignalInfo(SignalKind.ICG, "OHM", 250.0, ("impedance",), 5, 60, None, "band electrodes at neck and thorax"), circulation.impedance),
+        (SignalInfo(SignalKind.BCG, "NEW", 125.0, ("axis",), -100, 100, None, "bed, force along the body"), circulation.recoil),
+        (SignalInfo(SignalKind.HEART_RATE_VARIABILITY, "C26", 0.2, ("",), 0, 500, None, "chest strap, RMSSD of 10 s"), circulation.variability),
+        (SignalInfo(SignalKind.STROKE_VOLUME, "MLT", 1.0, ("",), 0, 300, None, "impedance cardiography"), circulation.stroke_volume),
+        (SignalInfo(SignalKind.CARDIAC_OUTPUT, "L2", 1.0, ("",), 0, 50, None, "impedance cardiography"), circulation.cardiac_output),
+        (SignalInfo(SignalKind.ANGULAR_VELOCITY, "2A", 50.0, ("x", "y", "z"), -35, 35, None, "left shank"), gait.shank_velocity),
+        (SignalInfo(SignalKind.MAGNETIC_FIELD, "D81", 25.0, ("x", "y", "z"), -1_200, 1_200, None, "chest"), magnetic_field),
+        (SignalInfo(SignalKind.JOINT_ANGLES, "DD", 100.0, gait.JOINTS, -180, 180, None, "motion capture"), gait.joint_angles),
+        (SignalInfo(SignalKind.JOINT_MOMENTS, "NU", 100.0, gait.JOINTS, -500, 500, None, "motion capture and force plates"), gait.joint_moments),
+        (SignalInfo(SignalKind.PRESENCE, "C62", 1.0, ("",), -1, 2, 1.0, "radar 60 GHz"), presence),
+        (SignalInfo(SignalKind.DISTANCE, "MTR", 1.0, ("",), 0, 10, None, "radar 60 GHz"), distance),
+        (SignalInfo(SignalKind.STEPS, "C62", 1.0, ("",), -1, 4_294_967_295, 1.0, "step counter"), gait.steps),
     )
 }  # fmt: skip
 """The signals that can be simulated, with the function that makes them."""
@@ -235,6 +257,9 @@ EVENTS: Final[dict[SignalKind, tuple[SignalInfo, Events]]] = {
         (SignalInfo(SignalKind.BLINK, "SEC", None, ("duration_s",), 0, 60, None, "eye tracker"), blinks),
         (SignalInfo(SignalKind.FIXATION, "DD", None, ("duration_s", "gaze_x", "gaze_y"), -90, 90, None, "eye tracker"), fixations),
         (SignalInfo(SignalKind.SACCADE, "DD", None, ("duration_s", "gaze_x", "gaze_y", "amplitude_deg", "peak_velocity"), -90, 1000, None, "eye tracker"), saccades),
+        (SignalInfo(SignalKind.INTER_BEAT_INTERVAL, "C26", None, ("",), 0, 64_000, None, "chest strap"), circulation.intervals),
+        (SignalInfo(SignalKind.GAIT, "C62", None, gait.GAIT, -1, 300, None, "insoles"), gait.strides),
+        (SignalInfo(SignalKind.MOOD, "C62", None, ("valence", "arousal"), -2, 2, None, "asked every minute"), moods),
     )
 }  # fmt: skip
 """Those that come irregularly: the time of each event, then its values."""

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from services.human_state.drivers.runner import SensorRunner
 from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
 from services.human_state.drivers.simulated.person import SimulatedPerson
-from services.human_state.drivers.simulated.waveforms import WAVES
+from services.human_state.drivers.simulated.waveforms import EVENTS, WAVES
 from services.human_state.model.cardiovascular import Physiology
 from services.human_state.model.signals import (
     ClockKind,
@@ -22,6 +22,7 @@ from services.human_state.model.signals import (
 )
 
 START_S = 1_700_000_000.0
+TEXTS = {SignalKind.POSTURE, SignalKind.ACTIVITY, SignalKind.SLEEP}
 
 
 async def simulate(**settings: object) -> tuple[list[Samples], list[SensorReport], SimulatedDriver]:
@@ -101,6 +102,24 @@ async def test_every_signal_is_simulated_at_its_rate_within_its_range() -> None:
         assert known.max() <= info.max_value
         assert all(one.quality == np.isfinite(one.values).all() for one in mine)
         assert all(one.clock is ClockKind.RECORDING for one in mine)
+
+
+def test_every_signal_that_is_a_number_has_a_simulator() -> None:
+    assert WAVES.keys() | EVENTS.keys() == set(SignalKind) - TEXTS
+
+
+async def test_every_event_is_simulated_within_its_range_and_in_order() -> None:
+    program = [{"at_s": 1, "effort": 0.3, "posture": "standing"}]
+    samples, reports, driver = await simulate(signals=list(EVENTS), duration_s=130, program=program)
+    assert not [report for report in reports if report.fault]
+    for info in driver.signals:
+        mine = [one for one in samples if one.info.kind is info.kind]
+        values = np.concatenate([one.values for one in mine])
+        times_s = np.concatenate([one.sample_times_s() for one in mine])
+        assert len(values) >= 2, info.kind
+        assert np.isfinite(values).all()
+        assert info.min_value <= values.min() <= values.max() <= info.max_value
+        assert np.all(np.diff(times_s) > 0)
 
 
 async def test_a_seed_repeats_its_signals() -> None:
@@ -185,7 +204,7 @@ async def test_at_its_pace_the_device_stamps_and_the_times_are_ours() -> None:
 
 def test_a_signal_that_cannot_be_simulated_is_refused_with_those_that_can() -> None:
     with pytest.raises(ValidationError, match="choose from ecg"):
-        SimulatedSettings(signals=(SignalKind.MOOD,))
+        SimulatedSettings(signals=(SignalKind.POSTURE,))
 
 
 async def test_a_simulated_person_acts_while_the_sensor_runs() -> None:

@@ -19,7 +19,7 @@ const ORDER = ["heartRate", "breathingRate", "exertionLevel", "spo2", "hrvRmssd"
 export const POSITIONS = ["activity", "dailyActivity", "posture", "sleepPosition"] as const;
 const NOT_VITAL = new Set<string>([...POSITIONS, "copX", "copY", "load", "activeCells"]);
 const SHARES = new Set(["exertionLevel", "stress", "fatigue"]);
-const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", "2Z": "mV", C62: "", MSK: "m/s²", "2A": "rad/s", CEL: "°C", MMT: "mm", HTZ: "Hz", DD: "°" };
+const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", "2Z": "mV", C62: "", MSK: "m/s²", "2A": "rad/s", CEL: "°C", MMT: "mm", HTZ: "Hz", DD: "°", OHM: "Ω", NEW: "N", NU: "N m", D81: "µT", MLT: "ml", L2: "l/min" };
 const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, spo2: 0, steps: 0, cadence: 0, movement: 3, bodyMovement: 0, edaTonic: 2, edaPhasic: 2, blinkRate: 0, blinkDuration: 0, fixationDuration: 0, pupilDiameter: 2 };
 
 export function vitalSigns(state: StateView): ValueView[] {
