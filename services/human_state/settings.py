@@ -35,6 +35,13 @@ class HumanStateSettings(Settings):
     health_recording_days: float = Field(
         30.0, gt=0, description="a recording is deleted so many days after its end"
     )
+    health_niceness: int = Field(
+        -10,
+        ge=-20,
+        le=19,
+        description="the niceness of human state, so that busy processes do not delay the limits of robots; "
+        "below 0 it needs the right to (`LimitNICE` of systemd, `CAP_SYS_NICE`), else it stays as it is",
+    )
     health_strain_window_s: float = Field(
         300.0,
         ge=10,

@@ -1,4 +1,7 @@
 import base64
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -18,3 +21,15 @@ def test_the_key_of_recordings_has_32_bytes() -> None:
 def test_another_length_is_refused_with_the_way_out(key: str) -> None:
     with pytest.raises(UsageError, match="openssl rand -base64 32"):
         HumanStateSettings.load(health_recording_key=key)
+
+
+def test_the_process_has_the_niceness_of_the_settings_or_keeps_its_own() -> None:
+    usual = os.getpriority(os.PRIO_PROCESS, 0)
+    code = "import os; from services.human_state.__main__ import use_niceness as use; print(*{}, os.nice(0))"
+    asked = f"(use({usual + 1}), use(-20))"
+    done = subprocess.run(
+        [sys.executable, "-c", code.format(asked)], capture_output=True, text=True, check=True
+    )
+    higher, lower, niceness = done.stdout.split()
+    assert higher == "True"
+    assert (lower, int(niceness)) in {("True", -20), ("False", usual + 1)}
