@@ -226,8 +226,9 @@ bench-sign-in: setup  ## 1,000 wrong passwords a second for a minute, while a pe
 bench-vr: setup  ## virtual reality with an emulated headset: what the page works, and the way from a pose to its picture (ARGS="--seconds 20")
 	@$(BIN)/python -m benchmarks.humanoid_vr $(ARGS)
 
-bench-screen: setup  ## the screen in Chromium: response times and memory
+bench-screen: setup  ## the screen in Chromium: response times, memory, and the waveforms of the page Health
 	@$(BIN)/python -m benchmarks.screen $(ARGS)
+	@$(BIN)/python -m benchmarks.waveforms
 
 pictures: setup  ## make the pictures of the documentation from the running product (needs Chromium)
 	@$(BIN)/python -m benchmarks.pictures $(ARGS)

@@ -177,7 +177,7 @@ async def measure(options: argparse.Namespace, ports: dict[str, int], process: p
         httpx.AsyncClient(base_url=f"http://{base}", timeout=120, trust_env=False) as rest,
         serve(bench.be_robot, "127.0.0.1", ports["robot"]),
     ):
-        await _ready(rest)
+        await ready(rest)
         ecg = {"signals": ["ecg"], "packet_s": 0.56}
         for n in range(options.people):
             await add(rest, f"p{n}", {"driver": "simulated", "settings": {**ecg, "seed": n}})
@@ -231,7 +231,8 @@ async def _problems(rest: httpx.AsyncClient) -> dict[str, int]:
     return found
 
 
-async def _ready(rest: httpx.AsyncClient) -> None:
+async def ready(rest: httpx.AsyncClient) -> None:
+    """Wait until human state answers."""
     began = time.perf_counter()
     while True:
         try:
