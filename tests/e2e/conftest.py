@@ -1,6 +1,5 @@
 """A browser for tests of the page: Debian's Chromium, and pages that fail a test on any error."""
 
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -15,6 +14,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from datamodels.times import iso
 from tests.kit.cell import Cell
+from tests.kit.chromium import FLAGS, chromium
 from tests.kit.paths import REPOSITORY
 from tests.kit.waiting import wait_for
 
@@ -23,12 +23,6 @@ SCREENSHOTS = REPOSITORY / "build" / "screenshots"
 
 EXAMPLES = sorted(path.parent for path in (REPOSITORY / "examples").glob("*/pyproject.toml"))
 
-FLAGS = [
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-sync",
-    "--enable-unsafe-swiftshader",  # WebGL without a graphics card
-]
 STILL = "Promise.allSettled(document.getAnimations().map((motion) => motion.finished)).then(() => true)"
 PANEL = {"width": 1280, "height": 800}
 
@@ -56,11 +50,9 @@ def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
 @pytest.fixture(scope="module")  # while Playwright is there, its loop runs and no other test may run one
 def browser() -> Iterator[Browser]:
     """Chromium without a window; skips where none is installed."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
+    program = chromium()
     with sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        launched = playwright.chromium.launch(executable_path=program, args=list(FLAGS))
         yield launched
         launched.close()
 

@@ -15,9 +15,10 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from playwright.sync_api import Error, Page, expect, sync_playwright
 
 from handover.transport_security.local_authority import ServerFiles
-from tests.e2e.conftest import FLAGS, SCREENSHOTS
+from tests.e2e.conftest import SCREENSHOTS
 from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import Certificates, wait_ready_over_tls
+from tests.kit.chromium import FLAGS, chromium
 
 pytestmark = pytest.mark.slow
 
@@ -73,14 +74,12 @@ def key_hash(certificate: Path) -> str:
 @contextmanager
 def opened(home: Path, files: ServerFiles) -> Iterator[Page]:
     """Return a page of a Chromium that trusts the authority of `files` and no other."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
+    program = chromium()
     environment, trust = trusted_by(home, files)
     with (
         sync_playwright() as playwright,
         playwright.chromium.launch_persistent_context(
-            home / "profile", executable_path=chromium, args=[*FLAGS, *trust], env=environment
+            home / "profile", executable_path=program, args=[*FLAGS, *trust], env=environment
         ) as browser,
     ):
         yield browser.new_page()
