@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,13 @@ EXAMPLES = sorted(path.parent for path in (REPOSITORY / "examples").glob("*/pypr
 STILL = "Promise.allSettled(document.getAnimations().map((motion) => motion.finished)).then(() => true)"
 PANEL = {"width": 1280, "height": 800}
 
+APPEARS = """(text) => {
+  const appeared = (window.appeared ??= new Set());
+  appeared.delete(text);
+  const look = () => document.body.textContent.includes(text) && appeared.add(text);
+  new MutationObserver(look).observe(document.body, { childList: true, characterData: true, subtree: true });
+}"""
+
 TIMEOUT_MS = 90_000
 """How long a test waits for an element or a state: long, since a slow machine is no reason to fail."""
 
@@ -45,6 +52,14 @@ def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
         "outputParameters": {"type": "Property", "value": outputs, "observedAt": stamp},
     }
     httpx.post(f"{entity}/attrs", json=body, timeout=120).raise_for_status()
+
+
+@contextmanager
+def appearing(page: Page, text: str) -> Iterator[None]:
+    """Expect that what is done in the block lets `text` appear, even if it is gone before anybody looks."""
+    page.evaluate(APPEARS, text)
+    yield
+    page.wait_for_function("(text) => window.appeared.has(text)", arg=text)
 
 
 @pytest.fixture(scope="module")  # while Playwright is there, its loop runs and no other test may run one

@@ -13,7 +13,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page
 
-from tests.e2e.conftest import OpenPage
+from tests.e2e.conftest import OpenPage, appearing
 from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -100,8 +100,8 @@ def test_with_the_mouse_only(
 
     def answer() -> None:
         nonlocal seen_at_work
-        page.get_by_role("button", name="Complete by hand").click()
-        page.get_by_text("Completed by Anna").wait_for()
+        with appearing(page, "Completed by Anna"):
+            page.get_by_role("button", name="Complete by hand").click()
         with contextlib.suppress(Exception):  # a step of the robot may be over before it is looked at
             page.get_by_text("Keep out of the cell").wait_for(timeout=5_000)
             keep(page, "work-robot")
@@ -139,8 +139,8 @@ def test_lost_components_are_named_and_recover_while_the_page_is_open(
     keep(page, f"work-without-{service}")
     cell.start(service)
     page.get_by_role("heading", name="Confirm that nobody").wait_for(timeout=120_000)
-    page.get_by_role("button", name="Complete by hand").click()
-    page.get_by_text("Completed by Anna").wait_for()
+    with appearing(page, "Completed by Anna"):
+        page.get_by_role("button", name="Complete by hand").click()
 
 
 class Wearer:

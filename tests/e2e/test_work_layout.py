@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page
 
-from tests.e2e.conftest import STILL, OpenPage
+from tests.e2e.conftest import STILL, OpenPage, appearing
 from tests.e2e.test_operators_page import Wearer
 from tests.kit.cell import Cell
 from tests.kit.waiting import wait_for
@@ -287,8 +287,8 @@ def test_a_person_reports_not_good_with_a_note(
     dialog.get_by_role("textbox", name="Note (optional)").fill("scratched")
     act = {"Not good": "Report “Not good”", "Problem": "Report the problem"}[outcome]
     page.evaluate(FITS)
-    dialog.get_by_role("button", name=act).click()
-    page.get_by_text(f"Reported: {outcome}").first.wait_for()
+    with appearing(page, f"Reported: {outcome}"):
+        dialog.get_by_role("button", name=act).click()
     page.locator("[data-situation=incident]").wait_for()
     page.get_by_text(f"Look at the part: {outcome}, reported by Anna. “scratched”").wait_for()
     found = httpx.get(f"{cell.url('task_orchestrator')}/processes/{process}", timeout=120).json()
@@ -348,8 +348,8 @@ def test_the_page_is_never_blank_between_two_steps(open_page: OpenPage) -> None:
     page.get_by_role("button", name="Start Bin picking").click()
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
     page.evaluate(BLANKS)
-    page.get_by_role("button", name="Complete by hand").click()
-    page.get_by_text("Completed by Anna").wait_for()
+    with appearing(page, "Completed by Anna"):
+        page.get_by_role("button", name="Complete by hand").click()
     page.locator("[data-situation=robot]").wait_for()
     page.locator("[data-situation=prompt]").wait_for(timeout=120_000)
     assert page.evaluate("window.stages.size") >= 3
@@ -368,10 +368,10 @@ def test_answer_gestures_and_a_lost_glove_are_readable_from_a_distance(
         keep(page, "work-answers")
         wearer.show("22222")
         page.wait_for_timeout(300)
-        wearer.show("22202")
-        page.get_by_text("Not good? Keep holding").wait_for()
-        keep(page, "work-hold-not-good")
-        page.get_by_text("Reported: Not good").first.wait_for()
+        with appearing(page, "Reported: Not good"):
+            with appearing(page, "Not good? Keep holding"):
+                wearer.show("22202")
+            keep(page, "work-hold-not-good")
         wearer.show("22222")
         page.locator("[data-situation=incident]").wait_for()
         (task,) = httpx.get(f"{cell.url('task_orchestrator')}/processes/{process}", timeout=120).json()[
