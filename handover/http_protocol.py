@@ -136,7 +136,8 @@ class Connections:
 class HttpProtocol(HttpToolsProtocol):
     """One connection, which `limits` looks at.
 
-    A request only sets `phase`, and `since_s` to 0; the next look replaces that by its own time.
+    A request that begins only sets `phase`, and `since_s` to 0; the next look replaces that by its own time.
+    One that ends sets `since_s`: of the idle connections, the one that was used last is closed last.
     """
 
     # uvicorn's protocol has so many attributes that more would make all of them slower.
@@ -195,7 +196,7 @@ class HttpProtocol(HttpToolsProtocol):
         """Note that a request is there as a whole."""
         self.phase = IN_USE
         if not self._is_answering():  # the answer did not wait for the body
-            self.phase, self.since_s = IDLE, 0.0
+            self.phase, self.since_s = IDLE, self.loop.time()
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
@@ -207,7 +208,7 @@ class HttpProtocol(HttpToolsProtocol):
         if self.pipeline:
             self._start_asgi_task(*self.pipeline.pop())
         elif self.phase is IN_USE:
-            self.phase, self.since_s = IDLE, 0.0
+            self.phase, self.since_s = IDLE, self.loop.time()
 
     def handle_websocket_upgrade(self) -> None:
         """Hand the connection over, unless there are too many."""

@@ -125,6 +125,26 @@ def test_a_newcomer_gets_in_when_the_server_is_full(
         assert any(map(is_closed, links))
 
 
+def test_of_the_idle_connections_the_one_that_was_used_last_gives_way_last(
+    cell: Cell, crowd: Callable[..., list[socket.socket]]
+) -> None:
+    cell.extra["HANDOVER_HTTP_MAX_CONNECTIONS"] = "40"
+    cell.start("context_broker")
+    get = b"GET /ngsi-ld/v1/types HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+
+    def used(link: socket.socket) -> socket.socket:
+        link.sendall(get)
+        assert link.recv(65536).startswith(b"HTTP/1.1 200")
+        return link
+
+    first, *others = [used(link) for link in crowd("context_broker", 38, b"")]
+    used(first)
+    for _ in others:
+        used(*crowd("context_broker", 1, b""))
+    assert not is_closed(first)
+    assert sum(map(is_closed, others)) > len(others) // 2
+
+
 @pytest.mark.parametrize("service", WRITTEN)
 def test_a_request_that_never_ends_is_ended(
     cell: Cell, crowd: Callable[..., list[socket.socket]], eventually: Eventually, service: str
