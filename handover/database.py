@@ -4,6 +4,7 @@ In both a committed transaction survives `kill -9` and a power cut.
 """
 
 import sqlite3
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,6 +14,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
+from sqlalchemy.pool import ConnectionPoolEntry
 
 from handover.errors import HandoverError, UsageError
 from handover.sqlite_files import prepare_own, stamp_of, unreleased_format
@@ -133,6 +135,7 @@ def connect(
         raise UsageError(_unusable(url, setting)) from None
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _make_durable)
+    _close_late_ones(engine)
     try:
         _open(engine)
     except DBAPIError as error:
@@ -142,6 +145,20 @@ def connect(
             f"the database {shown} cannot be used: {reason}; correct that or {setting}"
         ) from None
     return engine
+
+
+def _close_late_ones(engine: Engine) -> None:
+    """Close what is returned to the pool after `Engine.dispose`, which closes only what is in the pool then.
+
+    A cancelled task leaves the thread behind that executes its statement.
+    """
+    is_disposed = threading.Event()
+    event.listen(engine, "engine_disposed", lambda _: is_disposed.set())
+
+    @event.listens_for(engine, "checkin")
+    def close(_: Any, record: ConnectionPoolEntry) -> None:
+        if is_disposed.is_set():
+            record.invalidate()
 
 
 def _open(engine: Engine) -> None:

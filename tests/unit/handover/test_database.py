@@ -8,7 +8,9 @@ import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
+import psycopg
 import pytest
 from sqlalchemy import text
 
@@ -22,6 +24,19 @@ def test_sqlite_loses_nothing_that_was_committed(tmp_path: Path) -> None:
         assert connection.execute(text("PRAGMA journal_mode")).scalar() == "wal"
         assert connection.execute(text("PRAGMA synchronous")).scalar() == 2
     engine.dispose()
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_a_connection_that_a_thread_still_uses_is_closed_once_it_is_returned(
+    kind: str, new_database: Callable[[], str], tmp_path: Path
+) -> None:
+    engine = connect(new_database() if kind == "postgresql" else f"sqlite:///{tmp_path / 'lamp.db'}")
+    with engine.connect() as connection:
+        driver: Any = connection.connection.driver_connection
+        engine.dispose()
+        assert connection.execute(text("SELECT 1")).scalar() == 1
+    with pytest.raises((sqlite3.ProgrammingError, psycopg.OperationalError), match="closed"):
+        driver.execute("SELECT 1")
 
 
 @pytest.mark.parametrize("url", ["mysql://lamp", "lamp", "", "oracle://a:b@c/d"])
