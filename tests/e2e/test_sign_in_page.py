@@ -6,7 +6,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.e2e.conftest import PANEL, SCREENSHOTS
+from tests.e2e.conftest import PANEL, SCREENSHOTS, TIMEOUT_MS
 from tests.integration.webui.test_signing_in import PASSWORD, set_up
 from tests.kit.cell import Cell, new_cell
 
@@ -24,6 +24,7 @@ def test_the_owner_joins_signs_out_and_signs_in(browser: Browser, own_cell: Cell
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
     secret = set_up(own_cell)
     page = browser.new_page(viewport=PANEL, locale="en")
+    page.set_default_timeout(TIMEOUT_MS)
     page.goto(f"{own_cell.url('webui')}/join#{secret}")
     expect(page.get_by_role("heading", name="Create the owner's account")).to_be_visible()
     page.get_by_label("Name", exact=True).fill("Olga")
@@ -54,6 +55,7 @@ def test_an_admin_invites_a_person_who_may_then_drive_two_robots(browser: Browse
     for device in devices:
         create(own_cell, {"id": device, "type": "Device"})
     page = browser.new_page(viewport=PANEL, locale="en")
+    page.set_default_timeout(TIMEOUT_MS)
     page.goto(f"{own_cell.url('webui')}/people?view=users")
     expect(page.get_by_text("handover accounts set-up")).to_be_visible()
     page.screenshot(path=SCREENSHOTS / "people-local.png")
@@ -67,6 +69,7 @@ def test_an_admin_invites_a_person_who_may_then_drive_two_robots(browser: Browse
     page.get_by_role("button", name="Close").click()
 
     operator = browser.new_context(viewport=PANEL, locale="en").new_page()
+    operator.set_default_timeout(TIMEOUT_MS)
     join(operator, own_cell, link.rsplit("#", 1)[1], "Vera")
     operator.goto(f"{own_cell.url('webui')}/people")
     expect(operator.get_by_role("radio", name="My sessions")).to_be_visible()

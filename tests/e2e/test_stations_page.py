@@ -7,7 +7,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.e2e.conftest import PANEL, SCREENSHOTS
+from tests.e2e.conftest import PANEL, SCREENSHOTS, TIMEOUT_MS
 from tests.integration.webui.test_signing_in import PASSWORD, set_up
 from tests.kit.cell import Cell, new_cell
 from tests.kit.waiting import wait_for
@@ -59,6 +59,7 @@ def test_a_person_joins_a_station_and_gives_the_pin_that_a_task_demands(
     assert glove.status_code < 500
 
     page = browser.new_page(viewport=PANEL, locale="en")
+    page.set_default_timeout(TIMEOUT_MS)
     page.goto(f"{own_cell.url('webui')}/join#{set_up(own_cell)}")
     page.get_by_label("Name", exact=True).fill("Anna")
     page.get_by_label("New password").fill(PASSWORD)
@@ -121,6 +122,7 @@ def test_a_person_joins_a_station_and_gives_the_pin_that_a_task_demands(
     page.close()
     for name, options in VIEWS:
         context = browser.new_context(**options)  # type: ignore[arg-type]
+        context.set_default_timeout(TIMEOUT_MS)
         context.add_cookies(cookies)  # type: ignore[arg-type]
         seen = context.new_page()
         seen.goto(f"{own_cell.url('webui')}/tasks")
@@ -144,6 +146,7 @@ def give_identifiers(page: Page, cell: Cell) -> None:
     page.get_by_role("button", name="Assign badge").click()
     page.get_by_role("dialog").get_by_label("badge", exact=True).fill("B-anna-1")
     page.get_by_role("dialog").get_by_role("button", name="Assign", exact=True).click()
+    expect(page.get_by_role("dialog")).to_have_count(0)
     page.get_by_role("button", name="Assign PIN").click()
     page.keyboard.type(PIN)
     page.get_by_role("dialog").get_by_role("button", name="Assign", exact=True).click()

@@ -18,6 +18,7 @@ import httpx
 
 from handover.cli import fork_server
 from tests.kit import lifeline
+from tests.kit.private_network import is_private
 from tests.kit.waiting import scaled, wait_for
 
 MAX_LOG_EXCERPT = 3000
@@ -125,8 +126,11 @@ def spawn(
 
 
 def spawn_module(module: str, environment: Mapping[str, str], log: Path, folder: Path) -> Process:
-    """Run a module as `spawn` does, in less time: forked from a process that has imported the libraries."""
-    if sys.platform != "linux":
+    """Run a module as `spawn` does, in less time: forked from a process that has imported the libraries.
+
+    That process is in the common network.
+    """
+    if sys.platform != "linux" or is_private():
         return spawn(module_command(module), environment, log, folder)
     variables = {**environment, **lifeline.ENVIRONMENT}
     request = fork_server.request(module, [], variables, folder, session=False)
