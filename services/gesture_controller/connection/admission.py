@@ -5,6 +5,9 @@ if there is one: with accounts there always is (`handover.security.glove_token`)
 token, no token is needed on loopback, and gloves are refused on any other address. New gloves that nobody
 declared are admitted up to a limit, so that invented names cannot block gloves in use.
 
+When accounts are set up, the connections of gloves that were admitted without a token have to end: the glove
+server then requires the token of each open connection again.
+
 A token is shown once, when it is made; the database has only its hash (`handover.security.secret_tokens`).
 """
 
@@ -49,6 +52,10 @@ class Admission:
         self._max_undeclared = settings.max_undeclared_gloves
         self._hashes = store.load()
 
+    def has_accounts(self) -> bool:
+        """Return True if accounts exist, so that every glove needs a token. Raises `UsageError`."""
+        return self._keys.keys() is not None
+
     def has_token(self, glove: str) -> bool:
         """Return True if `glove` has its own token."""
         return glove in self._hashes
@@ -78,7 +85,7 @@ class Admission:
                     "the token is wrong; give the glove the HANDOVER_GLOVE_TOKEN of this site, or make one "
                     f"of its own with {command}",
                 )
-        elif self._keys.keys() is not None:
+        elif self.has_accounts():
             raise ConnectionRefused(
                 "no token",
                 f"{hello.glove} has no token, and with accounts every glove has one; make one with {command} "

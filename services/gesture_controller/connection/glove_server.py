@@ -3,6 +3,9 @@
 A connection without a hello in time, with an invalid hello or with a line that is too long gets the reason
 and is closed. Invalid frames are dropped and counted. The number of connections that have not sent a hello is
 limited; beyond the limit the oldest of them is closed, so that a flood of connections cannot block gloves.
+
+When accounts are set up, each open connection needs what a new one needs: a glove whose hello had no token,
+as local mode allows, gets the reason and is closed.
 """
 
 import asyncio
@@ -12,7 +15,9 @@ from typing import Any, Self, cast
 
 import orjson
 
+from handover.background_tasks import BackgroundTasks
 from handover.errors import UsageError
+from handover.security.keys_in_force import RELOAD_INTERVAL_S
 from handover.telemetry import get_logger
 from handover.transport_security.server_certificate import ServerCertificate
 from handover.transport_security.tls_listener import Listener, listen
@@ -52,6 +57,7 @@ class GloveServer:
         self._host, self._port = settings.glove_host, settings.glove_port
         self._server: Listener | None = None
         self._certificate = ServerCertificate.of(settings)
+        self._tasks = BackgroundTasks("glove server")
 
     async def __aenter__(self) -> Self:
         try:
@@ -68,9 +74,12 @@ class GloveServer:
                 "set HANDOVER_GLOVE_HOST and HANDOVER_GLOVE_PORT to an address and port that are free"
             ) from None
         log.info("glove server listens", host=self._host, port=self._port, tls=self._certificate is not None)
+        await self._tasks.__aenter__()
+        self._tasks.start(self._end_local_mode)
         return self
 
     async def __aexit__(self, *_: object) -> None:
+        await self._tasks.__aexit__()
         if self._server is not None:
             self._server.close()
         for connection in tuple(self.open):
@@ -85,6 +94,20 @@ class GloveServer:
             metrics.CONNECTIONS_REFUSED.labels("too many waiting").inc()
             reason = f"more than {MAX_WAITING_FOR_HELLO} connections have sent no hello; send it at once"
             oldest.end(reason, retry=True)
+
+    async def _end_local_mode(self) -> None:
+        """Wait until accounts exist, which is for good; then end what was admitted without a token."""
+        while not self._has_accounts():  # noqa: ASYNC110 - another process writes the file
+            await asyncio.sleep(RELOAD_INTERVAL_S)
+        for connection in tuple(self.open):
+            connection.require_token()
+
+    def _has_accounts(self) -> bool:
+        try:
+            return self.gloves.admission.has_accounts()
+        except UsageError as error:
+            log.warning("whether accounts exist is unknown", reason=str(error))
+            return False
 
 
 class GloveConnection(asyncio.Protocol):
@@ -140,6 +163,15 @@ class GloveConnection(asyncio.Protocol):
         self._rest.clear()
         self._stop_waiting()
         self._transport.close()
+
+    def require_token(self) -> None:
+        """End the connection if its glove would not be admitted now."""
+        if self._glove is None:
+            return
+        try:
+            self._server.gloves.admission.require_token(self._glove.connection.hello)
+        except ConnectionRefused as refused:
+            self._refuse(refused.kind, str(refused), retry=refused.retry)
 
     def _process(self, lines: list[bytes]) -> None:
         now_s = self._now()

@@ -363,6 +363,36 @@ async def test_with_accounts_every_glove_needs_a_token_also_on_loopback(
     await until(is_refused)
 
 
+@pytest.mark.parametrize(
+    ("has_site_token", "why"), [(True, "the token is wrong"), (False, "with accounts every glove has one")]
+)
+async def test_accounts_that_are_set_up_later_end_the_connections_without_a_token(
+    open_site: OpenSite, tmp_path: Path, has_site_token: bool, why: str
+) -> None:
+    security = tmp_path / "security"
+    site = await open_site(security_dir=security)
+    own = await site.gloves.set_token("glove-2")
+    lines = [await site.connect(HELLO), await site.connect({**HELLO, "glove": "glove-2", "token": own})]
+    for line in lines:
+        assert (await line.receive() or {})["type"] == "ack"
+    waiting = await site.connect()
+    if has_site_token:
+        make_glove_token(security)
+    else:
+        security.mkdir()
+    (security / PUBLIC_KEYS_FILE).write_bytes(key_set(SigningKey.generate()))
+    answer = await lines[0].receive() or {}
+    assert (answer["type"], answer["retry"]) == ("error", False)
+    assert why in answer["reason"]
+    assert await lines[0].receive() is None
+    await lines[1].say(FRAME % 1.0)
+    known = site.gloves.known
+    await site.until(lambda: known.named("glove-2").connection.traffic.frames == 1)
+    await site.until(lambda: known.named("glove-1").connection.link is None)
+    await waiting.say(HELLO)
+    assert why in (await waiting.receive() or {})["reason"]
+
+
 async def test_invented_names_leave_slots_to_gloves_that_are_known(open_site: OpenSite) -> None:
     site = await open_site(max_undeclared_gloves=2, max_gloves=5)
     for name in ("a", "b"):

@@ -35,9 +35,11 @@ def of_role(connection: HTTPConnection) -> Permission:
 class Lamp:
     """An application with streams, and what `accounts` says about its callers."""
 
-    def __init__(self, folder: Path) -> None:
-        (folder / "security").mkdir()
-        (folder / "security" / PUBLIC_KEYS_FILE).write_bytes(key_set(KEY))
+    def __init__(self, folder: Path, *, has_accounts: bool = True) -> None:
+        self._security = folder / "security"
+        self._security.mkdir()
+        if has_accounts:
+            self.set_up_accounts()
         self.revocations = FollowedRevocations()
         self.revocations.apply({"position": 1, "revoked": []})
         self.introspection: dict[str, Any] = {"active": False}
@@ -65,6 +67,9 @@ class Lamp:
         async def lines() -> StreamingResponse:
             return StreamingResponse(self._lines())
 
+    def set_up_accounts(self) -> None:
+        (self._security / PUBLIC_KEYS_FILE).write_bytes(key_set(KEY))
+
     async def _lines(self) -> AsyncIterator[bytes]:
         while True:
             yield b"line\n"
@@ -78,16 +83,17 @@ class Lamp:
         self.revocations.apply({"position": position, "revoked": [[position, name]]})
 
     @asynccontextmanager
-    async def open(self, path: str, token: str, kind: str = "websocket") -> AsyncIterator["Opened"]:
+    async def open(self, path: str, token: str | None, kind: str = "websocket") -> AsyncIterator["Opened"]:
         incoming: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
         sent: asyncio.Queue[Any] = asyncio.Queue()
+        credentials = [] if token is None else [(b"authorization", f"Bearer {token}".encode())]
         scope = {
             "type": kind,
             "path": path.partition("?")[0],
             "raw_path": path.partition("?")[0].encode(),
             "root_path": "",
             "query_string": path.partition("?")[2].encode(),
-            "headers": [(b"host", b"localhost"), (b"authorization", f"Bearer {token}".encode())],
+            "headers": [(b"host", b"localhost"), *credentials],
             "client": ("127.0.0.1", 5),
             "scheme": "ws" if kind == "websocket" else "http",
             "method": "GET",
@@ -155,6 +161,20 @@ async def test_a_streamed_response_ends_when_its_caller_is_revoked(lamp: Lamp) -
         lamp.revoke("anna")
         async with asyncio.timeout(BOUND_S):
             await opened.serving
+
+
+@pytest.mark.parametrize(("path", "kind"), [("/robots/ur10-1/jog", "websocket"), ("/lines", "http")])
+async def test_accounts_that_are_set_up_later_end_the_streams_of_local_mode(
+    tmp_path: Path, path: str, kind: str
+) -> None:
+    lamp = Lamp(tmp_path, has_accounts=False)
+    async with lamp.open(path, None, kind) as stream:
+        await stream.until("websocket.accept" if kind == "websocket" else "http.response.body")
+        lamp.set_up_accounts()
+        if kind == "websocket":
+            assert (await stream.until("websocket.close"))["code"] == 4401
+        async with asyncio.timeout(BOUND_S):
+            await asyncio.wait({stream.serving})
 
 
 async def test_a_token_whose_grant_is_removed_keeps_the_streams_of_its_other_grants(lamp: Lamp) -> None:
