@@ -250,17 +250,33 @@ class Directory:
         self._limits.succeeded(address, "link")
         return await self._open(subject, "link", address, device)
 
-    async def change_password(self, caller: Caller, current: str, new: str, address: str) -> None:
-        """Change the password of a user, and end the other sessions. Raises `Problem` 401, 422, 429."""
-        self.admit_attempt(address, caller.subject)
-        user = await self.read(lambda connection: users.find(connection, caller.subject))
+    async def change_password(self, session_token: str, current: str, new: str, address: str) -> None:
+        """Change the password of the user of a session, and end the other sessions.
+
+        `address` is that of the person, for the limit of attempts. Raises `Problem`: 401 if the session has
+        ended, 403 for a wrong password, 422 for a weak one, 429.
+        """
+
+        def found(connection: Connection) -> tuple[dict[str, Any], dict[str, Any]]:
+            session = sessions.require_session(connection, session_token, self.session_limits)
+            return session, users.find(connection, session["subject"])
+
+        session, user = await self.read(found)
+        subject = user["subject"]
+        self.admit_attempt(address, subject)
         if not await self._hashes.verify(normalized(current), user["password_hash"], is_known=True):
+            text = f"from {address[:64]}"
+            await self.change(
+                subject,
+                lambda change: change.record("passwordChange.failed", subject, text=text, outcome="refused"),
+                method="password",
+            )
             raise Problem(403, "Wrong password", "the current password is wrong; correct it")
-        self._limits.succeeded(address, caller.subject)
+        self._limits.succeeded(address, subject)
         hashed = await self._hashes.hash(require_good_password(new, user["name"]))
         await self.change(
-            caller.subject,
-            lambda change: users.set_password(change, caller.subject, hashed, kept_session=caller.session),
+            subject,
+            lambda change: users.set_password(change, subject, hashed, kept_session=session["id"]),
             method="password",
         )
 

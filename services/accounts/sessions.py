@@ -122,6 +122,14 @@ def find_session(connection: Connection, token: str, limits: SessionLimits) -> d
     return None if row is None or limits.ends_s(row) <= time.time() else dict(row)
 
 
+def require_session(connection: Connection, token: str, limits: SessionLimits) -> dict[str, Any]:
+    """Return the session of a token; raise `Problem` 401 if it has ended."""
+    session = find_session(connection, token, limits)
+    if session is None:
+        raise Problem(401, "Signed out", "the session has ended; sign in again")
+    return session
+
+
 def find_session_with_user(
     connection: Connection, token: str, limits: SessionLimits
 ) -> dict[str, Any] | None:

@@ -41,6 +41,13 @@ class LinkUseRequest(LinkRequest):
     password: Password
 
 
+class PasswordChangeRequest(_Body):
+    """The current and the new password."""
+
+    current: Password
+    new: Password
+
+
 class AccountRequest(_Body):
     """A request for an account."""
 
@@ -114,12 +121,16 @@ def add_sessions(app: FastAPI, guard: PageGuard) -> None:
         response.delete_cookie(_cookie(guard, request), path="/", secure=secure, httponly=True)
         return {"location": location}
 
+    @app.put("/api/session/password", status_code=204, tags=["session"], dependencies=[require_signed_in()])
+    async def change_password(body: PasswordChangeRequest, request: Request) -> None:
+        """Change the own password; all other sessions end: 403 for a wrong one, 429 after many attempts."""
+        content = {"session": _own_session(guard, request), **body.model_dump(), **place(request)}
+        await guard.ask_accounts("/password-changes", content)
+
     @app.post("/api/session/station", tags=["session"], dependencies=[require_signed_in()])
     async def become_station(body: StationRequest, request: Request, response: Response) -> SessionView:
         """Sign this screen in as a station, in place of the engineer who is signed in."""
-        token = guard.session_of(dict(request.scope["headers"]))
-        if token is None:
-            raise Problem(409, "No session", "sign in as an engineer on this screen first")
+        token = _own_session(guard, request)
         content = {"session": token, "station": body.station, **place(request)}
         opened = await guard.ask_accounts("/station-sessions", content)
         guard.forget(token)
@@ -142,6 +153,14 @@ def add_sessions(app: FastAPI, guard: PageGuard) -> None:
     async def ask_for_account(body: AccountRequest, request: Request) -> None:
         """Ask for an account; an admin decides."""
         await guard.ask_accounts("/account-requests", {**body.model_dump(), **place(request)})
+
+
+def _own_session(guard: PageGuard, request: Request) -> str:
+    """Return the session of a request; raise `Problem` 409 if it was authenticated by a token instead."""
+    token = guard.session_of(dict(request.scope["headers"]))
+    if token is None:
+        raise Problem(409, "No session", "this is for people at the page; sign in there first")
+    return token
 
 
 async def _begin(

@@ -137,8 +137,8 @@ class NewAccountRequest(Place):
     note: Text = ""
 
 
-class PasswordChange(_Body):
-    """The current and the new password."""
+class PasswordChange(SessionBody, Place):
+    """The current and the new password of the user of a session."""
 
     current: Password
     new: Password

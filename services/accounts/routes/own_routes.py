@@ -1,8 +1,8 @@
-"""Routes for what is the caller's own: account, password, sessions."""
+"""Routes for what is the caller's own: account and sessions."""
 
 from typing import Annotated, Any, Final
 
-from fastapi import FastAPI, Query, Request
+from fastapi import FastAPI, Query
 
 from handover.errors import Problem
 from handover.security.caller import Caller, CallerKind
@@ -13,7 +13,6 @@ from services.accounts.changes import Change
 from services.accounts.directory import Directory
 from services.accounts.grants import admin_names
 from services.accounts.names import subject_names
-from services.accounts.routes.bodies import PasswordChange
 from services.accounts.routes.views import MeView, SessionView, time_of
 from services.accounts.sessions import SessionLimits
 
@@ -50,13 +49,6 @@ def add_own_routes(app: FastAPI, directory: Directory) -> None:
         """
         known = await directory.read(subject_names)
         return {one: known[one] for one in subject if one in known}
-
-    @app.put("/me/password", status_code=204, tags=["own account"])
-    async def change_password(caller: SignedIn, body: PasswordChange, request: Request) -> None:
-        """Change the own password; all other sessions end."""
-        _require_user(caller)
-        address = request.client.host if request.client else ""
-        await directory.change_password(caller, body.current, body.new, address)
 
     @app.get("/me/sessions", tags=["own account"])
     async def own_sessions(caller: SignedIn) -> list[SessionView]:

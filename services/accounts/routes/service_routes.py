@@ -22,6 +22,7 @@ from services.accounts.routes.bodies import (
     LinkBody,
     LinkUse,
     NewAccountRequest,
+    PasswordChange,
     SessionBody,
     SignIn,
     TokenBody,
@@ -89,6 +90,17 @@ def add_page_server_routes(app: FastAPI, directory: Directory) -> None:
         """Exchange a session for an access token of 60 s: 401 for a session that has ended."""
         require_page_server(caller)
         return json_response(await directory.user_token(body.session))
+
+    @app.post("/password-changes", status_code=204, tags=["page server"])
+    @max_body(MAX_BODY_BYTES)
+    async def change_password(caller: Verifier, body: PasswordChange) -> None:
+        """Change the password of the user of a session; the other sessions end.
+
+        401 for a session that has ended, 403 for a wrong current password, 422 for a weak new one, 429 with
+        Retry-After for too many attempts.
+        """
+        require_page_server(caller)
+        await directory.change_password(body.session, body.current, body.new, body.address)
 
     @app.post("/links/preview", tags=["page server"])
     @max_body(MAX_BODY_BYTES)

@@ -102,9 +102,7 @@ def _add_engineer_routes(app: FastAPI, directory: Directory) -> None:
         def opened(change: Change) -> str:
             connection = change.connection
             _require_known(connection, body.station)
-            session = sessions.find_session(connection, body.session, directory.session_limits)
-            if session is None:
-                raise Problem(401, "Signed out", "the session has ended; sign in again")
+            session = sessions.require_session(connection, body.session, directory.session_limits)
             change.actor = session["subject"]
             if not any(one.allows(Permission.CONFIGURE, "*") for one in grants_of(connection, change.actor)):
                 raise Problem(403, "Not allowed", 'signing a station in needs "configure" for everything')

@@ -130,6 +130,22 @@ def test_behind_a_proxy_the_cookie_is_secure_and_the_session_has_the_address_of_
     assert {session["address"] for session in sessions} == {"127.0.0.1", "203.0.113.9"}
 
 
+def test_a_password_is_changed_with_the_address_of_the_client(cell: Cell, owner: Browser) -> None:
+    paula = invited(cell, owner, "Paula")
+    guess = {"current": "a wrong password", "new": "a different sentence"}
+    assert paula.http.put("/api/session/password", json=guess).status_code == 403, "no CSRF token"
+    assert paula.send("PUT", "/api/session/password", guess).json()["title"] == "Wrong password"
+    path = "/api/accounts/audit?action=passwordChange.failed"
+    assert [one["text"] for one in owner.send("GET", path).json()] == ["from 127.0.0.1"]
+    known = {"current": PASSWORD, "new": "a different sentence"}
+    assert paula.send("PUT", "/api/session/password", known).status_code == 204
+    assert paula.send("GET", "/api/accounts/me").status_code == 200
+    token = owner.send("POST", "/api/accounts/tokens", {"kind": "script", "name": "plotter"}).json()["token"]
+    script = {"Authorization": f"Bearer {token}"}
+    refused = httpx.put(f"{cell.url('webui')}/api/session/password", json=known, headers=script, timeout=120)
+    assert refused.status_code == 409
+
+
 def test_a_cookie_without_the_csrf_token_changes_nothing(owner: Browser) -> None:
     refused = owner.http.post("/api/accounts/invitations", json={})
     assert (refused.status_code, refused.json()["title"]) == (403, "No CSRF token")

@@ -223,7 +223,7 @@ CALLS: list[tuple[str, str, Any]] = [
     ("GET", "/tokens", None),
     ("GET", "/audit", None),
     ("GET", "/revocations", None),
-    ("PUT", "/me/password", {"current": PASSWORD, "new": PASSWORD}),
+    ("POST", "/password-changes", {"session": "{session}", "current": PASSWORD, "new": PASSWORD}),
     ("DELETE", "/me/sessions", None),
     ("GET", "/me", None),
 ]

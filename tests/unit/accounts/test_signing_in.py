@@ -102,20 +102,45 @@ def test_the_addresses_of_an_ipv6_network_count_together() -> None:
     assert answers.count(None) == FREE_ATTEMPTS
 
 
+def password_change(session: str, current: str = PASSWORD, address: str = HOME) -> dict[str, str]:
+    new = "a different sentence"
+    return {"session": session, "current": current, "new": new, "address": address, "device": "Firefox"}
+
+
 async def test_a_new_password_ends_the_other_sessions(accounts: Accounts) -> None:
-    await accounts.owner()
+    owner = await accounts.owner()
     here = await accounts.member("Anna", ("operator", "*"))
     there = (await accounts.sign_in("Anna")).json()["session"]
-    token = await accounts.token_of(here)
-    body = {"current": PASSWORD, "new": "a different sentence"}
-    wrong = await accounts.call("PUT", "/me/password", {**body, "current": "guess"}, token=token)
+    wrong = await accounts.as_page("POST", "/password-changes", password_change(here, "guess"))
     assert wrong.status_code == 403
-    assert (await accounts.call("PUT", "/me/password", body, token=token)).status_code == 204
+    audit = await accounts.call("GET", "/audit?action=passwordChange.failed", token=owner)
+    assert [(one["outcome"], one["text"]) for one in audit.json()] == [("refused", f"from {HOME}")]
+    assert (await accounts.as_page("POST", "/password-changes", password_change(here))).status_code == 204
     ended = await accounts.as_page("POST", "/session-tokens", {"session": there})
     assert ended.status_code == 401
+    late = await accounts.as_page("POST", "/password-changes", password_change(there))
+    assert late.status_code == 401
     assert await accounts.token_of(here)
     assert (await accounts.sign_in("Anna")).status_code == 401
     assert (await accounts.sign_in("Anna", "a different sentence")).status_code == 201
+
+
+async def test_attempts_to_change_a_password_count_for_the_address_of_the_person(accounts: Accounts) -> None:
+    await accounts.owner()
+    stolen = await accounts.member("Anna")
+    for _ in range(FREE_ATTEMPTS + 12):  # a few more, should a hash take longer than the delay
+        guess = await accounts.as_page(
+            "POST", "/password-changes", password_change(stolen, "guess", ATTACKER)
+        )
+        if guess.status_code != 403:
+            break
+    assert guess.status_code == 429
+    assert int(guess.headers["retry-after"]) >= 1
+    own = await accounts.as_page("POST", "/password-changes", password_change(stolen))
+    assert own.status_code == 204, "the person changes it from home at once"
+    token = await accounts.token_of(stolen)
+    by_herself = await accounts.call("POST", "/password-changes", password_change(stolen), token=token)
+    assert by_herself.status_code == 403, "only the page server says where a person is"
 
 
 async def test_sessions_are_listed_with_place_and_device_and_can_be_ended(accounts: Accounts) -> None:

@@ -3,7 +3,7 @@ import { UserRound } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
-import { errorText, request, requestService } from "~/api/http";
+import { errorText, request } from "~/api/http";
 import { Button } from "~/design/Button";
 import { ErrorMessage } from "~/design/ErrorMessage";
 import { Field } from "~/design/Field";
@@ -49,7 +49,7 @@ function ChangePassword() {
   const [result, setResult] = useState<{ failure: string | null } | null>(null);
   const perform = async () => {
     try {
-      await requestService("accounts", "me/password", { method: "PUT", json: { current, new: next } });
+      await request("session/password", { method: "PUT", json: { current, new: next } });
       setCurrent("");
       setNext("");
       setResult({ failure: null });
