@@ -35,13 +35,22 @@ def owner_link_command(data_dir: DataDir = None) -> None:
 
 
 @app.command("rotate-key")
-def rotate_key(data_dir: DataDir = None) -> None:
-    """Replace the signing key; nobody is signed out."""
+def rotate_key(
+    data_dir: DataDir = None,
+    revoke: Annotated[
+        bool, typer.Option("--revoke", help="Trust no earlier key any more: somebody else may have it.")
+    ] = False,
+) -> None:
+    """Replace the signing key; nobody is signed out. Proofs of PINs by earlier keys stay valid."""
     from services.accounts.signing_keys import SigningKeys  # noqa: PLC0415 - as above
 
     settings = _settings(data_dir)
-    key_id = SigningKeys(settings.signing_keys_file, settings.security_folder).rotate()
-    print(f"the key {key_id} signs from now on; the previous one is removed when its tokens have expired")
+    keys = SigningKeys(settings.signing_keys_file, settings.security_folder)
+    key_id = keys.rotate(revokes_others=revoke)
+    if revoke:
+        print(f"the key {key_id} signs from now on, and no earlier key is trusted; restart the services")
+    else:
+        print(f"the key {key_id} signs from now on; the previous one is removed when its tokens have expired")
 
 
 def service_names() -> tuple[str, ...]:

@@ -1,21 +1,32 @@
 """The signing keys: private keys in a file that only accounts reads, public keys for all services.
 
 The first key ends local mode, since it writes the public keys. A new key is used `ADOPTED_AFTER_S` after it
-was published, when every service has read it; the previous one is removed `SUPERSEDED_S` later, when the last
-token that it signed has expired. Both files are replaced durably; the private one first, so that no key is
-published that a power cut could take away.
+was published, when every service has read it; the previous one is retired `SUPERSEDED_S` later, when the last
+token that it signed has expired: its private part is deleted. Its public part stays published with the time
+in which it signed, as long as nobody revokes it: proofs of PINs do not expire, and a retired key verifies
+nothing else (`handover.security.access_tokens`). A rotation costs 200 bytes.
+
+Both files are replaced durably; the private one first, so that no key is published that a power cut could
+take away.
 """
 
 import json
 import threading
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
 from handover.durable_files import replace_durably
 from handover.errors import UsageError
-from handover.security.access_tokens import LEEWAY_S, SERVICE_TOKEN_S, SigningKey, key_set
+from handover.security.access_tokens import (
+    LEEWAY_S,
+    SERVICE_TOKEN_S,
+    RetiredKey,
+    SigningKey,
+    key_set,
+)
 from handover.security.keys_in_force import PUBLIC_KEYS_FILE, RELOAD_INTERVAL_S
 
 ADOPTED_AFTER_S: Final = 3 * RELOAD_INTERVAL_S
@@ -36,6 +47,7 @@ class SigningKeys:
         self._public_file = folder / PUBLIC_KEYS_FILE
         self._lock = threading.Lock()
         self._keys: tuple[_DatedKey, ...] = ()
+        self._retired: tuple[RetiredKey, ...] = ()
         self._stamp: tuple[int, int, int] | None = None
         self._next_look_s = 0.0
 
@@ -59,33 +71,41 @@ class SigningKeys:
         with self._lock:
             keys = self._current(is_forced=True)
             if keys:
-                self._publish(keys)
+                self._publish(keys, self._retired)
                 return False
-            self._write((_DatedKey(SigningKey.generate(), time.time()),))
+            self._write((_DatedKey(SigningKey.generate(), time.time()),), self._retired)
             return True
 
-    def rotate(self) -> str:
-        """Make and publish a new key, which signs from then on; return its id. Raises `UsageError`."""
+    def rotate(self, *, revokes_others: bool = False) -> str:
+        """Make and publish a new key, which signs from then on; return its id. Raises `UsageError`.
+
+        With `revokes_others` nothing that an earlier key has signed is valid any more, since somebody else
+        may have that key: access tokens have to be exchanged again, and proofs of PINs are lost.
+        """
         with self._lock:
             keys = self._current(is_forced=True)
             if not keys:
                 raise UsageError("there is no signing key to replace; run `handover accounts set-up`")
             new = _DatedKey(SigningKey.generate(), time.time())
-            self._write((*keys, new))
+            kept, retired = ((), ()) if revokes_others else (keys, self._retired)
+            self._write((*kept, new), retired)
             return new.key.key_id
 
     def expire(self) -> None:
-        """Remove the keys whose tokens have expired."""
+        """Retire the keys whose access tokens have expired."""
         with self._lock:
             keys = self._current(is_forced=True)
             now_s = time.time()
-            kept = tuple(
-                one
-                for number, one in enumerate(keys)
-                if number == len(keys) - 1 or keys[number + 1].since_s + SUPERSEDED_S > now_s
-            )
-            if len(kept) < len(keys):
-                self._write(kept)
+            kept: list[_DatedKey] = []
+            retired = list(self._retired)
+            for one, successor in pairwise(keys):
+                if successor.since_s + SUPERSEDED_S > now_s:
+                    kept.append(one)
+                else:
+                    until_s = successor.since_s + ADOPTED_AFTER_S
+                    retired.append(RetiredKey(one.key.public_jwk, one.since_s, until_s))
+            if len(retired) > len(self._retired):
+                self._write((*kept, *keys[-1:]), tuple(retired))
 
     def _current(self, *, is_forced: bool = False) -> tuple[_DatedKey, ...]:
         now_s = time.monotonic()
@@ -105,23 +125,33 @@ class SigningKeys:
         try:
             listed = json.loads(self._private_file.read_bytes())
             self._keys = tuple(
-                _DatedKey(SigningKey.from_pem(one["pem"].encode()), float(one["sinceS"])) for one in listed
+                _DatedKey(SigningKey.from_pem(one["pem"].encode()), float(one["sinceS"]))
+                for one in listed
+                if "pem" in one
+            )
+            self._retired = tuple(
+                RetiredKey(one["jwk"], float(one["sinceS"]), float(one["untilS"]))
+                for one in listed
+                if "jwk" in one
             )
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UsageError(f"the signing keys {self._private_file} cannot be read: {error}") from None
         self._stamp = stamp
 
-    def _write(self, keys: tuple[_DatedKey, ...]) -> None:
-        listed = [{"pem": one.key.pem().decode(), "sinceS": one.since_s} for one in keys]
+    def _write(self, keys: tuple[_DatedKey, ...], retired: tuple[RetiredKey, ...]) -> None:
+        listed = [
+            *({"pem": one.key.pem().decode(), "sinceS": one.since_s} for one in keys),
+            *({"jwk": one.public_jwk, "sinceS": one.since_s, "untilS": one.until_s} for one in retired),
+        ]
         try:
             replace_durably(self._private_file, json.dumps(listed).encode(), mode=0o600)
-            self._publish(keys)
+            self._publish(keys, retired)
         except OSError as error:
             raise UsageError(f"the signing keys cannot be written: {error}") from None
-        self._keys = keys
+        self._keys, self._retired = keys, retired
         self._stamp = None
 
-    def _publish(self, keys: tuple[_DatedKey, ...]) -> None:
-        document = key_set(*(one.key for one in keys))
+    def _publish(self, keys: tuple[_DatedKey, ...], retired: tuple[RetiredKey, ...]) -> None:
+        document = key_set(*(one.key for one in keys), retired=retired)
         if not self._public_file.exists() or self._public_file.read_bytes() != document:
             replace_durably(self._public_file, document, mode=0o644)

@@ -128,6 +128,9 @@ class GestureController(Performer):
             by=answer.by,
             outcome=answer.outcome.value,
         )
+        if answer.performed_by is not None and answer.pin_proof is None:
+            proof = await self._joins.proof_of(answer.performed_by, spec.task_id)
+            answer = replace(answer, performer_proof=proof)
         if answer.outcome is Outcome.OK or await handles_outcomes(job.task, job.parameters, self.broker):
             return answer.outputs()
         raise answer.failure()

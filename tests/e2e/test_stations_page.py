@@ -27,7 +27,8 @@ SHOW = (
     '<handover:parameter name="gesture" value="Thumbs up"/></handover:task>'
     "</bpmn:extensionElements></bpmn:userTask>"
 )
-RELEASE = start() + SIGN + SHOW + end() + path("start", "sign", "show", "end")
+PACK = SHOW.replace(' requirePin="true"', "").replace("show", "pack").replace("Confirm", "Pack the box")
+RELEASE = start() + SIGN + SHOW + PACK + end() + path("start", "sign", "show", "pack", "end")
 VIEWS = (
     ("light", {"viewport": PANEL, "locale": "en"}),
     ("dark", {"viewport": PANEL, "locale": "en", "color_scheme": "dark"}),
@@ -108,6 +109,15 @@ def test_a_person_joins_a_station_and_gives_the_pin_that_a_task_demands(
     page.keyboard.press("Enter")
     expect(page.get_by_role("dialog")).to_have_count(0)
     page.get_by_role("button", name="Complete by hand").click()
+    expect(page.get_by_role("button", name="Enter the PIN")).to_have_count(0)
+    wait_for(lambda: "show" in answered(page, own_cell), 120)
+    expect(page.get_by_text("Pack the box").first).to_be_visible()
+    page.get_by_role("button", name="Complete by hand").click()
+    wait_for(lambda: "pack" in answered(page, own_cell), 120)
+    outputs = answered(page, own_cell)
+    assert {one["performedBy"] for one in outputs.values()} == {ANNA}
+    assert "pinProof" in outputs["show"]
+    assert "performerProof" in outputs["pack"], "also without a PIN"
     completed = wait_for(lambda: audited(own_cell, "complete"), 120)
     assert {one["method"] for one in completed if one["action"].startswith("POST /tasks")} == {"pin"}
     assert [one["outcome"] for one in completed if one["action"].startswith("POST /tasks")] == [
@@ -156,6 +166,15 @@ def give_identifiers(page: Page, cell: Cell) -> None:
     page.screenshot(path=SCREENSHOTS / "station-qr.png")
     page.get_by_role("button", name="Close").click()
     expect(page.get_by_role("button", name="Remove badge")).to_be_visible()
+
+
+def answered(page: Page, cell: Cell) -> dict[str, dict[str, Any]]:
+    """Return the outputs of the completed Tasks by their activity, as the broker has them."""
+    path = "/api/context-broker/ngsi-ld/v1/entities?type=Task&options=keyValues"
+    tasks = page.request.get(f"{cell.url('webui')}{path}").json()
+    return {
+        one["id"].split("-")[-2]: one["outputParameters"] for one in tasks if one["status"] == "completed"
+    }
 
 
 def audited(cell: Cell, action: str) -> list[dict[str, Any]]:

@@ -109,6 +109,13 @@ class PinCheck(_Body):
     task: Annotated[str, Field(min_length=1, max_length=500)]
 
 
+class PerformerClaim(_Body):
+    """The Person whom a service has identified as who performed a Task."""
+
+    person: Annotated[str, Field(min_length=1, max_length=300)]
+    task: Annotated[str, Field(min_length=1, max_length=500)]
+
+
 class IdentifierChange(_Body):
     """An identifier; null to remove it. The content of a QR code is made by the server."""
 

@@ -27,6 +27,7 @@ from services.accounts.routes.bodies import (
     Identification,
     IdentifierChange,
     NewStation,
+    PerformerClaim,
     PinCheck,
     StationSignIn,
 )
@@ -35,6 +36,7 @@ from services.accounts.routes.views import (
     IdentifiersView,
     JoinedPerson,
     OpenedSession,
+    PerformerProof,
     PinResult,
     StationJoins,
     StationView,
@@ -199,6 +201,13 @@ def _add_service_routes(app: FastAPI, directory: Directory) -> None:
         key = directory.keys.signing_key() if is_right else None
         proof = None if key is None else key.prove_pin(body.person, body.task)
         return {"isRight": is_right, "proof": proof}
+
+    @app.post("/performer-proofs", tags=["services"], dependencies=verifier)
+    @max_body(MAX_BODY_BYTES)
+    async def prove_performer(body: PerformerClaim) -> PerformerProof:
+        """Return a proof that a Person whom the service has identified performed a Task."""
+        directory.require_accounts()
+        return {"proof": directory.keys.signing_key().prove_performer(body.person, body.task)}
 
 
 def _add_identifier_routes(app: FastAPI, directory: Directory) -> None:

@@ -188,6 +188,12 @@ class PinResult(TypedDict):
     proof: str | None
 
 
+class PerformerProof(TypedDict):
+    """The proof of who performed a Task."""
+
+    proof: str
+
+
 class SignInOptions(TypedDict):
     """How people may sign in besides by a password: the name of the provider, or null."""
 

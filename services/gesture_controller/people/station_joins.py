@@ -1,8 +1,8 @@
 """Station joins: who has joined the station of a glove, as `accounts` says.
 
 The answer of a glove is given by the person who has joined its station (`performedBy`); no client names that
-person. While a glove has no Task, each gesture that is held is sent to `accounts`, which lets the person join
-or leave whose gesture it is.
+person, and `accounts` proves it. While a glove has no Task, each gesture that is held is sent to `accounts`,
+which lets the person join or leave whose gesture it is.
 """
 
 import asyncio
@@ -12,6 +12,7 @@ from typing import Any, Final
 from handover.errors import UsageError
 from handover.retry import Backoff
 from handover.security.authentication import Guard
+from handover.security.performer_proof import performer_proof
 from handover.security.service_access import AccountsUnavailable
 from handover.telemetry import get_logger
 
@@ -39,6 +40,10 @@ class StationJoins:
         """Send a gesture that a glove of a station has held without a Task."""
         if glove in self._persons and not self._held.full():
             self._held.put_nowait((glove, gesture))
+
+    async def proof_of(self, person: str, task: str) -> str | None:
+        """Return the proof that `person` performed `task`; None if there is none."""
+        return await performer_proof(self._guard, person, task)
 
     async def follow(self) -> None:
         """Ask `accounts` who has joined, at once after a gesture was sent."""

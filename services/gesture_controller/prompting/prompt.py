@@ -9,7 +9,8 @@ from datamodels.states import Outcome
 from handover.job import Job, RequestedAction, TaskFailed
 from handover.messages import message
 from handover.outcomes import reason_of
-from handover.security.pin_check import PROOF_MEMBER, ProvenPin
+from handover.security import performer_proof, pin_check
+from handover.security.pin_check import ProvenPin
 from services.gesture_controller.prompting.sequence_gesture import SequenceProgress
 from services.gesture_controller.prompting.two_hand_gesture import TwoHandProgress
 from services.gesture_controller.recognition.gestures import Part, SequenceGesture, TwoHandGesture
@@ -77,6 +78,8 @@ class PromptAnswer:
     performed_by: str | None = None
     pin_proof: str | None = None
     """Shows that this Person has given the own PIN for the Task (`handover.security.pin_check`)."""
+    performer_proof: str | None = None
+    """Shows that this Person has answered (`handover.security.performer_proof`)."""
 
     @property
     def gesture(self) -> str | None:
@@ -100,8 +103,9 @@ class PromptAnswer:
             "operator": self.operator,
             "outcome": self.outcome.value,
             "note": self.note,
-            "performedBy": self.performed_by,
-            PROOF_MEMBER: self.pin_proof,
+            performer_proof.PERFORMER_MEMBER: self.performed_by,
+            performer_proof.PROOF_MEMBER: self.performer_proof,
+            pin_check.PROOF_MEMBER: self.pin_proof,
         }
         return {name: value for name, value in outputs.items() if value is not None}
 

@@ -9,6 +9,7 @@ from datamodels.entities import Task, TaskStatus
 from handover.messages import message, with_code
 from handover.security.caller import InvalidToken
 from handover.security.keys_in_force import KeysInForce
+from handover.security.performer_proof import PERFORMER_MEMBER, require_proven_performer
 from handover.security.pin_check import proven_person
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
@@ -143,7 +144,7 @@ class BrokerChanges:
             owner = self._state.active_processes.owner(task.id)
             if owner is None or self._refuse_without_pin(owner, task, step):
                 continue
-            if owner.receive(task, step, now):
+            if owner.receive(self._without_unproven_performer(task), step, now):
                 applied += 1
                 RECEIVED.labels("applied").inc()
                 log.info("task moved", task=task.id, status=task.status.value.value, process=owner.record.id)
@@ -161,7 +162,7 @@ class BrokerChanges:
         outputs = given.value if given is not None and isinstance(given.value, Mapping) else {}
         try:
             person = proven_person(self._keys, seen.id, outputs)
-            if outputs.get("performedBy") == person:
+            if outputs.get(PERFORMER_MEMBER) == person:
                 return False
             why = "performedBy names another person"
         except InvalidToken as error:
@@ -176,6 +177,22 @@ class BrokerChanges:
         RECEIVED.labels("refused").inc()
         owner.report(seen.id, [TaskStatus.FAILED], with_code("reason", reason), step, self._state.clock())
         return True
+
+    def _without_unproven_performer(self, seen: Task) -> Task:
+        """Return the Task without `performedBy`, unless `accounts` has proved it.
+
+        A broker without our rules accepts it from any program that reaches it.
+        """
+        given, keys = seen.output_parameters, self._keys.keys()
+        if keys is None or given is None or PERFORMER_MEMBER not in given.value:
+            return seen
+        try:
+            require_proven_performer(keys, seen.id, given.value)
+        except InvalidToken as error:
+            log.warning("performedBy is ignored", task=seen.id, reason=str(error))
+            outputs = {name: value for name, value in given.value.items() if name != PERFORMER_MEMBER}
+            return seen.model_copy(update={"output_parameters": given.model_copy(update={"value": outputs})})
+        return seen
 
 
 def _is_finished(entity: Mapping[str, Any]) -> bool:

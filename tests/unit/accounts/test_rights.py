@@ -5,13 +5,17 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from handover.security.access_tokens import read_public_keys
+from handover.security.caller import InvalidToken
 from handover.security.permissions import Permission
 from handover.security.revocations import FollowedRevocations
 from handover.security.secret_tokens import token_hash
+from services.accounts import signing_keys
 from services.accounts.changes import Store
 from services.accounts.set_up import set_up
 from services.accounts.settings import AccountsSettings
@@ -201,6 +205,33 @@ def test_a_new_signing_key_is_published_before_it_signs(tmp_path: Path) -> None:
     assert (tmp_path / "security" / "public-keys.json").read_text().count('"kid"') == 2
     assert (tmp_path / "keys.json").stat().st_mode & 0o077 == 0
     assert SigningKeys(tmp_path / "keys.json", tmp_path / "security").signing_key().key_id == first
+
+
+def test_a_proof_of_a_pin_is_verified_after_the_key_was_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signing_keys, "ADOPTED_AFTER_S", 0.0)
+    monkeypatch.setattr(signing_keys, "SUPERSEDED_S", 0.0)
+    keys = SigningKeys(tmp_path / "keys.json", tmp_path / "security")
+    keys.create()
+    proofs = []
+    for number in range(3):
+        proofs.append(keys.signing_key().prove_pin("anna", f"task-{number}"))
+        keys.rotate()
+        keys.expire()
+    assert (tmp_path / "keys.json").read_text().count("BEGIN PRIVATE KEY") == 1
+
+    def people(folder: Path) -> list[str]:
+        known = read_public_keys(folder / "public-keys.json")
+        return [known.pin_person(proof, f"task-{number}") for number, proof in enumerate(proofs)]
+
+    assert people(tmp_path / "security") == ["anna"] * 3
+    (tmp_path / "security" / "public-keys.json").unlink()
+    assert not SigningKeys(tmp_path / "keys.json", tmp_path / "security").create()
+    assert people(tmp_path / "security") == ["anna"] * 3, "the private file has them, too"
+    keys.rotate(revokes_others=True)
+    with pytest.raises(InvalidToken, match="unknown key"):
+        people(tmp_path / "security")
 
 
 CALLS: list[tuple[str, str, Any]] = [

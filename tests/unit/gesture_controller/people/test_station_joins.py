@@ -8,6 +8,8 @@ import pytest
 import uvicorn
 
 from handover.security.guard import Guard
+from handover.security.keys_in_force import KeysInForce
+from handover.security.performer_proof import require_proven_performer
 from handover.settings import Settings
 from services.accounts.app import make_app
 from services.accounts.identifiers import IdentifierKind, set_identifier
@@ -19,6 +21,7 @@ from services.gesture_controller.people.station_joins import StationJoins
 from tests.kit.ports import next_free_port
 
 ANNA = "urn:ngsi-ld:Person:demo:anna"
+TASK = "urn:ngsi-ld:Task:demo:p-1"
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -30,6 +33,19 @@ async def until(condition: Callable[[], bool]) -> None:
 @pytest.fixture
 def settings(tmp_path: Path) -> AccountsSettings:
     return AccountsSettings(data_dir=tmp_path, accounts_port=next_free_port(), _env_file=None)
+
+
+async def test_without_accounts_nobody_is_proved(settings: AccountsSettings) -> None:
+    local = Settings(data_dir=settings.data_dir, accounts_port=settings.accounts_port, _env_file=None)
+    async with Guard(local, "gesture-controller") as guard:
+        assert await StationJoins(guard).proof_of(ANNA, TASK) is None
+
+
+async def test_accounts_that_do_not_answer_delay_no_task(settings: AccountsSettings) -> None:
+    set_up(settings, ["gesture-controller"])
+    common = Settings(data_dir=settings.data_dir, accounts_port=settings.accounts_port, _env_file=None)
+    async with Guard(common, "gesture-controller") as guard:
+        assert await StationJoins(guard).proof_of(ANNA, TASK) is None
 
 
 async def test_a_gesture_without_a_task_joins_and_leaves_the_station_of_the_glove(
@@ -59,6 +75,10 @@ async def test_a_gesture_without_a_task_joins_and_leaves_the_station_of_the_glov
         assert joins.person_at("glove-2") is None
         joins.held("glove-1", "Horns")
         await until(lambda: joins.person_at("glove-1") is None)
+        proof = await joins.proof_of(ANNA, TASK)
+        keys = KeysInForce(common.security_folder).keys()
+        assert keys is not None
+        require_proven_performer(keys, TASK, {"performedBy": ANNA, "performerProof": proof})
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

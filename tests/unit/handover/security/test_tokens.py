@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ec import generate_private_key as
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from handover.errors import UsageError
-from handover.security.access_tokens import PublicKeys, SigningKey, key_set
+from handover.security.access_tokens import LEEWAY_S, PublicKeys, RetiredKey, SigningKey, key_set
 from handover.security.caller import Caller, CallerKind, InvalidToken
 from handover.security.permissions import Grant, Role
 from handover.security.secret_tokens import is_secret_token, is_token, kind_of, new_token, token_hash
@@ -65,6 +65,27 @@ def test_a_proof_of_a_pin_is_of_use_for_its_task_only_and_is_no_access_token() -
         KEYS.pin_person(KEY.issue(ANNA, valid_s=60), task)
 
 
+def test_a_retired_key_verifies_proofs_of_its_time_and_nothing_else() -> None:
+    anna, task, now_s = str(ANNA.person), "urn:ngsi-ld:Task:demo:p-1", time.time()
+    proof, token = KEY.prove_pin(anna, task), KEY.issue(ANNA, valid_s=60)
+
+    def keys(since_s: float, until_s: float) -> PublicKeys:
+        retired = RetiredKey(KEY.public_jwk, since_s, until_s)
+        return PublicKeys.parse(key_set(SigningKey.generate(), retired=[retired]))
+
+    assert keys(now_s - 3600, now_s + 1).pin_person(proof, task) == anna
+    with pytest.raises(InvalidToken, match="another Task"):
+        keys(now_s - 3600, now_s + 1).pin_person(proof, "urn:ngsi-ld:Task:demo:p-2")
+    with pytest.raises(InvalidToken, match="unknown key"):
+        keys(now_s - 3600, now_s + 1).verify(token)
+    with pytest.raises(InvalidToken, match="unknown key"):
+        PublicKeys.parse(key_set(SigningKey.generate())).pin_person(proof, task)
+    far_s = LEEWAY_S + 3600
+    for since_s, until_s in ((now_s - 2 * far_s, now_s - far_s), (now_s + far_s, now_s + 2 * far_s)):
+        with pytest.raises(InvalidToken, match="not in use"):
+            keys(since_s, until_s).pin_person(proof, task)
+
+
 def test_a_key_that_was_stored_signs_the_same_tokens() -> None:
     again = SigningKey.from_pem(KEY.pem())
     assert KEYS.verify(again.issue(ANNA, valid_s=60)).subject == ANNA.subject
@@ -105,7 +126,16 @@ def test_the_header_of_a_token_never_chooses_the_algorithm() -> None:
 
 
 @pytest.mark.parametrize(
-    "document", [b"", b"[]", b"{}", b'{"keys": []}', b'{"keys": [{"kty": "OKP"}]}', b"\xff"]
+    "document",
+    [
+        b"",
+        b"[]",
+        b"{}",
+        b'{"keys": []}',
+        b'{"keys": [{"kty": "OKP"}]}',
+        b"\xff",
+        key_set(retired=[RetiredKey(KEY.public_jwk, 0.0, 1.0)]),
+    ],
 )
 def test_damaged_public_keys_are_refused(document: bytes) -> None:
     with pytest.raises(UsageError):
