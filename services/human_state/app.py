@@ -12,17 +12,18 @@ from fastapi import FastAPI
 from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.errors import UsageError
 from handover.garbage_collection import freeze_loaded
 from handover.latest_value_writer import LatestValueWriter
 from handover.security.audit_trail import AuditTrail
 from handover.security.guard import Guard
+from handover.security.keys_in_force import KeysInForce
 from handover.service import create_app
 from handover.storage import storage_check
 from services.human_state.metrics import REJECTED
 from services.human_state.monitoring.activities import ActivityModel
 from services.human_state.monitoring.breaks import BreakProposals
 from services.human_state.monitoring.entities import HumanStates
-from services.human_state.monitoring.foxglove_feed import FoxgloveFeed
 from services.human_state.monitoring.history import HistoryWriter
 from services.human_state.monitoring.lsl_feed import LslFeed
 from services.human_state.monitoring.monitoring import Monitoring
@@ -31,6 +32,7 @@ from services.human_state.monitoring.removal import Removal
 from services.human_state.people.people import People
 from services.human_state.recording.service import RecordingService
 from services.human_state.routes.access_routes import add_access_routes
+from services.human_state.routes.foxglove_socket import add_foxglove
 from services.human_state.routes.people_routes import Parts, add_people_routes
 from services.human_state.routes.recording_routes import add_recording_routes
 from services.human_state.routes.streams import add_streams
@@ -41,6 +43,7 @@ from services.human_state.storage.store import Store
 
 def make_app(settings: HumanStateSettings) -> FastAPI:
     """Return the application; raise `UsageError` if it cannot work with these settings."""
+    _require_accounts_for_lsl(settings)
     engine = connect(settings.database("human-state"))
     guard = Guard(settings, "human-state")
     broker = BrokerClient(settings, credentials=guard.access)
@@ -65,7 +68,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
         recording.apply(name)
 
     @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         await asyncio.to_thread(tables.prepare, engine)
         await people.load()
         async with broker, writer, tasks:
@@ -79,7 +82,7 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
             tasks.start_restarting(history.run)
             tasks.start_restarting(entities.run)
             writer.put("orphans", lambda: entities.delete_orphans(people))
-            with _live_feeds(app, settings, monitoring, tasks):
+            with _lsl_feed(settings, monitoring, tasks):
                 await recording.open()
                 yield
             await recording.close()
@@ -100,25 +103,28 @@ def make_app(settings: HumanStateSettings) -> FastAPI:
     add_access_routes(app, people, audit)
     add_recording_routes(app, people, recording)
     add_streams(app, monitoring)
+    add_foxglove(app, monitoring)
     return app
 
 
+def _require_accounts_for_lsl(settings: HumanStateSettings) -> None:
+    """Raise `UsageError` if signals would leave a machine in local mode; LSL has no access control."""
+    if settings.health_lsl_people and KeysInForce(settings.security_folder).keys() is None:
+        raise UsageError(
+            "HANDOVER_HEALTH_LSL_PEOPLE sends signals of the body to the local network, and there are no "
+            "accounts; run `handover accounts set-up`, or leave the setting out"
+        )
+
+
 @contextmanager
-def _live_feeds(
-    app: FastAPI, settings: HumanStateSettings, monitoring: Monitoring, tasks: BackgroundTasks
-) -> Iterator[None]:
-    """Send what is live to Foxglove and LSL, where the settings ask for it."""
-    feeds: list[FoxgloveFeed | LslFeed] = []
-    if settings.health_foxglove_port is not None:
-        foxglove = FoxgloveFeed(monitoring, settings.health_foxglove_port)
-        app.state.foxglove_port = foxglove.port
-        feeds.append(foxglove)
-    if settings.health_lsl_people:
-        feeds.append(LslFeed(monitoring, settings.health_lsl_people, settings.health_lsl_signals))
-    for feed in feeds:
-        tasks.start_restarting(feed.run)
+def _lsl_feed(settings: HumanStateSettings, monitoring: Monitoring, tasks: BackgroundTasks) -> Iterator[None]:
+    """Send what is live to LSL, if the settings ask for it."""
+    if not settings.health_lsl_people:
+        yield
+        return
+    feed = LslFeed(monitoring, settings.health_lsl_people, settings.health_lsl_signals)
+    tasks.start_restarting(feed.run)
     try:
         yield
     finally:
-        for feed in feeds:
-            feed.close()
+        feed.close()

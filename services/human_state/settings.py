@@ -48,17 +48,10 @@ class HumanStateSettings(Settings):
         le=3600,
         description="the time constant of the mean exertion that proposes a break, in s",
     )
-    health_foxglove_port: int | None = Field(
-        None,
-        ge=0,
-        le=65535,
-        description="the port on loopback of a WebSocket for the Foxglove app with the live signals of "
-        "persons who consent; it has no access control; none if absent",
-    )
     health_lsl_people: Names = Field(
         (),
         description="names of persons whose live signals are sent as streams of LSL while they consent, "
-        "separated by commas; the local network sees them, unencrypted; none if absent",
+        "separated by commas; the local network sees them, unencrypted, so it needs accounts; none if absent",
     )
     health_lsl_signals: Names = Field(
         (),

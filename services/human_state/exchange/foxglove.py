@@ -1,15 +1,24 @@
-"""A live stream for Foxglove over WebSocket, and its layout.
+"""The Foxglove WebSocket protocol for live signals, and a layout for the Foxglove app.
+
+The protocol is that of https://github.com/foxglove/ws-protocol, as far as a server needs it that only
+sends: `serverInfo`, `advertise`, `subscribe`, `unsubscribe`, `status`, and messages with data. It is written
+here since the server of the Foxglove SDK has a port of its own, without access control and without a check
+of `Origin`.
 
 Each item is a JSON message with the schema and topic of recordings. In addition each sample of a waveform is
 a message on `/wave/SOURCE/KIND`, with the time at which it was taken, so that a plot shows it as it was.
 """
 
 import json
+import struct
+from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from secrets import token_hex
+from typing import Any, Final
 
-from services.human_state.formats.errors import ExchangeError
+import orjson
+
 from services.human_state.formats.extra import required
 from services.human_state.formats.json_messages import (
     SCHEMAS,
@@ -21,9 +30,13 @@ from services.human_state.formats.json_messages import (
 )
 from services.human_state.model.signals import Samples, SignalKind
 
+SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+"""The names of the protocol, the newer one first. What is used of it is the same in both."""
 LAYOUT: Final = Path(__file__).parent / "foxglove-layout.json"
 """To import in the Foxglove app; change the names of the sensors in it to yours."""
 MAX_TOPICS: Final = 1024
+MAX_WAITING: Final = 4096
+"""Messages with data that wait to be sent; of more the oldest are dropped."""
 MAX_WAVE_HZ: Final = 600.0
 """Waveforms above this rate are sent as packets only."""
 _WAVE: Final = {
@@ -31,84 +44,110 @@ _WAVE: Final = {
     "type": "object",
     "properties": {"values": {"type": "array", "items": {"type": ["number", "null"]}}},
 }
+_DATA: Final = struct.Struct("<BIQ")
+"""The head of a message with data: 1, the id of the subscription, the time in ns."""
+_DATA_OPCODE: Final = 1
+_ERROR_LEVEL: Final = 2
+_MAX_ID: Final = 2**32 - 1
 
 
-class FoxgloveServer:
-    """A WebSocket server for the Foxglove app. It listens on `host` and `port`; port 0 takes a free one.
+class FoxgloveStream:
+    """What one client is sent, without a socket; not thread-safe.
 
-    It has no access control of its own: on another address than loopback it needs `certificate` and `key`
-    (PEM), and a network that only engineers reach. Not thread-safe.
+    `publish` and `receive` add messages, and `take` returns those to send next. A topic is advertised with
+    its first item after the client has connected. Data is made for subscriptions only.
     """
 
-    def __init__(
-        self,
-        subject: str = "",
-        host: str = "127.0.0.1",
-        port: int = 0,
-        certificate: bytes | None = None,
-        key: bytes | None = None,
-    ) -> None:
-        if host not in {"127.0.0.1", "::1", "localhost"} and (certificate is None or key is None):
-            raise ExchangeError(
-                f"health data leaves the machine on {host}; give a certificate and its key, or use 127.0.0.1"
-            )
-        self._foxglove: Any = required("foxglove")
-        self._context = self._foxglove.Context()
-        self._subject = subject
-        self._channels: dict[str, Any] = {}
-        try:
-            self._server = self._foxglove.start_server(
-                name="Handover human state",
-                host=host,
-                port=port,
-                context=self._context,
-                tls_cert=certificate,
-                tls_key=key,
-            )
-        except (RuntimeError, OSError, ValueError) as error:
-            raise ExchangeError(f"the Foxglove server cannot listen on {host}:{port}: {error}") from None
+    def __init__(self) -> None:
+        info = {"name": "Handover human state", "capabilities": [], "supportedEncodings": [], "metadata": {}}
+        self._control: list[str] = [_text("serverInfo", **info, sessionId=token_hex(8))]
+        self._data: deque[bytes] = deque(maxlen=MAX_WAITING)
+        self._channels: dict[str, int] = {}
+        self._subscriptions: dict[int, int] = {}
+        """The channel of each subscription."""
 
-    @property
-    def port(self) -> int:
-        """Return the port on which it listens."""
-        return int(self._server.port)
-
-    def publish(self, item: Recorded, subject: str | None = None) -> None:
-        """Send an item to all clients; nothing waits for them. Raises `ExchangeError` beyond `MAX_TOPICS`."""
-        channel = self._channel(topic_of(item), SCHEMAS[schema_name(item)], schema_name(item))
-        content = to_json(item, self._subject if subject is None else subject)
-        channel.log(content, log_time=round(time_of(item) * 1e9))
+    def publish(self, item: Recorded, subject: str) -> None:
+        """Add an item of the person with the pseudonym `subject`."""
+        name = schema_name(item)
+        channel = self._channel(topic_of(item), {**SCHEMAS[name], "title": name})
+        if self._has_reader(channel):
+            self._add(channel, time_of(item), to_json(item, subject))
         if isinstance(item, Samples) and item.info.rate_hz and item.info.rate_hz <= MAX_WAVE_HZ:
             self._publish_wave(item)
 
-    def close(self) -> None:
-        """Close all connections."""
-        for channel in self._channels.values():
-            channel.close()
-        self._server.stop()
+    def receive(self, text: str) -> None:
+        """Apply what the client has sent; what is not for a server that only sends is ignored."""
+        try:
+            given = orjson.loads(text)
+            if given["op"] == "subscribe":
+                self._subscribe({int(one["id"]): int(one["channelId"]) for one in given["subscriptions"]})
+            elif given["op"] == "unsubscribe":
+                for one in given["subscriptionIds"]:
+                    self._subscriptions.pop(int(one), None)
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            self._refuse(f"the message cannot be read: {error!r}"[:300])
 
-    def __enter__(self) -> Self:
-        return self
+    def take(self) -> list[str | bytes]:
+        """Return what is to be sent, and forget it."""
+        taken: list[str | bytes] = [*self._control, *self._data]
+        self._control.clear()
+        self._data.clear()
+        return taken
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    def drop_waiting(self) -> None:
+        """Forget the data that waits: somebody it may be of has withdrawn the consent."""
+        self._data.clear()
+
+    def _subscribe(self, asked: Mapping[int, int]) -> None:
+        known = set(self._channels.values())
+        for subscription, channel in asked.items():
+            if channel not in known or not 0 <= subscription <= _MAX_ID:
+                self._refuse(f"there is no channel {channel} for the subscription {subscription}")
+            elif len(self._subscriptions) < MAX_TOPICS or subscription in self._subscriptions:
+                self._subscriptions[subscription] = channel
+            else:
+                self._refuse(f"a client has at most {MAX_TOPICS} subscriptions; end some of them")
 
     def _publish_wave(self, item: Samples) -> None:
-        wave = self._channel(f"/wave/{item.source}/{item.info.kind.value}", _WAVE, "handover.Wave")
+        channel = self._channel(f"/wave/{item.source}/{item.info.kind.value}", _WAVE)
+        if not self._has_reader(channel):
+            return
         for at_s, row in zip(item.sample_times_s().tolist(), item.values.tolist(), strict=True):
-            values = [value if value == value else None for value in row]  # noqa: PLR0124 - NaN
-            wave.log({"values": values}, log_time=round(at_s * 1e9))
+            self._add(channel, at_s, {"values": row})
 
-    def _channel(self, topic: str, schema: dict[str, Any], name: str) -> Any:
-        if topic not in self._channels:
-            if len(self._channels) >= MAX_TOPICS:
-                raise ExchangeError(f"{topic} is one topic beyond {MAX_TOPICS}; send fewer sensors")
-            self._channels[topic] = self._foxglove.Channel(
-                topic, schema={**schema, "title": name}, message_encoding="json", context=self._context
-            )
-        return self._channels[topic]
+    def _channel(self, topic: str, schema: Mapping[str, Any]) -> int | None:
+        """Return the channel of a topic, which is advertised if it is new; None beyond `MAX_TOPICS`."""
+        known = self._channels.get(topic)
+        if known is not None or len(self._channels) >= MAX_TOPICS:
+            return known
+        channel = self._channels[topic] = len(self._channels) + 1
+        advertised = {
+            "id": channel,
+            "topic": topic,
+            "encoding": "json",
+            "schemaName": schema["title"],
+            "schema": json.dumps(schema),
+            "schemaEncoding": "jsonschema",
+        }
+        self._control.append(_text("advertise", channels=[advertised]))
+        return channel
+
+    def _has_reader(self, channel: int | None) -> bool:
+        return channel in self._subscriptions.values()
+
+    def _add(self, channel: int | None, at_s: float, content: Mapping[str, Any]) -> None:
+        payload, at_ns = orjson.dumps(content), max(round(at_s * 1e9), 0)
+        for subscription, of in self._subscriptions.items():
+            if of == channel:
+                self._data.append(_DATA.pack(_DATA_OPCODE, subscription, at_ns) + payload)
+
+    def _refuse(self, reason: str) -> None:
+        if len(self._control) < MAX_TOPICS:  # else the client does not read them
+            self._control.append(_text("status", level=_ERROR_LEVEL, message=reason))
+
+
+def _text(op: str, **members: Any) -> str:
+    return json.dumps({"op": op, **members})
 
 
 def layout(

@@ -13,6 +13,8 @@ pytest.importorskip("pylsl", reason="the extra [human-state] is not installed")
 
 import pylsl
 
+from handover.errors import UsageError
+from handover.security.permissions import OWNER_GRANTS
 from services.human_state.exchange.lsl import LslInlet
 from services.human_state.monitoring.lsl_feed import LslFeed
 
@@ -24,7 +26,8 @@ async def streams_of(pseudonym: str, wait_s: float) -> list[pylsl.StreamInfo]:
 
 
 async def test_an_inlet_gets_the_heart_rate_until_the_consent_is_withdrawn(running: Running) -> None:
-    async with running(health_lsl_people="aino", health_lsl_signals="heartRate") as rest:
+    names = {"health_lsl_people": "aino", "health_lsl_signals": "heartRate"}
+    async with running(grants=OWNER_GRANTS, **names) as rest:
         other = await add_person(rest, "eero", "live")
         made = await add_person(rest, "aino", "live")
         (stream, *_) = await streams_of(made["pseudonym"], scaled(60))
@@ -51,6 +54,12 @@ async def test_an_inlet_gets_the_heart_rate_until_the_consent_is_withdrawn(runni
         again = await add_person(rest, "aino", "live")
         assert await streams_of(again["pseudonym"], scaled(60))
     assert await streams_of(again["pseudonym"], 1.0) == []
+
+
+async def test_a_machine_without_accounts_sends_nothing_to_the_network(running: Running) -> None:
+    with pytest.raises(UsageError, match="HANDOVER_HEALTH_LSL_PEOPLE"):
+        async with running(health_lsl_people="aino"):
+            pass
 
 
 async def test_a_closed_feed_taps_nobody_any_more() -> None:
