@@ -13,6 +13,7 @@ import httpx
 import psutil
 import pytest
 
+from tests.kit.sockets import listening_sockets
 from tests.kit.waiting import scaled
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -157,11 +158,14 @@ def test_services_that_are_killed_twice_in_a_task_are_restarted(handover: Start)
     require_completed_once(*run_with_kills(handover, None, TWICE_IN_A_TASK), len(TWICE_IN_A_TASK))
 
 
-def test_ctrl_c_stops_everything(handover: Start) -> None:
+def test_ctrl_c_stops_everything(handover: Start, cell: Any) -> None:
     process = handover("up")
     read_until_ready(process)
     services = services_of(process)
     assert services.keys() == SERVICES
+    listening = listening_sockets([process.pid])
+    assert [one for one in listening if one.address != "127.0.0.1"] == []
+    assert {one.port for one in listening} == {cell.ports[name] for name in (*SERVICES, "glove", "devices")}
     children = list(services.values())
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=120) == 0

@@ -4,15 +4,19 @@ import json
 import re
 from collections.abc import Iterator
 from http.client import HTTPConnection, HTTPResponse
+from ipaddress import ip_address
 
 import httpx
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from handover.cli import services
+from handover.extensions import Service
 from services.context_broker.app import operations_of
 from services.context_broker.settings import BrokerSettings
 from tests.kit.cell import Cell, new_cell
+from tests.kit.sockets import listening_sockets
 
 pytestmark = pytest.mark.slow
 
@@ -27,6 +31,9 @@ SERVICES = (
     "accounts",
     "webui",
     "ros_fiware_bridge",
+    "human_state",
+    "assistive_devices",
+    "whole_body_control",
 )
 WITHOUT_SCHEMA = {
     "webui": ("/notifications", "/api/task-orchestrator/processes", "/api/gesture-controller/gloves/g/pause"),
@@ -36,6 +43,8 @@ WEBSOCKETS = {
     "gesture_controller": "/gloves/glove-1/live",
     "trajectory_tool": "/robots/ur10-1/joint_states",
     "webui": "/api/live",
+    "human_state": "/limits",
+    "whole_body_control": "/live",
 }
 READ = {
     "context_broker": "/ngsi-ld/v1/types",
@@ -48,6 +57,9 @@ READ = {
     "accounts": "/users",
     "webui": "/api/events",
     "ros_fiware_bridge": "/rules",
+    "human_state": "/people",
+    "assistive_devices": "/machines",
+    "whole_body_control": "/humanoids",
 }
 FOREIGN = {"Origin": "http://evil.example"}
 
@@ -56,8 +68,27 @@ FOREIGN = {"Origin": "http://evil.example"}
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     with new_cell(tmp_path_factory.mktemp("cell")) as made:
         made.extra["HANDOVER_BRIDGE_URL"] = "http://Bridge.cell:54100"
+        made.extra["HANDOVER_ASSISTIVE_MACHINES"] = "bed"
+        made.extra |= {"HANDOVER_HUMANOID_MODEL": "coman", "HANDOVER_HUMANOID_FIFO": "false"}
         made.start(*SERVICES, within_s=90.0)
         yield made
+
+
+def test_every_socket_is_on_loopback_and_documented(cell: Cell) -> None:
+    """Of all processes and what they start; the ROS bridge joins a graph by datagrams."""
+    ours = (*services.SERVICES, *services.OPTIONAL_SERVICES)
+    documented = {port for service in ours for port in ports_of(cell, service)}
+    found = listening_sockets(process.pid for process in cell.processes.values())
+    assert {one.port for one in found} >= {cell.ports[name] for name in (*SERVICES, "glove", "devices")}
+    known = {one for one in found if one.protocol == "udp" and "ros_fiware_bridge" in one.process}
+    assert [one for one in found - known if not ip_address(one.address).is_loopback] == []
+    assert [one for one in found - known if one.protocol != "tcp" or one.port not in documented] == []
+
+
+def ports_of(cell: Cell, service: Service) -> set[int]:
+    """Return the ports of a service in the cell, which is given the settings that the service documents."""
+    fields = (service.port_field, *(field for _, field in service.also_listens))
+    return {int(cell.environment[f"HANDOVER_{field.upper()}"]) for field in fields}
 
 
 def asked(cell: Cell, service: str, method: str, path: str, **headers: str) -> HTTPResponse:

@@ -210,10 +210,24 @@ export interface OpenedSession {
   maxAgeS: number;
 }
 
-/** The current and the new password. */
+/** The current and the new password of the user of a session. */
 export interface PasswordChange {
+  address?: string;
+  device?: string;
+  session: string;
   current: string;
   new: string;
+}
+
+/** The Person whom a service has identified as who performed a Task. */
+export interface PerformerClaim {
+  person: string;
+  task: string;
+}
+
+/** The proof of who performed a Task. */
+export interface PerformerProof {
+  proof: string;
 }
 
 /** The PIN that a person entered, before the completion of a Task. */
