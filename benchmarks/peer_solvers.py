@@ -193,10 +193,7 @@ def answers() -> Iterator[dict[str, Any]]:
             found: dict[str, Any] = {}
             for name, solve in solvers.items():
                 try:
-                    tries = [
-                        cascade(solve, problems[request["problem"]]) for _ in range(int(request["rounds"]))
-                    ]
-                    found[name] = [min(used for used, _ in tries), tries[-1][1]]
+                    found[name] = cascade(solve, problems[request["problem"]])
                 except (ArithmeticError, ValueError, RuntimeError):
                     found[name] = None
             yield found

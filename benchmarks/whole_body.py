@@ -4,8 +4,9 @@
 
 The problems are those of a robot that juggles and of one that walks with its hands held, each recorded by the
 same seeded motion: targets jump, also beyond reach and beyond what the limits allow. Times are CPU times of
-one thread, the least of some rounds for each problem, the solvers in turn. A solver is compared with the
-cascade in NumPy: at each level the residual, where both have kept the bounds.
+one thread, the solvers in turn. Each round solves all problems in their order, so that a warm start begins
+with the problem before, as in a control cycle; of each problem the least time of all rounds counts. A solver
+is compared with the cascade in NumPy: at each level the residual, where both have kept the bounds.
 """
 
 import argparse
@@ -129,8 +130,8 @@ def walking(seed: int, count: int) -> list[Problem]:
 def timed(solvers: list[Solver], problems: list[Problem], rounds: int) -> Array:
     """Return the CPU time in s of each solver (rows) for each problem."""
     least = np.full((len(solvers), len(problems)), np.inf)
-    for number, problem in enumerate(problems):
-        for _ in range(rounds):
+    for _ in range(rounds):
+        for number, problem in enumerate(problems):
             for row, solver in enumerate(solvers):
                 began = time.thread_time()
                 solver.solve(problem)

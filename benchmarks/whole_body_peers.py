@@ -4,8 +4,9 @@
 
 The peers are installed in an environment of their own, which `make bench-whole-body` makes from
 requirements/bench.lock, and run in a process of their own. Both processes take turns problem by problem, and
-each counts the CPU time of its thread, the least of some rounds. eiquadprog publishes no Python module, so
-quadprog, of the same method, stands for it.
+each counts the CPU time of its thread. Each round has all problems in their order, so that a warm start
+begins with the problem before; of each problem the least time of all rounds counts. eiquadprog publishes no
+Python module, so quadprog, of the same method, stands for it.
 """
 
 import argparse
@@ -80,53 +81,42 @@ def store(problems: list[Problem], file: Path) -> None:
     np.savez(file, **arrays)
 
 
-def timed(solver: Solver, problem: Problem, rounds: int) -> float:
-    """Return the least CPU time in s of some solutions."""
-    least = np.inf
-    for _ in range(rounds):
-        began = time.thread_time()
-        solver.solve(problem)
-        least = min(least, time.thread_time() - began)
-    return float(least)
-
-
 def compare(name: str, problems: list[Problem], peers: Peers, rounds: int) -> None:
     """Print the times of all solvers for the same problems."""
     ours: list[Solver] = [Compiled(), Hierarchical()]
     reference = Cascade()
-    times: dict[str, list[float]] = {solver.name: [] for solver in ours}
-    times |= {peer: [] for peer in peers.about["solvers"]}
-    failed = dict.fromkeys(peers.about["solvers"], 0)
-    different = {peer: [0, 0] for peer in peers.about["solvers"]}
+    names = [solver.name for solver in ours]
+    least = {name: np.full(len(problems), np.inf) for name in (*names, *peers.about["solvers"])}
+    apart = {peer: np.full(len(problems), np.nan) for peer in peers.about["solvers"]}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "problems.npz"
         store(problems, file)
         peers.ask(file=str(file))
-    for number, problem in enumerate(problems):
-        for solver in ours:
-            times[solver.name].append(timed(solver, problem, rounds))
-        residuals = reference.solve(problem).residuals
-        for peer, found in peers.ask(problem=number, rounds=rounds).items():
-            if found is None:
-                failed[peer] += 1
-                continue
-            times[peer].append(found[0])
-            worst = np.abs(np.subtract(found[1], residuals)).max()
-            different[peer][0] += worst > AGREES
-            different[peer][1] += worst > NEARLY
+    residuals = [reference.solve(problem).residuals for problem in problems]
+    for _ in range(rounds):
+        for number, problem in enumerate(problems):
+            for solver in ours:
+                began = time.thread_time()
+                solver.solve(problem)
+                least[solver.name][number] = min(least[solver.name][number], time.thread_time() - began)
+            for peer, found in peers.ask(problem=number).items():
+                if found is not None:
+                    least[peer][number] = min(least[peer][number], found[0])
+                    apart[peer][number] = np.abs(np.subtract(found[1], residuals[number])).max()
     print(f"{name}: {len(problems)} problems")
-    medians = {each: 1e6 * float(np.median(values)) for each, values in times.items() if values}
+    times = {each: values[np.isfinite(values)] for each, values in least.items()}
+    medians = {each: 1e6 * float(np.median(values)) for each, values in times.items() if len(values)}
     for each, values in times.items():
-        if not values:
+        if not len(values):
             print(f"  {each}: solved none")
             continue
         text = f"  {each}: p50 {medians[each]:.0f} us, p95 {1e6 * np.quantile(values, 0.95):.0f} us"
-        if each in failed:
-            count = len(values)
+        if each in apart:
+            known = apart[each][np.isfinite(apart[each])]
             text += (
-                f"; {failed[each]} not solved; residuals as ours to {AGREES} in "
-                f"{100 * (1 - different[each][0] / count):.1f} %, to {NEARLY} in "
-                f"{100 * (1 - different[each][1] / count):.1f} %"
+                f"; {len(problems) - len(values)} not solved; residuals as ours to {AGREES} in "
+                f"{100 * np.mean(known <= AGREES):.1f} %, to {NEARLY} in "
+                f"{100 * np.mean(known <= NEARLY):.1f} %"
             )
         print(text)
     best = min((medians[peer], peer) for peer in peers.about["solvers"] if peer in medians)
