@@ -6,8 +6,9 @@ bridge stops the arm when the stream ends: it cancels the goal, and commands a v
 
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
-from pydantic.alias_generators import to_camel
+from pydantic import Field, FiniteFloat, TypeAdapter
+
+from datamodels.robot_messages import Name, RobotMessage, StreamRefusal
 
 MAX_JOINTS: Final = 32
 MAX_POINTS: Final = 500
@@ -15,14 +16,9 @@ TRAJECTORY_ACTION: Final = "control_msgs/action/FollowJointTrajectory"
 JOINT_VELOCITIES: Final = "std_msgs/msg/Float64MultiArray"
 
 Values = Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=MAX_JOINTS)]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
-
-
-class VelocityOutput(_Message):
+class VelocityOutput(RobotMessage):
     """A topic for velocities: of the joints, or of the tool in the frame `frame` (a twist)."""
 
     topic: Name
@@ -32,7 +28,7 @@ class VelocityOutput(_Message):
     """After so long without a command the bridge commands a velocity of 0."""
 
 
-class ArmSetup(_Message):
+class ArmSetup(RobotMessage):
     """The first message: the names of the joints, and the interfaces of the arm."""
 
     type: Literal["setup"] = "setup"
@@ -42,7 +38,7 @@ class ArmSetup(_Message):
     velocity: VelocityOutput | None = None
 
 
-class TrajectoryPoint(_Message):
+class TrajectoryPoint(RobotMessage):
     """A point of a trajectory, `time_s` after the receipt of the goal."""
 
     time_s: FiniteFloat = Field(ge=0)
@@ -51,7 +47,7 @@ class TrajectoryPoint(_Message):
     accelerations: Values
 
 
-class ArmGoal(_Message):
+class ArmGoal(RobotMessage):
     """A trajectory to follow; it takes the place of the one before. The last point is at rest."""
 
     type: Literal["goal"] = "goal"
@@ -59,20 +55,20 @@ class ArmGoal(_Message):
     points: Annotated[tuple[TrajectoryPoint, ...], Field(min_length=1, max_length=MAX_POINTS)]
 
 
-class ArmCancel(_Message):
+class ArmCancel(RobotMessage):
     """Stop: the goal is cancelled."""
 
     type: Literal["cancel"] = "cancel"
 
 
-class ArmVelocity(_Message):
+class ArmVelocity(RobotMessage):
     """Velocities of the joints in rad/s, or the twist of the tool (m/s, rad/s)."""
 
     type: Literal["velocity"] = "velocity"
     values: Values
 
 
-class ArmJoints(_Message):
+class ArmJoints(RobotMessage):
     """The joints as the arm reports them, in its order; `stamp` in s since 1970."""
 
     type: Literal["joints"] = "joints"
@@ -83,14 +79,14 @@ class ArmJoints(_Message):
     efforts: tuple[float, ...] = ()
 
 
-class GoalAccepted(_Message):
+class GoalAccepted(RobotMessage):
     """The controller follows a goal from now on."""
 
     type: Literal["accepted"] = "accepted"
     id: int
 
 
-class GoalEnd(_Message):
+class GoalEnd(RobotMessage):
     """The end of a goal, with the reason of one that did not succeed."""
 
     type: Literal["ended"] = "ended"
@@ -99,15 +95,8 @@ class GoalEnd(_Message):
     reason: str = ""
 
 
-class ArmRefusal(_Message):
-    """Why the bridge does not follow this stream."""
-
-    type: Literal["refused"] = "refused"
-    reason: str
-
-
 ArmCommand = Annotated[ArmGoal | ArmCancel | ArmVelocity, Field(discriminator="type")]
-ArmReport = Annotated[ArmJoints | GoalAccepted | GoalEnd | ArmRefusal, Field(discriminator="type")]
+ArmReport = Annotated[ArmJoints | GoalAccepted | GoalEnd | StreamRefusal, Field(discriminator="type")]
 
 ARM_COMMANDS: TypeAdapter[ArmGoal | ArmCancel | ArmVelocity] = TypeAdapter(ArmCommand)
-ARM_REPORTS: TypeAdapter[ArmJoints | GoalAccepted | GoalEnd | ArmRefusal] = TypeAdapter(ArmReport)
+ARM_REPORTS: TypeAdapter[ArmJoints | GoalAccepted | GoalEnd | StreamRefusal] = TypeAdapter(ArmReport)

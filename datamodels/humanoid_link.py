@@ -10,10 +10,10 @@ of the robot alone.
 
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
-from pydantic.alias_generators import to_camel
+from pydantic import Field, FiniteFloat, TypeAdapter
 
-from datamodels.humanoid_stream import MAX_HUMANOID_JOINTS, Name, Values, Vector
+from datamodels.humanoid_stream import MAX_HUMANOID_JOINTS, Values
+from datamodels.robot_messages import Name, RobotMessage, StreamRefusal, Vector
 
 MAX_STATUS: Final = 32
 
@@ -21,11 +21,7 @@ Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 """x, y, z, w."""
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
-
-
-class LinkSetup(_Message):
+class LinkSetup(RobotMessage):
     """The first message: the names of the joints and the topics.
 
     `wish` is a `geometry_msgs/msg/TwistStamped`: velocities ahead and to the left in m/s, and about the
@@ -42,7 +38,7 @@ class LinkSetup(_Message):
     status: Name
 
 
-class LinkState(_Message):
+class LinkState(RobotMessage):
     """The state of the robot at `stamp`: joints in rad, the base in m on the ground of its odometry.
 
     `velocity` are those that it wants of its centre of mass, ahead, left and up in m/s. `level` is 0 while
@@ -60,7 +56,7 @@ class LinkState(_Message):
     status: Annotated[dict[str, str], Field(max_length=MAX_STATUS)] = {}
 
 
-class LinkWish(_Message):
+class LinkWish(RobotMessage):
     """What a node of the graph wants; it waited `age_s` in the bridge."""
 
     type: Literal["wish"] = "wish"
@@ -71,14 +67,7 @@ class LinkWish(_Message):
     age_s: FiniteFloat = 0.0
 
 
-class LinkRefusal(_Message):
-    """Why the bridge does not follow this stream."""
-
-    type: Literal["refused"] = "refused"
-    reason: str
-
-
 LINK_STATES: TypeAdapter[LinkState] = TypeAdapter(LinkState)
-LINK_REPORTS: TypeAdapter[LinkWish | LinkRefusal] = TypeAdapter(
-    Annotated[LinkWish | LinkRefusal, Field(discriminator="type")]
+LINK_REPORTS: TypeAdapter[LinkWish | StreamRefusal] = TypeAdapter(
+    Annotated[LinkWish | StreamRefusal, Field(discriminator="type")]
 )

@@ -7,23 +7,18 @@ were commanded in efforts alone get nothing more, and the robot's own controller
 
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
-from pydantic.alias_generators import to_camel
+from pydantic import Field, FiniteFloat, TypeAdapter
+
+from datamodels.robot_messages import Name, RobotMessage, StreamRefusal, Vector
 
 MAX_HUMANOID_JOINTS: Final = 64
 MAX_WRENCHES: Final = 8
 
 Values = Annotated[tuple[FiniteFloat, ...], Field(max_length=MAX_HUMANOID_JOINTS)]
-Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Wrench = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, alias_generator=to_camel, populate_by_name=True)
-
-
-class HumanoidSetup(_Message):
+class HumanoidSetup(RobotMessage):
     """The first message: the names of the joints, and the topics of the robot.
 
     `joint_states` and `joint_commands` are `sensor_msgs/msg/JointState`: a command has the positions, the
@@ -42,7 +37,7 @@ class HumanoidSetup(_Message):
     """After so long without a command the bridge commands the last positions at rest."""
 
 
-class HumanoidCommand(_Message):
+class HumanoidCommand(RobotMessage):
     """What the joints do, in the order of the setup. `sent_s` is a clock of the driver, which is echoed."""
 
     type: Literal["command"] = "command"
@@ -52,7 +47,7 @@ class HumanoidCommand(_Message):
     efforts: Values = ()
 
 
-class HumanoidGains(_Message):
+class HumanoidGains(RobotMessage):
     """The gains of joint impedance from now on, in N m/rad and N m s/rad."""
 
     type: Literal["gains"] = "gains"
@@ -60,7 +55,7 @@ class HumanoidGains(_Message):
     damping: Values
 
 
-class HumanoidState(_Message):
+class HumanoidState(RobotMessage):
     """What the robot measures; joints in the order of the setup.
 
     `stamp` is the time of the joints by the clock of the robot in s, `age_s` how long ago the oldest part was
@@ -80,21 +75,14 @@ class HumanoidState(_Message):
     held_s: FiniteFloat = 0.0
 
 
-class HumanoidProblem(_Message):
+class HumanoidProblem(RobotMessage):
     """What is missing, such as a topic that nobody publishes, or joints that are not reported."""
 
     type: Literal["problem"] = "problem"
     reason: str
 
 
-class HumanoidRefusal(_Message):
-    """Why the bridge does not follow this stream."""
-
-    type: Literal["refused"] = "refused"
-    reason: str
-
-
-HumanoidReport = HumanoidState | HumanoidProblem | HumanoidRefusal
+HumanoidReport = HumanoidState | HumanoidProblem | StreamRefusal
 HUMANOID_COMMANDS: TypeAdapter[HumanoidCommand | HumanoidGains] = TypeAdapter(
     Annotated[HumanoidCommand | HumanoidGains, Field(discriminator="type")]
 )

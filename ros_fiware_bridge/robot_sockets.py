@@ -14,9 +14,10 @@ from fastapi import FastAPI
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from datamodels.arm_stream import ARM_COMMANDS, ArmJoints, ArmRefusal, ArmSetup
-from datamodels.humanoid_link import LINK_STATES, LinkRefusal, LinkSetup, LinkWish
-from datamodels.humanoid_stream import HUMANOID_COMMANDS, HumanoidRefusal, HumanoidSetup, HumanoidState
+from datamodels.arm_stream import ARM_COMMANDS, ArmJoints, ArmSetup
+from datamodels.humanoid_link import LINK_STATES, LinkSetup, LinkWish
+from datamodels.humanoid_stream import HUMANOID_COMMANDS, HumanoidSetup, HumanoidState
+from datamodels.robot_messages import StreamRefusal
 from handover.security.guard import require
 from handover.security.permissions import Permission
 from handover.telemetry import get_logger
@@ -55,7 +56,6 @@ class Kind(Generic[Setup]):
     name: str
     setup: type[Setup]
     commands: TypeAdapter[Any]
-    refusal: Callable[[str], BaseModel]
     measured: type[BaseModel]
     max_waiting: int
     robot_of: Callable[[Setup], str]
@@ -66,7 +66,6 @@ ARM: Final = Kind(
     "arm",
     ArmSetup,
     ARM_COMMANDS,
-    lambda reason: ArmRefusal(reason=reason),
     ArmJoints,
     256,
     lambda setup: setup.trajectory_action,
@@ -76,7 +75,6 @@ HUMANOID: Final = Kind(
     "humanoid",
     HumanoidSetup,
     HUMANOID_COMMANDS,
-    lambda reason: HumanoidRefusal(reason=reason),
     HumanoidState,
     2,  # only the newest state counts
     lambda setup: setup.joint_commands,
@@ -87,7 +85,6 @@ HUMANOID_LINK: Final = Kind(
     "humanoid link",
     LinkSetup,
     LINK_STATES,
-    lambda reason: LinkRefusal(reason=reason),
     LinkWish,
     2,  # only the newest wish counts
     lambda setup: setup.wish,
@@ -176,7 +173,7 @@ async def _text(client: WebSocket) -> str:
 async def _refuse(kind: Kind[Any], client: WebSocket, reason: str) -> None:
     log.warning(f"{kind.name} stream refused", reason=reason)
     with suppress(WebSocketDisconnect, RuntimeError):
-        await client.send_text(kind.refusal(reason).model_dump_json())
+        await client.send_text(StreamRefusal(reason=reason).model_dump_json())
         await close_websocket(client, 4400, reason)
 
 

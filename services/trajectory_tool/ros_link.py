@@ -21,13 +21,13 @@ from datamodels.arm_stream import (
     ArmCancel,
     ArmGoal,
     ArmJoints,
-    ArmRefusal,
     ArmSetup,
     ArmVelocity,
     GoalAccepted,
     GoalEnd,
     TrajectoryPoint,
 )
+from datamodels.robot_messages import StreamRefusal
 from handover.broker import Credentials
 from handover.control.limit_link import exchange
 from handover.errors import HandoverError
@@ -174,7 +174,7 @@ class RosLink:
         elif isinstance(report, GoalEnd):
             with self._lock:
                 self._ends = {report.id: report, **dict(itertools.islice(self._ends.items(), 8))}
-        elif isinstance(report, ArmRefusal):
+        elif isinstance(report, StreamRefusal):
             self.fault = f"the ROS bridge refuses: {report.reason}"
 
     def _take_joints(self, report: ArmJoints) -> None:

@@ -19,7 +19,8 @@ from typing import Any, Final
 from pydantic import ValidationError
 from websockets.asyncio.client import ClientConnection
 
-from datamodels.humanoid_link import LINK_REPORTS, LinkRefusal, LinkSetup, LinkState, LinkWish
+from datamodels.humanoid_link import LINK_REPORTS, LinkSetup, LinkState, LinkWish
+from datamodels.robot_messages import StreamRefusal
 from handover.control.limit_link import exchange, keep_connected
 from handover.security.service_access import ServiceAccess
 from handover.telemetry import get_logger
@@ -119,7 +120,7 @@ class RosLink:
         except ValidationError as error:
             log.warning("report of the ROS bridge not read", error=str(error.errors()[0]["msg"]))
             return
-        if isinstance(report, LinkRefusal):
+        if isinstance(report, StreamRefusal):
             self._say(f"the ROS bridge: {report.reason}")
             return
         refused = self._refusal(report)

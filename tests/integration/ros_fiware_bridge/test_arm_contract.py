@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 
-from datamodels.arm_stream import ARM_REPORTS, ArmJoints, ArmRefusal, ArmSetup, ArmVelocity, VelocityOutput
+from datamodels.arm_stream import ARM_REPORTS, ArmJoints, ArmSetup, ArmVelocity, VelocityOutput
+from datamodels.robot_messages import StreamRefusal
 from handover.broker import BrokerClient
 from services.trajectory_tool.driver_contract import RobotContract, context_of
 from services.trajectory_tool.robot import Joints, RobotFault
@@ -234,7 +235,7 @@ async def test_a_second_client_of_an_arm_is_refused_and_the_first_continues(shop
         await first.send(setup(0.5))
         await reports(first, ArmJoints)
         await second.send(setup(0.5))
-        assert "another client commands" in (await reports(second, ArmRefusal)).reason
+        assert "another client commands" in (await reports(second, StreamRefusal)).reason
         await reports(first, ArmJoints)
 
 
@@ -254,7 +255,7 @@ async def test_bad_commands_are_refused_with_the_reason_and_the_arm_rests(
     async with connect(bridge_url(shop)) as tool:
         await tool.send(setup(0.5))
         await tool.send(sent)
-        refusal = await reports(tool, ArmRefusal)
+        refusal = await reports(tool, StreamRefusal)
     assert re.search(why, refusal.reason), refusal.reason
     assert arm.is_at_rest
 
