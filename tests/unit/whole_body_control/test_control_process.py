@@ -21,6 +21,7 @@ from services.whole_body_control.cycle.deployment import Deployment, read_deploy
 from services.whole_body_control.cycle.loop import MAX_FAULTS, Mode
 from services.whole_body_control.cycle.ports import PortReader, PortWriter
 from services.whole_body_control.cycle.wish import WISH
+from tests.kit.waiting import Bound, scaled
 
 DEPLOYMENT = """
 folder: {folder}
@@ -57,10 +58,10 @@ def written(folder: Path, text: str = DEPLOYMENT) -> Path:
 
 
 def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
-    until = time.monotonic() + BOUND_S
+    bound = Bound(BOUND_S)
     while not condition():
         assert process.poll() is None, f"the process ended with {process.returncode}"
-        assert time.monotonic() < until, "the condition never came true"
+        bound.check("the condition never came true")
         time.sleep(0.01)
 
 
@@ -106,7 +107,7 @@ def test_the_cycle_outlives_the_process_that_commands_it(
     assert value("base.z") > 0.4
     assert abs(value("com.x") - value("reference.x")) < 0.02
     cycle.send_signal(signal.SIGTERM)
-    assert cycle.wait(BOUND_S) == 0
+    assert cycle.wait(scaled(BOUND_S)) == 0
 
 
 def test_a_controller_without_valid_values_is_stopped_and_the_joints_hold(tmp_path: Path) -> None:

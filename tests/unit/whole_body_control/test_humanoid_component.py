@@ -150,6 +150,24 @@ def test_a_cancelled_throw_is_followed_through_with_the_ball_in_the_hand(cycle: 
     assert cycle.run(1.0, WALKING)["behaviour"] == Behaviour.WALKING
 
 
+def test_a_ball_that_leaves_the_room_is_lost_and_the_robot_stands(cycle: Cycle, throw: Throw) -> None:
+    cycle.run(0.5, JUGGLING)
+    state = cycle.run(0.1, thrown(4, throw))
+    for _ in range(40):
+        if state["ball_phase"] == BallPhase.FLYING:
+            break
+        state = cycle.run(0.1, thrown(4, throw))
+    assert state["ball_phase"] == BallPhase.FLYING
+    cycle.loop.robot.put_ball(np.array([9.0, 0.0, 2.0]), np.zeros(3))
+    state = cycle.run(4.0, thrown(4, throw))
+    assert (state["ball_phase"], np.isnan(state["ball_landed.x"])) == (BallPhase.LOST, True)
+    assert (state["mode"], state["throw_phase"], state["fault"]) == (Mode.FOLLOWING, 0, Fault.NONE)
+    begun = cycle.run(0.8, thrown(5, throw))
+    assert begun["ball_phase"] == BallPhase.HELD  # it throws the next one
+    cycle.run(4.0, {**thrown(5, throw), "stop": 1.0, "cancel": 1.0})
+    assert cycle.run(1.0, WALKING)["behaviour"] == Behaviour.WALKING
+
+
 def at_hands(state: Mapping[str, float], rest: Mapping[str, np.ndarray], ahead_m: float) -> dict[str, float]:
     """Return the hands of a person who stands `ahead_m` farther than the rest pose of the arms."""
     x, y = on_feet(state, "base")

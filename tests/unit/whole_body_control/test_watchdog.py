@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,6 +18,7 @@ from services.whole_body_control.cycle.watchdog import Safety
 from services.whole_body_control.model.kinematics import Kinematics
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
+from tests.kit.waiting import Bound, wait_for
 
 COMAN = humanoid("coman")
 BOUND_S, FALL_CYCLES, TAKEN_OVER_CYCLES = 120.0, 5000, 500
@@ -31,10 +31,11 @@ components:
 """
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    until = time.monotonic() + BOUND_S
+def repeat_until(condition: Callable[[], bool]) -> None:
+    """Ask again and again without a pause: here the condition itself moves the robot."""
+    bound = Bound(BOUND_S)
     while not condition():
-        assert time.monotonic() < until, "the condition never came true"
+        bound.check("the condition never came true")
 
 
 def test_a_driver_without_commands_holds_the_robot_and_damps_its_fall(tmp_path: Path) -> None:
@@ -53,20 +54,20 @@ def test_a_driver_without_commands_holds_the_robot_and_damps_its_fall(tmp_path: 
         link.write(command)
         return driver.cycle()
 
-    wait_for(lambda: commanded() is Safety.FOLLOWING)
+    repeat_until(lambda: commanded() is Safety.FOLLOWING)
     link.read(sensors)
     assert sensors.positions == pytest.approx(start[7:], abs=0.01)
     assert sensors.wrenches[:, 2].sum() > 100, "the feet carry the robot"
-    wait_for(lambda: driver.cycle() is Safety.HOLDING)
+    repeat_until(lambda: driver.cycle() is Safety.HOLDING)
     for _ in range(500):
         assert driver.cycle() is Safety.HOLDING
     assert robot.true_configuration()[2] == pytest.approx(start[2], abs=0.01)
-    wait_for(lambda: commanded() is Safety.FOLLOWING)
+    repeat_until(lambda: commanded() is Safety.FOLLOWING)
     command.positions[3] = np.nan
     with pytest.raises(ValueError, match="not finite"):
         link.write(command)
     command.positions[3] = start[10]
-    wait_for(lambda: driver.cycle() is Safety.HOLDING)
+    repeat_until(lambda: driver.cycle() is Safety.HOLDING)
     robot.push(np.array([60.0, 0.0, 0.0]))
     assert any(driver.cycle() is Safety.DAMPED for _ in range(FALL_CYCLES))
     assert commanded() is Safety.DAMPED, "until the driver is started again"
@@ -88,24 +89,23 @@ def test_a_control_process_that_stalls_is_noticed_by_the_process_of_the_robot(tm
             return process
 
         started("robot_process")
-        wait_for((folder / "command").exists)
+        wait_for((folder / "command").exists, BOUND_S)
         cycle = started("control_process")
         port = PortReader(folder / SENSORS)
 
         def safety() -> float:
-            time.sleep(0.01)
             return port.value("safety") if port.read() else float("nan")
 
-        wait_for(lambda: safety() == Safety.FOLLOWING)
+        wait_for(lambda: safety() == Safety.FOLLOWING, BOUND_S)
         state = PortReader(folder / "state")
         # Until then it takes over from the drives, whose robot hangs in them; a stall there may make it fall.
-        wait_for(lambda: state.read() and state.value("cycles") > TAKEN_OVER_CYCLES)
-        wait_for(lambda: safety() == Safety.FOLLOWING)
+        wait_for(lambda: state.read() and state.value("cycles") > TAKEN_OVER_CYCLES, BOUND_S)
+        wait_for(lambda: safety() == Safety.FOLLOWING, BOUND_S)
         cycle.send_signal(signal.SIGSTOP)
-        wait_for(lambda: safety() == Safety.HOLDING)
+        wait_for(lambda: safety() == Safety.HOLDING, BOUND_S)
         before_s = port.value("time_s")
-        wait_for(lambda: safety() == Safety.HOLDING and port.value("time_s") > before_s + 0.5)
+        wait_for(lambda: safety() == Safety.HOLDING and port.value("time_s") > before_s + 0.5, BOUND_S)
         forces = [port.value(name) for name in port.names if name.endswith(".fz")]
         assert sum(forces) > 200, "the feet still carry the robot"
         cycle.send_signal(signal.SIGCONT)
-        wait_for(lambda: safety() == Safety.FOLLOWING)
+        wait_for(lambda: safety() == Safety.FOLLOWING, BOUND_S)

@@ -1,0 +1,106 @@
+"""What a person or a headset does wrong pauses the session, stops the robot, and is named."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handover.control.limit_link import LimitLink
+from handover.database import connect
+from services.whole_body_control.running.humanoid_control import HumanoidControl
+from services.whole_body_control.running.inputs import SILENT_S, PoseMessage, PullMessage
+from services.whole_body_control.running.session_store import SessionStore
+from services.whole_body_control.running.signals import PatientSignals
+from services.whole_body_control.running.store import Store
+from services.whole_body_control.running.training import GRACE_S, Plan, Session, Training
+from services.whole_body_control.sessions.exercise import Goal, SessionError, State
+from services.whole_body_control.sessions.plausible import RELEASE_S
+from services.whole_body_control.settings import WholeBodySettings
+
+HAND = (0.5, -0.1, 0.6)
+CLOCK = "services.whole_body_control.running.inputs.time.monotonic"
+
+
+class Exercises:
+    """A session of walking beside a control cycle that stands, on a clock of the test."""
+
+    def __init__(self, control: HumanoidControl, training: Training) -> None:
+        self.control, self.now_s = control, 1000.0
+        control.process.problem, control.links.age_s = "", 0.0
+        control.links.values = {"phase": 0.0, "mode": 0.0, "behaviour": 0.0}
+        self._training = training
+
+    def begin(self) -> Session:
+        session = self._training.open(Plan("walking", Goal(seconds=600)))
+        self.send()
+        self.later(GRACE_S)
+        return session
+
+    def send(self, hand: tuple[float, float, float] = HAND, **more: Any) -> None:
+        pose = {"kind": "pose", "t": 1.0, "hands": {"left": {"position": hand, "grip": 1.0}}, **more}
+        self.control.inputs.receive(PoseMessage.model_validate(pose))
+
+    def pull(self, force_n: float) -> None:
+        self.control.inputs.receive(PullMessage(kind="pull", left=(force_n, 0.0, 0.0)))
+
+    def later(self, seconds: float, *, is_sending: bool = True) -> None:
+        """Let time pass, in which the same pose arrives again and again."""
+        end_s = self.now_s + seconds
+        while self.now_s < end_s:
+            self.now_s += 0.1
+            if is_sending:
+                self.send()
+            self._training.tick()
+
+    def wish(self) -> dict[str, float]:
+        """Return what the control cycle is sent."""
+        names = ("stop", "cancel", "speed_share")
+        return dict(zip(names, self.control.motion.values(names), strict=True))
+
+    def resume(self) -> None:
+        self._training.resume()
+        self._training.tick()
+
+
+@pytest.fixture
+def exercises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exercises]:
+    settings = WholeBodySettings.load(data_dir=tmp_path, humanoid_ports_dir=tmp_path / "ports")
+    engine = connect(settings.database("whole-body-control"))
+    limits = LimitLink("http://127.0.0.1:1", "coman-1", headers=dict)
+    control = HumanoidControl(settings, Store(engine), limits)
+    made = Exercises(control, Training(control, SessionStore(engine), PatientSignals()))
+    monkeypatch.setattr(CLOCK, lambda: made.now_s)
+    yield made
+    control.throws.close()
+    engine.dispose()
+
+
+@pytest.mark.parametrize(
+    ("act", "reason"),
+    [
+        (lambda one: one.send(tracking="lost"), "trackingLost"),
+        (lambda one: one.send(inBounds=False), "outOfBounds"),
+        (lambda one: one.send((0.9, 0.6, 0.6)), "trackingLost"),
+        (lambda one: one.send((9.0, 0.0, 0.6)), "outOfBounds"),
+        (lambda one: one.pull(200.0), "force"),
+        (lambda one: one.later(SILENT_S, is_sending=False), "silent"),
+    ],
+    ids=["lost tracking", "out of bounds", "a hand that jumps", "a hand in another room", "a fall", "silence"],
+)
+def test_the_robot_stands_and_the_session_names_the_cause_until_a_person_resumes_it(
+    exercises: Exercises, act: Callable[[Exercises], None], reason: str
+) -> None:
+    session = exercises.begin()
+    assert (session.exercise.state, exercises.wish()["stop"]) == (State.RUNNING, 0.0)
+    act(exercises)
+    exercises.later(0.1, is_sending=False)
+    assert reason in session.view()["pauseReason"]
+    assert exercises.wish()["stop"] == 1.0
+    with pytest.raises(SessionError, match=reason):
+        exercises.resume()
+    exercises.later(2 * RELEASE_S)  # what arrives is plausible again
+    assert (session.view()["state"], session.view()["pauseReason"]) == ("paused", "")
+    assert exercises.wish()["stop"] == 1.0
+    exercises.resume()
+    assert (session.exercise.state, exercises.wish()["stop"]) == (State.RUNNING, 0.0)
