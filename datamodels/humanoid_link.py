@@ -53,7 +53,7 @@ class LinkState(RobotMessage):
     velocity: Vector
     level: Annotated[int, Field(ge=0, le=2)] = 0
     message: Annotated[str, Field(max_length=500)] = ""
-    status: Annotated[dict[str, str], Field(max_length=MAX_STATUS)] = {}
+    status: Annotated[dict[str, str], Field(max_length=MAX_STATUS)] = Field(default_factory=dict)
 
 
 class LinkWish(RobotMessage):

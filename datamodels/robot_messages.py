@@ -1,4 +1,4 @@
-"""What the streams of robots through the ROS bridge share (`arm_stream`, `humanoid_stream`, `humanoid_link`)."""
+"""What the streams of robots through the ROS bridge share: arms, humanoids and links of humanoids."""
 
 from typing import Annotated, Literal
 

@@ -110,6 +110,33 @@ def throw(  # noqa: PLR0917 - options of a command
         )
 
 
+@app.command("rehearse")
+def rehearse_throws(
+    robot: Name = "coman",
+    into: Annotated[
+        Path | None, typer.Option("--into", help="A folder instead of that of the model.")
+    ] = None,
+) -> None:
+    """Let each hand rehearse its throws in simulation, and keep what it learns beside the model.
+
+    A model without it rehearses when it is to juggle for the first time, which takes some seconds.
+    """
+    robots = _imported()
+    from services.whole_body_control.behaviours.rehearsal import (  # noqa: PLC0415
+        FILE,
+        rehearsed,
+        write_rehearsals,
+    )
+
+    humanoid = robots.humanoid(robot)
+    if not humanoid.grips:
+        raise UsageError(f"{robot} has no hand that throws; add grips to its model")
+    throws = {grip: rehearsed(humanoid, grip) for grip in humanoid.grips}
+    file = (into or robots.folder(robot)) / FILE
+    write_rehearsals(file, humanoid, throws)
+    print(f"{file}: " + ", ".join(f"{grip} {len(known)} throws" for grip, known in throws.items()))
+
+
 @app.command()
 def lead(
     script: Annotated[

@@ -99,6 +99,7 @@ def make_app(settings: WholeBodySettings) -> FastAPI:
         finally:
             await recordings.close()
             control.throws.close()
+            await control.rehearsals.close()
             await control.process.stop()
             engine.dispose()
 

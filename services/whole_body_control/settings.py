@@ -94,6 +94,11 @@ class WholeBodySettings(Settings):
         return self.data_dir.absolute() / "humanoid-recordings"
 
     @property
+    def rehearsals_folder(self) -> Path:
+        """The directory of what hands have learned in simulation."""
+        return self.data_dir.absolute() / "humanoid-rehearsals"
+
+    @property
     def whole_body(self) -> str:
         """The URL of this service."""
         return self.url_of(self.whole_body_port, self.whole_body_url)

@@ -7,6 +7,7 @@ throw must change (`Practice`).
 """
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -97,9 +98,17 @@ class Practice:
     def __init__(self) -> None:
         self._throws: dict[str, deque[tuple[Array, Array]]] = {}
 
+    def throws(self, grip: str) -> tuple[tuple[Array, Array], ...]:
+        """Return what is known of the throws of a hand, oldest first: features (3,) and miss (2,) in m."""
+        return tuple(self._throws.get(grip, ()))
+
+    def restore(self, grip: str, throws: Iterable[tuple[Array, Array]]) -> None:
+        """Replace what is known of the throws of a hand."""
+        self._throws[grip] = deque(throws, maxlen=self.KEPT)
+
     def aim(self, grip: str, base: Array, target: Array) -> Array:
         """Return where to throw so that the ball lands at `target` (3,), from above `base` (2,)."""
-        throws = self._throws.get(grip)
+        throws = self.throws(grip)
         if not throws:
             return target
         features = np.array([feature for feature, _ in throws])

@@ -27,6 +27,11 @@ COMAN: Final = HERE / "coman"
 TALOS: Final = HERE / "talos"
 
 
+def folder(name: str) -> Path:
+    """Return the folder of a humanoid. Raises `UsageError` for one that is unknown."""
+    return Path(HUMANOIDS.load(name))
+
+
 def humanoid(name: str) -> Humanoid:
     """Return the humanoid of this name. Raises `UsageError` for one that is unknown or faulty."""
-    return read_folder(Path(HUMANOIDS.load(name)))
+    return read_folder(folder(name))

@@ -29,9 +29,10 @@ class ThrowRequest(Body):
 
 
 class ThrowView(Body):
-    """The number of the throw that was asked for."""
+    """The number of the throw that was asked for, and whether the hand rehearses before it."""
 
     number: int
+    is_preparing: bool
 
 
 class BehaviourRequest(Body):

@@ -107,8 +107,12 @@ def _add_acts(app: FastAPI, control: HumanoidControl) -> None:
 
     @app.post("/throws", tags=["humanoid"], dependencies=[require(Permission.MOVE_ROBOTS, of_humanoid)])
     async def throw(body: ThrowRequest) -> ThrowView:
-        """Throw a ball now; 409 while the robot is stopped or does not juggle, 422 if it is out of reach."""
-        return ThrowView(number=await control.throws.throw(body.target, body.hand))
+        """Throw a ball now, or after the rehearsal of a hand that has not thrown yet.
+
+        409 while the robot is stopped or does not juggle, 422 if the place is out of reach.
+        """
+        number = await control.throws.throw(body.target, body.hand)
+        return ThrowView(number=number, is_preparing=control.throws.is_pending(number))
 
 
 def _add_gains(app: FastAPI, control: HumanoidControl) -> None:

@@ -12,15 +12,18 @@ from handover.messages import message
 from handover.security.caller import Caller
 from handover.telemetry import get_logger
 from services.whole_body_control.behaviours.humanoid_component import Behaviour, Fault
+from services.whole_body_control.behaviours.rehearsal import FILE as REHEARSALS
+from services.whole_body_control.behaviours.throwing import Practice
 from services.whole_body_control.cycle.loop import Mode
 from services.whole_body_control.metrics import FRACTION
-from services.whole_body_control.robots import humanoid
+from services.whole_body_control.robots import folder, humanoid
 from services.whole_body_control.running.cycle_process import CycleProcess
 from services.whole_body_control.running.gains import ChainGains, Shares
 from services.whole_body_control.running.inputs import PersonInputs, Turns
 from services.whole_body_control.running.live import LiveDocument
 from services.whole_body_control.running.motion import NAMES, Motion
 from services.whole_body_control.running.port_links import PortLinks
+from services.whole_body_control.running.rehearsals import Rehearsals
 from services.whole_body_control.running.store import Store
 from services.whole_body_control.running.throws import Throws
 from services.whole_body_control.settings import WholeBodySettings
@@ -64,18 +67,29 @@ class HumanoidControl:
         self.links = PortLinks(self.process, self._wish, self.inputs.port_values, self.gains.port_values)
         self.live = LiveDocument(self.name, self.model.joint_names, self.motion, self.inputs)
         self.live.shown.faults = FAULTS
-        self.throws = Throws(self.model, self.motion, lambda: self.links.values)
+        practice = Practice()
+        self.rehearsals = Rehearsals(
+            self.model,
+            practice,
+            [
+                folder(settings.model_name) / REHEARSALS,
+                settings.rehearsals_folder / f"{self.model.name}.json",
+            ],
+        )
+        self.throws = Throws(self.model, self.motion, practice, self.rehearsals, lambda: self.links.values)
         self._store = store
 
     def open(self) -> None:
         """Find or start the control cycle; a stop that was not reset, and chosen gains, stay in force."""
         self.gains.restore(self._store.gains_of(self.name))
         self.motion.stopped = self._store.stop_of(self.name)
+        self.rehearsals.open()
         self.process.open()
 
     def document(self) -> dict[str, Any]:
         """Return the live document of now."""
         self.links.refresh()
+        self.live.shown.throw = self.throws.view()
         return self.live.of(self.links.values, self.problem)
 
     @property
@@ -154,6 +168,8 @@ class HumanoidControl:
                 message("humanoid.no_grips", "no hand of this humanoid holds a ball; add grips to its model"),
             )
         self.motion.behaviour = wanted
+        if wanted is Behaviour.JUGGLING:
+            self.rehearsals.begin()
 
     async def change_gains(self, wanted: Mapping[str, Shares]) -> None:
         """Change the gains of chains, and store them. Raises `Problem` 422."""
@@ -176,6 +192,6 @@ class HumanoidControl:
     def _wish(self, names: tuple[str, ...]) -> list[float]:
         self.update_limit()
         self.inputs.values = self.links.values
-        self.throws.learn()
+        self.throws.tick()
         self.inputs.feel()
         return self.motion.values(names)

@@ -1,7 +1,8 @@
 """The throws of a session: the next one when the robot stands, and how each ended, from ball and hands.
 
 A throw that the robot refuses, or does not begin, is asked for again with another target; after
-`MAX_REFUSALS` in a row the session ends.
+`MAX_REFUSALS` in a row the session ends. So is one that was cancelled, by a pause or since the wish came
+late: then the hand keeps the ball. That says nothing of the robot, so the session ends after `MAX_CANCELLED`.
 """
 
 from collections.abc import Callable
@@ -19,9 +20,12 @@ REST_S: Final = 1.5
 """Between the outcome of a throw and the next one; longer with a lower speed limit."""
 LEAST_SHARE: Final = 0.1
 BEGIN_WITHIN_S: Final = 15.0
-"""In the time of the robot, from the request to the release."""
+"""In the time of the robot, from the plan to the release."""
 MAX_REFUSALS: Final = 3
-STANDING, REFUSED, FLYING = 0.0, 6.0, 2.0
+MAX_CANCELLED: Final = 30
+STANDING, REFUSED = 0.0, 6.0
+HELD, FLYING, LANDED, LOST = 1.0, 2.0, 3.0, 4.0
+THROWN: Final = frozenset({FLYING, LANDED, LOST})
 """The codes of `throw_phase` and `ball_phase`."""
 
 
@@ -35,7 +39,7 @@ class Juggling:
         self._thrown_level = difficulty.level
         self._detector: CatchDetector | None = None
         self._next_s = 0.0
-        self._refusals = 0
+        self._refusals, self._cancelled = 0, 0
         self.number = 0
         """Of the last throw that this session asked for."""
         self.shown_phase: str | None = None
@@ -47,7 +51,10 @@ class Juggling:
         return self._difficulty.level
 
     def tick(self, control: HumanoidControl, exercise: Exercise, now_s: float) -> None:
-        """Advance by the newest state; `now_s` is of the clock of the exercise."""
+        """Advance by the newest state; `now_s` is of the clock of the exercise.
+
+        A machine that is very busy may show no state of a flight: then the ball counts from where it lies.
+        """
         if not control.links.is_live:
             return
         if self._detector is not None:
@@ -60,7 +67,8 @@ class Juggling:
     def _may_throw(self, control: HumanoidControl, exercise: Exercise, now_s: float) -> bool:
         values = control.links.values
         is_ready = values.get("behaviour") == control.motion.behaviour and control.is_standing
-        is_free = values.get("throw_phase") in {STANDING, REFUSED} and values.get("ball_phase") != FLYING
+        is_idle = values.get("throw_phase") in {STANDING, REFUSED} and values.get("ball_phase") != FLYING
+        is_free = is_idle and not control.throws.is_busy
         may_move = control.motion.stopped is None and control.motion.limit.fraction > 0
         return exercise.state is State.RUNNING and now_s >= self._next_s and is_ready and is_free and may_move
 
@@ -76,19 +84,26 @@ class Juggling:
         values = control.links.values
         time_s = values["robot_time_s"]
         is_of_this = values.get("throw_number") == self._asked
-        is_refused = control.throws.refusal(self._asked) is not None
-        if is_of_this and values.get("ball_phase") == FLYING:
-            self._detector, self._asked, self._refusals = CatchDetector(time_s, self._rules), None, 0
-        elif (
-            is_refused
-            or (is_of_this and values.get("throw_phase") == REFUSED)
-            or time_s - self._asked_s > BEGIN_WITHIN_S
-        ):
-            self._asked = None
+        ball, phase = values.get("ball_phase"), values.get("throw_phase")
+        is_refused = control.throws.refusal(self._asked) is not None or (is_of_this and phase == REFUSED)
+        is_waiting = control.throws.is_pending(self._asked) or exercise.state is not State.RUNNING
+        if is_of_this and ball in THROWN:
+            self._detector, self._asked = CatchDetector(time_s, self._rules), None
+            self._refusals = self._cancelled = 0
+        elif is_of_this and ball == HELD and phase == STANDING:
+            self._cancelled += 1
+            self._ask_again(exercise, now_s)
+        elif is_waiting and not is_refused:
+            self._asked_s = time_s
+        elif is_refused or time_s - self._asked_s > BEGIN_WITHIN_S:
             self._refusals += 1
-            self._next_s = now_s + REST_S
-            if self._refusals >= MAX_REFUSALS:
-                exercise.end(EndReason.FAULT, now_s)
+            self._ask_again(exercise, now_s)
+
+    def _ask_again(self, exercise: Exercise, now_s: float) -> None:
+        self._asked = None
+        self._next_s = now_s + REST_S
+        if self._refusals >= MAX_REFUSALS or self._cancelled >= MAX_CANCELLED:
+            exercise.end(EndReason.FAULT, now_s)
 
     def _follow(self, control: HumanoidControl, exercise: Exercise, now_s: float) -> None:
         assert self._detector is not None  # noqa: S101 - the caller has looked

@@ -27,6 +27,7 @@ class Shown:
     session: Mapping[str, Any] | None = None
     ball_phase: str | None = None
     """"caught" or "missed", from the catch detection of a session."""
+    throw: Mapping[str, Any] | None = None
     fault: Mapping[str, Any] | None = None
     faults: Mapping[int, str] = field(default_factory=dict)
 
@@ -68,6 +69,7 @@ class LiveDocument:
             "stance": _vector(values, "feet", ("x", "y", "yaw")),
             "feet": {side: _foot(values, side) for side in SIDES},
             "hands": {side: _hand(values, side) for side in SIDES},
+            "throw": shown.throw,
             "ball": self._ball(values),
             "stack": _stack(values),
             "solver": _solver(values),

@@ -7,14 +7,14 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
-from services.whole_body_control.behaviours.rehearsal import rehearse
+from services.whole_body_control.behaviours.rehearsal import FILE, read_rehearsals
 from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
 from services.whole_body_control.behaviours.throwing import Phase, Practice, ThrowingController
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Kinematics
 from services.whole_body_control.patterns import ballistics
 from services.whole_body_control.patterns.throwing import OutOfReach, Throw, ThrowPlanner
-from services.whole_body_control.robots import humanoid
+from services.whole_body_control.robots import folder, humanoid
 from services.whole_body_control.simulation.ball import RADIUS_M, RobotWithBall, build_with_ball
 from services.whole_body_control.simulation.simulated_robot import TYPICAL_NOISE
 from services.whole_body_control.tasks.self_collision import SelfCollision
@@ -163,21 +163,19 @@ def test_coman_throws_and_the_second_throw_lands_nearer() -> None:
     assert 2 * np.hypot(rotation[0], rotation[1]) < 0.05, "the robot stands"
 
 
-@pytest.mark.slow
-def test_the_first_throw_lands_after_a_rehearsal() -> None:
+def rehearsed_practice() -> Practice:
     practice = Practice()
-    rehearse(practice, COMAN, ["right_hand"], TARGET)
-    game = SimulatedThrow(COMAN, build_with_ball(COMAN), noise=TYPICAL_NOISE, seed=1)
-    record = game.throw(
-        planner("right_hand").plan(practice.aim("right_hand", game.controller.start[:2], TARGET))
-    )
-    assert np.linalg.norm(record.landed - TARGET) < 0.05
+    for grip, throws in read_rehearsals(folder("coman") / FILE, COMAN).items():
+        practice.restore(grip, throws)
+    return practice
 
 
 def test_what_the_robot_sees_of_its_throws_is_where_they_land_although_its_feet_turn() -> None:
-    game, practice = SimulatedThrow(COMAN, build_with_ball(COMAN), noise=TYPICAL_NOISE, seed=1), Practice()
+    game, practice = (
+        SimulatedThrow(COMAN, build_with_ball(COMAN), noise=TYPICAL_NOISE, seed=1),
+        rehearsed_practice(),
+    )
     start = game.controller.start[:2]
-    rehearse(practice, COMAN, ["right_hand"], TARGET)
     for _ in range(3):
         planned = planner("right_hand").plan(practice.aim("right_hand", start, TARGET))
         record = game.throw(planned)

@@ -86,7 +86,14 @@ def exercises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exerc
         (lambda one: one.pull(200.0), "force"),
         (lambda one: one.later(SILENT_S, is_sending=False), "silent"),
     ],
-    ids=["lost tracking", "out of bounds", "a hand that jumps", "a hand in another room", "a fall", "silence"],
+    ids=[
+        "lost tracking",
+        "out of bounds",
+        "a hand that jumps",
+        "a hand in another room",
+        "a fall",
+        "silence",
+    ],
 )
 def test_the_robot_stands_and_the_session_names_the_cause_until_a_person_resumes_it(
     exercises: Exercises, act: Callable[[Exercises], None], reason: str

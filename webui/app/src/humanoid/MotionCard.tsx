@@ -48,7 +48,7 @@ export function MotionCard({ document, behaviours, target, onTarget }: MotionCar
             onChange={(next) => void act("behaviour", { behaviour: next })}
           />
           {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
-          {behaviour === "walking" ? <Walk /> : <Throw ball={document.ball} target={target} onTarget={onTarget} />}
+          {behaviour === "walking" ? <Walk /> : <Throw ball={document.ball} isPreparing={document.throw?.state === "preparing"} target={target} onTarget={onTarget} />}
         </>
       )}
     </Card>
@@ -104,7 +104,14 @@ function Walk() {
   );
 }
 
-function Throw({ ball, target, onTarget }: { ball: LiveDocument["ball"]; target: Place; onTarget: (target: Place) => void }) {
+interface ThrowProps {
+  ball: LiveDocument["ball"];
+  isPreparing: boolean;
+  target: Place;
+  onTarget: (target: Place) => void;
+}
+
+function Throw({ ball, isPreparing, target, onTarget }: ThrowProps) {
   const { t, i18n } = useTranslation("humanoid");
   const [hand, setHand] = useState<Side>("right");
   const { failure, isBusy, act } = useAct();
@@ -118,12 +125,12 @@ function Throw({ ball, target, onTarget }: { ball: LiveDocument["ball"]; target:
       <Slider label={t("throw.ahead")} value={ahead} min={0.3} max={2} step={0.01} text={metres(ahead)} onChange={(x) => onTarget([x, left, up])} />
       <Slider label={t("throw.left")} value={left} min={-1} max={1} step={0.01} text={metres(left)} onChange={(y) => onTarget([ahead, y, up])} />
       <Slider label={t("throw.height")} value={up} min={0} max={1.5} step={0.01} text={metres(up)} onChange={(z) => onTarget([ahead, left, z])} />
-      <Button kind="main" size="large" icon={<Target aria-hidden size={22} />} isDisabled={isBusy} onPress={() => void act("throws", { target, hand })}>
+      <Button kind="main" size="large" icon={<Target aria-hidden size={22} />} isDisabled={isBusy || isPreparing} onPress={() => void act("throws", { target, hand })}>
         {t("throw.act")}
       </Button>
       <p role="status">
-        {ball !== null && t(`ball.${ball.phase}`)}
-        {missed !== null && ` · ${t("throw.missed", { distance: `${number(100 * missed, i18n.language, { maximumFractionDigits: 1 })} cm` })}`}
+        {isPreparing ? t("throw.preparing") : ball !== null && t(`ball.${ball.phase}`)}
+        {!isPreparing && missed !== null && ` · ${t("throw.missed", { distance: `${number(100 * missed, i18n.language, { maximumFractionDigits: 1 })} cm` })}`}
       </p>
       {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
     </div>

@@ -92,6 +92,8 @@ export interface LiveDocument {
   stance: Footprint | null;
   feet: Readonly<Record<Side, FootState>>;
   hands: Readonly<Record<Side, HandState>>;
+  /** The newest throw that was asked for; `preparing`: its hand rehearses in a simulation before it. */
+  throw?: { number: number; hand: Side; target: Place; state: "planning" | "preparing" | "planned" | "refused"; reason: string } | null;
   ball: BallState | null;
   stack: readonly TaskState[];
   solver: { medianUs: number | null; p99Us: number | null; histogram: readonly (readonly [bound: number | null, count: number])[] };

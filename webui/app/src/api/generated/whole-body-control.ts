@@ -181,9 +181,10 @@ export interface ThrowRequest {
   hand?: "left" | "right";
 }
 
-/** The number of the throw that was asked for. */
+/** The number of the throw that was asked for, and whether the hand rehearses before it. */
 export interface ThrowView {
   number: number;
+  isPreparing: boolean;
 }
 
 /** The sessions of a week, named as ISO 8601 does. */

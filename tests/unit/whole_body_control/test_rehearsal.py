@@ -1,0 +1,110 @@
+"""Rehearsals of throws: shipped with a model, kept in a file of it, or made while the first throw waits."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover.errors import Problem
+from services.whole_body_control.behaviours.humanoid_component import Behaviour
+from services.whole_body_control.behaviours.rehearsal import (
+    FILE,
+    read_rehearsals,
+    rehearsed,
+    write_rehearsals,
+)
+from services.whole_body_control.behaviours.throwing import Practice
+from services.whole_body_control.robots import folder, humanoid
+from services.whole_body_control.running.motion import Motion
+from services.whole_body_control.running.rehearsals import Rehearsals
+from services.whole_body_control.running.throws import Throws
+from tests.kit.waiting import until
+
+COMAN = humanoid("coman")
+TARGET, FAR = (0.8, 0.1, 0.5), (2.5, 0.0, 0.5)
+REHEARSED_WITHIN_S = 120.0
+
+
+@asynccontextmanager
+async def throws_of(*files: Path) -> AsyncIterator[tuple[Throws, Motion]]:
+    motion, practice = Motion(), Practice()
+    motion.behaviour = Behaviour.JUGGLING
+    rehearsals = Rehearsals(COMAN, practice, files)
+    rehearsals.open()
+    throws = Throws(COMAN, motion, practice, rehearsals, dict)
+    try:
+        yield throws, motion
+    finally:
+        throws.close()
+        await rehearsals.close()
+
+
+def state(throws: Throws) -> str:
+    view = throws.view()
+    assert view is not None
+    return str(view["state"])
+
+
+@pytest.mark.slow  # seconds of simulation: both robots, a hand each
+@pytest.mark.parametrize(("name", "hand"), [("coman", "right_hand"), ("talos", "left_hand")])
+def test_the_rehearsals_that_are_shipped_are_those_of_this_controller(name: str, hand: str) -> None:
+    """After a change of the model or the controller: handover humanoid rehearse --robot NAME."""
+    model = humanoid(name)
+    shipped = read_rehearsals(folder(name) / FILE, model)
+    assert set(shipped) == set(model.grips)
+    made = rehearsed(model, hand)
+    assert len(made) == len(shipped[hand])
+    for (features, miss), (shipped_features, shipped_miss) in zip(made, shipped[hand], strict=True):
+        assert features == pytest.approx(shipped_features, abs=0.01)
+        assert miss == pytest.approx(shipped_miss, abs=0.01)
+
+
+def test_a_file_is_read_for_the_very_model_that_rehearsed_only(tmp_path: Path) -> None:
+    path = tmp_path / "folder" / FILE
+    assert read_rehearsals(path, COMAN) == {}
+    known = ((np.array([1.0, 0.0, -0.2]), np.array([0.031, -0.012])),)
+    write_rehearsals(path, COMAN, {"right_hand": known})
+    ((features, miss),) = read_rehearsals(path, COMAN)["right_hand"]
+    assert (features.tolist(), miss.tolist()) == ([1.0, 0.0, -0.2], [0.031, -0.012])
+    assert read_rehearsals(path, replace(COMAN, drive_inertia=0.06)) == {}
+    assert read_rehearsals(path, replace(COMAN, grips={})) == {}
+    for broken in (b"", b"{}", path.read_bytes().replace(b"0.031", b'"far"'), b"\xff"):
+        path.write_bytes(broken)
+        assert read_rehearsals(path, COMAN) == {}
+
+
+async def test_a_hand_whose_rehearsal_is_shipped_throws_without_one() -> None:
+    async with throws_of(folder("coman") / FILE) as (throws, motion):
+        number = await throws.throw(TARGET, "right")
+        await until(lambda: state(throws) == "planned", why="the throw is planned")
+        assert (motion.throw.number, motion.throw.hand) == (number, "right")
+
+
+@pytest.mark.slow  # a rehearsal in a process of its own
+async def test_the_first_throw_of_a_hand_is_accepted_at_once_and_follows_its_rehearsal(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / FILE
+    async with throws_of(file) as (throws, motion):
+        with pytest.raises(Problem, match="farthest place on that line"):
+            await throws.throw(FAR, "right")
+        first = await throws.throw(TARGET, "right")
+        assert (state(throws), throws.is_pending(first)) == ("preparing", True)
+        with pytest.raises(Problem, match="another throw is being planned"):
+            throws.request(TARGET, "left")
+        motion.stop("Anna", "a break")
+        throws.tick()
+        assert (state(throws), throws.is_pending(first)) == ("refused", False)
+        assert "Anna stopped the humanoid" in str(throws.refusal(first))
+        motion.reset()
+        second = await throws.throw(TARGET, "right")
+        assert state(throws) == "preparing"
+        await until(lambda: not throws.is_pending(second), REHEARSED_WITHIN_S, "the hand has rehearsed")
+        assert (state(throws), motion.throw.number) == ("planned", second)
+        await until(lambda: "right_hand" in read_rehearsals(file, COMAN), why="it is kept")
+    async with throws_of(file) as (throws, _):
+        third = await throws.throw(TARGET, "right")
+        assert not throws.is_pending(third)
