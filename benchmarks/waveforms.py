@@ -11,8 +11,6 @@ import argparse
 import asyncio
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 
@@ -88,12 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder, report_steal_time():
         env = {**environment(folder), "HANDOVER_HUMAN_STATE_PORT": str(free_ports(1)[0])}
         cell, _ = up(env)
-        human = subprocess.Popen([sys.executable, "-m", "services.human_state"], env=env)
         try:
             asyncio.run(run(env, options.seconds))
         finally:
-            human.terminate()
-            human.wait()
             stop(cell)
     print(f"  load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
 
