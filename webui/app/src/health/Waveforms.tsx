@@ -11,6 +11,7 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { Card } from "~/design/Card";
 import { EmptyState } from "~/design/EmptyState";
+import { FrameScheduler } from "~/design/frameScheduler";
 import { number as inWords } from "~/design/numbers";
 import { StatusBadge } from "~/design/StatusBadge";
 import { spaced } from "~/devices/values";
@@ -60,8 +61,6 @@ function Waveform({ wave, signals }: { wave: WaveBuffer; signals: LiveSignals })
       pane,
     );
     const heightOf = (value: number) => plot.valToPos(value, "y") + plot.over.offsetTop;
-    let frame = 0;
-    let isSeen = true;
     let shownS = -Infinity;
     let drawnS = -Infinity;
     let knownS = -Infinity;
@@ -73,8 +72,7 @@ function Waveform({ wave, signals }: { wave: WaveBuffer; signals: LiveSignals })
       });
       label(labels, splits, heightOf, i18n.language);
     };
-    const draw = () => {
-      frame = 0;
+    const frames = new FrameScheduler(host, () => {
       const sinceS = (Date.now() - wave.receivedMs) / 1000;
       // It never runs ahead of the signal, and never back.
       const endS = Math.min(wave.endS, wave.endS + sinceS - DELAY_S);
@@ -83,27 +81,18 @@ function Waveform({ wave, signals }: { wave: WaveBuffer; signals: LiveSignals })
       if (shownS > drawnS + AHEAD_S || shownS < drawnS || (shownS > knownS && wave.endS > knownS)) redraw();
       const moved = Number.isFinite(shownS) ? (-(shownS - drawnS) / WAVE_S) * pane.clientWidth : 0;
       plot.root.style.transform = `translateX(${moved.toFixed(2)}px)`;
-      if (sinceS < SILENT_MS / 1000) drawSoon();
-    };
-    const drawSoon = () => {
-      if (frame === 0 && isSeen && !document.hidden) frame = requestAnimationFrame(draw);
-    };
-    const forget = signals.onPackets(drawSoon);
-    const visibility = new IntersectionObserver(([entry]) => {
-      isSeen = entry?.isIntersecting ?? true;
-      drawSoon();
+      return sinceS < SILENT_MS / 1000;
     });
-    visibility.observe(host);
+    const forget = signals.onPackets(frames.request);
     const resized = new ResizeObserver(() => {
       plot.setSize(sizeOf(pane));
       label(labels, splits, heightOf, i18n.language);
     });
     resized.observe(pane);
-    drawSoon();
+    frames.request();
     return () => {
-      cancelAnimationFrame(frame);
+      frames.dispose();
       forget();
-      visibility.disconnect();
       resized.disconnect();
       plot.destroy();
       host.replaceChildren();

@@ -6,7 +6,9 @@ import { HumanoidFigure, type FigureColours } from "./figure";
 import { onGround, type HumanoidModel, type LiveDocument, type Place } from "./humanoid";
 
 const DISTANCES = { least: 0.5, most: 8 };
-const GROUND_M = 20;
+const GRID_M = 20;
+/** Farther than the camera sees, so that the horizon is straight. */
+const GROUND_M = 100;
 /** From the middle of what is shown to the camera: of the robot alone, and of the robot with a person in front of it. */
 const START = new Vector3(1.9, -1.9, 0.75);
 const START_WITH_PERSON = new Vector3(0.9, -3.3, 0.9);
@@ -33,6 +35,8 @@ export class DeskView {
   readonly #ground = new Mesh(new PlaneGeometry(GROUND_M, GROUND_M), new MeshStandardMaterial({ roughness: 1 }));
   readonly #middle = new Vector3(0, 0, MIDDLE_M);
   readonly #wanted = new Vector3();
+  #live: LiveDocument | null = null;
+  #shown: LiveDocument | null = null;
   #pressedAt: Vector2 | null = null;
   #personMs = -Infinity;
   #showsPerson = false;
@@ -46,7 +50,10 @@ export class DeskView {
 
   /** Throws where the browser has no WebGL, or for a URDF that cannot be drawn. */
   constructor(host: HTMLElement, urdf: string, model: HumanoidModel, colours: DeskColours) {
-    this.#view = new OrbitView(host, Math.PI / 2 - 0.02, { onFit: () => !this.#isTurned && this.reset() });
+    this.#view = new OrbitView(host, Math.PI / 2 - 0.02, {
+      onFrame: () => this.#pose(),
+      onFit: () => !this.#isTurned && this.reset(),
+    });
     this.#view.distances = DISTANCES;
     try {
       this.figure = new HumanoidFigure(urdf, model, colours);
@@ -66,19 +73,16 @@ export class DeskView {
     this.reset();
   }
 
-  /** Show a document; the camera follows the robot. */
+  /** Show a document with the next frame; the camera follows the robot. */
   show(live: LiveDocument): void {
-    this.figure.show(live);
-    const { stance } = live;
-    this.figure.preview(this.target === null || stance === null ? null : onGround(stance, this.target));
-    this.#follow(live);
+    this.#live = live;
     this.#view.draw();
   }
 
   recolour(colours: DeskColours): void {
     this.#ground.material.color.set(colours.ground);
     this.figure.recolour(colours);
-    this.#view.recolour(colours.background, colours.line, GROUND_M, 0);
+    this.#view.recolour(colours.background, colours.line, GRID_M, 0);
   }
 
   /** Handle a key; returns whether it had an effect. */
@@ -90,13 +94,13 @@ export class DeskView {
   }
 
   reset(): void {
-    const { controls, camera, draw } = this.#view;
+    const { controls, camera, drawNow } = this.#view;
     this.#isTurned = false;
     controls.target.copy(this.#middle);
     const back = Math.max(1, FITS_AT_ASPECT / camera.aspect);
     camera.position.copy(this.#showsPerson ? START_WITH_PERSON : START).multiplyScalar(back).add(controls.target);
     controls.update();
-    draw();
+    drawNow();
   }
 
   dispose(): void {
@@ -126,6 +130,17 @@ export class DeskView {
     const place = this.placeAt(clientX, clientY);
     if (place !== null) this.onPick(place);
   };
+
+  /** Move all to the newest document; no frame follows before the next one. */
+  #pose(): boolean {
+    const live = this.#live;
+    if (live === null || live === this.#shown) return false;
+    this.#shown = live;
+    this.figure.show(live);
+    this.figure.preview(this.target === null || live.stance === null ? null : onGround(live.stance, this.target));
+    this.#follow(live);
+    return false;
+  }
 
   /** Keep the robot, and a person in front of it, in the middle; a person who comes or goes changes the initial view only. */
   #follow({ base, patient }: LiveDocument): void {

@@ -118,6 +118,31 @@ describe("a replay", () => {
     expect(replay.snapshot()).toMatchObject({ positionS: 0, isPlaying: true });
   });
 
+  it("asks for frames of the screen only while it plays or fetches, and a pause takes no time of it", async () => {
+    const frames: ((nowMs: number) => void)[] = [];
+    vi.stubGlobal("requestAnimationFrame", (callback: (nowMs: number) => void) => frames.push(callback));
+    vi.stubGlobal("cancelAnimationFrame", () => undefined);
+    const replay = new Replay((fromS) => Promise.resolve(part(fromS, 8)), () => undefined);
+    const end = replay.subscribe(() => undefined);
+    frames.shift()?.(0);
+    await vi.waitFor(() => expect(replay.snapshot().phase).toBe("open"));
+    frames.shift()?.(1000);
+    expect(replay.snapshot().positionS).toBe(1);
+    replay.play(false);
+    frames.shift()?.(1016);
+    expect(frames).toHaveLength(0);
+    replay.seek(2);
+    frames.shift()?.(5000);
+    expect(frames).toHaveLength(0);
+    replay.play(true);
+    frames.shift()?.(90_000);
+    frames.shift()?.(90_500);
+    expect(replay.snapshot().positionS).toBe(2.5);
+    expect(frames).toHaveLength(1);
+    end();
+    vi.unstubAllGlobals();
+  });
+
   it("says why frames cannot be fetched, and asks no further", async () => {
     const failures: unknown[] = [];
     const replay = new Replay(() => Promise.reject(new Error("it still runs")), (error) => failures.push(error));

@@ -26,7 +26,7 @@ export class Replay {
   #hasAll = false;
   #isFetching = false;
   #shownMs: number | null = null;
-  #request = 0;
+  #request: number | null = null;
   readonly #listeners = new Set<() => void>();
   readonly #fetch: Frames;
   readonly #onFailure: (error: unknown) => void;
@@ -39,13 +39,12 @@ export class Replay {
   /** Plays while somebody listens. */
   readonly subscribe = (listener: () => void): (() => void) => {
     this.#listeners.add(listener);
-    if (this.#listeners.size === 1) {
-      this.#shownMs = null;
-      this.#request = requestAnimationFrame(this.#tick);
-    }
+    this.#run();
     return () => {
       this.#listeners.delete(listener);
-      if (this.#listeners.size === 0) cancelAnimationFrame(this.#request);
+      if (this.#listeners.size > 0 || this.#request === null) return;
+      cancelAnimationFrame(this.#request);
+      this.#request = null;
     };
   };
 
@@ -54,10 +53,12 @@ export class Replay {
   play(isPlaying: boolean): void {
     const { positionS, durationS } = this.#snapshot;
     this.#show({ isPlaying, positionS: isPlaying && this.#hasAll && positionS >= durationS ? 0 : positionS });
+    this.#run();
   }
 
   seek(positionS: number): void {
     this.#show({ positionS });
+    this.#run();
   }
 
   /** Advances by the time since the last call; a test calls it with times of its own. */
@@ -65,7 +66,7 @@ export class Replay {
     const { isPlaying, positionS, durationS, phase } = this.#snapshot;
     const passedS = this.#shownMs === null ? 0 : (nowMs - this.#shownMs) / 1000;
     this.#shownMs = nowMs;
-    if (!this.#hasAll && positionS + AHEAD_S >= this.#knownS) this.#fetchMore();
+    if (this.#needsMore) this.#fetchMore();
     if (!isPlaying || phase !== "open") return;
     const end = this.#hasAll ? durationS : this.#knownS;
     const next = Math.min(positionS + passedS, end);
@@ -73,10 +74,22 @@ export class Replay {
     if (next !== positionS || isOver) this.#show({ positionS: next, isPlaying: !isOver });
   };
 
+  /** Advance with the frames of the screen while somebody listens, and it plays or fetches. */
+  #run(): void {
+    if (this.#request !== null || this.#listeners.size === 0) return;
+    this.#shownMs = null; // a pause takes no time of the recording
+    this.#request = requestAnimationFrame(this.#tick);
+  }
+
   readonly #tick = (nowMs: number): void => {
     this.advance(nowMs);
-    if (this.#listeners.size > 0) this.#request = requestAnimationFrame(this.#tick);
+    const continues = this.#listeners.size > 0 && (this.#snapshot.isPlaying || this.#needsMore);
+    this.#request = continues ? requestAnimationFrame(this.#tick) : null;
   };
+
+  get #needsMore(): boolean {
+    return !this.#hasAll && this.#snapshot.positionS + AHEAD_S >= this.#knownS;
+  }
 
   #fetchMore(): void {
     if (this.#isFetching) return;

@@ -1,10 +1,8 @@
-/**
-* A live plot of the five bends of a glove, updated at most 30 times a second and only while it
-* is visible.
- */
+/** A live plot of the five bends of a glove, updated at most 30 times a second and only while it is visible. */
 import { useEffect, useRef, type RefObject } from "react";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
+import { FrameScheduler } from "~/design/frameScheduler";
 import { number as inWords } from "~/design/numbers";
 import { fingers } from "~/hand/geometry";
 import { useLive } from "~/live/hooks";
@@ -16,8 +14,8 @@ import "./fingers.css";
 export type Look = (host: HTMLElement, seconds: number, now: number) => uPlot.Options;
 
 /**
-* Draw the bends of `glove` into the returned element; another `look` creates the plot again. The plot
-* is returned for custom drawing.
+ * Draw the bends of `glove` into the returned element; another `look` creates the plot again. The plot
+ * is returned for custom drawing.
  */
 export function useBendPlot(glove: string, seconds: number, look: Look): { place: RefObject<HTMLDivElement | null>; plot: RefObject<uPlot | null> } {
   const live = useLive();
@@ -35,17 +33,12 @@ export function useBendPlot(glove: string, seconds: number, look: Look): { place
     const { bends } = history.current;
     const made = new uPlot(look(host, seconds, Date.now() / 1000), columnsOf(bends), host);
     plot.current = made;
-    let frame = 0;
-    let isSeen = true;
-    const draw = () => {
-      frame = 0;
+    const frames = new FrameScheduler(host, () => {
       made.setData(columnsOf(bends), false);
       const now = Date.now() / 1000;
       made.setScale("x", { min: now - seconds, max: now });
-    };
-    const drawSoon = () => {
-      if (frame === 0 && isSeen && !document.hidden) frame = requestAnimationFrame(draw);
-    };
+      return false;
+    });
     const topic = `glove/${glove}` as const;
     let last: number[] | null = null;
     const unwatch = live.watch(topic, () => {
@@ -53,19 +46,13 @@ export function useBendPlot(glove: string, seconds: number, look: Look): { place
       if (bend === null || bend === last) return;
       last = bend;
       bends.push(Date.now() / 1000, bend);
-      drawSoon();
+      frames.request();
     });
-    const visibility = new IntersectionObserver(([entry]) => {
-      isSeen = entry?.isIntersecting ?? true;
-      drawSoon();
-    });
-    visibility.observe(host);
     const resized = new ResizeObserver(() => made.setSize({ width: host.clientWidth, height: host.clientHeight }));
     resized.observe(host);
     return () => {
-      cancelAnimationFrame(frame);
+      frames.dispose();
       unwatch();
-      visibility.disconnect();
       resized.disconnect();
       made.destroy();
       plot.current = null;

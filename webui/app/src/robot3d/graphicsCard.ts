@@ -3,12 +3,20 @@
 /** Names of renderers without a graphics card: of Chromium, Mesa and Windows. */
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
+/** The shortest time between two pictures that are drawn in software: 20 a second. */
+const SOFTWARE_PERIOD_MS = 48;
+
 let known: boolean | null = null;
 
 /** Return whether pictures are drawn in software; true as well where the browser does not say it. */
 export function drawsInSoftware(): boolean {
   known ??= probed();
   return known;
+}
+
+/** Return the shortest time between two pictures in ms, so that the processor has time for other work. */
+export function picturePeriodMs(): number {
+  return drawsInSoftware() ? SOFTWARE_PERIOD_MS : 0;
 }
 
 /** Return whether a renderer of this name draws in software. */

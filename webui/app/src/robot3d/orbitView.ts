@@ -1,16 +1,20 @@
 /**
  * A 3D view that a user turns around a target (z is up, metres): renderer, camera, light, ground grid and controls. It
- * renders only when it is asked to, and never while it is not visible.
+ * is drawn when it would look different, never while nobody can see it, and less often without a graphics card; what
+ * the user does is drawn with the next frame.
  */
 import { type ColorRepresentation, DirectionalLight, type GridHelper, PerspectiveCamera, Scene, WebGLRenderer } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { FrameScheduler } from "~/design/frameScheduler";
+import { picturePeriodMs } from "./graphicsCard";
 import { ambientLights, groundGrid } from "./light";
 import { DISTANCES, type Distances, stepOf, stepped } from "./orbit";
+import { ScenePicture } from "./scenePicture";
 
 const MAX_PIXEL_RATIO = 2;
 
 export interface OrbitEvents {
-  /** Before a frame is drawn; returns whether another one follows. */
+  /** Move what is in the scene before a frame; returns whether another frame follows. */
   onFrame?: (nowMs: number) => boolean;
   /** The size has changed, before the next frame. */
   onFit?: () => void;
@@ -26,11 +30,11 @@ export class OrbitView {
   readonly #renderer: WebGLRenderer;
   readonly #events: OrbitEvents;
   readonly #resized: ResizeObserver;
-  readonly #seen: IntersectionObserver;
+  readonly #frames: FrameScheduler;
+  readonly #picture: ScenePicture;
   #distances: Distances = DISTANCES;
   #grid: GridHelper | null = null;
-  #frame = 0;
-  #isInView = true;
+  #isTurning = false;
 
   /** Throws when the browser has no WebGL. */
   constructor(host: HTMLElement, maxPolarAngle: number, events: OrbitEvents = {}) {
@@ -48,19 +52,18 @@ export class OrbitView {
     // The wheel scrolls the page until the view has been used; vertical touch gestures always scroll.
     this.controls.enableZoom = false;
     this.canvas.style.touchAction = "pan-y";
-    this.controls.addEventListener("change", this.draw);
+    this.#picture = new ScenePicture(this.#renderer);
+    this.#frames = new FrameScheduler(host, (nowMs) => this.#draw(nowMs), picturePeriodMs());
+    this.controls.addEventListener("start", () => (this.#isTurning = true));
+    this.controls.addEventListener("end", () => (this.#isTurning = false));
+    // A view that follows its robot changes the camera as well, and is no faster than the robot.
+    this.controls.addEventListener("change", () => (this.#isTurning ? this.drawNow() : this.draw()));
     this.scene.add(this.sun, this.sun.target, ...ambientLights());
     this.#resized = new ResizeObserver(() => this.#fit());
     this.#resized.observe(host);
-    this.#seen = new IntersectionObserver(([entry]) => {
-      this.#isInView = entry?.isIntersecting ?? true;
-      this.draw();
-    });
-    this.#seen.observe(host);
-    document.addEventListener("visibilitychange", this.draw);
     host.addEventListener("focusin", this.#taken);
     host.addEventListener("focusout", this.#left);
-    this.canvas.addEventListener("webglcontextrestored", this.draw);
+    this.canvas.addEventListener("webglcontextrestored", this.#redraw);
   }
 
   /** How near and far the camera may be. */
@@ -76,7 +79,7 @@ export class OrbitView {
     this.#grid = groundGrid(sizeM, line);
     this.#grid.position.z = groundM;
     this.scene.add(this.#grid);
-    this.draw();
+    this.#redraw();
   }
 
   /** Turn the view by a key: whether it did, or was asked for the initial view. */
@@ -85,27 +88,19 @@ export class OrbitView {
     if (step === null || step === "reset") return step ?? false;
     this.camera.position.set(...stepped(this.camera.position.toArray(), this.controls.target.toArray(), step, this.#distances));
     this.controls.update();
-    this.draw();
+    this.drawNow();
     return true;
   }
 
-  /** Request a frame if the view is visible. */
-  readonly draw = (): void => {
-    if (this.#frame !== 0 || document.hidden || !this.#isInView) return;
-    this.#frame = requestAnimationFrame((nowMs) => {
-      this.#frame = 0;
-      const goesOn = this.#events.onFrame?.(nowMs) ?? false;
-      this.#renderer.render(this.scene, this.camera);
-      if (goesOn) this.draw();
-    });
-  };
+  /** Request a frame for what moves by itself. */
+  readonly draw = (): void => this.#frames.request();
+
+  /** Request a frame for what a user does. */
+  readonly drawNow = (): void => this.#frames.requestNow();
 
   dispose(): void {
-    cancelAnimationFrame(this.#frame);
-    this.#frame = -1;
+    this.#frames.dispose();
     this.#resized.disconnect();
-    this.#seen.disconnect();
-    document.removeEventListener("visibilitychange", this.draw);
     this.#host.removeEventListener("focusin", this.#taken);
     this.#host.removeEventListener("focusout", this.#left);
     this.controls.dispose();
@@ -116,6 +111,17 @@ export class OrbitView {
     this.#renderer.forceContextLoss();
     this.canvas.remove();
   }
+
+  #draw(nowMs: number): boolean {
+    const continues = this.#events.onFrame?.(nowMs) ?? false;
+    this.#picture.draw(this.scene, this.camera);
+    return continues;
+  }
+
+  readonly #redraw = (): void => {
+    this.#picture.invalidate();
+    this.drawNow();
+  };
 
   readonly #taken = (): void => {
     this.controls.enableZoom = true;
@@ -138,6 +144,6 @@ export class OrbitView {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.#events.onFit?.();
-    this.draw();
+    this.#redraw();
   }
 }

@@ -1,4 +1,4 @@
-/** The 3D view of the robot in its cell. It renders only when a joint, the camera, the theme or the size has changed. */
+/** The 3D view of the robot in its cell. */
 import {
   Box3, BoxGeometry, type BufferGeometry, type ColorRepresentation, CylinderGeometry, EdgesGeometry, Group, LineBasicMaterial, LineSegments, Mesh,
   MeshStandardMaterial, Sphere, SphereGeometry, Vector3,
@@ -164,7 +164,7 @@ export class Stage {
     camera.position.copy(DIRECTION).multiplyScalar(distance).add(center);
     this.#isTurned = false;
     controls.update();
-    this.draw();
+    this.#view.drawNow();
   }
 
   /** The box around the cell; zones and fences are not what a user looks at. */
@@ -174,7 +174,6 @@ export class Stage {
     return box;
   }
 
-  /** Request a frame if the view is visible. */
   readonly draw = (): void => this.#view.draw();
 
   dispose(): void {

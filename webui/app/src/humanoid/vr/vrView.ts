@@ -4,15 +4,15 @@
  * A frame reads the poses, moves robot and ball to where they are when it reaches the eyes, sends the poses, and draws.
  * The session is the service's: the view says what it sees (tracking, bounds), the service pauses.
  */
-import { PCFShadowMap, Quaternion, type Vector3, WebGLRenderer } from "three";
+import type { Quaternion, Vector3 } from "three";
 import { errorText, requestService } from "~/api/http";
-import { drawsInSoftware } from "~/robot3d/graphicsCard";
 import { mayDo } from "~/session/session";
 import { inFrame, SERVICE, SIDES, type Footprint, type HumanoidModel, type LiveDocument, type Place, type Side } from "../humanoid";
 import { InputLink, type Answer } from "../inputLink";
 import { HumanoidLive, OLD_MS } from "../liveState";
 import { BallPrediction } from "./ball";
 import { outside, type Outside, type Posture } from "./bounds";
+import { Display } from "./display";
 import { toGround, type Vector } from "./frames";
 import { Haptics } from "./haptics";
 import { Headset } from "./headset";
@@ -32,8 +32,6 @@ const PANEL_EVERY_MS = 250;
 /** How fast the scene follows a robot that walks, so that it does not sway with its steps. */
 const FOLLOW_S = 0.5;
 const HEIGHT_MPS = 0.5;
-/** Pictures that are drawn in software come 20 times a second, so that the processor has time for the robot beside it. */
-const SLOW_FRAME_MS = 48;
 const OTHER: Readonly<Record<Side, Side>> = { left: "right", right: "left" };
 const NO_THROW_HEIGHT_M = 0.6;
 
@@ -51,9 +49,7 @@ export class VrView {
   posture: Posture = "seated";
   /** Wait for the picture of each frame, so that its time is measured; slower. */
   waitsForPicture = false;
-  readonly #host: HTMLElement;
-  readonly #isSlow = drawsInSoftware();
-  readonly #renderer: WebGLRenderer;
+  readonly #display: Display;
   readonly #room: Room;
   readonly #live = new HumanoidLive(LIVE_HZ);
   readonly #pointer = new Pointer();
@@ -85,18 +81,11 @@ export class VrView {
   #aimed: string | null = null;
   #failure: string | null = null;
   #frameS = 0;
-  #drawnMs = -Infinity;
 
   /** Throws where the browser has no WebGL, or for a URDF that cannot be drawn. */
   constructor(host: HTMLElement, urdf: string, model: HumanoidModel, events: ViewEvents) {
-    this.#host = host;
     this.#events = events;
-    // In software, smooth edges and shadows take most of the time of a frame, and a late hand is worse than a rough one.
-    this.#renderer = new WebGLRenderer({ antialias: !this.#isSlow });
-    this.#renderer.setPixelRatio(this.#isSlow ? 1 : Math.min(devicePixelRatio, 2));
-    this.#renderer.shadowMap.enabled = !this.#isSlow;
-    this.#renderer.shadowMap.type = PCFShadowMap;
-    this.#renderer.xr.enabled = true;
+    this.#display = new Display(host);
     this.#room = new Room(urdf, model);
     this.#haptics = new Haptics(this.#room.hands);
     this.#robotHand = this.#pointer.camera.position.clone();
@@ -107,9 +96,7 @@ export class VrView {
       timeS: 0, anchor: this.#anchor, head: head.position, headTurn: head.quaternion, isTracked: false, isInBounds: true, isRecentred: false,
       hands: { left: { isTracked: false, position: left.position, turn: left.turn, grip: 0 }, right: { isTracked: false, position: right.position, turn: right.turn, grip: 0 } },
     };
-    const canvas = this.#renderer.domElement;
-    canvas.setAttribute("aria-hidden", "true");
-    host.append(canvas);
+    const { canvas, renderer } = this.#display;
     canvas.addEventListener("pointermove", this.#moved);
     canvas.addEventListener("pointerdown", this.#pressed);
     canvas.addEventListener("pointerup", this.#released);
@@ -119,7 +106,7 @@ export class VrView {
     this.#resized.observe(host);
     this.#end = this.#live.subscribe(() => this.#receive());
     this.#fit();
-    this.#renderer.setAnimationLoop((timeMs, frame) => this.#frame(timeMs, frame));
+    renderer.setAnimationLoop((timeMs, frame) => this.#frame(timeMs, frame));
   }
 
   get document(): LiveDocument | null {
@@ -127,7 +114,7 @@ export class VrView {
   }
 
   async enterHeadset(): Promise<void> {
-    this.#headset = await Headset.enter(this.#renderer, {
+    this.#headset = await Headset.enter(this.#display.renderer, {
       onEnd: () => this.#leftHeadset(),
       onSelect: (side) => this.#select(side),
       onPauseButton: () => this.#pauseOrResume(),
@@ -182,14 +169,13 @@ export class VrView {
   }
 
   dispose(): void {
-    this.#renderer.setAnimationLoop(null);
+    this.#display.renderer.setAnimationLoop(null);
     this.#use("nothing");
     void this.#headset?.leave();
     this.#end();
     this.#resized.disconnect();
     this.#room.dispose();
-    this.#renderer.dispose();
-    this.#renderer.domElement.remove();
+    this.#display.dispose();
   }
 
   #use(using: Using): void {
@@ -256,12 +242,16 @@ export class VrView {
     if (this.#using !== "nothing") this.#say(true);
     this.#aim();
     if (nowMs - this.#panelMs > PANEL_EVERY_MS) this.#showPanel(nowMs);
-    if (this.#isSlow && nowMs - this.#drawnMs < SLOW_FRAME_MS) return; // the hands were read and sent all the same
-    this.#drawnMs = nowMs;
-    this.#renderer.render(this.#room.scene, this.#headset?.camera ?? this.#pointer.camera);
+    if (!this.#draw(nowMs)) return; // the hands were read and sent all the same
     this.measuring.worked(performance.now());
-    if (this.waitsForPicture) this.#renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, PIXEL);
+    if (this.waitsForPicture) this.#display.renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, PIXEL);
     this.measuring.drawn(performance.now());
+  }
+
+  #draw(nowMs: number): boolean {
+    const { scene } = this.#room;
+    if (this.#headset !== null) return this.#display.drawForHeadset(nowMs, scene, this.#headset.camera);
+    return this.#display.drawOnPage(nowMs, scene, this.#pointer.camera, this.waitsForPicture);
   }
 
   #readPerson(frame: XRFrame | undefined, dtS: number): void {
@@ -418,7 +408,7 @@ export class VrView {
   }
 
   readonly #moved = ({ clientX, clientY }: PointerEvent): void => {
-    const { left, top, width, height } = this.#renderer.domElement.getBoundingClientRect();
+    const { left, top, width, height } = this.#display.canvas.getBoundingClientRect();
     this.#pointer.moveTo((2 * (clientX - left)) / width - 1, 1 - (2 * (clientY - top)) / height);
   };
 
@@ -445,11 +435,7 @@ export class VrView {
   };
 
   #fit(): void {
-    const { clientWidth: width, clientHeight: height } = this.#host;
-    if (width === 0 || height === 0 || this.#headset !== null) return;
-    this.#renderer.setSize(width, height);
-    this.#pointer.camera.aspect = width / height;
-    this.#pointer.camera.updateProjectionMatrix();
+    if (this.#headset === null) this.#display.fit(this.#pointer.camera);
   }
 }
 
