@@ -21,29 +21,6 @@ export interface AppriseChannel {
   throttle?: Throttle;
 }
 
-/** How many records are intact, the hash of the last, and the first fault if there is one. */
-export interface AuditVerification {
-  records: number;
-  head: string;
-  fault: string | null;
-}
-
-/** An audit record; `text` is null where there was none, or where it was deleted. */
-export interface AuditView {
-  service: string;
-  seq: number;
-  at: string;
-  subject: string;
-  action: string;
-  resource: string;
-  outcome: string;
-  method: string;
-  text: string | null;
-  hash: string;
-  subjectName: string | null;
-  resourceName: string | null;
-}
-
 /** A channel; secrets are not shown. One whose `source` is `file` is changed in the file. */
 export interface ChannelView {
   name: string;

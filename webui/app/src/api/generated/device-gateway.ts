@@ -24,29 +24,6 @@ export interface AnomalyView {
   processStartedAt: number | null;
 }
 
-/** How many records are intact, the hash of the last, and the first fault if there is one. */
-export interface AuditVerification {
-  records: number;
-  head: string;
-  fault: string | null;
-}
-
-/** An audit record; `text` is null where there was none, or where it was deleted. */
-export interface AuditView {
-  service: string;
-  seq: number;
-  at: string;
-  subject: string;
-  action: string;
-  resource: string;
-  outcome: string;
-  method: string;
-  text: string | null;
-  hash: string;
-  subjectName: string | null;
-  resourceName: string | null;
-}
-
 /** One axis: `scale` is in m/s or rad/s for a value of 1, or m or rad for a change of 1. */
 export interface AxisMapping {
   axis: string;
