@@ -203,7 +203,7 @@ function useColumns(names: ReadonlyMap<string, string>): readonly Column<Entry>[
         cell: ({ subject, subjectName }) => (
           <>
             <span className="cell__name">{subjectName ?? names.get(subject) ?? t("audit.deleted")}</span>
-            <p className="cell__detail">{subject}</p>
+            <p className="cell__detail accounts__subject" title={subject}>{subject}</p>
           </>
         ),
       },

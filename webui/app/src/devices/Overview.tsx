@@ -25,6 +25,7 @@ interface OverviewProps {
 }
 
 const MINUTE_MS = 60_000;
+const NO_BREAK = "\u00a0";
 
 export function Overview({ device, details, symbolOf, onChanged }: OverviewProps) {
   const { t, i18n } = useTranslation("devices");
@@ -95,7 +96,6 @@ function ValueTable({ values, symbolOf, joints }: { values: readonly ShownValue[
           {all.map((value) => {
             const { name, latest } = value;
             const symbol = symbolOf(value.unit);
-            const [least, most] = rangeOf(value).map((end) => (end === null ? "–" : digits(end, i18n.language)));
             const fault = outOfRange(value);
             return (
               <tr key={name} data-stale={latest === null || latest.stale || undefined}>
@@ -103,7 +103,7 @@ function ValueTable({ values, symbolOf, joints }: { values: readonly ShownValue[
                 <td data-number data-fault={fault !== null || undefined}>
                   {latest === null ? "–" : `${digits(latest.value, i18n.language)} ${symbol}`.trim()}
                 </td>
-                <td className="quiet">{least === "–" && most === "–" ? "" : `${least} … ${most} ${symbol}`.trim()}</td>
+                <td className="quiet">{rangeText(rangeOf(value), symbol, i18n.language)}</td>
                 <td>
                   <span className="device__age">
                     {fault !== null && <StatusBadge tone="stop">{t("condition.outOfRange")}</StatusBadge>}
@@ -118,6 +118,13 @@ function ValueTable({ values, symbolOf, joints }: { values: readonly ShownValue[
       </table>
     </div>
   );
+}
+
+/** A range that breaks only between its ends; empty where neither is known. */
+function rangeText([least, most]: readonly [number | null, number | null], symbol: string, language: string): string {
+  if (least === null && most === null) return "";
+  const end = (value: number | null) => (value === null ? "–" : digits(value, language));
+  return `${end(least)} … ${end(most)} ${symbol}`.trim().replaceAll(" ", NO_BREAK).replace(`…${NO_BREAK}`, "… ");
 }
 
 function Picture({ device, version, hasPicture, onChanged }: { device: string; version: number; hasPicture: boolean; onChanged: () => void }) {

@@ -31,6 +31,8 @@ test("numbers have the digits of their feature, and shares are percentages", () 
   expect(numberText("heartRate", 71.6, "en")).toBe("72");
   expect(numberText("skinTemperature", 33.44, "de")).toBe("33,4");
   expect(numberText("exertionLevel", 0.415, "en")).toBe("42%");
+  expect(numberText("spo2", 97.4, "en")).toBe("97%");
+  expect(numberText("bodyMovement", 4, "de")).toBe("4\u00a0%");
 });
 
 test.each([

@@ -19,8 +19,10 @@ const ORDER = ["heartRate", "breathingRate", "exertionLevel", "spo2", "hrvRmssd"
 export const POSITIONS = ["activity", "dailyActivity", "posture", "sleepPosition"] as const;
 const NOT_VITAL = new Set<string>([...POSITIONS, "copX", "copY", "load", "activeCells"]);
 const SHARES = new Set(["exertionLevel", "stress", "fatigue"]);
+/** Sensors send them from 0 to 100. */
+const PERCENTAGES = new Set(["spo2", "bodyMovement"]);
 const SYMBOLS: Record<string, string> = { BPM: "bpm", C94: "/min", C26: "ms", P1: "%", D80: "µS", D82: "µV", "2Z": "mV", C62: "", MSK: "m/s²", "2A": "rad/s", CEL: "°C", MMT: "mm", HTZ: "Hz", DD: "°", OHM: "Ω", NEW: "N", NU: "N m", D81: "µT", MLT: "ml", L2: "l/min" };
-const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, spo2: 0, steps: 0, cadence: 0, movement: 3, bodyMovement: 0, edaTonic: 2, edaPhasic: 2, blinkRate: 0, blinkDuration: 0, fixationDuration: 0, pupilDiameter: 2 };
+const DIGITS: Record<string, number> = { heartRate: 0, hrvRmssd: 0, hrvSdnn: 0, steps: 0, cadence: 0, movement: 3, edaTonic: 2, edaPhasic: 2, blinkRate: 0, blinkDuration: 0, fixationDuration: 0, pupilDiameter: 2 };
 
 export function vitalSigns(state: StateView): ValueView[] {
   const place = ({ name }: ValueView) => (ORDER.indexOf(name) + ORDER.length + 1) % (ORDER.length + 1);
@@ -39,12 +41,14 @@ export function wavePlace(kind: string, sensor: string): string {
 export const DRAWN = ["heartRate", "breathingRate", "exertionLevel", "hrvRmssd", "spo2", "skinTemperature", "stress", "fatigue", "movement", "bodyMovement"] as const;
 
 export function symbolOf(name: string, unit: string | null): string {
-  return SHARES.has(name) ? "" : unit === null ? "" : (SYMBOLS[unit] ?? unit);
+  return SHARES.has(name) || PERCENTAGES.has(name) ? "" : unit === null ? "" : (SYMBOLS[unit] ?? unit);
 }
 
-/** The value without its unit; a share is a percentage. */
+/** The value without its unit; a share is written with its percent sign. */
 export function numberText(name: string, value: number, language: string): string {
-  return SHARES.has(name) ? percent(value, language) : number(value, language, { maximumFractionDigits: DIGITS[name] ?? 1, signDisplay: "negative" });
+  if (SHARES.has(name)) return percent(value, language);
+  if (PERCENTAGES.has(name)) return percent(value / 100, language);
+  return number(value, language, { maximumFractionDigits: DIGITS[name] ?? 1, signDisplay: "negative" });
 }
 
 export type Trust = "valid" | "weak" | "stale" | "implausible";

@@ -100,7 +100,9 @@ function Humanoid({ humanoid }: { humanoid: HumanoidView }) {
         <div className="humanoid__top">
           <Card className="humanoid__view" title={t(replayed === null ? "view" : "recordings.replay")}>
             <div className="humanoid__stage">
-              {model !== null && urdf !== null && (
+              {model === null || urdf === null ? (
+                <p className="quiet">{t("common:loading")}</p>
+              ) : (
                 <Suspense fallback={<p className="quiet">{t("common:loading")}</p>}>
                   <Humanoid3d name={name} urdf={urdf} model={model} source={source} onPick={mayThrow ? onPick : null} target={mayThrow ? target : null} />
                 </Suspense>

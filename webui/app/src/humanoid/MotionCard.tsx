@@ -40,7 +40,7 @@ export function MotionCard({ document, behaviours, target, onTarget }: MotionCar
       {isInSession ? (
         <p className="quiet">{t("motion.inSession")}</p>
       ) : (
-        <>
+        <div className="humanoid-motion">
           <SegmentedControl
             label={t("motion.behaviour")}
             value={behaviour}
@@ -49,7 +49,7 @@ export function MotionCard({ document, behaviours, target, onTarget }: MotionCar
           />
           {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
           {behaviour === "walking" ? <Walk /> : <Throw ball={document.ball} isPreparing={document.throw?.state === "preparing"} target={target} onTarget={onTarget} />}
-        </>
+        </div>
       )}
     </Card>
   );

@@ -32,6 +32,9 @@ export function ProgressChart({ weeks }: { weeks: readonly WeekView[] }) {
   );
 }
 
+// eslint-disable-next-line @typescript-eslint/no-unsafe-enum-assignment -- uPlot's constant enumeration has no values here
+const RIGHT: uPlot.Axis.Side.Right = 1;
+
 function optionsOf(host: HTMLElement, weeks: readonly WeekView[], language: string): uPlot.Options {
   const style = getComputedStyle(host);
   const colour = (name: string) => style.getPropertyValue(name).trim();
@@ -45,7 +48,7 @@ function optionsOf(host: HTMLElement, weeks: readonly WeekView[], language: stri
     axes: [
       { ...axis, incrs: [1, 2, 4, 8, 13, 26], values: (_, splits) => splits.map((index) => weeks[index]?.week ?? "") },
       { ...axis, size: 48, values: (_, splits) => splits.map((value) => number(value, language)) },
-      { ...axis, scale: "level", size: 52, grid: { show: false }, values: (_, splits) => splits.map((value) => percent(value / 100, language)) },
+      { ...axis, scale: "level", side: RIGHT, size: 52, grid: { show: false }, values: (_, splits) => splits.map((value) => percent(value / 100, language)) },
     ],
     series: [
       {},

@@ -52,6 +52,7 @@ export function VirtualGrid<T>(props: VirtualGridProps<T>) {
   const { label, lines, columns, rowHeight, head, isLabelled = false, isCompact = false, selected, onSelect, openKey, onOpen, nameOf, onEnd, frameRef, children } = props;
   const { t } = useTranslation("common");
   const frame = useRef<HTMLDivElement>(null);
+  const headRow = useRef<HTMLDivElement>(null);
   const [activeKey, setActiveKey] = useState<string | null>(null);
   // The key of the row to focus. A flag would not do: the effects of an earlier render can run after a key was
   // pressed and before the row it moves to is marked active, and would use up the flag for the previous row.
@@ -84,6 +85,12 @@ export function VirtualGrid<T>(props: VirtualGridProps<T>) {
     if (row == null || focusKey.current === null || row.dataset["key"] !== focusKey.current) return;
     focusKey.current = null;
     row.focus({ preventScroll: true });
+  });
+
+  // Columns stay in line beside a scrollbar of the rows.
+  useLayoutEffect(() => {
+    const body = frame.current;
+    if (body !== null && headRow.current !== null) headRow.current.style.paddingInlineEnd = `${body.offsetWidth - body.clientWidth}px`;
   });
 
   // The open row is in view when the page is loaded from a link.
@@ -148,7 +155,7 @@ export function VirtualGrid<T>(props: VirtualGridProps<T>) {
   return (
     <div className="vgrid" data-labelled={isLabelled || undefined} data-compact={isCompact || undefined} role="grid" aria-label={label} aria-rowcount={lines.length + (hasHead ? 1 : 0)} aria-multiselectable={selected === undefined ? undefined : true} style={style}>
       {hasHead && (
-        <div role="rowgroup" className="vgrid__head">
+        <div ref={headRow} role="rowgroup" className="vgrid__head">
           <div role="row" aria-rowindex={1} className="vgrid__row">
             {selected !== undefined && <SelectAll keys={rowKeys} selected={selected} {...(onSelect === undefined ? {} : { onSelect })} />}
             {head}
