@@ -123,9 +123,8 @@ def free_ports(count: int) -> list[int]:
 
 def environment(data_dir: str) -> dict[str, str]:
     """The environment of a cell on free ports."""
-    broker, orchestrator, controller, trajectory, study, gateway, devices, alerts, accounts, glove, webui = (
-        free_ports(11)
-    )
+    broker, orchestrator, controller, trajectory, study, gateway, devices = free_ports(7)
+    alerts, accounts, human_state, glove, webui = free_ports(5)
     return {
         **{name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")},
         "HANDOVER_DATA_DIR": data_dir,
@@ -139,6 +138,7 @@ def environment(data_dir: str) -> dict[str, str]:
         "HANDOVER_GATEWAY_PORT": str(gateway),
         "HANDOVER_DEVICE_PORT": str(devices),
         "HANDOVER_ACCOUNTS_PORT": str(accounts),
+        "HANDOVER_HUMAN_STATE_PORT": str(human_state),
         "HANDOVER_GLOVE_PORT": str(glove),
         "HANDOVER_WEBUI_PORT": str(webui),
         "HANDOVER_ANNOUNCE_MS": "100",

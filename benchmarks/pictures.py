@@ -6,8 +6,8 @@ It starts `handover up` with a glove and a simulated robot in a temporary folder
 headless Chromium, and records the Work page while a gesture confirms a Task (`confirm.webp`). With
 `--all-looks` it also takes every page in both themes, three languages and four sizes, for review.
 
-The person at the glove, the one who catches balls, the accuracy test and the answers of the study are
-invented.
+The person at the glove, the one who catches balls, the one with body sensors, the accuracy test and the
+answers of the study are invented.
 """
 
 import argparse
@@ -23,6 +23,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.sync.client import connect
 
 from benchmarks.handover import environment, free_ports, stop, up
+from datamodels.times import iso
 from services.device_gateway.device_client import DeviceClient
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.simulation import SimulatedDevice, examples
@@ -60,10 +62,12 @@ PAGES = {
     "system": "/system", "alerts": "/system?tab=alerts", "events": "/system?tab=events",
     "robots": "/system?tab=robots",
     "sensors": "/sensors", "devices": "/devices?device=sim-panda",
-    "humanoid": "/humanoid", "humanoid-vr": "/humanoid/vr",
+    "health": "/health", "humanoid": "/humanoid", "humanoid-vr": "/humanoid/vr",
     "people": "/people", "calibrate": "/calibrate?glove=glove-1", "test": "/test", "study": "/study",
 }  # fmt: skip
 INITIAL_ORDER = 4711
+WORKING_BPM = 100
+"""The heart rate of a person of 40 years who works moderately hard."""
 ONE_TASK = """<bpmn:definitions xmlns:bpmn="http://www.omg.org/spec/BPMN/20100524/MODEL"
     xmlns:camunda="http://camunda.org/schema/1.0/bpmn" targetNamespace="urn:pictures">
   <bpmn:process id="{name}" name="{title}" isExecutable="true">
@@ -523,6 +527,38 @@ def humanoid(product: Product) -> None:
         patient.close()
 
 
+def health(product: Product) -> None:
+    """A person with a simulated belt and mat, who rests and then works, and whose heart limits the robot."""
+    service, person = "/human-state", "aino"
+    product.http.put(f"{service}/people/{person}", json={"age": 40}).raise_for_status()
+    consent = {
+        "purposes": ["live", "speedLimits", "history"],
+        "ends": iso(datetime.now(UTC) + timedelta(days=200)),
+        "givenBy": "Aino",
+    }
+    product.http.put(f"{service}/people/{person}/consent", json=consent).raise_for_status()
+    product.http.put(f"{service}/people/{person}/robots/ur10-1").raise_for_status()
+    settings = {
+        "signals": ["ecg", "respiration", "acceleration", "pressureMap", "heartRate"],
+        "program": [{"at_s": 0, "posture": "sitting"}, {"at_s": 15, "effort": 0.6, "posture": "standing"}],
+    }
+    sensor = {"person": person, "driver": "simulated", "settings": settings}
+    product.http.put(f"{service}/sensors/belt-1", json=sensor).raise_for_status()
+
+    def works() -> bool:
+        state = product.http.get(f"{service}/people/{person}/state").raise_for_status().json()
+        rates = [each["value"] for each in state["values"] if each["name"] == "heartRate"]
+        return bool(rates and rates[0] > WORKING_BPM)
+
+    wait_until(works, 180.0)
+    with product.page(f"/health?person={person}", viewport=TALL) as page:
+        page.locator(".vital-sign[data-trust=valid]").first.wait_for()
+        page.get_by_role("img", name="ECG, the last 10 s").locator("canvas").wait_for()
+        time.sleep(12)  # waveforms fill their width
+        product.keep(page, "health")
+    product.http.delete(f"{service}/people/{person}").raise_for_status()
+
+
 def study_answer(session: dict[str, Any], invented: random.Random) -> dict[str, Any]:
     """Return an invented answer to the current step."""
     step = session["step"]
@@ -563,7 +599,7 @@ def all_looks(product: Product, folder: Path) -> None:
 
 SCENES = {"people": people, "devices": devices, "work": work, "processes": processes, "tasks": tasks,
           "cockpit": cockpit, "system": system, "calibrate": calibrate, "test": test,
-          "humanoid": humanoid, "study": study}  # fmt: skip
+          "humanoid": humanoid, "health": health, "study": study}  # fmt: skip
 
 
 def main() -> None:
