@@ -62,7 +62,7 @@ describe("the picture of a scene", () => {
     expect([shown.draws(), shown.draws()]).toEqual([true, false]);
   });
 
-  it("stays for a line that is made anew in the same place, and for what changes while it is hidden", () => {
+  it("stays for a line that is made again in the same place, and for what changes while it is hidden", () => {
     const { draws, mark, hand } = view();
     mark.geometry.dispose();
     mark.geometry = new BufferGeometry().setFromPoints([new Vector3(), new Vector3(0, 0, 1)]);
