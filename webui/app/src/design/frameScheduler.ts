@@ -1,6 +1,6 @@
 /**
  * When a view is drawn: with the next frame of the screen after a request, once for all requests until then, and never
- * while nobody can see it. A view that comes into sight is drawn then.
+ * while nobody can see it. A view that is seen again is drawn then.
  *
  * `request` is for what changes by itself. Where a picture takes long, a period limits how often it is drawn.
  * `requestNow` is for what a person does: it does not wait for the period.
