@@ -3,13 +3,14 @@
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from threading import Event
 from typing import Any
 
 import httpx
 import orjson
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from tests.integration.whole_body_control.conftest import SERVICE, WITHIN_S, HumanoidCell
@@ -125,47 +126,52 @@ def heart_at(humanoid: HumanoidCell) -> Iterator[Heart]:
 @contextmanager
 def leading_patient(humanoid: HumanoidCell) -> Iterator[None]:
     """Connect a patient who pulls softly ahead at both hands of the robot."""
-    is_ended = Event()
     pull = orjson.dumps({"kind": "pull", "left": [6.0, 0.0, 0.0], "right": [6.0, 0.0, 0.0]}).decode()
 
-    def lead() -> None:
+    def lead(is_ended: Event) -> None:
         with connect(socket_url(humanoid, "/input?role=patient"), proxy=None) as patient:
             while not is_ended.wait(PERIOD_S):
                 patient.send(pull)
 
-    with ThreadPoolExecutor(1) as thread:
-        leading = thread.submit(lead)
-        try:
-            yield
-        finally:
-            is_ended.set()
-            leading.result()
+    with _meanwhile(lead):
+        yield
 
 
 @contextmanager
 def catching_patient(humanoid: HumanoidCell) -> Iterator[None]:
     """Connect a patient whose right hand is where the ball is to land."""
-    is_ended = Event()
 
-    def catch() -> None:
+    def catch(is_ended: Event) -> None:
         with (
             connect(socket_url(humanoid, "/live?hz=60"), proxy=None) as live,
             connect(socket_url(humanoid, "/input?role=patient"), proxy=None) as patient,
         ):
             while not is_ended.is_set():
-                state = orjson.loads(live.recv(timeout=WITHIN_S))
-                ball = state["ball"]
-                place = (
-                    None if ball is None else ball["target"]
-                )  # a hand that follows comes late on a slow machine
-                hand = {"position": place or [0.8, 0.0, 0.6], "grip": 0.0}
+                ball = orjson.loads(live.recv(timeout=WITHIN_S))["ball"]
+                # A hand that follows the ball would come late on a slow machine.
+                place = (ball or {}).get("target") or [0.8, 0.0, 0.6]
+                hand = {"position": place, "grip": 0.0}
                 pose = {"kind": "pose", "t": time.monotonic(), "hands": {"right": hand}}
                 patient.send(orjson.dumps(pose).decode())
 
+    with _meanwhile(catch):
+        yield
+
+
+@contextmanager
+def _meanwhile(act: Callable[[Event], None]) -> Iterator[None]:
+    """Let a person act in a thread until the event is set; who loses the connection connects again."""
+    is_ended = Event()
+
+    def keep_acting() -> None:
+        while not is_ended.is_set():
+            with suppress(ConnectionClosed, OSError):  # a TimeoutError is one, too
+                act(is_ended)
+
     with ThreadPoolExecutor(1) as thread:
-        catching = thread.submit(catch)
+        acting = thread.submit(keep_acting)
         try:
             yield
         finally:
             is_ended.set()
-            catching.result()
+            acting.result()
