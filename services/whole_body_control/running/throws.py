@@ -190,6 +190,12 @@ class Throws:
             self._refuse(asked, Problem(422, "Out of reach", _farthest(error)))
         except UsageError as error:
             self._refuse(asked, Problem(422, "Out of reach", str(error)))
+        except Exception:  # any error must end the planning, for which others wait
+            log.exception("throw not planned", number=asked.number)
+            reason = message(
+                "humanoid.throw_failed", "the throw could not be planned; the log of the service says why"
+            )
+            self._refuse(asked, Problem(500, "Not planned", reason))
         else:
             if self._require_still(asked):
                 self._aimed = {asked.number: (asked.grip, aimed)}

@@ -17,6 +17,7 @@ from services.whole_body_control.behaviours.rehearsal import (
     write_rehearsals,
 )
 from services.whole_body_control.behaviours.throwing import Practice
+from services.whole_body_control.patterns.throwing import ThrowPlanner
 from services.whole_body_control.robots import folder, humanoid
 from services.whole_body_control.running.motion import Motion
 from services.whole_body_control.running.rehearsals import Rehearsals
@@ -81,6 +82,20 @@ async def test_a_hand_whose_rehearsal_is_shipped_throws_without_one() -> None:
         number = await throws.throw(TARGET, "right")
         await until(lambda: state(throws) == "planned", why="the throw is planned")
         assert (motion.throw.number, motion.throw.hand) == (number, "right")
+
+
+async def test_an_error_of_the_planner_refuses_the_throw_and_the_next_one_is_planned(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with throws_of(folder("coman") / FILE) as (throws, _):
+        with monkeypatch.context() as patch:
+            patch.setattr(ThrowPlanner, "plan", lambda *_: np.linalg.cholesky(-np.eye(2)))
+            number = throws.request(TARGET, "right")
+            await until(lambda: not throws.is_pending(number), why="the planner fails")
+        assert "could not be planned" in str(throws.refusal(number))
+        number = throws.request(TARGET, "right")
+        await until(lambda: not throws.is_pending(number), why="the throw is planned")
+        assert state(throws) == "planned"
 
 
 @pytest.mark.slow  # a rehearsal in a process of its own
