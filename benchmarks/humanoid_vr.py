@@ -10,13 +10,13 @@ import argparse
 import sys
 import tempfile
 from pathlib import Path
-from shutil import which
 
 import psutil
 from playwright.sync_api import Page, sync_playwright
 
-from benchmarks.screen import FLAGS
+from benchmarks.screen import installed_chromium
 from tests.kit.cell import new_cell
+from tests.kit.chromium import FLAGS
 
 EMULATOR = Path(__file__).parents[1] / "webui/app/node_modules/iwer/build/iwer.min.js"
 WEAR = "new IWER.XRDevice(IWER.metaQuest3).installRuntime({ forceInstall: true });"
@@ -44,7 +44,7 @@ def measure(seconds: float) -> dict[str, tuple[float, float, int]]:
             "HANDOVER_HUMANOID_FIFO": "false",
         }
         cell.run("context_broker", "whole_body_control", "webui")
-        browser = play.chromium.launch(executable_path=which("chromium"), args=FLAGS)
+        browser = play.chromium.launch(executable_path=installed_chromium(), args=list(FLAGS))
         try:
             page = browser.new_page(base_url=cell.url("webui"), viewport=SMALL)
             page.add_init_script(f"{EMULATOR.read_text()}\n{WEAR}")

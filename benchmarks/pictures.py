@@ -14,7 +14,6 @@ import argparse
 import io
 import math
 import random
-import shutil
 import signal
 import socket
 import sys
@@ -35,13 +34,14 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.sync.client import connect
 
 from benchmarks.handover import environment, free_ports, stop, up
+from benchmarks.screen import installed_chromium
 from datamodels.times import iso
 from services.device_gateway.device_client import DeviceClient
 from services.device_gateway.model.description import DeviceDescription
 from services.device_gateway.simulation import SimulatedDevice, examples
+from tests.kit.chromium import FLAGS
 
 OUT = Path(__file__).parent.parent / "webui" / "pictures"
-FLAGS = ["--disable-gpu", "--disable-quic", "--disable-sync", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 1280, "height": 800}
 TALL = {"width": 1280, "height": 1180}
 FRAMES_HZ = 50
@@ -611,9 +611,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--all-looks", type=Path)
     arguments = parser.parse_args()
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        raise SystemExit("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
+    chromium = installed_chromium()
     arguments.out.mkdir(parents=True, exist_ok=True)
     # Otherwise the services would outlive a script that `timeout` terminates.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
@@ -630,7 +628,7 @@ def main() -> None:
             env["HANDOVER_HUMANOID_MODEL"] = "coman"
         services, _ = up(env)
         try:
-            browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+            browser = playwright.chromium.launch(executable_path=chromium, args=list(FLAGS))
             product = Product(env, browser, arguments.out)
             for name in filter(None, arguments.only.split(",")):
                 SCENES[name](product)

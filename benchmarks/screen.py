@@ -24,8 +24,8 @@ import psutil
 from playwright.async_api import Browser, CDPSession, Page, async_playwright
 
 from benchmarks.handover import HOLD_S, OPEN_HAND, SETTLE_S, Hand, compare, environment, stop, up
+from tests.kit.chromium import FLAGS
 
-FLAGS = ["--disable-gpu", "--disable-quic", "--disable-sync", "--enable-unsafe-swiftshader"]
 MAX_RESPONSE_MS = 100.0
 SAMPLE_S = 20.0
 
@@ -182,13 +182,19 @@ def slope_mb_per_h(samples: Sequence[tuple[float, float]]) -> float:
     return 60 * statistics.linear_regression([at for at, _ in late], [mb for _, mb in late]).slope
 
 
+def installed_chromium() -> str:
+    """Return the browser as people use it; tests start it in another way (`tests.kit.chromium`)."""
+    found = shutil.which("chromium") or shutil.which("google-chrome")
+    if found is None:
+        raise SystemExit("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
+    return found
+
+
 async def measure(env: dict[str, str], answers: int, minutes: float) -> None:
     """Measure and print."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        raise SystemExit("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
+    chromium = installed_chromium()
     async with async_playwright() as playwright:
-        browser = await playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        browser = await playwright.chromium.launch(executable_path=chromium, args=list(FLAGS))
         for what, times in (await measure_answers(env, browser, answers)).items() if answers else ():
             ordered = sorted(times)
             p99 = ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]

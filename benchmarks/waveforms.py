@@ -10,7 +10,6 @@ without a graphics card they also paint. An empty page shows what the browser ta
 import argparse
 import asyncio
 import os
-import shutil
 import tempfile
 from collections.abc import Sequence
 
@@ -21,8 +20,9 @@ from playwright.async_api import Page, ViewportSize, async_playwright
 
 from benchmarks.handover import environment, free_ports, stop, up
 from benchmarks.human_state_limits import add, ready
-from benchmarks.screen import FLAGS
+from benchmarks.screen import installed_chromium
 from benchmarks.steal_time import report_steal_time
+from tests.kit.chromium import FLAGS
 
 SIGNALS = ("ecg", "ppg", "respiration")
 VIEWPORT: ViewportSize = {"width": 1920, "height": 1080}
@@ -60,15 +60,13 @@ async def measure(page: Page, title: str, seconds: float) -> None:
 
 async def run(env: dict[str, str], seconds: float) -> None:
     """Add the person, open the page, and measure."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        raise SystemExit("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
+    chromium = installed_chromium()
     base = f"http://127.0.0.1:{env['HANDOVER_HUMAN_STATE_PORT']}"
     async with httpx.AsyncClient(base_url=base, timeout=120, trust_env=False) as rest:
         await ready(rest)
         await add(rest, "aino", {"driver": "simulated", "settings": {"signals": SIGNALS}})
     async with async_playwright() as playwright:
-        browser = await playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        browser = await playwright.chromium.launch(executable_path=chromium, args=list(FLAGS))
         page = await browser.new_page(viewport=VIEWPORT)
         await measure(page, "an empty page", seconds)
         await page.goto(f"http://127.0.0.1:{env['HANDOVER_WEBUI_PORT']}/health")

@@ -29,8 +29,12 @@ PANEL = {"width": 1280, "height": 800}
 APPEARS = """(text) => {
   const appeared = (window.appeared ??= new Set());
   appeared.delete(text);
-  const look = () => document.body.textContent.includes(text) && appeared.add(text);
-  new MutationObserver(look).observe(document.body, { childList: true, characterData: true, subtree: true });
+  const observer = new MutationObserver(() => {
+    if (!document.body.textContent.includes(text)) return;
+    appeared.add(text);
+    observer.disconnect();
+  });
+  observer.observe(document.body, { childList: true, characterData: true, subtree: true });
 }"""
 
 TIMEOUT_MS = 90_000

@@ -5,6 +5,7 @@ they load (`ERR_NETWORK_CHANGED`).
 """
 
 import os
+import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,8 +13,24 @@ from ctypes import CDLL, get_errno
 from pathlib import Path
 from typing import Final
 
+import pytest
+
 CLONE_NEWNET: Final = 0x40000000
 OURS: Final = Path("/proc/thread-self/ns/net")
+PATH: Final = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
+"""Where `ip` is, also for users whose search path is without the folders of the system."""
+
+
+def ip(*words: str) -> None:
+    """Run `ip`. Raises `subprocess.CalledProcessError`."""
+    environment = {**os.environ, "PATH": PATH}
+    subprocess.run(["ip", *words], check=True, capture_output=True, text=True, env=environment)
+
+
+def require_ip() -> None:
+    """Skip the test where `ip` is not installed."""
+    if shutil.which("ip", path=PATH) is None:
+        pytest.skip("network namespaces need `ip` (apt install iproute2)")
 
 
 def enter(namespace: int) -> None:
@@ -33,7 +50,7 @@ def private_network() -> Iterator[None]:
         if CDLL(None, use_errno=True).unshare(CLONE_NEWNET) != 0:
             raise OSError(get_errno(), "unshare")
         try:
-            subprocess.run(["ip", "link", "set", "lo", "up"], check=True, capture_output=True, text=True)
+            ip("link", "set", "lo", "up")
             yield
         finally:
             enter(common)

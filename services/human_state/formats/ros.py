@@ -14,7 +14,14 @@ import numpy as np
 
 from services.human_state.formats.errors import ExchangeError
 from services.human_state.model.features import UNITS, Feature, FeatureName, Status
-from services.human_state.model.signals import ClockKind, Samples, SensorReport, SignalInfo, SignalKind
+from services.human_state.model.signals import (
+    GAIT_CHANNELS,
+    ClockKind,
+    Samples,
+    SensorReport,
+    SignalInfo,
+    SignalKind,
+)
 
 PACKAGE: Final = "handover_human_msgs/msg/"
 Message = dict[str, Any]
@@ -47,18 +54,7 @@ _SCALARS: Final[Mapping[SignalKind, tuple[str, str, str]]] = {
 }
 """Type, field and unit."""
 _BY_CHANNEL: Final[Mapping[SignalKind, tuple[str, tuple[str, ...]]]] = {
-    SignalKind.GAIT: (
-        "Gait",
-        (
-            "speed_mps",
-            "cadence_per_min",
-            "step_length_m",
-            "stride_time_s",
-            "stance_fraction",
-            "double_support_fraction",
-            "asymmetry",
-        ),
-    ),
+    SignalKind.GAIT: ("Gait", GAIT_CHANNELS),
     SignalKind.MOOD: ("Mood", ("valence", "arousal")),
     SignalKind.EYE_STATE: (
         "EyeState",

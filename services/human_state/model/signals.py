@@ -55,6 +55,16 @@ class SignalKind(StrEnum):
     """Diameters of the pupils, how far the lids are open, and where the eyeballs and their axes are."""
 
 
+GAIT_CHANNELS: Final = (
+    "speed_mps",
+    "cadence_per_min",
+    "step_length_m",
+    "stride_time_s",
+    "stance_fraction",
+    "double_support_fraction",
+    "asymmetry",
+)
+"""Of each stride; they have the names of the fields of the message `Gait`."""
 EYE_EVENTS: Final = frozenset({SignalKind.BLINK, SignalKind.FIXATION, SignalKind.SACCADE})
 """Signals that come when something has happened, and not while nothing does."""
 EYE_STREAMS: Final = frozenset({SignalKind.GAZE, SignalKind.EYE_STATE})

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import socket
 import ssl
 import subprocess
@@ -28,7 +27,7 @@ from tests.integration.webui.test_signing_in import set_up
 from tests.kit import processes
 from tests.kit.cell import Cell, new_cell
 from tests.kit.certificates import Certificates, wait_ready_over_tls
-from tests.kit.private_network import enter, private_network
+from tests.kit.private_network import PATH, enter, ip, private_network, require_ip
 from tests.kit.waiting import scaled, wait_for
 
 pytestmark = pytest.mark.slow
@@ -159,47 +158,39 @@ class Namespace:
     def __init__(self) -> None:
         mark = f"{os.getpid() % 100_000}"
         self.name, self._here, self._there = f"he{mark}", f"ve{mark}", f"vf{mark}"
-        self._path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
-
-    def ip(self, *words: str) -> None:
-        subprocess.run(
-            ["ip", *words], check=True, capture_output=True, text=True, env={**os.environ, "PATH": self._path}
-        )
 
     def make(self) -> None:
         """Create it; skip the test if this user may not."""
-        if shutil.which("ip", path=self._path) is None:
-            pytest.skip("network namespaces need `ip` (apt install iproute2)")
         try:
-            self.ip("netns", "add", self.name)
+            ip("netns", "add", self.name)
             pair = ("link", "add", self._here, "type", "veth", "peer", self._there, "netns", self.name)
-            self.ip(*pair)
+            ip(*pair)
         except subprocess.CalledProcessError as error:
             self.remove()
             pytest.skip(f"this user may make no network namespaces (root may): {error.stderr.strip()}")
-        self.ip("addr", "add", f"{CENTRE}/24", "dev", self._here)
-        self.ip("-n", self.name, "addr", "add", f"{REMOTE}/24", "dev", self._there)
-        self.ip("-n", self.name, "link", "set", self._there, "up")
-        self.ip("-n", self.name, "link", "set", "lo", "up")
+        ip("addr", "add", f"{CENTRE}/24", "dev", self._here)
+        ip("-n", self.name, "addr", "add", f"{REMOTE}/24", "dev", self._there)
+        ip("-n", self.name, "link", "set", self._there, "up")
+        ip("-n", self.name, "link", "set", "lo", "up")
         self.join()
 
     def remove(self) -> None:
         """Delete it, with the pair."""
         with suppress(subprocess.CalledProcessError):
-            self.ip("netns", "del", self.name)
+            ip("netns", "del", self.name)
 
     def join(self) -> None:
         """Connect the networks."""
-        self.ip("link", "set", self._here, "up")
+        ip("link", "set", self._here, "up")
 
     def part(self) -> None:
         """Let every packet between the networks be lost, without a word to either side."""
-        self.ip("link", "set", self._here, "down")
+        ip("link", "set", self._here, "down")
 
     def spawn(self, cell: Cell, module: str) -> processes.Process:
         """Start a service of a cell in the namespace."""
         command = ["ip", "netns", "exec", self.name, sys.executable, "-m", module]
-        environment = {**cell.environment, "PATH": self._path}
+        environment = {**cell.environment, "PATH": PATH}
         return processes.spawn(command, environment, cell.data_dir / "edge.log", cell.data_dir)
 
     def connect(self, port: int) -> socket.socket:
@@ -225,6 +216,7 @@ class Namespace:
 
 @pytest.fixture
 def namespace() -> Iterator[Namespace]:
+    require_ip()
     made = Namespace()
     with ExitStack() as stack:
         try:

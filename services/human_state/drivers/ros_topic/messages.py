@@ -10,7 +10,7 @@ from functools import cache
 from typing import Any, Final
 
 from handover.ros_dds import struct_of
-from services.human_state.model.signals import SignalKind
+from services.human_state.model.signals import GAIT_CHANNELS, SignalKind
 
 PACKAGE: Final = "handover_human_msgs"
 OTHER: Final = "OtherSignal"
@@ -50,12 +50,7 @@ SIGNALS: Final[Mapping[SignalKind, tuple[str, tuple[tuple[str, str], ...]]]] = {
          ("pressures", "float64[]"), ("centre_x_mm", "float64"), ("centre_y_mm", "float64"),
          ("load", "float64"), ("active_cells", "uint16")),
     ),
-    SignalKind.GAIT: (
-        "Gait",
-        tuple((name, "float64") for name in (
-            "speed_mps", "cadence_per_min", "step_length_m", "stride_time_s", "stance_fraction",
-            "double_support_fraction", "asymmetry")),
-    ),
+    SignalKind.GAIT: ("Gait", tuple((name, "float64") for name in GAIT_CHANNELS)),
     SignalKind.MOOD: (
         "Mood",
         (("mood", "str"), ("valence", "float64"), ("arousal", "float64"), ("self_reported", "bool")),

@@ -72,7 +72,7 @@ def steps(person: SimulatedPerson, times_s: Floats, random: np.random.Generator)
 
 
 def strides(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple[float, ...]]:
-    """Return the end of each stride, and `GAIT` of it."""
+    """Return the end of each stride, and its `GAIT_CHANNELS`."""
     if not person.is_walking:
         return []
     turns = person.gait_at(np.array([begin_s, end_s])) / STRIDE_RAD
@@ -88,17 +88,6 @@ def strides(person: SimulatedPerson, begin_s: float, end_s: float) -> list[tuple
             step_m = speed_mps * lasted_s / 2
             found.append((float(ended_s), speed_mps, 120 / lasted_s, step_m, lasted_s, *shares))
     return found
-
-
-GAIT: Final = (
-    "speed_mps",
-    "cadence_per_min",
-    "step_length_m",
-    "stride_time_s",
-    "stance_fraction",
-    "double_support_fraction",
-    "asymmetry",
-)
 
 
 def _stride(person: SimulatedPerson, times_s: Floats) -> Floats:

@@ -9,7 +9,7 @@ from services.human_state.drivers.simulated import circulation, gait
 from services.human_state.drivers.simulated.beat_waves import BeatWave, Floats, beat_waves
 from services.human_state.drivers.simulated.eyes import EYELID_MM, PUPIL_MM
 from services.human_state.drivers.simulated.person import Posture, SimulatedPerson
-from services.human_state.model.signals import SignalInfo, SignalKind
+from services.human_state.model.signals import GAIT_CHANNELS, SignalInfo, SignalKind
 
 Wave = Callable[[SimulatedPerson, Floats, np.random.Generator], Floats]
 Events = Callable[[SimulatedPerson, float, float], list[tuple[float, ...]]]
@@ -258,7 +258,7 @@ EVENTS: Final[dict[SignalKind, tuple[SignalInfo, Events]]] = {
         (SignalInfo(SignalKind.FIXATION, "DD", None, ("duration_s", "gaze_x", "gaze_y"), -90, 90, None, "eye tracker"), fixations),
         (SignalInfo(SignalKind.SACCADE, "DD", None, ("duration_s", "gaze_x", "gaze_y", "amplitude_deg", "peak_velocity"), -90, 1000, None, "eye tracker"), saccades),
         (SignalInfo(SignalKind.INTER_BEAT_INTERVAL, "C26", None, ("",), 0, 64_000, None, "chest strap"), circulation.intervals),
-        (SignalInfo(SignalKind.GAIT, "C62", None, gait.GAIT, -1, 300, None, "insoles"), gait.strides),
+        (SignalInfo(SignalKind.GAIT, "C62", None, GAIT_CHANNELS, -1, 300, None, "insoles"), gait.strides),
         (SignalInfo(SignalKind.MOOD, "C62", None, ("valence", "arousal"), -2, 2, None, "asked every minute"), moods),
     )
 }  # fmt: skip

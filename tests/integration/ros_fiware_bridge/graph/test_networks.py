@@ -6,7 +6,6 @@ A veth pair without multicast connects two namespaces: one with the bridge, one 
 import json
 import os
 import queue
-import shutil
 import subprocess
 import sys
 import threading
@@ -19,19 +18,14 @@ from typing import Any
 
 import pytest
 
+from tests.kit.private_network import PATH, ip, require_ip
+
 pytest.importorskip("cyclonedds")
 
 pytestmark = pytest.mark.slow
 
 PRUNED_AFTER_S = 35
 """By default Cyclone prunes an address that has never answered after 30 s."""
-
-
-def ip(*words: str) -> None:
-    path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
-    subprocess.run(
-        ["ip", *words], check=True, capture_output=True, text=True, env={**os.environ, "PATH": path}
-    )
 
 
 @dataclass
@@ -44,9 +38,7 @@ class Network:
 
 @pytest.fixture(scope="module")
 def network() -> Iterator[Network]:
-    search = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
-    if shutil.which("ip", path=search) is None:
-        pytest.skip("network namespaces need `ip` (apt install iproute2)")
+    require_ip()
     mark = f"{os.getpid() % 100_000}"
     bridge, robot = f"hb{mark}", f"hr{mark}"
     with ExitStack() as made:
@@ -101,7 +93,6 @@ class Node:
 
 @contextmanager
 def node(namespace: str, role: str, **settings: Any) -> Iterator[Node]:
-    path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
     command = [
         "ip",
         "netns",
@@ -115,7 +106,7 @@ def node(namespace: str, role: str, **settings: Any) -> Iterator[Node]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PATH": path},
+        env={**os.environ, "PATH": PATH},
     ) as process:
         assert process.stdin is not None
         try:

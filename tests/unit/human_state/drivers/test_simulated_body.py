@@ -5,10 +5,9 @@ import pytest
 
 from services.human_state.drivers.runner import SensorRunner
 from services.human_state.drivers.simulated.driver import SimulatedDriver, SimulatedSettings
-from services.human_state.drivers.simulated.gait import GAIT
 from services.human_state.drivers.simulated.person import SimulatedPerson
 from services.human_state.model.cardiovascular import cadence_hz, speed_mps_of_cadence
-from services.human_state.model.signals import Samples, SensorFault, SensorReport, SignalKind
+from services.human_state.model.signals import GAIT_CHANNELS, Samples, SensorFault, SensorReport, SignalKind
 
 START_S = 1_700_000_000.0
 WALK = [{"at_s": 0.5, "effort": 0.2, "posture": "standing"}]
@@ -119,7 +118,7 @@ async def test_joints_strides_and_steps_are_of_one_gait() -> None:
     steps_hz = person.steps_hz
     assert np.ptp(steps) / np.ptp(steps_s) == pytest.approx(steps_hz, rel=0.02)
     assert len(strides_s) == pytest.approx(60 * steps_hz / 2, abs=2)
-    row = dict(zip(GAIT, np.median(gait, axis=0), strict=True))
+    row = dict(zip(GAIT_CHANNELS, np.median(gait, axis=0), strict=True))
     assert row["cadence_per_min"] == pytest.approx(60 * steps_hz, rel=0.01)
     assert row["step_length_m"] == pytest.approx(row["speed_mps"] / steps_hz, rel=0.01)
     assert row["double_support_fraction"] == pytest.approx(2 * row["stance_fraction"] - 1)
