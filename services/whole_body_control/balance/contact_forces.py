@@ -21,12 +21,14 @@ from services.whole_body_control.model.kinematics import (
     Kinematics,
     cross,
 )
-from services.whole_body_control.patterns.regions import Footprint, Side, turn
+from services.whole_body_control.patterns.regions import Footprint, Side
 
 UPWARDS = np.array([0.0, 0.0, GRAVITY_MPS2])
 
 
-def nearest_in_sole(foot: Footprint, sole: Array, point: Array, margin_m: float) -> Array:
+def nearest_in_sole(
+    foot: Footprint, sole: Array, point: Array | tuple[float, float], margin_m: float
+) -> Array:
     """Return the point (2,) of a rectangular sole, `margin_m` inside, that is nearest to a point."""
     cosine, sine = math.cos(foot.yaw), math.sin(foot.yaw)
     x, y = float(point[0]) - foot.x, float(point[1]) - foot.y
@@ -52,17 +54,25 @@ def shares(
         ((name, foot),) = feet.items()
         return {name: (1.0, nearest_in_sole(foot, sole, zmp, margin_m))}
     (first, one), (second, other) = feet.items()
-    low_x, low_y, high_x, high_y = _sides(sole.tobytes())
-    centre = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2])
-    start, end = turn(one.yaw) @ centre + one.place, turn(other.yaw) @ centre + other.place
-    line = end - start
-    share = min(max(float((zmp - start) @ line / (line @ line)), 0.0), 1.0)
-    offset = zmp - (start + share * line)
+    (start_x, start_y), (end_x, end_y) = _middle(one, sole), _middle(other, sole)
+    line_x, line_y = end_x - start_x, end_y - start_y
+    x, y = zmp.tolist()
+    along = (x - start_x) * line_x + (y - start_y) * line_y
+    share = min(max(along / (line_x * line_x + line_y * line_y), 0.0), 1.0)
+    off_x, off_y = x - (start_x + share * line_x), y - (start_y + share * line_y)
     points = [
-        nearest_in_sole(foot, sole, middle + offset, margin_m)
-        for foot, middle in ((one, start), (other, end))
+        nearest_in_sole(foot, sole, (middle_x + off_x, middle_y + off_y), margin_m)
+        for foot, middle_x, middle_y in ((one, start_x, start_y), (other, end_x, end_y))
     ]
     return {first: (1.0 - share, points[0]), second: (share, points[1])}
+
+
+def _middle(foot: Footprint, sole: Array) -> tuple[float, float]:
+    """Return where the middle of a rectangular sole is on the ground."""
+    cosine, sine = math.cos(foot.yaw), math.sin(foot.yaw)
+    low_x, low_y, high_x, high_y = _sides(sole.tobytes())
+    x, y = (low_x + high_x) / 2, (low_y + high_y) / 2
+    return foot.x + cosine * x - sine * y, foot.y + sine * x + cosine * y
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +107,10 @@ class FeedForward:
         base = kinematics.pose(kinematics.humanoid.root)
         force = base.rotation @ forces[:3]
         moment = base.rotation @ forces[3:BASE_VELOCITIES] + cross(base.translation, force)
-        zmp = np.array([-moment[1], moment[0]]) / max(force[2], 1.0)
-        yaw_moment = moment[2] - (zmp[0] * force[1] - zmp[1] * force[0])
+        (x, y, z), (around_x, around_y, around_z) = force.tolist(), moment.tolist()
+        zmp_x, zmp_y = -around_y / max(z, 1.0), around_x / max(z, 1.0)
         torques = forces[BASE_VELOCITIES:] + self._drive_inertia * acceleration[BASE_VELOCITIES:]
-        return Needed(torques, force, zmp, float(yaw_moment))
+        return Needed(torques, force, np.array([zmp_x, zmp_y]), around_z - (zmp_x * y - zmp_y * x))
 
     def torques(self, needed: Needed, forces: Mapping[str, tuple[float, Array]], velocity: Array) -> Array:
         """Return the torques of the joints in N m.
@@ -108,15 +118,19 @@ class FeedForward:
         `forces` has for each link on the ground its share of the force and its centre of pressure (2,). The
         known damping of the joints is compensated.
         """
-        kinematics, found = self._kinematics, needed.torques
-        wrench = np.empty(6)
+        found = self._damping * velocity[BASE_VELOCITIES:]
+        found += needed.torques
+        x, y, z = needed.force.tolist()
         for link, (share, point) in forces.items():
-            pose = kinematics.pose(link)
-            arm = np.array([*(point - pose.translation[:2]), -pose.translation[2]])
-            wrench[:3], wrench[3:] = share * needed.force, share * cross(arm, needed.force)
-            wrench[5] += share * needed.yaw_moment
-            found = found - wrench @ kinematics.jacobian(link)[:, BASE_VELOCITIES:]
-        return np.asarray(found + self._damping * velocity[BASE_VELOCITIES:])
+            (point_x, point_y), (at_x, at_y, at_z) = (
+                point.tolist(),
+                self._kinematics.pose(link).translation.tolist(),
+            )
+            a, b, c = point_x - at_x, point_y - at_y, -at_z
+            around = (b * z - c * y, c * x - a * z, a * y - b * x + needed.yaw_moment)
+            wrench = share * np.array([x, y, z, *around])
+            found -= self._kinematics.joint_torques(link, wrench)
+        return np.asarray(found)
 
     def write(
         self,

@@ -93,7 +93,8 @@ class AssistedWalking:
         pose = np.array(humanoid.pose(POSE if POSE in humanoid.poses else walking.settings.pose))
         kinematics = Kinematics(humanoid)
         rest = kinematics.standing(walking.settings.pose)
-        self._arms = np.concatenate([np.array(humanoid.indices(grip.arm)) for grip in self._grips.values()])
+        self._joints = {side: np.array(humanoid.indices(grip.arm)) for side, grip in self._grips.items()}
+        self._arms = np.concatenate([*self._joints.values()])
         self._home, self._pose = rest[BASE_POSITIONS + self._arms].copy(), pose[self._arms]
         rest[BASE_POSITIONS + self._arms] = self._pose
         kinematics.update(rest)
@@ -114,9 +115,8 @@ class AssistedWalking:
         self._reference = makers[intention]()
         self.firmness = np.ones(len(humanoid.joints))
         self.firmness[self._arms] = ARM_FIRMNESS
-        for grip in self._grips.values():
-            shoulder = np.array(humanoid.indices(grip.arm)[:SHOULDER_JOINTS])
-            self.firmness[shoulder] = SHOULDER_FIRMNESS
+        for joints in self._joints.values():
+            self.firmness[joints[:SHOULDER_JOINTS]] = SHOULDER_FIRMNESS
         self._joint_damping = kinematics.joint_damping()
         self._external = ExternalTorques(walking.estimator, control_s)
         self._stand = np.zeros(3)
@@ -156,12 +156,13 @@ class AssistedWalking:
     def feel(self, hands: Hands) -> dict[Side, Array]:
         """Return the forces (3,) in N at the hands, in the frame between the soles."""
         forces: dict[Side, Array] = {side: np.zeros(3) for side in SIDES}
+        feet = self._walking.estimator.feet_frame()
         for side in self._grips:
             values = hands.values[side]
             if values[0] == 0 or not np.isfinite(values).all():
                 self._open.discard(side)
             elif side not in self._open:
-                forces[side] = values[4:7].copy() if values[0] == 2 else self._hold(side, values[1:4])
+                forces[side] = values[4:7].copy() if values[0] == 2 else self._hold(side, values[1:4], feet)
             self._pull[side] += self._control_s / PULL_S * (forces[side] - self._pull[side])
         sideways = max(_sideways(self._pull), _sideways(forces) / JERK_SHARE)
         for side, force in forces.items():
@@ -232,9 +233,10 @@ class AssistedWalking:
 
     def _arms_led(self, dt_s: float) -> dict[str, ArmState]:
         """Return the state of each arm that is held, with its lead."""
-        felt = [self._arm(side) for side in self._held]
-        if not felt:
+        if not self._held:
             return {}
+        back, velocity = turn(-self._stand[2]), self._walking.turned_to_estimate(self.velocity)
+        felt = [self._arm(side, back, velocity) for side in self._held]
         places = [np.asarray(place[:2]) for _, place, _ in felt]
         stiffness = self._hold_stiffness.update(
             np.mean(places, axis=0), np.mean([force[:2] for _, _, force in felt], axis=0), dt_s
@@ -244,23 +246,21 @@ class AssistedWalking:
             for side, (state, place, force) in zip(self._held, felt, strict=True)
         }
 
-    def _arm(self, side: Side) -> tuple[ArmState, Array, Array]:
+    def _arm(self, side: Side, back: Array, velocity: Array) -> tuple[ArmState, Array, Array]:
         """Return the state of an arm, the place of its hand (3,) from its rest pose, and the force (3,) at
         it.
 
         The place is measured from where the robot is apart from its swaying, and is ahead by what the damping
-        of the person's arm makes of the velocity.
+        of the person's arm makes of its velocity against the wanted one (2,). `back` (2, 2) turns the ground
+        of the estimate to the heading of the robot.
         """
         estimator, grip = self._walking.estimator, self._grips[side]
-        joints = np.array(estimator.kinematics.humanoid.indices(grip.arm))
         state = arm_state(estimator.kinematics, *_names(grip), self._rest[side])
-        force = hand_force(state.jacobian, self._external.torques[joints])
-        back = turn(-self._stand[2])
+        force = hand_force(state.jacobian, self._external.torques[self._joints[side]])
         hand = np.array(estimator.kinematics.pose(grip.link).translation)
         hand[:2] = back @ (hand[:2] - self._stand[:2]) - self._root
         hand[2] -= estimator.q[2]
         speed = estimator.kinematics.velocity(grip.link)[:3]
-        velocity = self._walking.turned_to_estimate(self.velocity)
         hand[:2] += ARM_DAMPING_S * (back @ (speed[:2] - velocity))
         return state, hand - self._rest[side], force
 
@@ -275,10 +275,10 @@ class AssistedWalking:
         share = moved(self._taken)
         self._walking.draw_joints(self._arms, self._home + share * (self._pose - self._home))
 
-    def _hold(self, side: Side, place: Array) -> Array:
-        """Return the force of a hand at `place`, which holds the hand of the robot softly."""
+    def _hold(self, side: Side, place: Array, feet: Array) -> Array:
+        """Return the force of a hand at `place` in the frame `feet` between the soles, which holds the hand
+        of the robot softly."""
         estimator = self._walking.estimator
-        feet = estimator.feet_frame()
         back = turn(-feet[2])
         link = self._grips[side].link
         hand = np.array(estimator.kinematics.pose(link).translation)

@@ -249,6 +249,7 @@ class WalkingController:
             for side in SIDES
         }
         self._contacts = {side: Contact(self._links[side], self._start_feet[side]) for side in SIDES}
+        self._stands_on: dict[Side, Footprint] = {}
         self._engines: dict[tuple[Side, ...], MotionEngine] = {}
         supports: tuple[tuple[Side, ...], ...] = (SIDES, ("left",), ("right",))
         for standing in supports:
@@ -274,7 +275,7 @@ class WalkingController:
                 self._swing_foot(stance, dt_s)
             else:
                 standing.append(side)
-                self._contacts[side].target = self._on_ground(stance.foot(side), 0.0)
+                self._stand_on(stance.foot(side))
         step = self._engines[tuple(standing)].step(self._q, dt_s)
         change = (step.velocity - self._velocity) / dt_s
         np.minimum(change, MAX_ACCELERATION, out=change)
@@ -284,6 +285,12 @@ class WalkingController:
         self._acceleration += change
         self._q, self._velocity, self.last_step = step.q, step.velocity, step
         return step.fault
+
+    def _stand_on(self, foot: Footprint) -> None:
+        """Let a foot stand on a footprint, which is the same for the many periods of a stance."""
+        if self._stands_on.get(foot.side) is not foot:
+            self._stands_on[foot.side] = foot
+            self._contacts[foot.side].target = self._on_ground(foot, 0.0)
 
     def _swing_foot(self, stance: Stance, dt_s: float) -> None:
         start, landing = stance.foot(stance.swing), stance.landing or stance.foot(stance.swing)
@@ -326,17 +333,20 @@ class WalkingController:
     def _on_plan(self, stance: Stance) -> tuple[Array, Array, Array]:
         """Return the centre of mass, its velocity and the ZMP as measured, moved onto the footprints."""
         estimator, ground = self.estimator, self._ground
-        planned, estimated, yaw = np.zeros(2), np.zeros(2), 0.0
+        planned_x = planned_y = x = y = yaw = stands = 0.0
         for side in SIDES:
             foot = estimator.feet[self.settings.contacts[side]]
-            if foot.share:
+            share = foot.share
+            if share:
                 footprint, pose = self._planned_footprint(stance, side), estimator.kinematics.pose(foot.link)
-                planned += foot.share * footprint.place
-                estimated += foot.share * pose.translation[:2]
-                turned = footprint.yaw - math.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
-                yaw += foot.share * math.remainder(turned, 2 * math.pi)
-        if estimated.any():  # a foot stands
-            ground.set(planned, estimated, yaw)
+                at_x, at_y, _ = pose.translation.tolist()
+                planned_x, planned_y = planned_x + share * footprint.x, planned_y + share * footprint.y
+                x, y, stands = x + share * at_x, y + share * at_y, stands + share
+                ahead = pose.rotation[:2, 0].tolist()
+                turned = footprint.yaw - math.atan2(ahead[1], ahead[0])
+                yaw += share * math.remainder(turned, 2 * math.pi)
+        if stands:
+            ground.set(np.array([planned_x, planned_y]), np.array([x, y]), yaw)
         com, velocity = estimator.com.copy(), estimator.com_velocity.copy()
         com[:2] = ground.of_estimate(com[:2])
         velocity[:2] = ground.turned @ velocity[:2]
@@ -363,7 +373,7 @@ class WalkingController:
 
     def _on_ground(self, foot: Footprint, height_m: float) -> pin.SE3:
         start = self._start_feet[foot.side]
-        cosine, sine = np.cos(foot.yaw), np.sin(foot.yaw)
+        cosine, sine = math.cos(foot.yaw), math.sin(foot.yaw)
         turned = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         level = start.translation[2]
         return pin.SE3(turned, np.array([foot.x, foot.y, level + height_m]))

@@ -31,7 +31,7 @@ def cross(first: Array, second: Array) -> Array:
 class Kinematics:
     """A humanoid for computations; not thread-safe, so each thread makes its own.
 
-    `update` computes everything for one state; the other methods read from it without computing again.
+    `update` is for one state; the other methods compute what they need of it once, and read it then.
     """
 
     def __init__(self, humanoid: Humanoid) -> None:
@@ -65,6 +65,8 @@ class Kinematics:
         self._acceleration, self._moved_q = np.zeros(free.nv), np.zeros(free.nq)
         self._still = np.zeros(BASE_VELOCITIES + len(humanoid.joints))
         self._is_at_rest = False
+        self._has_jacobians = self._has_centre = self._has_centre_jacobian = False
+        """Of the state of `update`: those of the joints, the centre of mass, its Jacobian."""
         self.q = self.neutral(np.zeros(self.n_joints))
 
     def neutral(self, joints: Sequence[float] | Array) -> Array:
@@ -85,7 +87,7 @@ class Kinematics:
         return q
 
     def update(self, q: Array, v: Array | None = None) -> None:
-        """Compute positions, Jacobians, and the centre of mass of a state.
+        """Compute positions and velocities of a state, and of the rest what is asked for later.
 
         Nothing is computed again for the state at rest that was computed last.
         """
@@ -97,9 +99,8 @@ class Kinematics:
         self._is_at_rest = v is None
         (self._still if v is None else v).take(self._to_v, out=self._v, mode="clip")
         pin.forwardKinematics(self.pin_model, self.data, self._q, self._v)
-        pin.computeJointJacobians(self.pin_model, self.data)
-        pin.jacobianCenterOfMass(self.pin_model, self.data, False)
         pin.updateFramePlacements(self.pin_model, self.data)
+        self._has_jacobians = self._has_centre = self._has_centre_jacobian = False
 
     def pose(self, link: str) -> Any:
         """Return the pose of a link as a `pinocchio.SE3`. Raises `UsageError` for an unknown link."""
@@ -108,16 +109,18 @@ class Kinematics:
 
     def jacobian(self, link: str) -> Array:
         """Return the Jacobian of a link: (6, n_velocities), linear first, in axes of the world."""
-        full = pin.getFrameJacobian(
-            self.pin_model, self.data, self._frame(link), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )
+        full = self._frame_jacobian(link)
         return np.asarray(full.take(self._columns, axis=1))
+
+    def joint_torques(self, link: str, wrench: Array) -> Array:
+        """Return the torques (n_joints,) of a wrench (6,) on a link: force, and moment about its origin, in
+        axes of the world."""
+        full = self._frame_jacobian(link)
+        return np.asarray((wrench @ full).take(self._v_of))
 
     def write_jacobian(self, link: str, jacobian: Array, rows: slice | Array = slice(None)) -> None:
         """Write rows of the Jacobian of a link, or all six, into `jacobian` (rows, n_velocities)."""
-        full = pin.getFrameJacobian(
-            self.pin_model, self.data, self._frame(link), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )
+        full = self._frame_jacobian(link)
         full[rows].take(self._columns, axis=1, out=jacobian, mode="clip")
 
     def point(self, q: Array, link: str, point: Array) -> tuple[Array, Array]:
@@ -128,6 +131,7 @@ class Kinematics:
         q.take(self._to_q, out=self._q, mode="clip")
         self._is_at_rest = False
         pin.computeJointJacobians(self.pin_model, self.data, self._q)
+        self._has_jacobians = True
         pose = pin.updateFramePlacement(self.pin_model, self.data, self._frame(link))
         offset = pose.rotation @ point
         jacobian = self.jacobian(link)
@@ -142,14 +146,17 @@ class Kinematics:
 
     def centre_of_mass(self) -> Array:
         """Return the centre of mass in m."""
+        self._require_centre()
         return np.asarray(self.data.com[0]).copy()
 
     def centre_of_mass_jacobian(self) -> Array:
         """Return the Jacobian of the centre of mass: (3, n_velocities)."""
+        self._require_centre_jacobian()
         return np.asarray(self.data.Jcom)[:, self._columns]
 
     def write_centre_of_mass_jacobian(self, jacobian: Array) -> None:
         """Write the Jacobian of the centre of mass into `jacobian` (3, n_velocities)."""
+        self._require_centre_jacobian()
         self.data.Jcom.take(self._columns, axis=1, out=jacobian, mode="clip")
 
     def write_powers(self, wrenches: Array, powers: Array) -> None:
@@ -157,6 +164,7 @@ class Kinematics:
 
         A wrench is a force in N and its moment about the origin of the world in N m.
         """
+        self._require_jacobians()
         (wrenches @ self.data.J).take(self._columns, axis=1, out=powers, mode="clip")
 
     def moving(self, joint_id: int) -> NDArray[np.bool_]:
@@ -221,6 +229,30 @@ class Kinematics:
         for name, value in values.items():
             vector[self.humanoid.index(name)] = value
         return vector
+
+    def _frame_jacobian(self, link: str) -> Array:
+        """Return the Jacobian of a link in the order of pinocchio."""
+        self._require_jacobians()
+        return np.asarray(
+            pin.getFrameJacobian(
+                self.pin_model, self.data, self._frame(link), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            )
+        )
+
+    def _require_jacobians(self) -> None:
+        if not self._has_jacobians:
+            pin.computeJointJacobians(self.pin_model, self.data)
+            self._has_jacobians = True
+
+    def _require_centre(self) -> None:
+        if not self._has_centre:
+            pin.centerOfMass(self.pin_model, self.data, pin.KinematicLevel.POSITION, False)
+            self._has_centre = True
+
+    def _require_centre_jacobian(self) -> None:
+        if not self._has_centre_jacobian:
+            pin.jacobianCenterOfMass(self.pin_model, self.data, False)
+            self._has_centre_jacobian = True
 
     def _frame(self, link: str) -> int:
         found = self._frames.get(link)

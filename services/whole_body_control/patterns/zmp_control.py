@@ -12,7 +12,7 @@ Where no motion obeys all bounds (a push), their violations are minimised instea
 largest one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import daqp
@@ -128,19 +128,31 @@ class ZmpControl:
 
     def _bounds(self, drift: Array, regions: Sequence[Region]) -> tuple[Array, Array]:
         """Return the rows for the inputs, x before y, and their upper bounds."""
-        rows, upper = [], []
-        for k, region in enumerate(regions):
-            rows.append(_for_both_axes(region.normals, self._of_input[k, 2]))
-            upper.append(region.offsets - self.margin_m - region.normals @ drift[k, 2])
+        rows, upper, end = [], [], 0
+        for region, count in _runs(regions):
+            samples, end = slice(end, end + count), end + count
+            rows.append(_for_both_axes(region.normals, self._of_input[samples, 2]))
+            upper.append((region.offsets - self.margin_m - drift[samples, 2] @ region.normals.T).ravel())
         last, to_capture = regions[-1], np.array([1.0, 1.0 / self.pendulum.omega])
-        rows.append(_for_both_axes(last.normals, to_capture @ self._of_input[-1, :2]))
+        rows.append(_for_both_axes(last.normals, (to_capture @ self._of_input[-1, :2])[None]))
         upper.append(last.offsets - self.margin_m - last.normals @ (to_capture @ drift[-1, :2]))
         return np.ascontiguousarray(np.vstack(rows)), np.concatenate(upper)
 
 
 def _for_both_axes(normals: Array, effects: Array) -> Array:
-    """Return rows (k, 2 n) for normals (k, 2), where each axis has the effects (n,) of its own inputs.
+    """Return rows (s k, 2 n) for normals (k, 2) and each of the effects (s, n), where each axis has the
+    effects of its own inputs.
 
     It is their Kronecker product; that of numpy takes ten times as long.
     """
-    return np.asarray((normals[:, :, None] * effects).reshape(len(normals), -1))
+    rows = normals[:, :, None] * effects[:, None, None, :]
+    return np.asarray(rows.reshape(len(normals) * len(effects), -1))
+
+
+def _runs(regions: Sequence[Region]) -> Iterator[tuple[Region, int]]:
+    """Yield each region that follows another one, and of how many samples it is in a row."""
+    start = 0
+    for index in range(1, len(regions) + 1):
+        if index == len(regions) or regions[index] is not regions[start]:
+            yield regions[start], index - start
+            start = index
