@@ -100,7 +100,13 @@ def perform(cell: Cell, process: str) -> None:
         wait_for(has_ended, 120)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests: starting its processes takes a minute. The last test adds to them."""
+    return shared_cell
+
+
+@pytest.fixture(scope="module")
 def cockpit(cell: Cell) -> Cell:
     """A cell with a definition whose processes have completed, and 500 that cannot continue."""
     cell.run("context_broker")

@@ -1,5 +1,6 @@
 """Outgoing connections: the outbound policy, redirects and size limits."""
 
+import functools
 import gzip
 import threading
 from collections.abc import Iterator
@@ -26,8 +27,13 @@ BEYOND_LOOPBACK = {"HANDOVER_HOST": "127.1", "HANDOVER_TLS_PROXY_URL": "https://
 """Listens on 127.0.0.1 by a name that is no loopback address as it is written, so it counts as any other."""
 CLIENT = "cli"
 CONTEXT = orjson.dumps({"@context": {"speed": "https://a.example/speed"}})
-BOMB = gzip.compress(bytes(200 * 1024 * 1024))
 Page = tuple[int, dict[str, str], bytes]
+
+
+@functools.cache
+def bomb() -> bytes:
+    """Return 200 MB of zeros, packed: made when a test needs it, not when each worker collects the tests."""
+    return gzip.compress(bytes(200 * 1024 * 1024))
 
 
 class Pages:
@@ -254,13 +260,13 @@ def test_a_compression_bomb_is_not_inflated(
     whole = http.get("/entities", params={"type": kind})
     assert (whole.status_code, "ngsild-warning" in whole.headers) == (200, False)
     before = _peak_bytes(shared_broker)
-    pages.pages["/bomb.jsonld"] = 200, packed, BOMB
+    pages.pages["/bomb.jsonld"] = 200, packed, bomb()
     answer = fetched(http, f"{pages.url}/bomb.jsonld")
     assert (answer.status_code, "inflates to more than" in answer.text) == (504, True), answer.text
     pages.pages["/odd.jsonld"] = 200, {"Content-Encoding": "br"}, b"x"
     assert "Content-Encoding br" in fetched(http, f"{pages.url}/odd.jsonld").text
     assert _peak_bytes(shared_broker) - before < 32 * 1024 * 1024
-    pages.pages["/ngsi-ld/v1/entities"] = 200, packed, BOMB
+    pages.pages["/ngsi-ld/v1/entities"] = 200, packed, bomb()
     rest = http.get("/entities", params={"type": kind})
     assert [one["id"] for one in rest.json()] == [entity_id]
     assert rest.headers["ngsild-warning"].startswith("111")
