@@ -120,6 +120,14 @@ def cascade(solve: Solve, problem: dict[str, Any]) -> tuple[float, list[float]]:
     return used, [float(np.linalg.norm(j @ x - t)) for j, t in problem["levels"]]
 
 
+def attempt(solve: Solve, problem: dict[str, Any]) -> tuple[float, list[float]] | None:
+    """Return what `cascade` does, or None where the solver fails."""
+    try:
+        return cascade(solve, problem)
+    except (ArithmeticError, ValueError, RuntimeError):
+        return None
+
+
 def read(file: Path) -> list[dict[str, Any]]:
     """Return the problems of a file of `benchmarks.whole_body_peers`."""
     stored = np.load(file)
@@ -189,14 +197,8 @@ def answers() -> Iterator[dict[str, Any]]:
         if "file" in request:
             problems = read(Path(request["file"]))
             yield {"count": len(problems)}
-        elif "problem" in request:
-            found: dict[str, Any] = {}
-            for name, solve in solvers.items():
-                try:
-                    found[name] = cascade(solve, problems[request["problem"]])
-                except (ArithmeticError, ValueError, RuntimeError):
-                    found[name] = None
-            yield found
+        elif "solver" in request:
+            yield {"found": [attempt(solvers[request["solver"]], problem) for problem in problems]}
         else:
             try:
                 yield {"times": placo_cycles(request["urdf"], request["joints"], request["targets"])}

@@ -3,10 +3,10 @@
     python -m benchmarks.whole_body_peers PYTHON_OF_THE_PEERS [--problems 1400] [--rounds 3]
 
 The peers are installed in an environment of their own, which `make bench-whole-body` makes from
-requirements/bench.lock, and run in a process of their own. Both processes take turns problem by problem, and
-each counts the CPU time of its thread. Each round has all problems in their order, so that a warm start
-begins with the problem before; of each problem the least time of all rounds counts. eiquadprog publishes no
-Python module, so quadprog, of the same method, stands for it.
+requirements/bench.lock, and run in a process of their own. In each round one solver after the other solves
+all problems in their order, as `benchmarks.whole_body` explains; the CPU time of a thread counts, and of
+each problem the least of all rounds. eiquadprog publishes no Python module, so quadprog, of the same method,
+stands for it.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from typing import Any, Self
 import numpy as np
 
 from benchmarks.steal_time import report_steal_time
-from benchmarks.whole_body import AGREES, DT_S, NEARLY, Robot, juggling, walking
+from benchmarks.whole_body import AGREES, DT_S, NEARLY, Robot, juggling, timed, walking
 from services.whole_body_control.engines.stack_engine import StackEngine
 from services.whole_body_control.solvers.cascade import Cascade
 from services.whole_body_control.solvers.compiled import Compiled
@@ -94,12 +94,10 @@ def compare(name: str, problems: list[Problem], peers: Peers, rounds: int) -> No
         peers.ask(file=str(file))
     residuals = [reference.solve(problem).residuals for problem in problems]
     for _ in range(rounds):
-        for number, problem in enumerate(problems):
-            for solver in ours:
-                began = time.thread_time()
-                solver.solve(problem)
-                least[solver.name][number] = min(least[solver.name][number], time.thread_time() - began)
-            for peer, found in peers.ask(problem=number).items():
+        for solver, times_of in zip(ours, timed(ours, problems, 1), strict=True):
+            least[solver.name] = np.minimum(least[solver.name], times_of)
+        for peer in peers.about["solvers"]:
+            for number, found in enumerate(peers.ask(solver=peer)["found"]):
                 if found is not None:
                     least[peer][number] = min(least[peer][number], found[0])
                     apart[peer][number] = np.abs(np.subtract(found[1], residuals[number])).max()

@@ -126,6 +126,7 @@ class StackEngine:
             memory.lower[:count],
             memory.upper[:count],
             self._epsilon,
+            (self._rows.jacobian, self._rows.velocity),
         )
 
 

@@ -28,6 +28,12 @@ def cross(first: Array, second: Array) -> Array:
     return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
 
 
+def rotation_vector(actual: Array, target: Array) -> Array:
+    """Return the turn from one orientation (3, 3) to another as a rotation vector (3,) in rad."""
+    # `dot` takes half the time of `@` here.
+    return np.asarray(pin.log3(target.dot(actual.T)))
+
+
 class Kinematics:
     """A humanoid for computations; not thread-safe, so each thread makes its own.
 
@@ -61,6 +67,9 @@ class Kinematics:
         }
         self._poses = {name: self.data.oMf[index] for name, index in self._frames.items()}
         """References to the poses in `data`, which `update` changes in place."""
+        self._translations = {name: pose.translation for name, pose in self._poses.items()}
+        self._rotations = {name: pose.rotation for name, pose in self._poses.items()}
+        """The same memory as arrays: pinocchio takes as long to make one as to compute with it."""
         self._q, self._v = pin.neutral(free), np.zeros(free.nv)
         self._acceleration, self._moved_q = np.zeros(free.nv), np.zeros(free.nq)
         self._still = np.zeros(BASE_VELOCITIES + len(humanoid.joints))
@@ -106,6 +115,16 @@ class Kinematics:
         """Return the pose of a link as a `pinocchio.SE3`. Raises `UsageError` for an unknown link."""
         found = self._poses.get(link)
         return found if found is not None else self.data.oMf[self._frame(link)]
+
+    def translation(self, link: str) -> Array:
+        """Return the place (3,) of a link in m, which the next `update` changes."""
+        found = self._translations.get(link)
+        return found if found is not None else np.asarray(self.pose(link).translation)
+
+    def rotation(self, link: str) -> Array:
+        """Return the orientation (3, 3) of a link, which the next `update` changes."""
+        found = self._rotations.get(link)
+        return found if found is not None else np.asarray(self.pose(link).rotation)
 
     def jacobian(self, link: str) -> Array:
         """Return the Jacobian of a link: (6, n_velocities), linear first, in axes of the world."""

@@ -19,13 +19,17 @@ EPSILON = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """`levels` has (J, b) of each level with weights applied; A is (m, n)."""
+    """`levels` has (J, b) of each level with weights applied; A is (m, n).
+
+    `stacked` has the same rows and targets one below the other, where the caller has them so in memory.
+    """
 
     levels: Sequence[tuple[Array, Array]]
     matrix: Array
     lower: Array
     upper: Array
     epsilon: float = EPSILON
+    stacked: tuple[Array, Array] | None = None
 
     @property
     def n(self) -> int:

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial import ConvexHull
 
 from services.whole_body_control.model.kinematics import (
@@ -12,6 +11,7 @@ from services.whole_body_control.model.kinematics import (
     GRAVITY_MPS2,
     Array,
     Kinematics,
+    rotation_vector,
 )
 from services.whole_body_control.tasks.base import NO_BOUND, Bounds, Constraint
 
@@ -67,9 +67,8 @@ class Contact(Constraint):
         kinematics.write_jacobian(self.link, self._bounds.matrix)
         wanted[:] = 0.0
         if self.target is not None:
-            pose = kinematics.pose(self.link)
-            np.subtract(self.target.translation, pose.translation, out=wanted[:3])
-            wanted[3:] = pin.log3(self.target.rotation @ pose.rotation.T)
+            np.subtract(self.target.translation, kinematics.translation(self.link), out=wanted[:3])
+            wanted[3:] = rotation_vector(kinematics.rotation(self.link), self.target.rotation)
             wanted *= self.gain
         return self._bounds
 

@@ -8,7 +8,13 @@ import numpy as np
 import pinocchio as pin
 
 from handover.errors import UsageError
-from services.whole_body_control.model.kinematics import BASE_POSITIONS, BASE_VELOCITIES, Array, Kinematics
+from services.whole_body_control.model.kinematics import (
+    BASE_POSITIONS,
+    BASE_VELOCITIES,
+    Array,
+    Kinematics,
+    rotation_vector,
+)
 from services.whole_body_control.tasks.base import Task
 
 ALL_AXES = (True,) * 6
@@ -35,23 +41,37 @@ class PoseTask(Task):
         velocity: Array | None = None,
     ) -> None:
         super().__init__(label, gain)
-        self.link, self.target = link, target
+        self.link = link
+        self.target = target
         self.axes = np.array(axes, dtype=bool)
         self._rows = _contiguous(np.flatnonzero(self.axes))
         self._linear = int(self.axes[:3].sum())
         self.velocity = np.zeros(6) if velocity is None else velocity
 
+        self._size = int(self.axes.sum())
+
+    @property
+    def target(self) -> Any:
+        """The pose to follow, a `pinocchio.SE3`."""
+        return self._target
+
+    @target.setter
+    def target(self, pose: Any) -> None:
+        self._target, self._place, self._orientation = pose, pose.translation, pose.rotation
+
     @property
     def size(self) -> int:
         """The number of controlled axes."""
-        return int(self.axes.sum())
+        return self._size
 
     def error(self, kinematics: Kinematics) -> Array:
         """Return the position error in m and the rotation vector to the target in rad."""
-        actual = kinematics.pose(self.link)
-        if self._linear == self.size:
-            return np.asarray((self.target.translation - actual.translation)[self._rows])
-        return np.asarray(_pose_error(actual, self.target)[self._rows])
+        if self._linear == self._size:
+            return np.asarray((self._place - kinematics.translation(self.link))[self._rows])
+        error = np.empty(6)
+        np.subtract(self._place, kinematics.translation(self.link), out=error[:3])
+        error[3:] = rotation_vector(kinematics.rotation(self.link), self._orientation)
+        return np.asarray(error[self._rows])
 
     def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
         """Write the rows of the controlled axes."""
@@ -95,7 +115,7 @@ class OrientationTask(PoseTask):
 
     def error(self, kinematics: Kinematics) -> Array:
         """Return the shortest turn that brings the z axis of the link upright, about x and y, in rad."""
-        x, y, z = kinematics.pose(self.link).rotation[:, 2].tolist()
+        x, y, z = kinematics.rotation(self.link)[:, 2].tolist()
         sine = math.hypot(x, y)
         scale = math.atan2(sine, z) / sine if sine > 1e-9 else 1.0
         return np.array([scale * y, -scale * x])
@@ -234,7 +254,7 @@ class JointTask(Task):
             )
         self.target = np.asarray(target, dtype=np.float64)
         self.velocity = np.zeros(len(target))
-        self._rows = np.arange(len(self.joints))
+        self._constant = np.zeros((len(self.joints), 0))
 
     def error(self, kinematics: Kinematics) -> Array:
         """Return target minus position of each joint."""
@@ -247,8 +267,10 @@ class JointTask(Task):
 
     def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
         """Write one row for each joint."""
-        jacobian[:] = 0.0
-        jacobian[self._rows, BASE_VELOCITIES + self.joints] = 1.0
+        if self._constant.shape != jacobian.shape:
+            self._constant = np.zeros(jacobian.shape)
+            self._constant[range(len(self.joints)), BASE_VELOCITIES + self.joints] = 1.0
+        np.copyto(jacobian, self._constant)
         np.multiply(self.error(kinematics), self.gain, out=velocity)
         velocity += self.velocity
 
@@ -260,15 +282,13 @@ def posture(kinematics: Kinematics, pose: str, gain: float = 1.0) -> JointTask:
 
 
 def _pose_error(actual: Any, target: Any) -> Array:
-    error = np.empty(6)
-    np.subtract(target.translation, actual.translation, out=error[:3])
-    error[3:] = pin.log3(target.rotation @ actual.rotation.T)
-    return error
+    turn = rotation_vector(actual.rotation, target.rotation)
+    return np.concatenate([target.translation - actual.translation, turn])
 
 
 def _limit(vector: Array, most: float) -> None:
     """Shorten a vector to a length."""
-    length = math.sqrt(vector.dot(vector))
+    length = math.hypot(*vector.tolist())
     if length > most:
         vector *= most / length
 
