@@ -60,6 +60,7 @@ class SimulatedWalk:
         )
         self._height_m = float(controller.start[2])
         self._foot = np.array(robot.humanoid.contacts[controller.settings.contacts["left"]].corners)[:, :2]
+        self._low, self._high = self._foot.min(axis=0).tolist(), self._foot.max(axis=0).tolist()
 
     def cycle(self) -> WalkingState:
         """Run one control period."""
@@ -109,6 +110,6 @@ class SimulatedWalk:
         if stance.phase != "single":
             return np.inf, planned
         side = next(each for each in SIDES if each != stance.swing)
-        pressure = controller.estimator.feet[controller.settings.contacts[side]].pressure
-        low, high = self._foot.min(axis=0), self._foot.max(axis=0)
-        return float(min((pressure - low).min(), (high - pressure).min())), planned
+        x, y = controller.estimator.feet[controller.settings.contacts[side]].pressure.tolist()
+        (low_x, low_y), (high_x, high_y) = self._low, self._high
+        return min(x - low_x, y - low_y, high_x - x, high_y - y), planned

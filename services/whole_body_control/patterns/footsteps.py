@@ -151,6 +151,6 @@ class Footsteps:
 def swing_position(start: Footprint, landing: Footprint, share: float, height_m: float) -> Array:
     """Return the place (3,) of a sole after a share of its swing, which starts and ends at rest."""
     share = min(max(share, 0.0), 1.0)
-    place = start.place + moved(share) * (landing.place - start.place)
-    lift = 64 * height_m * share**3 * (1 - share) ** 3
-    return np.array([*place, lift])
+    way = moved(share)
+    x, y = start.x + way * (landing.x - start.x), start.y + way * (landing.y - start.y)
+    return np.array([x, y, 64 * height_m * share**3 * (1 - share) ** 3])
