@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 BASE_POSITIONS, BASE_VELOCITIES = 7, 6
 GRAVITY_MPS2 = 9.81
 DOWNWARDS = np.array([0.0, 0.0, -GRAVITY_MPS2])
+ALIGNED_RAD = 1e-3
+"""Soles that are turned by less face ahead."""
 
 
 def cross(first: Array, second: Array) -> Array:
@@ -83,9 +85,17 @@ class Kinematics:
         return np.concatenate([[0.0, 0, 0, 0, 0, 0, 1], np.asarray(joints, dtype=np.float64)])
 
     def standing(self, pose: str) -> Array:
-        """Return a named pose with its lowest contact corner on the ground, between the soles."""
+        """Return a named pose with its lowest contact corner on the ground, between the soles.
+
+        The soles face ahead (x), whichever way the root link does.
+        """
         q = self.neutral(self.humanoid.pose(pose))
         self.update(q)
+        ahead = sum(self.pose(contact.link).rotation[:2, 0] for contact in self.humanoid.contacts.values())
+        yaw = math.atan2(ahead[1], ahead[0]) if np.any(ahead) else 0.0
+        if abs(yaw) > ALIGNED_RAD:
+            q[5], q[6] = math.sin(-yaw / 2), math.cos(yaw / 2)
+            self.update(q)
         corners = [
             self.pose(contact.link).act(np.array(corner))
             for contact in self.humanoid.contacts.values()

@@ -18,15 +18,17 @@ urdf: {package: example-robot-data, path: robots/…/talos.urdf, extra: talos, l
        capsules: {leg_3_link: [[[0, 0, 0], [0, 0, -0.3], 0.07]]}}
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from handover.errors import UsageError
 from handover.robot_xml import parse_robot_xml
+from handover.validation import fault_lines
 from services.whole_body_control.model.humanoid import (
     Chain,
     ContactSurface,
@@ -40,6 +42,7 @@ from services.whole_body_control.model.humanoid import (
     Sensors,
 )
 from services.whole_body_control.model.packaged import adapted, packaged_file
+from services.whole_body_control.model.standing import HANDS, SOLES, STAND, require_stance
 from services.whole_body_control.model.urdf import Tree, number
 
 FILE = "robot.yaml"
@@ -47,6 +50,8 @@ MAX_FILE_BYTES = 20_000_000
 DEFAULT_GAINS = "default"
 INERTIAL_GROUP, FORCE_TORQUE_GROUP = "imu_sensors", "force_torque_sensors"
 """Groups of the SRDF that list sensors, as in CoSiMA."""
+
+MIN_SOLE_M2 = 1e-4
 
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
@@ -106,8 +111,11 @@ def read_folder(folder: Path) -> Humanoid:
     """Return the humanoid of a folder. Raises `UsageError` with a line for each fault."""
     try:
         entry = _RobotFile.model_validate(yaml.safe_load(_text(folder / FILE)))
-    except (ValidationError, yaml.YAMLError) as error:
-        raise UsageError(f"{folder / FILE}: {error}") from None
+    except ValidationError as error:
+        faults = (f"{folder / FILE}: {line}" for line in fault_lines(error, "the file"))
+        raise UsageError("\n".join(faults)) from None
+    except yaml.YAMLError as error:
+        raise UsageError(f"{folder / FILE} is not YAML: {error}") from None
     return read(entry, _urdf(entry.urdf, folder), _text(folder / entry.srdf))
 
 
@@ -125,7 +133,7 @@ def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
     if faults:
         raise UsageError("\n".join(faults))
     joints = tuple(_joint(element, entry, semantics) for element in tree.moving)
-    return Humanoid(
+    found = Humanoid(
         name=entry.name,
         root=tree.root,
         joints=joints,
@@ -149,6 +157,7 @@ def read(entry: _RobotFile, urdf: str, srdf: str) -> Humanoid:
         modes=tuple(dict.fromkeys(entry.modes)),
         notes=entry.notes,
     )
+    return require_stance(found)
 
 
 class _Semantics:
@@ -181,8 +190,24 @@ class _Semantics:
         yield from self._found
         if not self.chains:
             yield "the SRDF names no chain; a humanoid needs its arms, legs and torso as <chain>"
-        if not self._root.findall("group_state"):
-            yield "the SRDF has no <group_state>; a humanoid needs a pose to start from"
+        states = [str(each.get("name")) for each in self._root.findall("group_state")]
+        if STAND not in states:
+            there = ", ".join(states) or "none"
+            yield (
+                f'the SRDF has no <group_state name="{STAND}">, the pose to start from, with both soles on '
+                f"the ground; it has: {there}"
+            )
+        groups = [str(each.get("name")) for each in self._root.findall("group")]
+        for kind, names in (("group", groups), ("group_state", states)):
+            for name in sorted({each for each in names if names.count(each) > 1}):
+                yield f'the SRDF has two elements <{kind} name="{name}">; remove one'
+        for joint in _names(self._root, "passive_joint"):
+            if any(joint == each.get("name") for each in self._tree.moving):
+                yield f'the SRDF calls the joint "{joint}" passive; each joint is driven: make it fixed'
+        for pair in self._root.findall("disable_collisions"):
+            for end in ("link1", "link2"):
+                if pair.get(end) not in self._tree.links:
+                    yield f'the SRDF disables collisions of "{pair.get(end)}", which is no link of the URDF'
 
     def poses(self, joints: tuple[Joint, ...]) -> dict[str, dict[str, float]]:
         """Return each pose; joints that it leaves out are at 0 or the nearest limit. Raises `UsageError`."""
@@ -191,10 +216,13 @@ class _Semantics:
         by_name = {joint.name: joint for joint in joints}
         for state in self._root.findall("group_state"):
             pose = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in joints}
-            where = f'the pose "{state.get("name")}"'
+            where, named = f'the pose "{state.get("name")}"', set[str]()
             for each in state.findall("joint"):
                 name, value = str(each.get("name")), number(each, "value")
                 joint = by_name.get(name)
+                if name in named:
+                    faults.append(f'{where} has two values for "{name}"; remove one')
+                named.add(name)
                 if joint is None:
                     faults.append(f'{where} names the joint "{name}", which does not move or exist')
                 elif value is None or not joint.lower - 1e-9 <= value <= joint.upper + 1e-9:
@@ -279,8 +307,49 @@ def _entry_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Itera
             yield f'the grip "{name}" is on the link "{grip.link}", which the URDF does not have'
         if grip.arm not in semantics.chains:
             yield f'the grip "{name}" is moved by "{grip.arm}", which is no chain of the SRDF'
-    if not entry.contacts:
-        yield f"{FILE} names no contact; a humanoid needs the soles that it stands on"
+        if name not in HANDS:
+            yield f'{FILE} has the grip "{name}"; a grip is called {" or ".join(HANDS)}'
+    yield from _sole_faults(entry, tree, semantics)
+
+
+def _sole_faults(entry: _RobotFile, tree: Tree, semantics: _Semantics) -> Iterator[str]:
+    """Yield what balance lacks: soles, legs as chains, force-torque sensors, an inertial sensor."""
+    if not semantics.sensors.inertial:
+        yield f'the SRDF has no <group name="{INERTIAL_GROUP}"> with the <link> of an inertial sensor'
+    for name in SOLES:
+        contact = entry.contacts.get(name)
+        if contact is None:
+            there = ", ".join(entry.contacts) or "none"
+            yield f'{FILE} has no contact "{name}", a sole that it stands on; it has: {there}'
+            continue
+        leg = next((each for each in semantics.chains.values() if each.tip == contact.link), None)
+        if contact.link in tree.links and (leg is None or not leg.joints):
+            yield f'no chain of the SRDF ends at "{contact.link}", the link of "{name}"; its leg has to'
+        elif leg is not None:
+            below = [sensor for sensor in semantics.sensors.force_torque.values() if sensor in tree.links]
+            if leg.joints[-1] not in map(tree.moved_by, below):
+                yield (
+                    f'the group "{FORCE_TORQUE_GROUP}" of the SRDF has no <joint> that is fixed below '
+                    f'"{leg.joints[-1]}"; balance needs a force-torque sensor at "{name}"'
+                )
+        if _area(contact.corners) < MIN_SOLE_M2:
+            yield f'the corners of "{name}" enclose no area; give at least three that are not on one line'
+    first, second = (entry.contacts.get(name) for name in SOLES)
+    if first and second and not _are_alike(first.corners, second.corners):
+        yield f'the corners of "{SOLES[0]}" and "{SOLES[1]}" differ; give the rectangle that both soles have'
+
+
+def _area(corners: Sequence[Sequence[float]]) -> float:
+    """Return the area in m² of the rectangle around corners (k, 3), less if they are on a line across it."""
+    points = np.array(corners)[:, :2]
+    spread = points - points.mean(axis=0)
+    return float(np.sqrt(max(np.linalg.det(spread.T @ spread), 0.0)))
+
+
+def _are_alike(first: Sequence[Sequence[float]], second: Sequence[Sequence[float]]) -> bool:
+    if len(first) != len(second):
+        return False
+    return bool(np.allclose(sorted(map(tuple, first)), sorted(map(tuple, second)), atol=1e-3))
 
 
 def _gain_limit_faults(entry: _RobotFile, semantics: _Semantics) -> Iterator[str]:

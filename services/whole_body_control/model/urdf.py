@@ -37,7 +37,7 @@ class Tree:
     def of(cls, urdf: str) -> "Tree":
         """Return the tree of a URDF. Raises `UsageError` with a line for each fault."""
         element = parse_robot_xml(urdf, "URDF")
-        faults = [*tree_faults(element), *_kind_faults(element)]
+        faults = [*tree_faults(element), *_kind_faults(element), *_place_faults(element)]
         if faults:
             raise UsageError("\n".join(faults))
         above = {link_of(joint, "child"): joint for joint in element.findall("joint")}
@@ -70,6 +70,11 @@ class Tree:
             link = link_of(joint, "parent")
         return tuple(joints)
 
+    def moved_by(self, link: str) -> str | None:
+        """Return the moving joint that is nearest above a link; None if nothing moves it."""
+        above = self.path(self.root, link)
+        return above[-1] if above else None
+
 
 def _outwards(link: str, element: Any) -> Iterator[str]:
     children: dict[str, list[str]] = {}
@@ -90,6 +95,46 @@ def _kind_faults(element: Any) -> Iterator[str]:
             yield f'the joint "{joint.get("name")}" is {joint.get("type")}; {kinds}'
     if len(joints) > MAX_JOINTS:
         yield f"the URDF has {len(joints)} joints; {MAX_JOINTS} are the most that are computed in time"
+
+
+def _place_faults(element: Any) -> Iterator[str]:
+    """Yield origins and shapes whose numbers are none; parsers of others take them as 0, or fail later."""
+    for part in (*element.findall("link"), *element.findall("joint")):
+        where = f'the {part.tag} "{part.get("name")}"'
+        for origin in part.iter("origin"):
+            for attribute in ("xyz", "rpy"):
+                written = origin.get(attribute)
+                if written is not None and not _are_numbers(written, 3):
+                    yield f'{where} has an origin with {attribute}="{written}"; it needs three finite numbers'
+        for kind in ("visual", "collision"):
+            for shape in part.findall(kind):
+                yield from (
+                    f"{where} has a {kind} {fault}" for fault in _shape_faults(shape.find("geometry"))
+                )
+
+
+def _shape_faults(geometry: Any) -> Iterator[str]:
+    shape = next(iter(geometry), None) if geometry is not None else None
+    if shape is None:
+        yield "without a shape; its <geometry> has a box, cylinder, sphere or mesh"
+        return
+    if shape.tag == "mesh":
+        if not shape.get("filename"):
+            yield "with a mesh that names no file"
+        return
+    sizes = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
+    for attribute in sizes.get(shape.tag, ()):
+        written, count = str(shape.get(attribute)), 3 if attribute == "size" else 1
+        if not _are_numbers(written, count) or not all(float(each) > 0 for each in written.split()):
+            yield f'with a {shape.tag} whose {attribute} is "{written}"; it must be above 0'
+
+
+def _are_numbers(written: str, count: int) -> bool:
+    try:
+        numbers = [float(each) for each in written.split()]
+    except ValueError:
+        return False
+    return len(numbers) == count and all(map(math.isfinite, numbers))
 
 
 def _joint_faults(joint: Any) -> Iterator[str]:

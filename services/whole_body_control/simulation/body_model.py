@@ -21,6 +21,8 @@ SOLE_THICKNESS_M = 0.02
 STIFF = (2 * STEP_S, 1.0)
 """Time constant in s and damping ratio of contacts, as stiff as the step allows."""
 
+MIN_INERTIA_KGM2 = 1e-6
+INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 GROUND, ROBOT = 1, 2
 """The kinds of shapes: those of the robot, and what else has its kind, touch the ground."""
 FREE_JOINT = "floating base"
@@ -63,10 +65,22 @@ def _without_meshes(humanoid: Humanoid) -> tuple[Any, set[str]]:
         for shape in link.findall("collision"):
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
+        inertia = link.find("inertial/inertia")
+        if inertia is not None:
+            _spread_out(inertia)
     options = etree.SubElement(etree.SubElement(root, "mujoco"), "compiler")
     options.set("fusestatic", "false")
     options.set("balanceinertia", "true")
     return root, capsules
+
+
+def _spread_out(inertia: Any) -> None:
+    """Give a point mass, as URDFs have them, the least inertia that MuJoCo accepts."""
+    ixx, ixy, ixz, iyy, iyz, izz = (float(inertia.get(key)) for key in INERTIA_KEYS)
+    least = np.linalg.eigvalsh(np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]))[0]
+    if least < MIN_INERTIA_KGM2:
+        for key, value in (("ixx", ixx), ("iyy", iyy), ("izz", izz)):
+            inertia.set(key, repr(value + MIN_INERTIA_KGM2 - float(least)))
 
 
 def _set_options(spec: Any) -> None:

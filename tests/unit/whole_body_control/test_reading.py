@@ -12,6 +12,7 @@ from services.whole_body_control.model.reading import read_folder
 from services.whole_body_control.robots import COMAN, HUMANOIDS, humanoid
 
 Change = Callable[[str, str, str], None]
+LINE = "[0.1, 0, 0], [0, 0, 0], [-0.05, 0, 0], [-0.1, 0, 0]"
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +101,23 @@ def test_unknown_names_are_answered_with_those_that_exist(coman: Humanoid) -> No
         ("robot.yaml", "left_arm:", "arm:", '"arm"'),
         ("robot.yaml", "stiffness: 300", "stiffness: -1", "stiffness"),
         ("robot.yaml", "coman.urdf", "talos.urdf", "cannot be read"),
+        ("robot.yaml", "name: coman", "", "robot.yaml: name: Field required"),
+        ("robot.yaml", "name: coman", "name:\tx", "is not YAML"),
+        ("coman.urdf", '<origin xyz="', '<origin xyz="nan ', "three finite numbers"),
+        ("coman.urdf", '<cylinder radius="', '<cylinder radius="-', "must be above 0"),
+        ("coman.urdf", 'effort="50"', 'effort="0.01"', "needs .* N m to stand"),
+        ("coman.srdf", 'name="stand"', 'name="home"', 'no <group_state name="stand">.*has: home'),
+        ("coman.srdf", 'group_state name="hold_hands"', 'group_state name="stand"', "two elements"),
+        ("coman.srdf", 'name="LAnkSag" value="-0.4"', 'name="LKneeSag" value="0.1"', "two values"),
+        ("coman.srdf", 'name="LAnkSag" value="-0.4"', 'name="LAnkSag" value="0.4"', "is tilted by 46"),
+        ("coman.srdf", 'link1="DWL"', 'link1="DWM"', '"DWM", which is no link'),
+        ("coman.srdf", "</robot>", '<passive_joint name="LKneeSag"/></robot>', "passive"),
+        ("coman.srdf", '<link name="imu_link"/>', "", "no .*imu_sensors"),
+        ("coman.srdf", '<joint name="l_leg_ft_joint"/>', "", 'force-torque sensor at "left_sole"'),
+        ("robot.yaml", "left_sole:", "left_foot:", 'no contact "left_sole".*has: left_foot'),
+        ("robot.yaml", "[0.13, 0.05, 0]", "[0.2, 0.05, 0]", "differ"),
+        ("robot.yaml", "left_hand:", "left_grip:", 'the grip "left_grip"'),
+        ("robot.yaml", "link: l_sole", "link: LSoftHand", "no chain of the SRDF ends at"),
     ],
 )
 def test_faulty_files_are_explained(
@@ -108,6 +126,26 @@ def test_faulty_files_are_explained(
     change(file, old, new)
     with pytest.raises(UsageError, match=message):
         read_folder(folder)
+
+
+def test_soles_that_are_exchanged_or_on_a_line_are_explained(folder: Path, change: Change) -> None:
+    change("robot.yaml", "left_sole:", "a_sole:")
+    change("robot.yaml", "right_sole:", "left_sole:")
+    change("robot.yaml", "a_sole:", "right_sole:")
+    with pytest.raises(UsageError, match='"left_sole" is to the right of "right_sole"'):
+        read_folder(folder)
+    for _ in range(2):
+        change("robot.yaml", "[0.13, 0.05, 0], [0.13, -0.05, 0], [-0.07, -0.05, 0], [-0.07, 0.05, 0]", LINE)
+    with pytest.raises(UsageError, match="enclose no area"):
+        read_folder(folder)
+
+
+def test_only_stretched_legs_are_noted(folder: Path, change: Change, coman: Humanoid) -> None:
+    assert read_folder(folder).notes == coman.notes
+    for hip, knee, ankle in (("LHipSag", "LKneeSag", "LAnkSag"), ("RHipSag", "RKneeSag", "RAnkSag")):
+        for joint, old, new in ((hip, -0.4, -0.05), (knee, 0.8, 0.1), (ankle, -0.4, -0.05)):
+            change("coman.srdf", f'name="{joint}" value="{old}"', f'name="{joint}" value="{new}"')
+    assert "stretches left_leg and right_leg" in read_folder(folder).notes[-1]
 
 
 def test_external_entities_are_not_read(folder: Path, change: Change) -> None:

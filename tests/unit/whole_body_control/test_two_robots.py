@@ -1,4 +1,10 @@
-"""Both applications on both robots, with nothing different but the name and the gains of the robot."""
+"""Both applications on both robots, with nothing different but the name and the gains; and a third one."""
+
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,9 +13,14 @@ from handover.errors import UsageError
 from services.whole_body_control.behaviours.simulated_throw import SimulatedThrow
 from services.whole_body_control.behaviours.simulated_walk import SimulatedWalk
 from services.whole_body_control.behaviours.walking import WalkingController
+from services.whole_body_control.components.robot import JointCommand, Robot, RobotSensors
+from services.whole_body_control.cycle.robot_link import Driver, PortRobot
+from services.whole_body_control.cycle.watchdog import Safety
+from services.whole_body_control.drivers import DriverContext
 from services.whole_body_control.model.humanoid import Humanoid
 from services.whole_body_control.model.kinematics import Array, Kinematics
 from services.whole_body_control.model.packaged import adapted, packaged_file
+from services.whole_body_control.model.reading import read_folder
 from services.whole_body_control.patterns.footsteps import Wish
 from services.whole_body_control.patterns.intention import (
     ArmState,
@@ -24,6 +35,7 @@ from services.whole_body_control.simulation.ball import RADIUS_M, build_with_bal
 from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
 
 ROBOTS = ("coman", "talos")
+GUIDE = Path(__file__).parents[3] / "docs/how-to/humanoids.md"
 SIDES = ("left", "right")
 CONTROL_S = 0.004
 
@@ -35,6 +47,13 @@ def robot(request: pytest.FixtureRequest) -> Humanoid:
         return humanoid(request.param)
     except UsageError as error:
         pytest.skip(str(error))
+
+
+def blocks(heading: str) -> dict[str, str]:
+    """Return the first block of each language of a section of the documentation."""
+    section = GUIDE.read_text(encoding="utf-8").split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    found = re.findall(r"```(\w+)\n(.*?)```", section, re.DOTALL)
+    return dict(reversed(found))
 
 
 class Person:
@@ -103,6 +122,74 @@ def test_it_throws_a_ball_to_where_it_is_asked(robot: Humanoid) -> None:
     assert game.robot.ball.position[2] < 3 * RADIUS_M
     rotation = game.robot.true_configuration()[3:7]
     assert 2 * np.hypot(rotation[0], rotation[1]) < 0.05, "the robot stands"
+
+
+def test_the_next_humanoid_is_a_folder_of_thirty_lines_and_walks(tmp_path: Path) -> None:
+    """That of the documentation: iCub, whose root link faces backwards, and some links have no inertia."""
+    written = blocks("Add a humanoid")
+    (tmp_path / "robot.yaml").write_text(written["yaml"])
+    (tmp_path / "icub.srdf").write_text(written["xml"])
+    assert len(written["yaml"].splitlines()) + len(written["xml"].splitlines()) <= 30
+    try:
+        icub = read_folder(tmp_path)
+    except UsageError as error:
+        pytest.skip(str(error))
+    controller = WalkingController(icub)
+    walk = SimulatedWalk(controller, SimulatedRobot(icub, controller.start))
+    record = walk.run(4.0, lambda time_s: Wish(np.array([0.04 if time_s > 0.5 else 0.0, 0.0])))
+    assert not record.has_fallen
+    assert not {state.fault for state in record.states} - {""}
+    assert walk.robot.true_configuration()[0] > controller.start[0] + 0.05, "ahead, as its soles face"
+
+
+def test_a_driver_of_thirty_lines_moves_the_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of the documentation, on a simulated robot as the controller of a manufacturer."""
+    model = humanoid("coman")
+    simulated = SimulatedRobot(model, Kinematics(model).standing("stand"))
+
+    class Controller:
+        def __init__(self, address: str, joints: tuple[str, ...]) -> None:
+            assert (address, joints) == ("10.0.0.7", model.joint_names)
+
+        def measure(self, sensors: RobotSensors) -> float:
+            simulated.wait()
+            simulated.read(sensors)
+            return sensors.time_s
+
+        def age_s(self) -> float:
+            return 0.001
+
+        def send(self, *parts: Array) -> None:
+            command = JointCommand(model)
+            kinds = ("positions", "velocities", "torques", "stiffness", "damping")
+            for kind, part in zip(kinds, parts, strict=True):
+                getattr(command, kind)[:] = part
+            simulated.write(command)
+
+    controller = ModuleType("my_robot.controller")
+    controller.Controller = Controller  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "my_robot", ModuleType("my_robot"))
+    monkeypatch.setitem(sys.modules, "my_robot.controller", controller)
+    code, scope = blocks("A driver of your own")["python"], dict[str, Any]()
+    assert len([line for line in code.splitlines() if line.strip()]) <= 30
+    exec(code, scope)
+    robot: Robot = scope["MyRobot"](DriverContext(model, {"address": "10.0.0.7"}))
+    driver, command = Driver(robot, tmp_path), JointCommand(model)
+    link = PortRobot(model, tmp_path, robot.period_s)
+    command.positions[:] = model.pose("hands_forward")
+    for _ in range(300):
+        link.write(command)
+        if driver.cycle() is Safety.FOLLOWING:
+            break
+    for _ in range(300):
+        link.write(command)
+        driver.cycle()
+    elbow = model.index("LElbj")
+    assert simulated.true_configuration()[7 + elbow] == pytest.approx(command.positions[elbow], abs=0.1)
+    command.is_led = True
+    link.write(command)
+    driver.cycle()
+    assert "assisted walking is for simulated robots only" in driver.refusal
 
 
 def test_a_model_of_a_package_that_is_not_there_names_the_extra() -> None:
