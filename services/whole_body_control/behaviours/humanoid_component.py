@@ -14,6 +14,9 @@ How it works:
    lurch.
 6. A stop ends the motion by standing on both feet: a step is finished, a throw followed through, and its ball
    stays in the hand.
+7. A model whose legs are stretched in its pose `stand` stands and may throw, but does not walk.
+8. Constraints that contradict each other are relaxed by the solver, by the least squares of their violations;
+   the state has the largest slack of each for `RELAXED_S`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +35,8 @@ from services.whole_body_control.cycle.gains import GainShares, gain_fields
 from services.whole_body_control.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
 from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.kinematics import Array
+from services.whole_body_control.model.kinematics import Array, Kinematics
+from services.whole_body_control.model.standing import HANDS, stretched_legs
 from services.whole_body_control.patterns.footsteps import Wish
 from services.whole_body_control.patterns.intention import DEFAULT_INTENTION, IntentionName
 from services.whole_body_control.patterns.minimum_jerk import moved
@@ -46,6 +50,9 @@ TAKE_OVER_S: Final = 0.5
 FALLEN_TILT_RAD: Final = 1.0
 """A robot whose root leans by more has fallen."""
 MAX_THROW_S: Final = 2.0
+RELAXED_S: Final = 2.0
+MIN_SLACK: Final = 1e-4
+"""Of a constraint, in m/s or rad/s; less is the tolerance of a solver."""
 LIMIT_SLACK_RAD: Final = 0.01
 LANDED_M: Final = 0.03
 """A ball that is lower, or below the height of its target, has landed."""
@@ -74,6 +81,8 @@ class Fault(IntEnum):
     FALLEN = 4
     THROW_REFUSED = 5
     NOT_OFFERED = 6
+    STRETCHED = 7
+    RELAXED = 8
 
 
 class BallPhase(IntEnum):
@@ -121,11 +130,11 @@ class HumanoidComponent:
         self.behaviour = Behaviour.WALKING
         self.is_down = False
         self._world = world
+        self._is_stretched = bool(stretched_legs(Kinematics(humanoid)))
         can_throw = world is not None and bool(humanoid.grips)
+        can_be_led = world is not None and all(hand in humanoid.grips for hand in HANDS)
         self._throwing = ThrowingController(humanoid, solver, engine=engine) if can_throw else None
-        self.assistance = (
-            AssistedWalking(self.walking, self.control_s, intention) if world is not None else None
-        )
+        self.assistance = AssistedWalking(self.walking, self.control_s, intention) if can_be_led else None
         gains = JointCommand(humanoid)
         self._stiffness, self._damping = gains.stiffness, gains.damping
         self._firmness = np.ones(len(humanoid.joints))
@@ -138,7 +147,9 @@ class HumanoidComponent:
         self._hands: Mapping[Side, Array] = {side: np.zeros(3) for side in SIDES}
         self._solver_counts = np.zeros(len(SOLVER_BOUNDS_US) + 1)
         self._residuals = _residual_names(self.walking, self._throwing)
-        self.fields: Sequence[str] = _fields(humanoid, self._residuals)
+        self._slack = dict.fromkeys(_constraint_names(self.walking, self._throwing), 0.0)
+        self._relaxed_s = 0.0
+        self.fields: Sequence[str] = _fields(humanoid, self._residuals, tuple(self._slack))
 
     def hand_force(self, side: Side) -> Array:
         """Return the force (3,) in N of a person at a hand, in the frame between the soles."""
@@ -146,9 +157,9 @@ class HumanoidComponent:
 
     @property
     def behaviours(self) -> tuple[Behaviour, ...]:
-        """Return what this robot can do."""
+        """Return what this robot can do; walking without a velocity is standing, which each can."""
         found = [Behaviour.WALKING]
-        if self.assistance is not None:
+        if self.assistance is not None and not self._is_stretched:
             found.append(Behaviour.ASSISTED_WALKING)
         if self._throwing is not None:
             found.append(Behaviour.JUGGLING)
@@ -178,6 +189,7 @@ class HumanoidComponent:
             self._take_over(sensors, command)
         self._follow_ball()
         self._count()
+        self._note_slack()
         self._judge(fault)
         return fault
 
@@ -224,6 +236,7 @@ class HumanoidComponent:
         values += [
             residuals[name] if level_of.get(name) == index else np.nan for index, name in self._residuals
         ]
+        values += self._slack.values()
         state[: len(values)] = values
         state[len(values) :] = estimator.q
 
@@ -289,6 +302,8 @@ class HumanoidComponent:
         share = wanted.speed_share if self._is_commanded and not wanted.stop else 0.0
         if wanted.behaviour != self.behaviour:
             share = 0.0  # it changes at rest, also while a person still pulls; or it is not offered
+        if self._is_stretched:
+            share = 0.0
         ground, yaw_rate = np.zeros(2), 0.0
         if self.behaviour is Behaviour.ASSISTED_WALKING and self.assistance is not None:
             ground, yaw_rate = self.assistance.wish(share)
@@ -420,6 +435,26 @@ class HumanoidComponent:
         microseconds = self._active.last_step.solve_s * 1e6
         self._solver_counts[int(np.searchsorted(SOLVER_BOUNDS_US, microseconds))] += 1
 
+    def _note_slack(self) -> None:
+        """Note which constraints this period relaxed; forget it when none has been for `RELAXED_S`."""
+        if self._relaxed_s > 0:
+            self._relaxed_s -= self.control_s
+            if self._relaxed_s <= 0:
+                self._slack.update(dict.fromkeys(self._slack, 0.0))
+        for name, _, text in (each.rpartition(" by ") for each in self._active.last_step.relaxed):
+            slack = float(text)
+            if slack >= MIN_SLACK:
+                self._slack[name], self._relaxed_s = max(self._slack[name], slack), RELAXED_S
+
+    @property
+    def _is_to_walk(self) -> bool:
+        wanted = self._wanted
+        if not self._is_commanded or wanted.stop or wanted.speed_share <= 0:
+            return False
+        is_led = wanted.behaviour == Behaviour.ASSISTED_WALKING
+        velocity = (wanted.ahead_mps, wanted.left_mps, wanted.yaw_radps)
+        return is_led or (wanted.behaviour == Behaviour.WALKING and any(velocity))
+
     def _judge(self, fault: str) -> None:
         """Say what is wrong, and notice a fall."""
         self.is_down = bool(self.walking.estimator.rotation[2, 2] < np.cos(FALLEN_TILT_RAD))
@@ -429,8 +464,12 @@ class HumanoidComponent:
             self.fault = Fault.SENSORS if fault == NOT_FINITE else Fault.SOLVER
         elif self.assistance is not None and self.assistance.is_pulled_hard:
             self.fault = Fault.PULLED_HARD
+        elif self._is_stretched and self._is_to_walk:
+            self.fault = Fault.STRETCHED
         elif self._is_commanded and not self._is_offered:
             self.fault = Fault.NOT_OFFERED
+        elif self._relaxed_s > 0:
+            self.fault = Fault.RELAXED
         elif self._throw_phase != REFUSED:
             self.fault = Fault.NONE
 
@@ -440,7 +479,13 @@ def _residual_names(walking: WalkingController, throwing: ThrowingController | N
     return sorted({(index, name) for stack in stacks for index, name in enumerate(stack)})
 
 
-def _fields(humanoid: Humanoid, residuals: Sequence[tuple[int, str]]) -> tuple[str, ...]:
+def _constraint_names(walking: WalkingController, throwing: ThrowingController | None) -> list[str]:
+    return sorted({*walking.constraint_names, *(throwing.constraint_names if throwing else ())})
+
+
+def _fields(
+    humanoid: Humanoid, residuals: Sequence[tuple[int, str]], constraints: Sequence[str]
+) -> tuple[str, ...]:
     names = ["behaviour", "phase", *(f"support_{side}" for side in SIDES)]
     names += [
         f"{name}.{axis}"
@@ -460,5 +505,6 @@ def _fields(humanoid: Humanoid, residuals: Sequence[tuple[int, str]]) -> tuple[s
     names += [f"gain.{name}" for name in gain_fields(humanoid)]
     names += [f"solver_us.{bound}" for bound in (*SOLVER_BOUNDS_US, "inf")]
     names += [f"residual.{index}.{name}" for index, name in residuals]
+    names += [f"slack.{name}" for name in constraints]
     names += [f"base.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
     return (*names, *(f"joint.{name}" for name in humanoid.joint_names))

@@ -200,6 +200,11 @@ class ThrowingController:
         standing = tuple(level.name for level in self._engine.stack.levels)
         return standing, (*standing[:2], HAND, standing[2], ARM, standing[3])
 
+    @property
+    def constraint_names(self) -> frozenset[str]:
+        """Return the names of the constraints."""
+        return frozenset(each.name for each in self._engine.stack.constraints)
+
     def cancel(self) -> None:
         """Open no hand in this throw: what has begun is followed through, and the arm returns."""
         self._is_cancelled = True

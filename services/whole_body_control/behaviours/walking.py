@@ -202,6 +202,11 @@ class WalkingController:
         stacks = (engine.stack for engine in self._engines.values())
         return tuple(tuple(level.name for level in stack.levels) for stack in stacks)
 
+    @property
+    def constraint_names(self) -> frozenset[str]:
+        """Return the names of the constraints of all stacks."""
+        return frozenset(each.name for engine in self._engines.values() for each in engine.stack.constraints)
+
     def draw_joints(self, joints: Array, target: Array) -> None:
         """Draw the joints (n,) of these numbers to `target` (n,) in the posture."""
         self._posture.target[joints] = target

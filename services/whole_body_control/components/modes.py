@@ -7,7 +7,8 @@ Controllers compute joint impedance (`JointCommand`). Drives may accept less:
   p = position + (torque + D velocity) / K.
   The stiffness of the command is lost; the joints are as stiff as the drives.
 - `torque`: the impedance is computed here from the measured joints, in each period of the robot, within the
-  effort limits.
+  effort limits. A joint whose sensor has no valid value keeps its last torque while others have one: if all
+  joints kept theirs, the robot would sink.
 """
 
 from collections.abc import Callable, Collection
@@ -17,6 +18,7 @@ import numpy as np
 from handover.errors import UsageError
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
 from services.whole_body_control.model.humanoid import Humanoid, JointMode
+from services.whole_body_control.model.kinematics import Array
 
 
 def require_mode(mode: JointMode, offered: Collection[JointMode], thing: str) -> None:
@@ -40,6 +42,9 @@ class ModeConversion:
         self._converted = JointCommand(humanoid)
         self._converted.mode = mode
         self._work = np.zeros(len(humanoid.joints))
+        self._known = np.full((2, len(humanoid.joints)), np.nan)
+        """Positions and velocities as they were measured last."""
+        self._is_valid = np.zeros(len(humanoid.joints), dtype=np.bool_)
         self._max_efforts = np.array([joint.max_effort for joint in humanoid.joints])
         self._min_efforts = -self._max_efforts
         converters: dict[JointMode, Callable[[JointCommand, RobotSensors], JointCommand]] = {
@@ -72,12 +77,22 @@ class ModeConversion:
 
     def _to_torques(self, command: JointCommand, sensors: RobotSensors) -> JointCommand:
         converted, torques = self._converted, self._converted.torques
-        np.subtract(command.positions, sensors.positions, out=torques)
+        positions = self._last_valid(sensors.positions, self._known[0])
+        velocities = self._last_valid(sensors.velocities, self._known[1])
+        np.subtract(command.positions, positions, out=torques)
         torques *= command.stiffness
-        np.subtract(command.velocities, sensors.velocities, out=self._work)
+        np.subtract(command.velocities, velocities, out=self._work)
         self._work *= command.damping
         torques += self._work
         torques += command.torques
         np.clip(torques, self._min_efforts, self._max_efforts, out=torques)
-        converted.positions[:], converted.is_led = sensors.positions, command.is_led
+        converted.positions[:], converted.is_led = positions, command.is_led
         return converted
+
+    def _last_valid(self, measured: Array, known: Array) -> Array:
+        """Return what was measured, with the last valid value where a joint has none; NaN if none has."""
+        np.isfinite(measured, out=self._is_valid)
+        if not self._is_valid.any():
+            return measured
+        np.copyto(known, measured, where=self._is_valid)
+        return known

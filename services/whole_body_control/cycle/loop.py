@@ -7,7 +7,8 @@ cycles between, the joints follow the velocities of the last command.
 The wish comes from a process that may stall or be killed. When it is older than `WISH_TIMEOUT_S`, or not
 finite, the robot is to stand still: the controller finishes its step and stands on both feet. A
 controller that raises an error, or has no valid sensors for `MAX_FAULTS` of its periods, is stopped for good:
-the joints hold the last command. So do those of a robot that has fallen.
+the joints hold the last command. So do those of a robot that has fallen, or that refuses a command. The state
+says why by `Hold`.
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ from services.whole_body_control.model.kinematics import Array
 WISH_TIMEOUT_S = 0.3
 MAX_FAULTS = 10
 WARM_UP_CYCLES = 250
-STATUS = ("robot_time_s", "mode", "wish_age_s", "robot_delay_s")
+STATUS = ("robot_time_s", "mode", "wish_age_s", "robot_delay_s", "hold")
 
 
 class Mode(IntEnum):
@@ -43,6 +44,19 @@ class Mode(IntEnum):
     def is_final(self) -> bool:
         """Return whether the joints hold for good."""
         return self in {Mode.HOLDING, Mode.DOWN}
+
+
+class Hold(IntEnum):
+    """Why the joints hold for good."""
+
+    NONE = 0
+    FAULTS = 1
+    """The controller had no valid values for too long; its state says what was wrong."""
+    FAILED = 2
+    """The controller raised an error, which is in the log."""
+    REFUSED = 3
+    """The robot refused a command, for a reason that is in the log."""
+    FALLEN = 4
 
 
 class Controller(Protocol):
@@ -115,7 +129,7 @@ class ControlLoop(Generic[R, C]):
         self.timing, self._is_paced = Timing(robot.period_s), is_paced
         self._faults = 0
         self._state = np.zeros(len(state_fields(controller)))
-        self.mode, self.fault = Mode.STANDING, ""
+        self.mode, self.fault, self.hold = Mode.STANDING, "", Hold.NONE
         self._is_ending = False
 
     def warm_up(self) -> None:
@@ -148,7 +162,7 @@ class ControlLoop(Generic[R, C]):
             self._control()
         state, status = self._state, len(STATUS)
         state[0], state[1], state[2] = self._sensors.time_s, self.mode, age_s
-        state[3] = self.robot.delay_s
+        state[3], state[4] = self.robot.delay_s, self.hold
         self.timing.write_figures(state[status : status + len(FIGURES)])
         self.controller.write_state(state[status + len(FIGURES) :])
         self._ports.state.write(state)
@@ -169,10 +183,10 @@ class ControlLoop(Generic[R, C]):
         try:
             fault = self.controller.step(self._sensors, self._command)
         except Exception as error:  # noqa: BLE001 - whatever is wrong, the joints must hold
-            self._stop(f"the controller failed: {error!r}")
+            self._stop(f"the controller failed: {error!r}", Hold.FAILED)
             return
         if self.controller.is_down:
-            self._stop("the robot has fallen", Mode.DOWN)
+            self._stop("the robot has fallen", Hold.FALLEN, Mode.DOWN)
             return
         if not fault:
             self._faults = 0
@@ -181,7 +195,7 @@ class ControlLoop(Generic[R, C]):
         self.fault, self._faults = fault, self._faults + 1
         self._between.rest()
         if self._faults >= MAX_FAULTS:
-            self._stop(fault)
+            self._stop(fault, Hold.FAULTS)
 
     def _send(self) -> None:
         try:
@@ -189,10 +203,11 @@ class ControlLoop(Generic[R, C]):
                 self.robot.read(self._sensors)
             self.robot.write(self._modes.convert(self._between.next(), self._sensors))
         except Exception as error:  # noqa: BLE001 - as above; the robot keeps the last command
-            self._stop(f"the robot refused a command: {error!r}")
+            if not self.mode.is_final:  # else the first reason stays, and the state is written on
+                self._stop(f"the robot refused a command: {error!r}", Hold.REFUSED)
 
-    def _stop(self, fault: str, mode: Mode = Mode.HOLDING) -> None:
-        self.mode, self.fault = mode, fault
+    def _stop(self, fault: str, hold: Hold, mode: Mode = Mode.HOLDING) -> None:
+        self.mode, self.fault, self.hold = mode, fault, hold
         self._between.rest()
 
 

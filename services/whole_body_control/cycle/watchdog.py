@@ -77,11 +77,12 @@ class Watchdog:
     def _safe(self, sensors: RobotSensors) -> JointCommand | None:
         held, conversion = self._held, self._conversions[self._mode]
         follows = self._mode is JointMode.POSITION and self.state is Safety.DAMPED
-        if (follows or conversion.needs_sensors) and not sensors.is_finite:
-            return None
         if follows:
+            if not sensors.is_finite:
+                return None
             held.positions[:] = sensors.positions
-        return conversion.convert(held, sensors)
+        chosen = conversion.convert(held, sensors)
+        return chosen if np.isfinite(chosen.torques).all() else None
 
     def _hold(self, command: JointCommand) -> None:
         held = self._held

@@ -14,7 +14,7 @@ from handover.telemetry import get_logger
 from services.whole_body_control.behaviours.humanoid_component import Behaviour, Fault
 from services.whole_body_control.behaviours.rehearsal import FILE as REHEARSALS
 from services.whole_body_control.behaviours.throwing import Practice
-from services.whole_body_control.cycle.loop import Mode
+from services.whole_body_control.cycle.loop import Hold, Mode
 from services.whole_body_control.metrics import FRACTION
 from services.whole_body_control.robots import folder, humanoid
 from services.whole_body_control.running.cycle_process import CycleProcess
@@ -46,6 +46,27 @@ FAULTS: Final[Mapping[int, str]] = {
         "humanoid.fault_not_offered",
         "this robot does not offer the behaviour: juggling and assisted walking are for simulated robots",
     ),
+    Fault.STRETCHED: message(
+        "humanoid.fault_stretched",
+        "the legs are stretched in the pose stand, so the robot does not walk; bend the knees in its SRDF",
+    ),
+    Fault.RELAXED: message(
+        "humanoid.fault_relaxed",
+        "limits, contacts and tasks contradict each other; a constraint was relaxed as little as possible",
+    ),
+}
+HOLDS: Final[Mapping[int, str]] = {
+    Hold.FAULTS: message(
+        "humanoid.hold_faults", "no valid values for too long; the joints hold. Restart the control cycle"
+    ),
+    Hold.FAILED: message(
+        "humanoid.hold_failed",
+        "the controller failed, and the joints hold; the log of the control cycle says why. Restart it",
+    ),
+    Hold.REFUSED: message(
+        "humanoid.hold_refused",
+        "the robot refused a command, and the joints hold; the log of the control cycle says why. Restart it",
+    ),
 }
 
 STANDING, SINGLE_SUPPORT = 0.0, 2.0
@@ -66,7 +87,7 @@ class HumanoidControl:
         self.gains = ChainGains(self.model)
         self.links = PortLinks(self.process, self._wish, self.inputs.port_values, self.gains.port_values)
         self.live = LiveDocument(self.name, self.model.joint_names, self.motion, self.inputs)
-        self.live.shown.faults = FAULTS
+        self.live.shown.faults, self.live.shown.holds = FAULTS, HOLDS
         practice = Practice()
         self.rehearsals = Rehearsals(
             self.model,

@@ -15,7 +15,7 @@ PHASES: Final = ("standing", "double", "single")
 BEHAVIOURS: Final = ("walking", "assistedWalking", "juggling")
 CAUSES: Final = ("computing", "preempted", "woken late")
 SIDES: Final = ("left", "right")
-RESIDUAL, SOLVER, GAIN = "residual.", "solver_us.", "gain."
+RESIDUAL, SLACK, SOLVER, GAIN = "residual.", "slack.", "solver_us.", "gain."
 BALL_PHASES: Final = (None, "held", "flying", "landed", "lost")
 _PLACES: Final = 5
 
@@ -30,6 +30,8 @@ class Shown:
     throw: Mapping[str, Any] | None = None
     fault: Mapping[str, Any] | None = None
     faults: Mapping[int, str] = field(default_factory=dict)
+    holds: Mapping[int, str] = field(default_factory=dict)
+    """Why the joints hold for good, where no fault says it."""
 
 
 class LiveDocument:
@@ -72,6 +74,7 @@ class LiveDocument:
             "throw": shown.throw,
             "ball": self._ball(values),
             "stack": _stack(values),
+            "relaxed": _relaxed(values),
             "solver": _solver(values),
             "cycle": _cycle(values),
             "gains": _gains(values),
@@ -114,8 +117,9 @@ def _fault(values: Mapping[str, float], shown: Shown) -> Mapping[str, Any] | Non
     code = _count(values, "fault")
     if code:
         return {"code": f"fault{code}", **with_code("message", shown.faults.get(code, ""))}
-    if _name(MODES, values.get("mode")) == "holding":
-        return {"code": "holding", "message": "the controller has stopped; the joints hold the last command"}
+    hold = _count(values, "hold")
+    if hold:
+        return {"code": f"hold{hold}", **with_code("message", shown.holds.get(hold, ""))}
     return shown.fault
 
 
@@ -142,6 +146,15 @@ def _stack(values: Mapping[str, float]) -> list[dict[str, Any]]:
             level, _, task = name.removeprefix(RESIDUAL).partition(".")
             found.append({"level": int(level), "task": task, "residual": _round(value)})
     return found
+
+
+def _relaxed(values: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Return the constraints that were relaxed in the last seconds, with their largest slack."""
+    return [
+        {"constraint": name.removeprefix(SLACK), "slack": _round(value)}
+        for name, value in values.items()
+        if name.startswith(SLACK) and math.isfinite(value) and value > 0
+    ]
 
 
 def _solver(values: Mapping[str, float]) -> dict[str, Any]:

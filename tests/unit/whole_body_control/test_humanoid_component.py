@@ -15,47 +15,17 @@ from services.whole_body_control.behaviours.humanoid_component import (
 )
 from services.whole_body_control.behaviours.walking import SIDES
 from services.whole_body_control.components.robot import JointCommand, RobotSensors
-from services.whole_body_control.control_process import control_loop
-from services.whole_body_control.cycle.deployment import Deployment
 from services.whole_body_control.cycle.loop import Mode
-from services.whole_body_control.cycle.ports import PortWriter
-from services.whole_body_control.cycle.wish import PERSON, WISH
+from services.whole_body_control.cycle.wish import WISH
 from services.whole_body_control.model.kinematics import Kinematics
 from services.whole_body_control.patterns.regions import Footprint, Side
 from services.whole_body_control.patterns.throwing import Throw, ThrowPlanner
 from services.whole_body_control.robots import humanoid
 from services.whole_body_control.simulation.simulated_robot import SimulatedRobot
+from tests.unit.whole_body_control.cycle import Cycle
 
-COMPONENTS = {
-    "robot": {"kind": "mujoco", "realtime": True},
-    "walking": {"kind": "walking", "realtime": True},
-}
 COMAN = humanoid("coman")
 TARGET = np.array([0.8, 0.1, 0.5])
-
-
-class Cycle:
-    """A control cycle without pauses, and who commands it."""
-
-    def __init__(self, folder: Path) -> None:
-        deployment = Deployment.model_validate(
-            {"folder": folder, "paced": False, "fifo": False, "components": COMPONENTS}
-        )
-        self.loop, self._state = control_loop(deployment)
-        self._wish, self._person = PortWriter(folder / "wish", WISH), PortWriter(folder / "person", PERSON)
-
-    def run(
-        self, seconds: float, wish: Mapping[str, float], person: Mapping[str, float] | None = None
-    ) -> dict[str, float]:
-        """Run with a wish and the hands of a person; return the state."""
-        wanted = np.array([wish.get(name, 0.0) for name in WISH])
-        done = np.array([(person or {}).get(name, 0.0) for name in PERSON])
-        for _ in range(round(seconds / self.loop.robot.period_s)):
-            self._wish.write(wanted)
-            self._person.write(done)
-            self.loop.cycle()
-        assert self._state.read()
-        return dict(zip(self._state.names, self._state.values.tolist(), strict=True))
 
 
 @pytest.fixture(scope="module")

@@ -41,6 +41,11 @@ export function StackCard({ document }: { document: LiveDocument }) {
           </tbody>
         </table>
       )}
+      {(document.relaxed ?? []).map(({ constraint, slack }) => (
+        <p key={constraint}>
+          {t("stack.relaxed", { constraint, slack: number(slack, i18n.language, { maximumSignificantDigits: 2 }) })}
+        </p>
+      ))}
     </Card>
   );
 }

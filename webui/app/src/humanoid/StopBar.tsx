@@ -8,7 +8,7 @@ import { ErrorMessage } from "~/design/ErrorMessage";
 import { mayDo } from "~/session/session";
 import { useUserName } from "~/shell/userName";
 import { SERVICE, type LiveDocument } from "./humanoid";
-import { holdersOf } from "./holders";
+import { holdersOf, needsRestart } from "./holders";
 import "./HumanoidPage.css";
 
 export function StopBar({ document }: { document: LiveDocument | null }) {
@@ -41,7 +41,7 @@ export function StopBar({ document }: { document: LiveDocument | null }) {
           {t("stop.reset")}
         </Button>
       )}
-      {mayDo("moveRobots") && document?.fault?.code === "cycleEnded" && (
+      {mayDo("moveRobots") && document !== null && needsRestart(document) && (
         <Button icon={<RotateCcw aria-hidden size={20} />} onPress={() => act("restart")}>
           {t("stop.restart")}
         </Button>

@@ -1,4 +1,4 @@
-/** What holds the humanoid or slows it down, in the words of the page. */
+/** What holds the humanoid or slows it down, in the words of the page, and whether a person has to start it again. */
 import i18next from "i18next";
 import { percent } from "~/design/numbers";
 import { reasonOf } from "~/health/health";
@@ -13,6 +13,11 @@ export function holdersOf({ fault, stop, limit, needsRelease }: LiveDocument): s
   if (limit.factor < 1 || limit.needsReset) found.push(limitText(limit));
   if (needsRelease) found.push(i18next.t("humanoid:walk.release"));
   return found;
+}
+
+/** The cycle has ended, or its joints hold for good. */
+export function needsRestart({ fault, mode }: LiveDocument): boolean {
+  return fault?.code === "cycleEnded" || mode === "holding" || mode === "down";
 }
 
 /** The limit of human state with its reason; the service names its own stop around that of human state. */

@@ -1,6 +1,7 @@
 import { describe, expect, it, vi } from "vitest";
 import { Driver } from "~/control/driver";
-import { hullOf, inFrame, onGround, soleAt, supportPolygon, type FootState, type Pair } from "./humanoid";
+import { needsRestart } from "./holders";
+import { hullOf, inFrame, onGround, soleAt, supportPolygon, type FootState, type LiveDocument, type Pair } from "./humanoid";
 import { wishOf } from "./wish";
 import { Replay } from "./replay";
 import { throttled } from "./snapshots";
@@ -48,6 +49,14 @@ describe("the ground of the humanoid", () => {
         expect((bx - ax) * (y - ay) - (by - ay) * (x - ax)).toBeGreaterThanOrEqual(-1e-12);
       });
     }
+  });
+});
+
+describe("the control", () => {
+  it("is started again when it has ended, and when its joints hold for good", () => {
+    const live = (mode: LiveDocument["mode"], code?: string) => ({ mode, fault: code === undefined ? null : { code, message: "" } }) as LiveDocument;
+    expect([live("following"), live("stopped"), live("standing", "fault3")].some(needsRestart)).toBe(false);
+    expect([live("holding", "fault1"), live("down", "fault4"), live(null, "cycleEnded")].every(needsRestart)).toBe(true);
   });
 });
 

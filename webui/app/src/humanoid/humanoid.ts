@@ -96,6 +96,8 @@ export interface LiveDocument {
   throw?: { number: number; hand: Side; target: Place; state: "planning" | "preparing" | "planned" | "refused"; reason: string } | null;
   ball: BallState | null;
   stack: readonly TaskState[];
+  /** Constraints that contradict others: by how much each was relaxed at most in the last seconds, in m/s or rad/s. */
+  relaxed?: readonly { constraint: string; slack: number }[];
   solver: { medianUs: number | null; p99Us: number | null; histogram: readonly (readonly [bound: number | null, count: number])[] };
   cycle: { count: number; late: number; lost: number; cause: string };
   /** The shares of the gains of the model that the joints have now, by chain. */
