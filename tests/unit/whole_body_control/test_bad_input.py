@@ -60,7 +60,7 @@ def test_a_robot_with_straight_legs_stands_does_not_walk_and_says_why(
     assert cycle.loop.robot.height_m > UPRIGHT_M
 
 
-def test_limits_that_contradict_the_contacts_are_relaxed_and_told(
+def test_limits_that_contradict_the_contacts_are_relaxed_and_reported(
     stranger: Callable[[str, Change], Humanoid], tmp_path: Path
 ) -> None:
     """Joints that are too slow for a step: the contacts hold, or the limits of the joints, not both."""
