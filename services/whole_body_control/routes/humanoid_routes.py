@@ -31,6 +31,7 @@ from services.whole_body_control.routes.bodies import (
 )
 from services.whole_body_control.running.gains import Shares
 from services.whole_body_control.running.humanoid_control import HumanoidControl
+from services.whole_body_control.running.live_pace import Pace
 from services.whole_body_control.running.model_view import model_view
 from services.whole_body_control.running.motion import NAMES
 
@@ -186,7 +187,10 @@ def _add_limits(app: FastAPI, control: HumanoidControl) -> None:
 def _add_live(app: FastAPI, control: HumanoidControl) -> None:
     @app.websocket("/live", dependencies=[require(Permission.READ, of_humanoid)])
     async def live(socket: WebSocket) -> None:
-        """Send the live document 30 times a second, or `?hz=` times; a slow reader gets fewer."""
+        """Send the live document 30 times a second, or `?hz=` times; a slow reader gets fewer.
+
+        From 60 a second, a document also follows each pose of the person: it is on the page before the next frame.
+        """
         await socket.accept()
         period_s = 1.0 / _rate(socket.query_params.get("hz"))
         sending = asyncio.create_task(_send(socket, control, period_s))
@@ -200,15 +204,14 @@ def _add_live(app: FastAPI, control: HumanoidControl) -> None:
 
 
 async def _send(socket: WebSocket, control: HumanoidControl, period_s: float) -> None:
-    clock = asyncio.get_running_loop().time
-    due_s = clock()
-    while True:
-        try:
-            await socket.send_text(orjson.dumps(control.document()).decode())
-        except (WebSocketDisconnect, RuntimeError):
-            return
-        due_s = max(due_s + period_s, clock())
-        await asyncio.sleep(due_s - clock())
+    with control.inputs.poses.followed() as pose:
+        pace = Pace(period_s, pose)
+        while True:
+            try:
+                await socket.send_text(orjson.dumps(control.document()).decode())
+            except (WebSocketDisconnect, RuntimeError):
+                return
+            await pace.next()
 
 
 def _rate(given: str | None) -> float:

@@ -89,7 +89,7 @@ def _take(control: HumanoidControl, role: str, turns: Turns, who: object, text: 
     if isinstance(given, WishMessage):
         control.motion.walk(given.ahead, given.left, given.yaw, is_held=given.held)
         return None
-    control.inputs.receive(given)
+    control.receive(given)
     return {"kind": "echo", "t": given.t} if isinstance(given, PoseMessage) else None
 
 

@@ -19,7 +19,7 @@ from services.whole_body_control.metrics import FRACTION
 from services.whole_body_control.robots import folder, humanoid
 from services.whole_body_control.running.cycle_process import CycleProcess
 from services.whole_body_control.running.gains import ChainGains, Shares
-from services.whole_body_control.running.inputs import PersonInputs, Turns
+from services.whole_body_control.running.inputs import PersonInputs, PoseMessage, PullMessage, Turns
 from services.whole_body_control.running.live import LiveDocument
 from services.whole_body_control.running.motion import NAMES, Motion
 from services.whole_body_control.running.port_links import PortLinks
@@ -204,6 +204,11 @@ class HumanoidControl:
         await asyncio.to_thread(self._store.keep_gains, self.name, gains)
         self.gains.by_chain = gains
         log.info("gains changed", humanoid=self.name)
+
+    def receive(self, given: PoseMessage | PullMessage) -> None:
+        """Take what a person does, and pass it on at once: a hand that leads is not late by a period."""
+        self.inputs.receive(given)
+        self.links.write_person()
 
     def update_limit(self) -> None:
         """Take the least limit of now; without a source the robot is not limited."""

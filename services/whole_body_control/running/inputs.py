@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from pydantic.alias_generators import to_camel
 
 from services.whole_body_control.patterns.regions import Side
+from services.whole_body_control.running.live_pace import Poses
 from services.whole_body_control.sessions.plausible import HEAD, Plausibility, Problem
 
 SILENT_S: Final = 0.5
@@ -119,6 +120,8 @@ class PersonInputs:
     values: Mapping[str, float] = field(default_factory=dict)
     """The newest state of the robot, which says where its feet are."""
     plausibility: Plausibility = field(default_factory=Plausibility)
+    poses: Poses = field(default_factory=Poses)
+    """Tells of each pose that is received."""
 
     def receive(self, given: PoseMessage | PullMessage) -> None:
         """Take a message."""
@@ -127,6 +130,7 @@ class PersonInputs:
             self.pose, self.pose_s = given, now_s
             robot = (self.values.get("base.x", 0.0), self.values.get("base.y", 0.0))
             self.plausibility.see(now_s, _places(given), robot, is_moved=given.recentred)
+            self.poses.tell()
         else:
             self.pull, self.pull_s = given, now_s
             self.plausibility.feel(now_s, [force for force in (given.left, given.right) if force is not None])

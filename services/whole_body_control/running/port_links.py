@@ -25,6 +25,8 @@ Values = Mapping[str, float]
 class PortLinks:
     """Writes the wish, what a person does and the gains, and reads the state, 50 times a second.
 
+    What a person does is also written when it comes.
+
     `values` are the newest ones by name, empty without a cycle; `on_tick` is called after each reading.
     """
 
@@ -63,6 +65,11 @@ class PortLinks:
         """Read the state now: a headset asks more often than the wish is written."""
         if self._state is not None and not self._process.problem:
             self._read()
+
+    def write_person(self) -> None:
+        """Write what a person does, between two ticks."""
+        if self._starts == self._process.starts and not self._process.problem:
+            self._write("person", self._person)
 
     def _tick(self) -> None:
         if self._starts != self._process.starts:

@@ -23,6 +23,11 @@ export class BallPrediction {
   #newest = -1;
   #isFitted = false;
 
+  /** The time of the newest place, by the clock of the robot. */
+  get newestS(): number {
+    return this.#times[this.#newest] ?? NaN;
+  }
+
   /** Forget the flight. */
   clear(): void {
     this.#count = 0;

@@ -42,9 +42,9 @@ export class Display {
     camera.updateProjectionMatrix();
   }
 
-  /** Draw what a headset shows. Returns whether it was drawn: in software not each frame is. */
-  drawForHeadset(nowMs: number, scene: Scene, camera: PerspectiveCamera): boolean {
-    if (!this.#isDue(nowMs)) return false;
+  /** Draw what a headset shows. Returns whether it was drawn: in software not each frame is, unless `always`. */
+  drawForHeadset(nowMs: number, scene: Scene, camera: PerspectiveCamera, always: boolean): boolean {
+    if (!always && !this.#isDue(nowMs)) return false;
     this.renderer.render(scene, camera);
     this.#drawnMs = nowMs;
     return true;
@@ -52,7 +52,7 @@ export class Display {
 
   /** Draw the picture on the page. Returns whether it was drawn: not if nobody would see a difference, unless `always`. */
   drawOnPage(nowMs: number, scene: Scene, camera: PerspectiveCamera, always: boolean): boolean {
-    if (!this.#isDue(nowMs) || !this.#visibility.isVisible) return false;
+    if (!(always || this.#isDue(nowMs)) || !this.#visibility.isVisible) return false;
     if (always) this.#picture.invalidate();
     if (!this.#picture.draw(scene, camera)) return false;
     this.#drawnMs = nowMs;

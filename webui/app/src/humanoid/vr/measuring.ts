@@ -1,13 +1,25 @@
 /** How long the way from a pose to the picture takes on our side, in ms. */
 import { Durations, type Quantiles } from "./durations";
 
-export const MEASURED = ["period", "work", "ownHands", "sent", "echo", "answered", "stateDrawn", "poseDrawn"] as const;
+export const MEASURED = ["period", "work", "drawing", "ownHands", "sent", "echo", "answered", "poseWorked", "stateDrawn", "poseDrawn", "ballAge", "ball"] as const;
 /**
- * period: between two frames. work: of the page for a frame. ownHands: from the pose of a frame to its drawn picture.
- * sent: from the pose to its message. echo: to the service and back. answered: from the pose to a state that has it.
- * stateDrawn: from a state to the drawn picture. poseDrawn: from a pose to the drawn picture of a state that has it.
+ * period: between two frames. work: of the page for a frame. drawing: from the end of the work to the drawn picture.
+ * ownHands: from the pose of a frame to its drawn picture. sent: from the pose to its message. echo: to the service and back.
+ * answered: from the pose to a state that has it. poseWorked: from a pose to the end of the work for the picture of a state
+ * that has it, which is all but the drawing. stateDrawn: from a state to the drawn picture. poseDrawn: from a pose to the
+ * drawn picture of a state that has it. ballAge: of the newest known place of the flying ball when it is drawn. ball: what of
+ * that the prediction does not make up for.
  */
 export type Measured = (typeof MEASURED)[number];
+
+/** A picture on its way: the times of what it shows, by `performance.now()`. */
+export interface Picture {
+  readonly sampledMs: number;
+  readonly workedMs: number;
+  readonly receivedMs: number | null;
+  readonly poseMs: number | null;
+  readonly ball: { readonly shownMs: number; readonly newestMs: number } | null;
+}
 
 export class Measuring {
   readonly #durations = Object.fromEntries(MEASURED.map((name) => [name, new Durations()])) as Record<Measured, Durations>;
@@ -16,11 +28,13 @@ export class Measuring {
   #receivedMs: number | null = null;
   #answeredPoseMs: number | null = null;
   #lastPoseMs = -Infinity;
+  #ball: Picture["ball"] = null;
 
   /** A frame begins: its poses are sampled. */
   begin(nowMs: number): void {
     if (this.#lastFrameMs !== null) this.add("period", nowMs - this.#lastFrameMs);
     this.#lastFrameMs = this.#sampledMs = nowMs;
+    this.#ball = null;
   }
 
   sent(nowMs: number): void {
@@ -36,17 +50,29 @@ export class Measuring {
     this.add("answered", nowMs - poseMs);
   }
 
-  /** The page has done its part of a frame. */
-  worked(nowMs: number): void {
-    this.add("work", nowMs - this.#sampledMs);
+  /** The frame shows the ball where it is at `shownMs`; its newest known place is of `newestMs`. */
+  showsBall(shownMs: number, newestMs: number): void {
+    this.#ball = { shownMs, newestMs };
   }
 
-  /** A frame is drawn. */
-  drawn(nowMs: number): void {
-    this.add("ownHands", nowMs - this.#sampledMs);
-    if (this.#receivedMs !== null) this.add("stateDrawn", nowMs - this.#receivedMs);
-    if (this.#answeredPoseMs !== null) this.add("poseDrawn", nowMs - this.#answeredPoseMs);
+  /** The page has done its part of a frame; returns what its picture shows. */
+  worked(nowMs: number): Picture {
+    const picture = { sampledMs: this.#sampledMs, workedMs: nowMs, receivedMs: this.#receivedMs, poseMs: this.#answeredPoseMs, ball: this.#ball };
+    this.add("work", nowMs - picture.sampledMs);
+    if (picture.poseMs !== null) this.add("poseWorked", nowMs - picture.poseMs);
     this.#receivedMs = this.#answeredPoseMs = null;
+    return picture;
+  }
+
+  /** A picture is drawn. */
+  drawn(picture: Picture, nowMs: number): void {
+    this.add("drawing", nowMs - picture.workedMs);
+    this.add("ownHands", nowMs - picture.sampledMs);
+    if (picture.receivedMs !== null) this.add("stateDrawn", nowMs - picture.receivedMs);
+    if (picture.poseMs !== null) this.add("poseDrawn", nowMs - picture.poseMs);
+    if (picture.ball === null) return;
+    this.add("ballAge", nowMs - picture.ball.newestMs);
+    this.add("ball", Math.abs(nowMs - picture.ball.shownMs));
   }
 
   add(name: Measured, ms: number): void {

@@ -10,6 +10,7 @@ import { Durations } from "./durations";
 import { recentred, SEAT_M, SEATED_EYES_M, toGround, toScene, turnToGround, yawOf } from "./frames";
 import { Haptics } from "./haptics";
 import { Holding } from "./holding";
+import { Horizon } from "./horizon";
 import { Measuring } from "./measuring";
 import { poseMessage, type SentPose } from "./messages";
 import { RobotClock } from "./robotClock";
@@ -245,13 +246,36 @@ it("durations are medians and 99 %, and the way of a pose is measured to the pic
   const measuring = new Measuring();
   measuring.begin(100);
   measuring.sent(101);
-  measuring.drawn(104);
+  const first = measuring.worked(102);
   measuring.received(110, 100);
   measuring.received(112, 100);
-  measuring.begin(111);
-  measuring.drawn(118);
-  const { ownHands, sent, answered, stateDrawn, poseDrawn, period } = measuring.figures();
-  expect([ownHands?.count, sent?.median, answered?.median, stateDrawn?.median, poseDrawn?.median, period?.median]).toEqual([2, 1, 10, 8, 18, 11]);
+  measuring.begin(113);
+  measuring.showsBall(125, 90);
+  const second = measuring.worked(115);
+  measuring.drawn(first, 116); // the next frame was worked on before it was drawn
+  measuring.begin(117);
+  measuring.drawn(second, 118);
+  const { ownHands, sent, answered, stateDrawn, poseWorked, poseDrawn, drawing, ball, ballAge } = measuring.figures();
+  expect(ownHands).toEqual({ count: 2, median: 5, p99: 16 });
+  expect(drawing).toEqual({ count: 2, median: 3, p99: 14 });
+  expect([sent, answered, stateDrawn, poseWorked, poseDrawn, ball, ballAge].map((each) => each?.median)).toEqual([1, 10, 8, 15, 18, 7, 28]);
+});
+
+it("a picture is seen when the headset says it, else as long after its frame as was measured, else a period later", () => {
+  const horizon = new Horizon();
+  for (let index = 0; index < 200; index += 1) horizon.begin(0, 1000 / 90, undefined);
+  horizon.begin(0, 5000, NaN); // the page was hidden
+  expect(horizon.ms).toBeCloseTo(1000 / 90);
+  horizon.drawn(20);
+  expect(horizon.ms).toBe(20);
+  horizon.begin(1000, 11, 1025);
+  expect(horizon.ms).toBe(25);
+  for (const nonsense of [1000, 10, 9000]) {
+    horizon.begin(1000, 11, nonsense);
+    expect(horizon.ms).toBe(20);
+  }
+  horizon.forgetDrawn();
+  expect(horizon.ms).toBeCloseTo(1000 / 90, 0);
 });
 
 describe("haptic pulses", () => {

@@ -17,8 +17,10 @@ import { toGround, type Vector } from "./frames";
 import { Haptics } from "./haptics";
 import { Headset } from "./headset";
 import { Holding } from "./holding";
+import { Horizon } from "./horizon";
 import { Measuring } from "./measuring";
 import { poseMessage, type SentPose } from "./messages";
+import { PictureEnd } from "./pictureEnd";
 import { Pointer } from "./pointer";
 import { RobotClock } from "./robotClock";
 import { DEFAULT_REACH_M, Room } from "./room";
@@ -47,14 +49,16 @@ export interface ViewEvents {
 export class VrView {
   readonly measuring = new Measuring();
   posture: Posture = "seated";
-  /** Wait for the picture of each frame, so that its time is measured; slower. */
-  waitsForPicture = false;
+  /** Draw each frame also in software, and notice when its picture is drawn. */
+  isMeasuring = false;
   readonly #display: Display;
   readonly #room: Room;
   readonly #live = new HumanoidLive(LIVE_HZ);
   readonly #pointer = new Pointer();
   readonly #clock = new RobotClock();
   readonly #flight = new BallPrediction();
+  readonly #horizon = new Horizon();
+  readonly #pictureEnd: PictureEnd;
   readonly #track: StateTrack;
   readonly #holding: Record<Side, Holding> = { left: new Holding(), right: new Holding() };
   readonly #haptics: Haptics;
@@ -97,6 +101,7 @@ export class VrView {
       hands: { left: { isTracked: false, position: left.position, turn: left.turn, grip: 0 }, right: { isTracked: false, position: right.position, turn: right.turn, grip: 0 } },
     };
     const { canvas, renderer } = this.#display;
+    this.#pictureEnd = new PictureEnd(renderer.getContext() as WebGL2RenderingContext);
     canvas.addEventListener("pointermove", this.#moved);
     canvas.addEventListener("pointerdown", this.#pressed);
     canvas.addEventListener("pointerup", this.#released);
@@ -175,6 +180,7 @@ export class VrView {
     this.#end();
     this.#resized.disconnect();
     this.#room.dispose();
+    this.#pictureEnd.dispose();
     this.#display.dispose();
   }
 
@@ -236,6 +242,7 @@ export class VrView {
     const dtS = Math.min(Math.max(timeMs / 1000 - this.#frameS, 0), 0.1);
     this.#frameS = timeMs / 1000;
     this.measuring.begin(nowMs);
+    this.#horizon.begin(nowMs, 1000 * dtS, frame?.predictedDisplayTime);
     this.#readPerson(frame, dtS);
     this.#moveRobot(nowMs / 1000, dtS);
     this.#feel();
@@ -243,15 +250,19 @@ export class VrView {
     this.#aim();
     if (nowMs - this.#panelMs > PANEL_EVERY_MS) this.#showPanel(nowMs);
     if (!this.#draw(nowMs)) return; // the hands were read and sent all the same
-    this.measuring.worked(performance.now());
-    if (this.waitsForPicture) this.#display.renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, PIXEL);
-    this.measuring.drawn(performance.now());
+    const picture = this.measuring.worked(performance.now());
+    const onDrawn = (drawnMs: number) => {
+      this.measuring.drawn(picture, drawnMs);
+      this.#horizon.drawn(drawnMs - picture.sampledMs);
+    };
+    if (this.isMeasuring) this.#pictureEnd.after(nowMs, onDrawn);
+    else this.#horizon.forgetDrawn();
   }
 
   #draw(nowMs: number): boolean {
     const { scene } = this.#room;
-    if (this.#headset !== null) return this.#display.drawForHeadset(nowMs, scene, this.#headset.camera);
-    return this.#display.drawOnPage(nowMs, scene, this.#pointer.camera, this.waitsForPicture);
+    if (this.#headset !== null) return this.#display.drawForHeadset(nowMs, scene, this.#headset.camera, this.isMeasuring);
+    return this.#display.drawOnPage(nowMs, scene, this.#pointer.camera, this.isMeasuring);
   }
 
   #readPerson(frame: XRFrame | undefined, dtS: number): void {
@@ -278,8 +289,11 @@ export class VrView {
     this.#room.body.pose(this.#track);
     this.#room.scene.updateMatrixWorld();
     const ball = this.#document?.ball ?? null;
-    if (ball?.phase === "flying" && this.#flight.at(this.#clock.now(nowS) + dtS, this.#ballAt)) this.#room.showBall(this.#anchor, this.#ballAt);
-    else if (ball?.position != null) {
+    const [now, aheadS] = [this.#clock.now(nowS), this.#horizon.ms / 1000];
+    if (ball?.phase === "flying" && this.#flight.at(now + aheadS, this.#ballAt)) {
+      this.#room.showBall(this.#anchor, this.#ballAt);
+      this.measuring.showsBall(1000 * (nowS + aheadS), 1000 * (nowS - now + this.#flight.newestS));
+    } else if (ball?.position != null) {
       [this.#ballAt.x, this.#ballAt.y, this.#ballAt.z] = ball.position;
       this.#room.showBall(this.#anchor, this.#ballAt);
     } else this.#room.showBall(this.#anchor, null);
@@ -438,5 +452,3 @@ export class VrView {
     if (this.#headset === null) this.#display.fit(this.#pointer.camera);
   }
 }
-
-const PIXEL = new Uint8Array(4);

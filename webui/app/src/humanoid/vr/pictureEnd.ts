@@ -1,0 +1,50 @@
+/**
+ * When a picture is drawn. The page does not wait for it: it gives a fence to the graphics, and asks for it every
+ * millisecond, so that messages and frames come meanwhile as they do without being measured.
+ */
+
+const ASK_MS = 1;
+/** A context that is lost never answers. */
+const LONGEST_MS = 5000;
+
+export class PictureEnd {
+  readonly #gl: WebGL2RenderingContext;
+  readonly #channel = new MessageChannel();
+  readonly #waiting: { fence: WebGLSync; sinceMs: number; onDrawn: (nowMs: number) => void }[] = [];
+  #isAsking = false;
+
+  constructor(gl: WebGL2RenderingContext) {
+    this.#gl = gl;
+    // timers that set each other come every 4 ms; one that a message sets comes after 1 ms
+    this.#channel.port1.onmessage = () => setTimeout(() => this.#ask(), ASK_MS);
+  }
+
+  /** Call `onDrawn` when all that was given to the graphics until now is drawn. */
+  after(nowMs: number, onDrawn: (nowMs: number) => void): void {
+    const fence = this.#gl.fenceSync(this.#gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    if (fence === null) return;
+    this.#gl.flush();
+    this.#waiting.push({ fence, sinceMs: nowMs, onDrawn });
+    if (this.#isAsking) return;
+    this.#isAsking = true;
+    this.#channel.port2.postMessage(null);
+  }
+
+  dispose(): void {
+    this.#channel.port1.close();
+    for (const { fence } of this.#waiting.splice(0)) this.#gl.deleteSync(fence);
+  }
+
+  #ask(): void {
+    const nowMs = performance.now();
+    for (let first = this.#waiting[0]; first !== undefined; first = this.#waiting[0]) {
+      const isDrawn = this.#gl.getSyncParameter(first.fence, this.#gl.SYNC_STATUS) === this.#gl.SIGNALED;
+      if (!isDrawn && nowMs - first.sinceMs < LONGEST_MS) break;
+      this.#waiting.shift();
+      this.#gl.deleteSync(first.fence);
+      if (isDrawn) first.onDrawn(nowMs);
+    }
+    this.#isAsking = this.#waiting.length > 0;
+    if (this.#isAsking) this.#channel.port2.postMessage(null);
+  }
+}
