@@ -11,6 +11,7 @@ from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect
 
 from handover.errors import Problem
+from handover.messages import message, with_code
 from handover.security.guard import require_by_request
 from handover.security.permissions import Permission
 from handover.validation import fault_text
@@ -28,6 +29,10 @@ from services.whole_body_control.running.signals import PatientSignals
 
 MAX_MESSAGE_CHARS: Final = 4096
 MAX_REASON_CHARS: Final = 300
+TAKEN: Final = {
+    "patient": message("humanoid.patient_taken", "another person exercises already; wait for their end"),
+    "therapist": message("humanoid.therapist_taken", "another therapist steers already; wait for their end"),
+}
 _NEEDED: Final[dict[str, Permission]] = {
     "patient": Permission.PERFORM_TASKS,
     "therapist": Permission.MOVE_ROBOTS,
@@ -83,8 +88,7 @@ def _take(control: HumanoidControl, role: str, turns: Turns, who: object, text: 
     given = _read(text, role)
     if isinstance(given, str) or not turns.takes(who):
         INPUTS.labels("refused").inc()
-        reason = given if isinstance(given, str) else f"another {role} sends already; wait for their end"
-        return {"kind": "error", "reason": reason}
+        return {"kind": "error", **with_code("reason", given if isinstance(given, str) else TAKEN[role])}
     INPUTS.labels("accepted").inc()
     if isinstance(given, WishMessage):
         control.motion.walk(given.ahead, given.left, given.yaw, is_held=given.held)

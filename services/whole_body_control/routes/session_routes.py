@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Query, Request
 
 from handover.errors import Problem
-from handover.messages import message
+from handover.messages import message, text_of
 from handover.security.audit_trail import current_request
 from handover.security.caller import Caller
 from handover.security.guard import guard_of, require, require_signed_in
@@ -97,7 +97,7 @@ def _add_acts(app: FastAPI, training: Training, writer: SessionWriter) -> None:
         try:
             training.resume()
         except SessionError as error:
-            raise Problem(409, "Still paused", str(error)) from None
+            raise Problem(409, "Still paused", text_of(error)) from None
         return await _current(training, writer)
 
     @app.post("/sessions/{session}/end", tags=["sessions"], dependencies=perform)

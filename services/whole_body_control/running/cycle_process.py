@@ -186,7 +186,7 @@ def _runs(pid: int, deployment: Path) -> bool:
 
 def _reason(status: int | None) -> str:
     if status is None:
-        return "its exit code is not known"
+        return message("humanoid.exit_unknown", "its exit code is not known")
     if status < 0:
-        return f"signal {signal.Signals(-status).name}"
-    return f"exit code {status}"
+        return message("humanoid.exit_signal", "signal {name}", name=signal.Signals(-status).name)
+    return message("humanoid.exit_code", "exit code {code}", code=status)

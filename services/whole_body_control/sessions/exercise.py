@@ -7,8 +7,9 @@ that no ball flies at a patient who has just found the headset again.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal
+from typing import Final, Literal
 
+from handover.messages import message
 from services.whole_body_control.sessions.catching import Outcome
 
 Application = Literal["juggling", "walking"]
@@ -37,6 +38,17 @@ class PauseReason(StrEnum):
     FORCE = "force"
     LIMIT = "limit"
     STOPPED = "stopped"
+
+
+CAUSES: Final = {
+    PauseReason.TRACKING_LOST: message("humanoid.cause_tracking", "the headset is not tracked"),
+    PauseReason.OUT_OF_BOUNDS: message("humanoid.cause_bounds", "the person is not at their place"),
+    PauseReason.SILENT: message("humanoid.cause_silent", "the headset sends nothing"),
+    PauseReason.FORCE: message("humanoid.cause_force", "a hand is pulled too hard"),
+    PauseReason.LIMIT: message("humanoid.cause_limit", "a limit stops the robot"),
+    PauseReason.STOPPED: message("humanoid.cause_stopped", "the robot is stopped"),
+}
+"""What keeps a session from going on, in words."""
 
 
 class EndReason(StrEnum):
@@ -114,11 +126,13 @@ class Exercise:
     def resume(self, now_s: float) -> None:
         """Go on by a person's wish. Raises `SessionError` while a cause of the pause is still there."""
         if self.state is State.ENDED:
-            raise SessionError("the session has ended; start another one")
+            raise SessionError(message("humanoid.session_ended", "the session has ended; start another one"))
         self.reasons.discard(PauseReason.PERSON)
         if self.reasons:
-            there = ", ".join(sorted(self.reasons))
-            raise SessionError(f"the session cannot go on while its cause is there: {there}")
+            cause = next(text for reason, text in CAUSES.items() if reason in self.reasons)
+            raise SessionError(
+                message("humanoid.still_paused", "the session cannot go on yet: {cause}", cause=cause)
+            )
         if self.state is State.PAUSED:
             self.state, self._since_s = State.RUNNING, now_s
 

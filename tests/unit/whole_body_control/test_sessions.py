@@ -151,7 +151,7 @@ def test_a_session_ends_with_its_goal_and_counts_points_by_difficulty() -> None:
 def test_a_session_goes_on_only_by_a_person_and_without_a_cause_of_the_pause() -> None:
     session = Exercise("juggling", Goal(seconds=60), 0.0)
     session.pause(PauseReason.TRACKING_LOST, 10.0)
-    with pytest.raises(SessionError, match="trackingLost"):
+    with pytest.raises(SessionError, match="not tracked"):
         session.resume(11.0)
     session.clear(PauseReason.TRACKING_LOST)
     assert session.state is State.PAUSED

@@ -14,7 +14,7 @@ from services.whole_body_control.running.session_store import SessionStore
 from services.whole_body_control.running.signals import PatientSignals
 from services.whole_body_control.running.store import Store
 from services.whole_body_control.running.training import GRACE_S, Plan, Session, Training
-from services.whole_body_control.sessions.exercise import Goal, SessionError, State
+from services.whole_body_control.sessions.exercise import CAUSES, Goal, PauseReason, SessionError, State
 from services.whole_body_control.sessions.plausible import RELEASE_S
 from services.whole_body_control.settings import WholeBodySettings
 
@@ -104,7 +104,7 @@ def test_the_robot_stands_and_the_session_names_the_cause_until_a_person_resumes
     exercises.later(0.1, is_sending=False)
     assert reason in session.view()["pauseReason"]
     assert exercises.wish()["stop"] == 1.0
-    with pytest.raises(SessionError, match=reason):
+    with pytest.raises(SessionError, match=CAUSES[PauseReason(reason)]):
         exercises.resume()
     exercises.later(2 * RELEASE_S)  # what arrives is plausible again
     assert (session.view()["state"], session.view()["pauseReason"]) == ("paused", "")

@@ -10,6 +10,7 @@ import { SegmentedControl } from "~/design/SegmentedControl";
 import { Driver } from "~/control/driver";
 import { HoldButton } from "~/control/HoldButton";
 import { JogPanel } from "~/control/JogPanel";
+import { localizedText } from "~/i18n/server";
 import { keyName } from "~/control/keyName";
 import { Slider } from "~/control/Slider";
 import { useKeyboard, useRelease } from "~/control/useControl";
@@ -65,7 +66,7 @@ class WalkLink {
   };
 
   open(onError: (reason: string) => void): () => void {
-    this.#link = new InputLink("therapist", (answer) => answer.kind === "error" && onError(answer.reason));
+    this.#link = new InputLink("therapist", (answer) => answer.kind === "error" && onError(localizedText(answer, "reason") ?? answer.reason));
     this.#timer = setInterval(this.send, SEND_EVERY_MS);
     return () => {
       clearInterval(this.#timer);

@@ -42,7 +42,7 @@ export type InputMessage = WishMessage | PoseMessage | PullMessage;
 export type Answer =
   | { kind: "echo"; t: number }
   | { kind: "haptic"; hand: Side; intensity: number; ms: number }
-  | { kind: "error"; reason: string };
+  | { kind: "error"; reason: string; reasonCode?: string; reasonParameters?: Record<string, unknown> };
 
 export class InputLink {
   #socket: WebSocket | null = null;

@@ -10,9 +10,9 @@ export class Horizon {
   #drawnMs: number | null = null;
   #saidMs: number | null = null;
 
-  /** The time from the start of a frame until it is seen: what the headset says, else what was measured, else a period. */
+  /** The time from the start of a frame until it is seen: what the headset says, else what was measured, and a period at least. */
   get ms(): number {
-    return this.#saidMs ?? this.#drawnMs ?? this.#periodMs;
+    return this.#saidMs ?? Math.max(this.#drawnMs ?? 0, this.#periodMs);
   }
 
   /** A frame begins, `periodMs` after the last; `displayMs` is when the headset shows it, where it says so. */
@@ -27,10 +27,5 @@ export class Horizon {
   drawn(ms: number): void {
     const least = Math.min(Math.max(ms, 0), MOST_MS);
     this.#drawnMs = this.#drawnMs === null ? least : this.#drawnMs + SHARE * (least - this.#drawnMs);
-  }
-
-  /** Nobody measures any more when a picture is drawn. */
-  forgetDrawn(): void {
-    this.#drawnMs = null;
   }
 }

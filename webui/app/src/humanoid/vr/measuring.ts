@@ -5,8 +5,8 @@ export const MEASURED = ["period", "work", "drawing", "ownHands", "sent", "echo"
 /**
  * period: between two frames. work: of the page for a frame. drawing: from the end of the work to the drawn picture.
  * ownHands: from the pose of a frame to its drawn picture. sent: from the pose to its message. echo: to the service and back.
- * answered: from the pose to a state that has it. poseWorked: from a pose to the end of the work for the picture of a state
- * that has it, which is all but the drawing. stateDrawn: from a state to the drawn picture. poseDrawn: from a pose to the
+ * answered: from the pose to a state that has it. poseWorked: from a pose to the end of the work for the first frame that
+ * shows a state with it, which is all but the drawing. stateDrawn: from a state to the drawn picture. poseDrawn: from a pose to the
  * drawn picture of a state that has it. ballAge: of the newest known place of the flying ball when it is drawn. ball: what of
  * that the prediction does not make up for.
  */
@@ -27,6 +27,10 @@ export class Measuring {
   #sampledMs = 0;
   #receivedMs: number | null = null;
   #answeredPoseMs: number | null = null;
+  /** The first pose that a state of this frame has, drawn or not. */
+  #framePoseMs: number | null = null;
+  /** How long drawing commands take, which frames lack that are not drawn in software. */
+  #commandsMs = 0;
   #lastPoseMs = -Infinity;
   #ball: Picture["ball"] = null;
 
@@ -47,6 +51,7 @@ export class Measuring {
     if (poseMs === null || poseMs <= this.#lastPoseMs) return;
     this.#lastPoseMs = poseMs;
     this.#answeredPoseMs ??= poseMs;
+    this.#framePoseMs ??= poseMs;
     this.add("answered", nowMs - poseMs);
   }
 
@@ -55,11 +60,17 @@ export class Measuring {
     this.#ball = { shownMs, newestMs };
   }
 
-  /** The page has done its part of a frame; returns what its picture shows. */
-  worked(nowMs: number): Picture {
+  /**
+   * The page has done its part of a frame, at last the drawing commands since `drawsMs`; returns what its picture shows,
+   * null for a frame that is not drawn. That one counts with the usual time of the commands.
+   */
+  worked(nowMs: number, drawsMs: number, isDrawn: boolean): Picture | null {
+    if (isDrawn) this.#commandsMs += (this.#commandsMs === 0 ? 1 : 0.1) * (nowMs - drawsMs - this.#commandsMs);
+    if (this.#framePoseMs !== null) this.add("poseWorked", (isDrawn ? nowMs : drawsMs + this.#commandsMs) - this.#framePoseMs);
+    this.#framePoseMs = null;
+    if (!isDrawn) return null;
     const picture = { sampledMs: this.#sampledMs, workedMs: nowMs, receivedMs: this.#receivedMs, poseMs: this.#answeredPoseMs, ball: this.#ball };
     this.add("work", nowMs - picture.sampledMs);
-    if (picture.poseMs !== null) this.add("poseWorked", nowMs - picture.poseMs);
     this.#receivedMs = this.#answeredPoseMs = null;
     return picture;
   }
@@ -81,7 +92,7 @@ export class Measuring {
 
   clear(): void {
     for (const each of Object.values(this.#durations)) each.clear();
-    this.#lastFrameMs = this.#receivedMs = this.#answeredPoseMs = null;
+    this.#lastFrameMs = this.#receivedMs = this.#answeredPoseMs = this.#framePoseMs = null;
   }
 
   figures(): Record<Measured, Quantiles | null> {

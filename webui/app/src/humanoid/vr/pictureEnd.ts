@@ -10,7 +10,7 @@ const LONGEST_MS = 5000;
 export class PictureEnd {
   readonly #gl: WebGL2RenderingContext;
   readonly #channel = new MessageChannel();
-  readonly #waiting: { fence: WebGLSync; sinceMs: number; onDrawn: (nowMs: number) => void }[] = [];
+  readonly #waiting: { fence: WebGLSync; sinceMs: number; onEnd: (drawnMs: number | null) => void }[] = [];
   #isAsking = false;
 
   constructor(gl: WebGL2RenderingContext) {
@@ -19,12 +19,15 @@ export class PictureEnd {
     this.#channel.port1.onmessage = () => setTimeout(() => this.#ask(), ASK_MS);
   }
 
-  /** Call `onDrawn` when all that was given to the graphics until now is drawn. */
-  after(nowMs: number, onDrawn: (nowMs: number) => void): void {
+  /** Call `onEnd` when all that was given to the graphics until now is drawn; with null if that cannot be known. */
+  after(nowMs: number, onEnd: (drawnMs: number | null) => void): void {
     const fence = this.#gl.fenceSync(this.#gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
-    if (fence === null) return;
+    if (fence === null) {
+      onEnd(null);
+      return;
+    }
     this.#gl.flush();
-    this.#waiting.push({ fence, sinceMs: nowMs, onDrawn });
+    this.#waiting.push({ fence, sinceMs: nowMs, onEnd });
     if (this.#isAsking) return;
     this.#isAsking = true;
     this.#channel.port2.postMessage(null);
@@ -42,7 +45,7 @@ export class PictureEnd {
       if (!isDrawn && nowMs - first.sinceMs < LONGEST_MS) break;
       this.#waiting.shift();
       this.#gl.deleteSync(first.fence);
-      if (isDrawn) first.onDrawn(nowMs);
+      first.onEnd(isDrawn ? nowMs : null);
     }
     this.#isAsking = this.#waiting.length > 0;
     if (this.#isAsking) this.#channel.port2.postMessage(null);

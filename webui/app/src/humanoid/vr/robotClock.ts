@@ -4,6 +4,8 @@
  */
 const WINDOW_S = 3;
 const HALVES = 2;
+/** A newer document is not later than this: the clock of a simulation may be slower than ours. */
+const MOST_QUEUE_S = 0.05;
 /** A robot whose clock jumps has been started again. */
 const RESTARTED_S = 0.5;
 
@@ -13,12 +15,14 @@ export class RobotClock {
   #sinceS = -Infinity;
   #echoS = 0;
   #lastT = -Infinity;
+  #lastS = -Infinity;
 
   /** Take a document of the robot's time `t` that arrived at `nowS` of the page. Both in s. */
   receive(nowS: number, t: number): void {
     if (!Number.isFinite(nowS + t)) return;
     if (t < this.#lastT - RESTARTED_S) this.#least.fill(Infinity);
     this.#lastT = t;
+    this.#lastS = nowS;
     if (nowS - this.#sinceS > WINDOW_S / HALVES) {
       this.#least[1] = this.#least[0] ?? Infinity;
       this.#least[0] = Infinity;
@@ -45,7 +49,8 @@ export class RobotClock {
 
   /** The newest time of the robot that could have arrived at `nowS`. */
   arrived(nowS: number): number {
-    return nowS - Math.min(this.#least[0] ?? Infinity, this.#least[1] ?? Infinity);
+    const least = Math.min(this.#least[0] ?? Infinity, this.#least[1] ?? Infinity);
+    return Math.min(nowS - least, this.#lastT + nowS - this.#lastS + MOST_QUEUE_S);
   }
 
   /** The time of the robot at `nowS`. */

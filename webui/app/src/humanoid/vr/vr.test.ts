@@ -125,6 +125,13 @@ it("the clock of the robot follows the least delay, adds half of the echo, and s
   expect(clock.arrived(1006)).toBeCloseTo(0.1);
 });
 
+it("the clock of a robot that is slower than ours runs ahead of what has arrived by a little only", () => {
+  const clock = new RobotClock();
+  for (let sent = 0; sent < 10; sent += 0.01) clock.receive(1000 + 2 * sent, sent);
+  expect(clock.arrived(1020)).toBeGreaterThan(9.99);
+  expect(clock.arrived(1020)).toBeLessThan(10.1);
+});
+
 describe("the states", () => {
   const state = (t: number, x: number, angle: number | null, turn = [0, 0, 0, 1]): Pick<LiveDocument, "t" | "base" | "joints"> => ({ t, base: [x, 0, 0.5, ...turn], joints: [angle] });
 
@@ -246,22 +253,25 @@ it("durations are medians and 99 %, and the way of a pose is measured to the pic
   const measuring = new Measuring();
   measuring.begin(100);
   measuring.sent(101);
-  const first = measuring.worked(102);
+  const first = measuring.worked(102, 101, true);
   measuring.received(110, 100);
   measuring.received(112, 100);
+  measuring.begin(112);
+  expect(measuring.worked(112.5, 112, false)).toBeNull(); // in software not each frame is drawn: it would have taken 1 ms
   measuring.begin(113);
   measuring.showsBall(125, 90);
-  const second = measuring.worked(115);
+  const second = measuring.worked(115, 114, true);
+  if (first === null || second === null) throw new Error("no picture");
   measuring.drawn(first, 116); // the next frame was worked on before it was drawn
   measuring.begin(117);
   measuring.drawn(second, 118);
   const { ownHands, sent, answered, stateDrawn, poseWorked, poseDrawn, drawing, ball, ballAge } = measuring.figures();
   expect(ownHands).toEqual({ count: 2, median: 5, p99: 16 });
   expect(drawing).toEqual({ count: 2, median: 3, p99: 14 });
-  expect([sent, answered, stateDrawn, poseWorked, poseDrawn, ball, ballAge].map((each) => each?.median)).toEqual([1, 10, 8, 15, 18, 7, 28]);
+  expect([sent, answered, stateDrawn, poseWorked, poseDrawn, ball, ballAge].map((each) => each?.median)).toEqual([1, 10, 8, 13, 18, 7, 28]);
 });
 
-it("a picture is seen when the headset says it, else as long after its frame as was measured, else a period later", () => {
+it("a picture is seen when the headset says it, else as long after its frame as was measured, and a period at least", () => {
   const horizon = new Horizon();
   for (let index = 0; index < 200; index += 1) horizon.begin(0, 1000 / 90, undefined);
   horizon.begin(0, 5000, NaN); // the page was hidden
@@ -274,8 +284,6 @@ it("a picture is seen when the headset says it, else as long after its frame as 
     horizon.begin(1000, 11, nonsense);
     expect(horizon.ms).toBe(20);
   }
-  horizon.forgetDrawn();
-  expect(horizon.ms).toBeCloseTo(1000 / 90, 0);
 });
 
 describe("haptic pulses", () => {

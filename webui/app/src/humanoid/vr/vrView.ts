@@ -6,6 +6,7 @@
  */
 import type { Quaternion, Vector3 } from "three";
 import { errorText, requestService } from "~/api/http";
+import { localizedText } from "~/i18n/server";
 import { mayDo } from "~/session/session";
 import { inFrame, SERVICE, SIDES, type Footprint, type HumanoidModel, type LiveDocument, type Place, type Side } from "../humanoid";
 import { InputLink, type Answer } from "../inputLink";
@@ -20,7 +21,6 @@ import { Holding } from "./holding";
 import { Horizon } from "./horizon";
 import { Measuring } from "./measuring";
 import { poseMessage, type SentPose } from "./messages";
-import { PictureEnd } from "./pictureEnd";
 import { Pointer } from "./pointer";
 import { RobotClock } from "./robotClock";
 import { DEFAULT_REACH_M, Room } from "./room";
@@ -49,7 +49,7 @@ export interface ViewEvents {
 export class VrView {
   readonly measuring = new Measuring();
   posture: Posture = "seated";
-  /** Draw each frame also in software, and notice when its picture is drawn. */
+  /** Notice when a picture is drawn, and draw those that look the same. */
   isMeasuring = false;
   readonly #display: Display;
   readonly #room: Room;
@@ -58,7 +58,6 @@ export class VrView {
   readonly #clock = new RobotClock();
   readonly #flight = new BallPrediction();
   readonly #horizon = new Horizon();
-  readonly #pictureEnd: PictureEnd;
   readonly #track: StateTrack;
   readonly #holding: Record<Side, Holding> = { left: new Holding(), right: new Holding() };
   readonly #haptics: Haptics;
@@ -101,7 +100,6 @@ export class VrView {
       hands: { left: { isTracked: false, position: left.position, turn: left.turn, grip: 0 }, right: { isTracked: false, position: right.position, turn: right.turn, grip: 0 } },
     };
     const { canvas, renderer } = this.#display;
-    this.#pictureEnd = new PictureEnd(renderer.getContext() as WebGL2RenderingContext);
     canvas.addEventListener("pointermove", this.#moved);
     canvas.addEventListener("pointerdown", this.#pressed);
     canvas.addEventListener("pointerup", this.#released);
@@ -180,7 +178,6 @@ export class VrView {
     this.#end();
     this.#resized.disconnect();
     this.#room.dispose();
-    this.#pictureEnd.dispose();
     this.#display.dispose();
   }
 
@@ -233,7 +230,7 @@ export class VrView {
     } else if (answer.kind === "haptic") {
       this.#room.hands[answer.hand].pulse(answer.intensity, answer.ms);
     } else {
-      this.fail(answer.reason);
+      this.fail(localizedText(answer, "reason"));
     }
   }
 
@@ -249,19 +246,20 @@ export class VrView {
     if (this.#using !== "nothing") this.#say(true);
     this.#aim();
     if (nowMs - this.#panelMs > PANEL_EVERY_MS) this.#showPanel(nowMs);
-    if (!this.#draw(nowMs)) return; // the hands were read and sent all the same
-    const picture = this.measuring.worked(performance.now());
-    const onDrawn = (drawnMs: number) => {
+    const drawsMs = performance.now();
+    const isDrawn = this.#draw(nowMs); // where it is not, the hands were read and sent all the same
+    const picture = this.measuring.worked(performance.now(), drawsMs, isDrawn);
+    if (picture === null) return;
+    if (!this.isMeasuring && !this.#display.isSlow) return;
+    this.#display.end(nowMs, (drawnMs) => {
       this.measuring.drawn(picture, drawnMs);
       this.#horizon.drawn(drawnMs - picture.sampledMs);
-    };
-    if (this.isMeasuring) this.#pictureEnd.after(nowMs, onDrawn);
-    else this.#horizon.forgetDrawn();
+    });
   }
 
   #draw(nowMs: number): boolean {
     const { scene } = this.#room;
-    if (this.#headset !== null) return this.#display.drawForHeadset(nowMs, scene, this.#headset.camera, this.isMeasuring);
+    if (this.#headset !== null) return this.#display.drawForHeadset(nowMs, scene, this.#headset.camera);
     return this.#display.drawOnPage(nowMs, scene, this.#pointer.camera, this.isMeasuring);
   }
 
