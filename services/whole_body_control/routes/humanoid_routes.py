@@ -189,7 +189,7 @@ def _add_live(app: FastAPI, control: HumanoidControl) -> None:
     async def live(socket: WebSocket) -> None:
         """Send the live document 30 times a second, or `?hz=` times; a slow reader gets fewer.
 
-        From 60 a second, a document also follows each pose of the person: it is on the page before the next frame.
+        From 60 a second, a document also follows each pose of the person, before the next frame of a headset.
         """
         await socket.accept()
         period_s = 1.0 / _rate(socket.query_params.get("hz"))

@@ -121,7 +121,7 @@ class PersonInputs:
     """The newest state of the robot, which says where its feet are."""
     plausibility: Plausibility = field(default_factory=Plausibility)
     poses: Poses = field(default_factory=Poses)
-    """Tells of each pose that is received."""
+    """Reports each pose that is received."""
 
     def receive(self, given: PoseMessage | PullMessage) -> None:
         """Take a message."""
@@ -130,7 +130,7 @@ class PersonInputs:
             self.pose, self.pose_s = given, now_s
             robot = (self.values.get("base.x", 0.0), self.values.get("base.y", 0.0))
             self.plausibility.see(now_s, _places(given), robot, is_moved=given.recentred)
-            self.poses.tell()
+            self.poses.report()
         else:
             self.pull, self.pull_s = given, now_s
             self.plausibility.feel(now_s, [force for force in (given.left, given.right) if force is not None])

@@ -1,7 +1,7 @@
 """When the next live document is sent: after a period, and earlier for a new pose of the person.
 
-A headset asks for documents as often as it draws. A document that follows each of its poses is on the page before the
-next frame; one by a timer alone comes up to a period later.
+A headset asks for documents as often as it draws. A document that follows each of its poses is on the page
+before the next frame; one by a timer alone comes up to a period later.
 """
 
 import asyncio
@@ -14,7 +14,7 @@ FOLLOWS_FROM_HZ: Final = 60.0
 
 
 class Poses:
-    """Tells those who follow that a pose has come."""
+    """Wakes those who follow, for each pose that comes."""
 
     def __init__(self) -> None:
         self._followers: set[asyncio.Event] = set()
@@ -29,8 +29,8 @@ class Poses:
         finally:
             self._followers.discard(event)
 
-    def tell(self) -> None:
-        """Tell of a pose."""
+    def report(self) -> None:
+        """Report a pose."""
         for event in self._followers:
             event.set()
 

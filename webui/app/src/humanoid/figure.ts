@@ -8,7 +8,7 @@ import {
 } from "three";
 import type { URDFRobot } from "urdf-loader";
 import { parsed, release } from "~/robot3d/urdf";
-import { SIDES, soleAt, supportPolygon, type HumanoidModel, type LiveDocument, type Pair, type PatientState, type Place, type Side } from "./humanoid";
+import { shownBall, SIDES, soleAt, supportPolygon, type HumanoidModel, type LiveDocument, type Pair, type PatientState, type Place, type Side } from "./humanoid";
 
 export const BALL_RADIUS_M = 0.025;
 /** Above the ground, so that flat things do not flicker in it; a drawing order of millimetres. */
@@ -206,7 +206,8 @@ export class HumanoidFigure {
     }
   }
 
-  #throwing({ ball }: LiveDocument): void {
+  #throwing(live: LiveDocument): void {
+    const ball = shownBall(live);
     place(this.#ball, ball?.position ?? null);
     place(this.#target, ball?.target ?? null);
     const landing = ball?.landing ?? null;

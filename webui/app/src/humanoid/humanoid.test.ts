@@ -1,7 +1,7 @@
 import { describe, expect, it, vi } from "vitest";
 import { Driver } from "~/control/driver";
 import { needsRestart } from "./holders";
-import { hullOf, inFrame, onGround, soleAt, supportPolygon, type FootState, type LiveDocument, type Pair } from "./humanoid";
+import { hullOf, inFrame, onGround, shownBall, soleAt, supportPolygon, type FootState, type LiveDocument, type Pair } from "./humanoid";
 import { wishOf } from "./wish";
 import { Replay } from "./replay";
 import { throttled } from "./snapshots";
@@ -58,6 +58,12 @@ describe("the control", () => {
     expect([live("following"), live("stopped"), live("standing", "fault3")].some(needsRestart)).toBe(false);
     expect([live("holding", "fault1"), live("down", "fault4"), live(null, "cycleEnded")].every(needsRestart)).toBe(true);
   });
+});
+
+it("a ball is shown while the robot juggles, and until it has flown", () => {
+  const ball = (phase: string) => ({ phase }) as LiveDocument["ball"];
+  const isShown = (behaviour: LiveDocument["behaviour"], phase: string) => shownBall({ behaviour, ball: ball(phase) }) !== null;
+  expect([isShown("juggling", "caught"), isShown("walking", "flying"), isShown("assistedWalking", "caught"), isShown("standing", "landed")]).toEqual([true, true, false, false]);
 });
 
 describe("the wish of the therapist", () => {

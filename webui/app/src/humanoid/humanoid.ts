@@ -179,3 +179,8 @@ export function standingSides({ phase, feet }: Pick<LiveDocument, "phase" | "fee
 export function supportPolygon(document: Pick<LiveDocument, "phase" | "feet">, soles: Readonly<Partial<Record<Side, readonly Pair[]>>>): Pair[] {
   return hullOf(standingSides(document).flatMap((side) => soles[side] ?? []));
 }
+
+/** The ball as it is shown: what is left of a throw does not hang in the air while the robot walks. */
+export function shownBall({ ball, behaviour }: Pick<LiveDocument, "ball" | "behaviour">): LiveDocument["ball"] {
+  return behaviour === "juggling" || ball?.phase === "flying" ? ball : null;
+}

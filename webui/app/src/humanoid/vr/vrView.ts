@@ -8,7 +8,7 @@ import type { Quaternion, Vector3 } from "three";
 import { errorText, requestService } from "~/api/http";
 import { localizedText } from "~/i18n/server";
 import { mayDo } from "~/session/session";
-import { inFrame, SERVICE, SIDES, type Footprint, type HumanoidModel, type LiveDocument, type Place, type Side } from "../humanoid";
+import { inFrame, SERVICE, shownBall, SIDES, type Footprint, type HumanoidModel, type LiveDocument, type Place, type Side } from "../humanoid";
 import { InputLink, type Answer } from "../inputLink";
 import { HumanoidLive, OLD_MS } from "../liveState";
 import { BallPrediction } from "./ball";
@@ -286,7 +286,7 @@ export class VrView {
     this.#room.anchorAt(this.#anchor);
     this.#room.body.pose(this.#track);
     this.#room.scene.updateMatrixWorld();
-    const ball = this.#document?.ball ?? null;
+    const ball = this.#document === null ? null : shownBall(this.#document);
     const [now, aheadS] = [this.#clock.now(nowS), this.#horizon.ms / 1000];
     if (ball?.phase === "flying" && this.#flight.at(now + aheadS, this.#ballAt)) {
       this.#room.showBall(this.#anchor, this.#ballAt);
