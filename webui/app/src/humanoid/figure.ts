@@ -67,6 +67,7 @@ export class HumanoidFigure {
   constructor(urdf: string, model: HumanoidModel, colours: FigureColours) {
     this.#model = model;
     this.#robot = parsed(urdf);
+    this.#robot.visible = false; // where it is, and how its joints stand, is known with the first state
     this.#com = marker(0.018);
     this.#zmp = new Mesh(new CircleGeometry(0.012, 24), flat(1));
     this.#zmpReference = new Mesh(new RingGeometry(0.014, 0.018, 24), flat(1));
@@ -142,6 +143,7 @@ export class HumanoidFigure {
       const [x = 0, y = 0, z = 0, qx = 0, qy = 0, qz = 0, qw = 1] = base;
       this.#robot.position.set(x, y, z);
       this.#robot.quaternion.set(qx, qy, qz, qw);
+      this.#robot.visible = true;
     }
     this.#model.joints.forEach((name, index) => {
       const angle = joints[index];
@@ -157,7 +159,7 @@ export class HumanoidFigure {
     if (com !== null) draw(this.#plumb, [[...com, 0], [...com, base?.[2] ?? 0.5]]);
     place(this.#zmp, zmp, LIFTED_M.points);
     place(this.#zmpReference, zmpReference, LIFTED_M.points);
-    const polygon = supportPolygon(document, { left: this.#sole("left"), right: this.#sole("right") });
+    const polygon = base === null ? [] : supportPolygon(document, { left: this.#sole("left"), right: this.#sole("right") });
     this.#polygon.visible = this.#area.visible = polygon.length > 2;
     if (polygon.length > 2) {
       draw(this.#polygon, polygon.map(([x, y]) => [x, y, LIFTED_M.polygon]));

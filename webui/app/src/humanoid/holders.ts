@@ -8,7 +8,7 @@ import type { LiveDocument } from "./humanoid";
 /** Faults first, then the stop, the limit, and a control that must be released. */
 export function holdersOf({ fault, stop, limit, needsRelease }: LiveDocument): string[] {
   const found: string[] = [];
-  if (fault !== null) found.push(localizedText(fault, "message") ?? fault.message);
+  if (fault !== null) found.push(sentence(localizedText(fault, "message") ?? fault.message));
   if (stop.isStopped) found.push(i18next.t("humanoid:stop.stopped", { who: stop.by, reason: stop.reason }));
   if (limit.factor < 1 || limit.needsReset) found.push(limitText(limit));
   if (needsRelease) found.push(i18next.t("humanoid:walk.release"));
@@ -18,6 +18,11 @@ export function holdersOf({ fault, stop, limit, needsRelease }: LiveDocument): s
 /** The cycle has ended, or its joints hold for good. */
 export function needsRestart({ fault, mode }: LiveDocument): boolean {
   return fault?.code === "cycleEnded" || mode === "holding" || mode === "down";
+}
+
+/** A text of the service as it stands alone: messages begin with a small letter, since they may follow others. */
+function sentence(text: string): string {
+  return text.charAt(0).toLocaleUpperCase(i18next.language) + text.slice(1);
 }
 
 /** The limit of human state with its reason; the service names its own stop around that of human state. */

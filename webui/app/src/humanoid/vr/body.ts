@@ -21,6 +21,7 @@ export class Body {
   /** Throws `InvalidDescription` for a URDF that cannot be drawn. */
   constructor(urdf: string, model: HumanoidModel) {
     this.#robot = parsed(urdf);
+    this.#robot.visible = false; // until its first state
     this.root.add(this.#robot);
     model.joints.forEach((name, index) => {
       const joint = this.#robot.joints[name];
@@ -35,6 +36,7 @@ export class Body {
 
   pose({ values }: StateTrack): void {
     const at = (index: number) => values[index] ?? 0;
+    this.#robot.visible = true;
     this.#robot.position.set(at(0), at(1), at(2));
     this.#robot.quaternion.set(at(3), at(4), at(5), at(6));
     for (const { joint, rest, index } of this.#hinges) joint.quaternion.setFromAxisAngle(joint.axis, at(index)).premultiply(rest);
