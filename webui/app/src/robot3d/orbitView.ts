@@ -6,12 +6,14 @@
 import { type ColorRepresentation, DirectionalLight, type GridHelper, PerspectiveCamera, Scene, WebGLRenderer } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { FrameScheduler } from "~/design/frameScheduler";
-import { picturePeriodMs } from "./graphicsCard";
+import { drawsInSoftware } from "./graphicsCard";
 import { ambientLights, groundGrid } from "./light";
 import { DISTANCES, type Distances, stepOf, stepped } from "./orbit";
 import { ScenePicture } from "./scenePicture";
 
 const MAX_PIXEL_RATIO = 2;
+/** The shortest time between two pictures that are drawn in software: 10 a second, each of which takes half of it on a processor core. */
+const SOFTWARE_PERIOD_MS = 96;
 
 export interface OrbitEvents {
   /** Move what is in the scene before a frame; returns whether another frame follows. */
@@ -42,7 +44,9 @@ export class OrbitView {
     this.#events = events;
     this.#renderer = new WebGLRenderer({ antialias: true, powerPreference: "low-power" });
     this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MAX_PIXEL_RATIO));
-    this.#renderer.shadowMap.enabled = true;
+    // In software, shadows take half of the time of a picture, which services on the same computer need.
+    const isSlow = drawsInSoftware();
+    this.#renderer.shadowMap.enabled = !isSlow;
     this.canvas = this.#renderer.domElement;
     this.canvas.setAttribute("aria-hidden", "true");
     host.append(this.canvas);
@@ -53,7 +57,7 @@ export class OrbitView {
     this.controls.enableZoom = false;
     this.canvas.style.touchAction = "pan-y";
     this.#picture = new ScenePicture(this.#renderer);
-    this.#frames = new FrameScheduler(host, (nowMs) => this.#draw(nowMs), picturePeriodMs());
+    this.#frames = new FrameScheduler(host, (nowMs) => this.#draw(nowMs), isSlow ? SOFTWARE_PERIOD_MS : 0);
     this.controls.addEventListener("start", () => (this.#isTurning = true));
     this.controls.addEventListener("end", () => (this.#isTurning = false));
     // A view that follows its robot changes the camera as well, and is no faster than the robot.
