@@ -94,6 +94,7 @@ def test_trials_pass_on_the_page_and_a_killed_human_state_stops_a_wheelchair(
         expect(page.get_by_role("region", name="Vital signs")).to_contain_text("Heart rate")
         keep(page, "cases-bed")
         accessible(page)
+        page.close()
 
         rest.post("/machines/wheelchair/trial", json={}).raise_for_status()
         wait_for(lambda: speed_of(seen("wheelchair")) > 0.8, PATIENCE_S)
