@@ -1,5 +1,6 @@
 """The compose file: what it starts is what there is, containers have their walls, little is published."""
 
+import functools
 import re
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,11 @@ VARIABLE = re.compile(r"\$\{([A-Z_]+)(?::-([^}]*))?\}")
 
 every_container = pytest.mark.parametrize("name", CONTAINERS)
 every_one_of_ours = pytest.mark.parametrize("name", OURS)
+
+
+@functools.cache
+def known_settings() -> set[str]:
+    return {origin.name for origin in origins([service.settings for service in SERVICES])}
 
 
 def texts(of: Any) -> list[str]:
@@ -217,8 +223,7 @@ def test_the_broker_may_connect_to_every_service_of_the_cell(more: str) -> None:
 
 @every_one_of_ours
 def test_environment_of_a_container_has_known_settings_only(name: str) -> None:
-    known = {origin.name for origin in origins([service.settings for service in SERVICES])}
-    assert set(OURS[name]["environment"]) <= known
+    assert set(OURS[name]["environment"]) <= known_settings()
 
 
 def test_three_ports_are_published_and_on_this_machine_alone() -> None:

@@ -1,5 +1,6 @@
 """The manifests for Kubernetes: valid by its schemas, without privileges, and with settings that exist."""
 
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +34,11 @@ SETTINGS = next(document for document in DOCUMENTS if document["kind"] == "Confi
 
 every_workload = pytest.mark.parametrize("name", WORKLOADS)
 every_one_of_ours = pytest.mark.parametrize("name", OURS)
+
+
+@functools.cache
+def known_settings() -> set[str]:
+    return {origin.name for origin in origins([service.settings for service in SERVICES])}
 
 
 def pod_of(name: str) -> dict[str, Any]:
@@ -82,11 +88,8 @@ def test_a_pod_has_no_privileges_and_a_read_only_file_system(name: str) -> None:
 def test_a_service_runs_with_settings_that_exist_and_is_asked_where_it_listens(name: str) -> None:
     container, service = container_of(name), KNOWN[name]
     assert container["command"] == ["handover", "run", name]
-    known = {origin.name for origin in origins([service.settings])} | {
-        origin.name for origin in origins([one.settings for one in SERVICES])
-    }
     given = {one["name"] for one in container.get("env", ())} | set(SETTINGS)
-    assert given <= known
+    assert given <= known_settings()
     ports = {port["name"]: port["containerPort"] for port in container["ports"]}
     assert ports["https"] == service.settings.model_fields[service.port_field].default
     for probe, path in (("livenessProbe", "/healthz"), ("readinessProbe", "/readyz")):
