@@ -15,7 +15,10 @@ How it works:
 6. A stop ends the motion by standing on both feet: a step is finished, a throw followed through, and its ball
    stays in the hand.
 7. A model whose legs are stretched in its pose `stand` stands and may throw, but does not walk.
-8. Constraints that contradict each other are relaxed by the solver, by the least squares of their violations;
+8. Without valid values of some sensors a robot that walks finishes its step and stands, then it holds:
+   joints that stopped within a step may let it fall. An inertial sensor is replaced by the leg that stands,
+   whose sole does not turn, and a joint is taken to be where it was commanded.
+9. Constraints that contradict each other are relaxed by the solver, by the least squares of their violations;
    the state has the largest slack of each for `RELAXED_S`.
 """
 
@@ -35,7 +38,7 @@ from services.whole_body_control.cycle.gains import GainShares, gain_fields
 from services.whole_body_control.cycle.wish import PERSON, PLANNED_JOINTS, Wanted
 from services.whole_body_control.engines.choice import DEFAULT_ENGINE, EngineName
 from services.whole_body_control.model.humanoid import Humanoid
-from services.whole_body_control.model.kinematics import Array, Kinematics
+from services.whole_body_control.model.kinematics import BASE_VELOCITIES, DOWNWARDS, Array, Kinematics
 from services.whole_body_control.model.standing import HANDS, stretched_legs
 from services.whole_body_control.patterns.footsteps import Wish
 from services.whole_body_control.patterns.intention import DEFAULT_INTENTION, IntentionName
@@ -51,6 +54,8 @@ FALLEN_TILT_RAD: Final = 1.0
 """A robot whose root leans by more has fallen."""
 MAX_THROW_S: Final = 2.0
 RELAXED_S: Final = 2.0
+FINISH_S: Final = 3.0
+"""How long a step may be finished without valid values of some sensors."""
 MIN_SLACK: Final = 1e-4
 """Of a constraint, in m/s or rad/s; less is the tolerance of a solver."""
 LIMIT_SLACK_RAD: Final = 0.01
@@ -108,6 +113,16 @@ class _Ball:
         self.target, self.predicted = np.full(3, np.nan), np.full(3, np.nan)
 
 
+def behaviours_of(humanoid: Humanoid) -> tuple[Behaviour, ...]:
+    """Return what a humanoid can do in simulation."""
+    found = [Behaviour.WALKING]
+    if all(hand in humanoid.grips for hand in HANDS) and not stretched_legs(Kinematics(humanoid)):
+        found.append(Behaviour.ASSISTED_WALKING)
+    if humanoid.grips:
+        found.append(Behaviour.JUGGLING)
+    return tuple(found)
+
+
 class HumanoidComponent:
     """All behaviours of a humanoid as one component of the control cycle. Not thread-safe.
 
@@ -147,6 +162,9 @@ class HumanoidComponent:
         self._hands: Mapping[Side, Array] = {side: np.zeros(3) for side in SIDES}
         self._solver_counts = np.zeros(len(SOLVER_BOUNDS_US) + 1)
         self._residuals = _residual_names(self.walking, self._throwing)
+        self._blind_s = 0.0
+        """Since when sensors are not valid."""
+        self._of_legs = Kinematics(humanoid)
         self._slack = dict.fromkeys(_constraint_names(self.walking, self._throwing), 0.0)
         self._relaxed_s = 0.0
         self.fields: Sequence[str] = _fields(humanoid, self._residuals, tuple(self._slack))
@@ -178,19 +196,20 @@ class HumanoidComponent:
 
     def step(self, sensors: RobotSensors, command: JointCommand) -> str:
         """Compute the next command; return what is wrong, or nothing."""
+        is_blind = self._bridge(sensors, command)
         self._switch()
         self._feel()
         if self.behaviour is Behaviour.JUGGLING:
             fault = self._throw(sensors, command)
         else:
-            fault = self._walk(sensors, command)
+            fault = self._walk(sensors, command, is_to_stand=is_blind)
         self._soften(command)
         if self._taken < 1.0:
             self._take_over(sensors, command)
         self._follow_ball()
         self._count()
         self._note_slack()
-        self._judge(fault)
+        self._judge(NOT_FINITE if is_blind else fault)
         return fault
 
     def write_state(self, state: Array) -> None:
@@ -297,12 +316,42 @@ class HumanoidComponent:
             ground = np.array([*(to_ground @ force[:2]), force[2]])
             self._world.pull(self.assistance.link(side), rotation.T @ ground)
 
-    def _walk(self, sensors: RobotSensors, command: JointCommand) -> str:
+    def _bridge(self, sensors: RobotSensors, command: JointCommand) -> bool:
+        """Replace values that are not valid while a step is to be finished; return whether it is."""
+        if sensors.is_finite:
+            self._blind_s = 0.0
+            return False
+        is_walking = self.behaviour is not Behaviour.JUGGLING and not self.walking.is_at_rest
+        if not is_walking or self._blind_s >= FINISH_S or not np.isfinite(sensors.wrenches).all():
+            return False
+        self._blind_s += self.control_s
+        is_lost = ~(np.isfinite(sensors.positions) & np.isfinite(sensors.velocities))
+        sensors.positions[is_lost] = self.walking.reference[7:][is_lost]
+        sensors.velocities[is_lost] = command.velocities[is_lost]
+        if not (np.isfinite(sensors.gyroscope).all() and np.isfinite(sensors.accelerometer).all()):
+            self._measure_turn_by_leg(sensors)
+        return True
+
+    def _measure_turn_by_leg(self, sensors: RobotSensors) -> None:
+        """Write what an inertial sensor would measure while the sole that carries most does not turn."""
+        kinematics, estimator, contacts = (
+            self._of_legs,
+            self.walking.estimator,
+            self.walking.settings.contacts,
+        )
+        still = np.zeros(BASE_VELOCITIES)
+        kinematics.update(kinematics.neutral(sensors.positions), np.concatenate([still, sensors.velocities]))
+        foot = max((estimator.feet[contacts[side]] for side in SIDES), key=lambda each: each.share)
+        to_sensor = kinematics.pose(self.humanoid.sensors.inertial[0]).rotation.T
+        sensors.gyroscope[:] = to_sensor @ -kinematics.velocity(foot.link)[3:]
+        sensors.accelerometer[:] = to_sensor @ (estimator.rotation.T @ -DOWNWARDS)
+
+    def _walk(self, sensors: RobotSensors, command: JointCommand, *, is_to_stand: bool = False) -> str:
         wanted, walking = self._wanted, self.walking
         share = wanted.speed_share if self._is_commanded and not wanted.stop else 0.0
         if wanted.behaviour != self.behaviour:
             share = 0.0  # it changes at rest, also while a person still pulls; or it is not offered
-        if self._is_stretched:
+        if self._is_stretched or is_to_stand:
             share = 0.0
         ground, yaw_rate = np.zeros(2), 0.0
         if self.behaviour is Behaviour.ASSISTED_WALKING and self.assistance is not None:

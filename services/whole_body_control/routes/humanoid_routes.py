@@ -15,6 +15,7 @@ from handover.messages import message
 from handover.security.caller import Caller
 from handover.security.guard import require, require_somewhere
 from handover.security.permissions import Permission
+from services.whole_body_control.behaviours.humanoid_component import Behaviour, behaviours_of
 from services.whole_body_control.robots import HUMANOIDS, humanoid
 from services.whole_body_control.routes.access import of_humanoid
 from services.whole_body_control.routes.bodies import (
@@ -226,6 +227,7 @@ def _humanoid_view(name: str, control: HumanoidControl) -> HumanoidView:
     runs = name == control.model.name
     try:
         model = control.model if runs else humanoid(name)
+        offered = control.offered if runs else behaviours_of(model)
     except UsageError as error:  # for example without the package of its URDF
         return HumanoidView(
             model=name,
@@ -245,7 +247,7 @@ def _humanoid_view(name: str, control: HumanoidControl) -> HumanoidView:
         joints=len(model.joints),
         mass_kg=round(model.mass_kg, 3),
         hands=list(model.grips),
-        behaviours=list(NAMES),
+        behaviours=[each for each, code in NAMES.items() if Behaviour(code) in offered],
         drivers=["simulated"],
         problem=_problem(control) if runs else "",
     )

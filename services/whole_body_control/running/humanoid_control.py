@@ -11,7 +11,7 @@ from handover.errors import Problem
 from handover.messages import message
 from handover.security.caller import Caller
 from handover.telemetry import get_logger
-from services.whole_body_control.behaviours.humanoid_component import Behaviour, Fault
+from services.whole_body_control.behaviours.humanoid_component import Behaviour, Fault, behaviours_of
 from services.whole_body_control.behaviours.rehearsal import FILE as REHEARSALS
 from services.whole_body_control.behaviours.throwing import Practice
 from services.whole_body_control.cycle.loop import Hold, Mode
@@ -78,6 +78,7 @@ class HumanoidControl:
     def __init__(self, settings: WholeBodySettings, store: Store, limits: LimitLink) -> None:
         self.name = settings.humanoid_name
         self.model = humanoid(settings.model_name)
+        self.offered = behaviours_of(self.model)
         self.process = CycleProcess(settings)
         self.motion = Motion()
         self.limits = limits
@@ -180,6 +181,16 @@ class HumanoidControl:
                 message(
                     "humanoid.not_standing",
                     "the behaviour changes only while the humanoid stands on both feet; let it stand first",
+                ),
+            )
+        if wanted is Behaviour.ASSISTED_WALKING and wanted not in self.offered:
+            raise Problem(
+                501,
+                "Cannot be led",
+                message(
+                    "humanoid.cannot_be_led",
+                    "this humanoid cannot be led by the hands: its model needs the grips left_hand and "
+                    "right_hand, and knees that are bent in the pose stand",
                 ),
             )
         if wanted is Behaviour.JUGGLING and not self.model.grips:

@@ -118,6 +118,22 @@ def test_a_sensor_that_fails_in_a_step_and_returns_lets_the_step_be_finished(tmp
     assert cycle.loop.robot.height_m > UPRIGHT_M
 
 
+@pytest.mark.parametrize("spoiled", [gyroscope, knee])
+def test_a_sensor_that_fails_for_good_in_a_step_lets_it_be_finished_before_the_joints_hold(
+    spoiled: Callable[[RobotSensors], None], tmp_path: Path
+) -> None:
+    """At this moment of a fast step it falls if its joints stop."""
+    cycle = Cycle(tmp_path)
+    state = cycle.run(2.55, {**STANDING, "ahead_mps": 0.15})
+    assert state["phase"] == PHASES.index("single")
+    cycle.spoil(spoiled)
+    assert cycle.run(0.1, WALKING)["fault"] == Fault.SENSORS
+    state = cycle.run(4.0, WALKING)
+    assert (state["mode"], state["fault"], state["hold"]) == (Mode.HOLDING, Fault.SENSORS, Hold.FAULTS)
+    assert state["phase"] == PHASES.index("standing")
+    assert cycle.loop.robot.height_m > UPRIGHT_M
+
+
 def test_velocities_beyond_all_reach_walk_it_as_fast_as_it_can(tmp_path: Path) -> None:
     cycle = Cycle(tmp_path)
     state = cycle.run(2.5, {**STANDING, "ahead_mps": 1e300, "left_mps": -1e300, "yaw_radps": 1e300})
