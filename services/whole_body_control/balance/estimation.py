@@ -2,11 +2,12 @@
 
 Roll and pitch integrate the gyroscope, and follow the accelerometer slowly (a complementary filter after
 Mahony 2008, with an estimate of the bias). Feet that carry weight do not move: the velocity of the base is
-what keeps the centres of pressure still, weighted by the force on each foot. A robot that leans at the first
-sample, as one does that was held by its drives, starts with the tilt of the accelerometer. The position
-integrates the velocity, and follows the places where the feet came to stand, so that it does not drift while
-they stand. The ground is flat, at height 0. Yaw and position on the ground have no reference, and drift with
-the steps.
+what keeps the centres of pressure still, weighted by the force on each foot. A foot that lands or rolls does
+move a little, so this velocity is smoothed over `LEGS_S`, and what changes faster is the accelerometer's. The
+sensor may be on a torso that moves on the root. A robot that leans at the first sample, as one does that was
+held by its drives, starts with the tilt of the accelerometer. The position integrates the velocity, and
+follows the places where the feet came to stand, so that it does not drift while they stand. The ground is
+flat, at height 0. Yaw and position on the ground have no reference, and drift with the steps.
 
 What a period computes of each foot is in plain numbers: an operation of numpy on three of them takes as long
 as twenty of Python.
@@ -21,7 +22,9 @@ import pinocchio as pin
 from handover.errors import UsageError
 from services.whole_body_control.components.robot import RobotSensors
 from services.whole_body_control.model.kinematics import (
+    BASE_POSITIONS,
     BASE_VELOCITIES,
+    DOWNWARDS,
     GRAVITY_MPS2,
     Array,
     Kinematics,
@@ -30,6 +33,10 @@ from services.whole_body_control.model.kinematics import (
 
 TILT_GAIN, BIAS_GAIN = 0.4, 0.02
 """How fast the tilt follows the accelerometer in 1/s, and the bias of the gyroscope in 1/s²."""
+LEGS_S = 0.04
+"""The time constant with which the velocity of the base follows the legs."""
+MAX_ACCELERATION_MPS2, MAX_SLIP_MPS = 6.0, 0.1
+"""A shock does not last a whole period; where the legs differ by more than this, a foot lands or slips."""
 ANCHOR_GAIN = 10.0
 """How fast the position follows the places of the standing feet, in 1/s."""
 MIN_CONTACT_N = 30.0
@@ -95,9 +102,11 @@ class StateEstimator:
         self._feet_frame: Array | None = None
         """Of the present state, once it is known."""
         kinematics.update(q)
-        base = kinematics.pose(humanoid.root)
-        inertial = kinematics.pose(humanoid.sensors.inertial[0])
-        self._of_inertial = base.rotation.T @ inertial.rotation
+        self._inertial = humanoid.sensors.inertial[0]
+        self._is_inertial_on_root = kinematics.is_on_root(self._inertial)
+        self._place_inertial()
+        self._velocity = np.zeros(3)
+        """Of the inertial sensor, on the ground."""
         self.feet = {
             name: _foot(kinematics, contact.link, np.array(contact.corners))
             for name, contact in humanoid.contacts.items()
@@ -132,28 +141,35 @@ class StateEstimator:
 
     def update(self, sensors: RobotSensors, dt_s: float) -> None:
         """Compute the state of `dt_s` after the last one."""
+        self.q[BASE_POSITIONS:] = sensors.positions
+        self.v[BASE_VELOCITIES:] = sensors.velocities
+        if not self._is_inertial_on_root:
+            self._place_inertial()
         spin = self._turn(sensors, dt_s)
         self._feet_frame = None
         self._measure_feet(sensors)
         self.q[:3] = self._position
-        self.q[3:7] = pin.Quaternion(self._rotation).coeffs()
-        self.q[7:] = sensors.positions
+        self.q[3:BASE_POSITIONS] = pin.Quaternion(self._rotation).coeffs()
         self.v[:3] = 0.0
         self.v[3:BASE_VELOCITIES] = spin
-        self.v[BASE_VELOCITIES:] = sensors.velocities
         self.kinematics.update(self.q, self.v)
-        velocity, correction = self._walked()
+        walked, correction = self._walked()
+        velocity = self._fused(walked, sensors, spin, dt_s)
         step = (velocity + ANCHOR_GAIN * correction) * dt_s
         self._position += step
         self.q[:3] = self._position
         self.v[:3] = self._rotation.T @ velocity
         self.com = self.kinematics.centre_of_mass() + step
-        self.com_velocity = np.asarray(self.kinematics.data.vcom[0]) + velocity
+        self.com_velocity = self.kinematics.centre_of_mass_velocity() + velocity
         self._anchor(step)
 
     def sole(self, name: str) -> Array:
         """Return the place (3,) of the origin of a sole."""
         return np.array(self.kinematics.pose(self.feet[name].link).translation)
+
+    def velocity_of(self, link: str) -> Array:
+        """Return the velocity (3,) of a link on the ground, in m/s."""
+        return np.asarray(self.kinematics.velocity(link)[:3] + self._rotation @ self.v[:3])
 
     @property
     def centre_of_pressure(self) -> Array:
@@ -169,9 +185,15 @@ class StateEstimator:
         """Return the centre of pressure (2,) of a foot on the ground in m; NaN while it does not stand."""
         return self._point(foot)[:2] if foot.is_standing else np.full(2, np.nan)
 
+    def _place_inertial(self) -> None:
+        """Find where the inertial sensor is on the root; joints of a torso may be between them."""
+        pose, velocity = self.kinematics.from_root(self.q, self.v, self._inertial)
+        self._of_inertial, self._to_inertial = pose.rotation.copy(), pose.translation.copy()
+        self._inertial_speed, self._inertial_spin = velocity[:3], velocity[3:]
+
     def _turn(self, sensors: RobotSensors, dt_s: float) -> Array:
         """Integrate the gyroscope and return the angular velocity of the base in its own frame."""
-        spin = self._of_inertial @ sensors.gyroscope - self._bias
+        spin = self._of_inertial @ sensors.gyroscope - self._inertial_spin - self._bias
         force = self._of_inertial @ sensors.accelerometer
         strength = math.sqrt(force.dot(force))
         if not self._has_begun:
@@ -226,12 +248,26 @@ class StateEstimator:
             away_x, away_y, away_z = away_x + share * for_x, away_y + share * for_y, away_z + share * for_z
         return np.array([x, y, z]), np.array([away_x, away_y, away_z])
 
+    def _fused(self, walked: Array, sensors: RobotSensors, spin: Array, dt_s: float) -> Array:
+        """Return the velocity (3,) of the base, with what the legs say of it."""
+        rotation = self._rotation
+        acceleration = rotation @ (self._of_inertial @ sensors.accelerometer) + DOWNWARDS
+        arm = rotation @ (cross(spin, self._to_inertial) + self._inertial_speed)
+        self._velocity += dt_s * _limited(acceleration, MAX_ACCELERATION_MPS2)
+        if any(foot.share for foot in self.feet.values()):
+            self._velocity += min(dt_s / LEGS_S, 1.0) * _limited(walked + arm - self._velocity, MAX_SLIP_MPS)
+        return np.asarray(self._velocity - arm)
+
     def _anchor(self, step: Array) -> None:
         """Keep the places of standing feet; those that come to stand do so on the ground where they are."""
         for foot in self.feet.values():
             if foot.share < 0.3:
                 foot.anchor = self.kinematics.pose(foot.link).translation + step
                 foot.anchor[2] = 0.0
+
+
+def _limited(vector: Array, most: float) -> Array:
+    return np.minimum(np.maximum(vector, -most), most)
 
 
 def _yaw(rotation: Array) -> float:

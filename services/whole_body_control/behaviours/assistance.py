@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from services.whole_body_control.balance.external_torques import ExternalTorques
+from services.whole_body_control.balance.external_torques import SMOOTHING_S, ExternalTorques
 from services.whole_body_control.behaviours.walking import SIDES, WalkingController
 from services.whole_body_control.components.robot import RobotSensors
 from services.whole_body_control.cycle.wish import PERSON
@@ -52,6 +52,8 @@ STIFFNESS_NPM, DAMPING_NSPM = 40.0, 8.0
 """Of the hold of a hand that has a place: the arm of the person."""
 ARM_DAMPING_S: Final = DAMPING_NSPM / STIFFNESS_NPM
 """Of the arms of a person; their stiffness differs more than this time."""
+BRAKE_S: Final = 0.3
+"""The lead is less by the way that the robot goes in this time, so that it slows down before it is there."""
 MAX_PULL_N: Final = 15.0
 """At one hand. 30 N of both move the zero moment point by 8 cm, to the toes."""
 MAX_SIDEWAYS_N: Final = 14.0
@@ -62,6 +64,8 @@ robot little, and a person who changes direction makes one."""
 JERK_SHARE: Final = 1.5
 """Beyond this share of the limits a force counts at once."""
 STAND_S: Final = 0.4
+ROOT_S: Final = 3.0
+"""Above the time of two steps, in which the root sways. That of COMAN is 1.5 cm farther back than at rest."""
 YAW_DEADBAND_M, YAW_GAIN, MAX_YAW_RADPS = 0.04, 1.5, 0.2
 EVERY_S: Final = 0.02
 
@@ -100,8 +104,8 @@ class AssistedWalking:
         kinematics.update(rest)
         self._rest = {side: hand_place(kinematics, grip.link) for side, grip in self._grips.items()}
         self._root = (rest[:3] - kinematics.centre_of_mass())[:2]
-        """Where the root is (2,) in the frame between the soles at rest: measured whenever nobody holds a
-        hand."""
+        """Where the root is (2,) in the frame between the soles, apart from its swaying: measured at rest
+        whenever nobody holds a hand, and followed slowly while it walks."""
         volumes = [
             manipulability(arm_state(kinematics, *_names(grip), self._rest[side]))
             for side, grip in self._grips.items()
@@ -118,7 +122,8 @@ class AssistedWalking:
         for joints in self._joints.values():
             self.firmness[joints[:SHOULDER_JOINTS]] = SHOULDER_FIRMNESS
         self._joint_damping = kinematics.joint_damping()
-        self._external = ExternalTorques(walking.estimator, control_s)
+        hands = [grip.link for grip in self._grips.values()]
+        self._external = ExternalTorques(walking.estimator, control_s, hands)
         self._stand = np.zeros(3)
         self.velocity = np.zeros(2)
         """The reference (2,) of the centre of mass in m/s on the ground of the plan."""
@@ -128,6 +133,8 @@ class AssistedWalking:
         self._held: tuple[Side, ...] = ()
         self._pull = {side: np.zeros(3) for side in SIDES}
         """The smoothed force (3,) of each hand of the person."""
+        self._places: dict[Side, Array] = {}
+        """Where the held hands are (3,) from their rest pose, smoothed."""
         self._hold_stiffness = HoldStiffness()
         self._volumes: Mapping[str, float] = {}
 
@@ -197,6 +204,9 @@ class AssistedWalking:
         """
         estimator = self._walking.estimator
         feet = estimator.feet_frame()
+        for side in SIDES:
+            if side not in self._held:
+                self._places.pop(side, None)
         if not self._held:
             self._external.restart()
             self._hold_stiffness.restart()
@@ -209,6 +219,9 @@ class AssistedWalking:
         velocity = self._walking.turned_to_estimate(self.velocity)
         self._stand[:2] += self._control_s * velocity + share * (feet[:2] - self._stand[:2])
         self._stand[2] = feet[2]
+        root = turn(-feet[2]) @ (estimator.q[:2] - self._stand[:2])
+        root_s = STAND_S if self._walking.state.stance.phase == "standing" else ROOT_S
+        self._root += self._control_s / root_s * (root - self._root)
 
     def wish(self, share: float) -> tuple[Array, float]:
         """Return the velocity (2,) in m/s on the ground and the yaw rate after one control period."""
@@ -237,32 +250,50 @@ class AssistedWalking:
             return {}
         back, velocity = turn(-self._stand[2]), self._walking.turned_to_estimate(self.velocity)
         felt = [self._arm(side, back, velocity) for side in self._held]
-        places = [np.asarray(place[:2]) for _, place, _ in felt]
+        places = [
+            self._smoothed(side, place, dt_s) for side, (_, place, _) in zip(self._held, felt, strict=True)
+        ]
         stiffness = self._hold_stiffness.update(
-            np.mean(places, axis=0), np.mean([force[:2] for _, _, force in felt], axis=0), dt_s
+            np.mean(places, axis=0)[:2], np.mean([force[:2] for _, _, force in felt], axis=0), dt_s
         )
         return {
             side: replace(state, lead=place + force / stiffness)
-            for side, (state, place, force) in zip(self._held, felt, strict=True)
+            for side, place, (state, _, force) in zip(self._held, places, felt, strict=True)
         }
+
+    def _smoothed(self, side: Side, place: Array, dt_s: float) -> Array:
+        """Return the place (3,) of a hand as of when its force is, which is smoothed."""
+        before = self._places.get(side, place)
+        self._places[side] = before + (1.0 - math.exp(-dt_s / SMOOTHING_S)) * (place - before)
+        return self._places[side]
 
     def _arm(self, side: Side, back: Array, velocity: Array) -> tuple[ArmState, Array, Array]:
         """Return the state of an arm, the place of its hand (3,) from its rest pose, and the force (3,) at
         it.
 
-        The place is measured from where the robot is apart from its swaying, and is ahead by what the damping
-        of the person's arm makes of its velocity against the wanted one (2,). `back` (2, 2) turns the ground
-        of the estimate to the heading of the robot.
+        The place is measured from where the robot is apart from its swaying, ahead by what the damping of the
+        person's arm makes of its velocity against the wanted one (2,), and back by `BRAKE_S`. `back` (2, 2)
+        turns the ground of the estimate to the heading of the robot.
         """
         estimator, grip = self._walking.estimator, self._grips[side]
         state = arm_state(estimator.kinematics, *_names(grip), self._rest[side])
-        force = hand_force(state.jacobian, self._external.torques[self._joints[side]])
+        force = self._force(side)
+        force[:2] = back @ force[:2]
         hand = np.array(estimator.kinematics.pose(grip.link).translation)
         hand[:2] = back @ (hand[:2] - self._stand[:2]) - self._root
         hand[2] -= estimator.q[2]
-        speed = estimator.kinematics.velocity(grip.link)[:3]
-        hand[:2] += ARM_DAMPING_S * (back @ (speed[:2] - velocity))
+        hand[:2] += ARM_DAMPING_S * (back @ (estimator.velocity_of(grip.link)[:2] - velocity))
+        hand[:2] -= BRAKE_S * (back @ velocity)
         return state, hand - self._rest[side], force
+
+    def _force(self, side: Side) -> Array:
+        """Return the force (3,) at a hand on the ground: by its sensor, or else by the torques of its arm."""
+        sensed = self._external.forces.get(self._grips[side].link)
+        if sensed is not None:
+            return sensed.copy()
+        joints = self._joints[side]
+        jacobian = self._walking.estimator.kinematics.jacobian(self._grips[side].link)
+        return hand_force(jacobian[:3, BASE_VELOCITIES + joints], self._external.torques[joints])
 
     def _apart(self, arm: ArmState) -> float:
         """Return how far a hand is ahead, by the lead if this is what is read."""

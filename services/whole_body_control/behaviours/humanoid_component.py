@@ -288,8 +288,6 @@ class HumanoidComponent:
             self._throw_phase = 0.0
         if self.assistance is not None:
             self.assistance.begin(is_wanted=wanted == Behaviour.ASSISTED_WALKING)
-        # A swaying body moves the hands against those of a person, which reads as a lead.
-        self.walking.sway(little=wanted == Behaviour.ASSISTED_WALKING)
         self.behaviour = Behaviour(wanted)
 
     def _between_soles(self, q: Array) -> Array:

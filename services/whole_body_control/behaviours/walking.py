@@ -30,7 +30,7 @@ from services.whole_body_control.patterns.minimum_jerk import moved
 from services.whole_body_control.patterns.pendulum import Pendulum, PendulumState
 from services.whole_body_control.patterns.regions import Footprint, Side, turn
 from services.whole_body_control.patterns.walking import Pattern, WalkingPattern
-from services.whole_body_control.patterns.zmp_control import LITTLE_SWAY, PERIOD_S, ZmpControl
+from services.whole_body_control.patterns.zmp_control import PERIOD_S, ZmpControl
 from services.whole_body_control.solvers.problem import Solver
 from services.whole_body_control.tasks.base import Constraint, Level
 from services.whole_body_control.tasks.constraints import Contact, JointLimits
@@ -120,7 +120,6 @@ class WalkingController:
         width = float(np.linalg.norm(stance.left.place - stance.right.place))
         limits = limits or StepLimits(width, 0.85 * width, 1.5 * width, 0.1)
         self._control = ZmpControl(self._pendulum, margin_m=ZMP_MARGIN_M)
-        self._little_sway = ZmpControl(self._pendulum, LITTLE_SWAY, margin_m=ZMP_MARGIN_M)
         self._pattern = WalkingPattern(self._control, limits, self._sole, stance)
         self._limits = limits
         self._next = self._pattern.step(Wish(np.zeros(2)))
@@ -135,10 +134,6 @@ class WalkingController:
         self._ground = _Ground()
         self._capture_error = np.zeros(2)
         self._foot_offset, self._foot_wanted = np.zeros(3), np.zeros(3)
-
-    def sway(self, *, little: bool) -> None:
-        """Sway little from now on, nearer to the inner edges of the soles, or as usual."""
-        self._pattern.control = self._little_sway if little else self._control
 
     @property
     def reference(self) -> Array:

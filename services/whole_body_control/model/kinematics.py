@@ -18,6 +18,8 @@ from services.whole_body_control.model.humanoid import Humanoid
 Array = NDArray[np.float64]
 
 BASE_POSITIONS, BASE_VELOCITIES = 7, 6
+ROOT_JOINT = 1
+"""The number of the free joint in pinocchio."""
 GRAVITY_MPS2 = 9.81
 DOWNWARDS = np.array([0.0, 0.0, -GRAVITY_MPS2])
 ALIGNED_RAD = 1e-3
@@ -166,6 +168,26 @@ class Kinematics:
         jacobian = self.jacobian(link)
         return pose.translation + offset, jacobian[:3] - pin.skew(offset) @ jacobian[3:]
 
+    def is_on_root(self, link: str) -> bool:
+        """Return whether no joint is between the root and a link."""
+        return bool(self.pin_model.frames[self._frame(link)].parentJoint == ROOT_JOINT)
+
+    def from_root(self, q: Array, v: Array, link: str) -> tuple[Any, Array]:
+        """Return the pose of a link in the frame of the root, and its velocity (6,) in this frame, as a root
+        at rest sees it.
+
+        Without `update`, of which it needs a part; what `update` computed is lost.
+        """
+        q.take(self._to_q, out=self._q, mode="clip")
+        v.take(self._to_v, out=self._v, mode="clip")
+        self._v[:BASE_VELOCITIES] = 0.0
+        self._is_at_rest = self._has_jacobians = self._has_centre = self._has_centre_jacobian = False
+        pin.forwardKinematics(self.pin_model, self.data, self._q, self._v)
+        frame = self._frame(link)
+        pose = self.data.oMi[ROOT_JOINT].actInv(pin.updateFramePlacement(self.pin_model, self.data, frame))
+        motion = pin.getFrameVelocity(self.pin_model, self.data, frame, pin.ReferenceFrame.LOCAL)
+        return pose, np.concatenate([pose.rotation @ motion.linear, pose.rotation @ motion.angular])
+
     def velocity(self, link: str) -> Array:
         """Return the velocity of a link: linear and angular, at the link in axes of the world."""
         motion = pin.getFrameVelocity(
@@ -177,6 +199,11 @@ class Kinematics:
         """Return the centre of mass in m."""
         self._require_centre()
         return np.asarray(self.data.com[0]).copy()
+
+    def centre_of_mass_velocity(self) -> Array:
+        """Return the velocity of the centre of mass in m/s."""
+        self._require_centre()
+        return np.asarray(self.data.vcom[0]).copy()
 
     def centre_of_mass_jacobian(self) -> Array:
         """Return the Jacobian of the centre of mass: (3, n_velocities)."""
@@ -238,6 +265,27 @@ class Kinematics:
         forces = pin.rnea(self.pin_model, self.data, self._q, self._v, self._acceleration)
         return np.asarray(forces.take(self._columns))
 
+    def force_sensor(self, link: str) -> tuple[str, int, int] | None:
+        """Return the nearest force-torque sensor between a link and the root, None without one.
+
+        These are its link, the number of the joint that carries it in pinocchio, and its row of the wrenches.
+        """
+        rows = {
+            self.pin_model.frames[self._frame(sensor)].parentJoint: (sensor, row)
+            for row, sensor in enumerate(self.humanoid.sensors.force_torque.values())
+        }
+        above = self.pin_model.supports[self.pin_model.frames[self._frame(link)].parentJoint]
+        for joint_id in reversed(list(above)):
+            if joint_id in rows:
+                sensor, row = rows[joint_id]
+                return sensor, int(joint_id), row
+        return None
+
+    def force_through(self, joint_id: int) -> Array:
+        """Return the force (3,) on the ground that a joint of pinocchio exerts on what it moves, in the last
+        `inverse_dynamics`."""
+        return np.asarray(self.data.oMi[joint_id].rotation @ self.data.f[joint_id].linear)
+
     def gravity_torques(self) -> Array:
         """Return the torques (n_joints,) that carry the weight of all limbs in the state of `update`."""
         self.pin_model.gravity.linear = DOWNWARDS
@@ -275,7 +323,7 @@ class Kinematics:
 
     def _require_centre(self) -> None:
         if not self._has_centre:
-            pin.centerOfMass(self.pin_model, self.data, pin.KinematicLevel.POSITION, False)
+            pin.centerOfMass(self.pin_model, self.data, pin.KinematicLevel.VELOCITY, False)
             self._has_centre = True
 
     def _require_centre_jacobian(self) -> None:

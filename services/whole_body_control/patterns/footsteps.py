@@ -108,6 +108,13 @@ class Footsteps:
         single = replace(stance, phase="single", remaining=self.limits.single)
         return self.placed(single, wish)
 
+    def resumed(self, stance: Stance) -> Stance:
+        """Return the stance of a robot that was to stand after this double support, and now walks on.
+
+        Its centre of mass rests between the feet, so that it needs as long as from standing to come over one.
+        """
+        return self._begun(stance) if stance.phase == "double" and self._is_level(stance) else stance
+
     def placed(self, stance: Stance, wish: Wish, shift: Array | None = None) -> Stance:
         """Return a stance in single support whose foot lands where the wish and a `shift` (2,) want it.
 

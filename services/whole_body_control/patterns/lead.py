@@ -40,11 +40,11 @@ FORCE_DAMPING = 1e-4
 class LeadLimits:
     """The parameters of the module; `gain_ps` (1/s) makes a velocity of a lead."""
 
-    gain_ps: float = 0.8
-    start_m: float = 0.08
+    gain_ps: float = 0.65
+    start_m: float = 0.1
     stop_m: float = 0.05
     smoothing_s: float = 0.16
-    max_lead_mps: float = 0.42
+    max_lead_mps: float = 0.8
     max_mps: float = 0.12
     max_left_mps: float = 0.06
     max_mps2: float = 0.5
@@ -113,11 +113,12 @@ class HoldStiffness:
     same, the force changes against the place of the hand by the stiffness: it is the regression of force on
     place, both without their slow changes (`SLOW_S`), over `MEMORY_S`. Samples in which the place of the
     person's hand itself changed by more than `STEADY_M` do not count, nor those that sway by less than
-    `MIN_SWAY_M`. It begins with `DEFAULT_NPM`, which counts as a sway with the variance `PRIOR_M2`.
+    `MIN_SWAY_M`. It begins with `DEFAULT_NPM`, which counts as a sway with the variance `PRIOR_M2`. A person
+    sways along a little, which makes their arms seem softer than they are.
     """
 
-    DEFAULT_NPM, MIN_NPM, MAX_NPM = 40.0, 15.0, 80.0
-    SLOW_S, MEMORY_S, STEADY_M, MIN_SWAY_M, PRIOR_M2 = 0.2, 4.0, 0.025, 0.005, 1e-4
+    DEFAULT_NPM, MIN_NPM, MAX_NPM = 30.0, 15.0, 80.0
+    SLOW_S, MEMORY_S, STEADY_M, MIN_SWAY_M, PRIOR_M2 = 0.2, 4.0, 0.025, 0.005, 4e-5
 
     def __init__(self) -> None:
         self.restart()

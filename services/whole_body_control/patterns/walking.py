@@ -41,14 +41,13 @@ class Pattern:
 class WalkingPattern:
     """Generates the pattern from a stance at rest. Not thread-safe.
 
-    `sole` are the corners (n, 2) of a sole in the frame of the foot. `control` may be changed between steps
-    for one with other weights.
+    `sole` are the corners (n, 2) of a sole in the frame of the foot.
     """
 
     def __init__(self, control: ZmpControl, limits: StepLimits, sole: Array, stance: Stance) -> None:
-        self.control, self._sole = control, sole
+        self._control, self._sole = control, sole
         self._footsteps = Footsteps(limits, control.period_s)
-        self.stance = stance
+        self.stance, self._was_moving = stance, False
         centre = (stance.left.place + stance.right.place) / 2
         com = centre + sole.mean(axis=0)
         self.state = PendulumState(com, np.zeros(2), com.copy())
@@ -59,12 +58,16 @@ class WalkingPattern:
         `error` (2,) in m is how far the measured capture point is from that of the plan. By what exceeds
         the tolerated a foot in the air lands farther, within the limits of a step.
         """
+        is_moving = self._footsteps.is_moving(wish)
+        if is_moving and not self._was_moving:
+            self.stance = self._footsteps.resumed(self.stance)
+        self._was_moving = is_moving
         if self.stance.phase == "single" and self.stance.remaining > LOCKED:
             beyond = None if error is None else self._beyond(wish, error)
             self.stance = self._footsteps.placed(self.stance, wish, beyond)
-        stances = list(self._footsteps.preview(self.stance, wish, self.control.samples + 1))
+        stances = list(self._footsteps.preview(self.stance, wish, self._control.samples + 1))
         regions = self._regions(stances)
-        plan = self.control.plan(self.state, regions[1:], wish.velocity)
+        plan = self._control.plan(self.state, regions[1:], wish.velocity)
         pattern = Pattern(self.stance, plan, regions[0], _next_landings(stances))
         self.stance, self.state = stances[1], plan.states[1]
         return pattern

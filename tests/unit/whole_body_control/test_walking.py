@@ -69,18 +69,6 @@ def test_it_keeps_to_the_plan(walked: Walked) -> None:
     assert walked.record.share_inside() >= 0.9
 
 
-def test_with_little_sway_the_pressure_is_nearer_to_the_inner_edges() -> None:
-    usual, little = walk(noisy=True), walk(noisy=True)
-    little.controller.sway(little=True)
-    wish = Wish(np.array([0.075, -0.026]), 0.098)
-    records = [one.run(5.0, lambda _: wish) for one in (usual, little)]
-    assert not any(record.has_fallen for record in records)
-    rooms = [float(record.room_m[record.is_single].mean()) for record in records]
-    assert rooms[0] > rooms[1] + 0.003
-    sways = [float(np.ptp(record.com[200:, 1] - record.com[200:, 1].mean())) for record in records]
-    assert sways[0] > sways[1]
-
-
 def test_the_estimate_follows_the_truth_but_for_the_drift_of_the_steps(walked: Walked) -> None:
     walked_m = float(np.linalg.norm(walked.truth[:2]))
     assert walked.estimate[:3] == pytest.approx(walked.truth[:3], abs=0.02 + 0.05 * walked_m)

@@ -103,6 +103,17 @@ def test_the_robot_goes_as_fast_as_wanted_and_stops_level(ahead: float, aside: f
     assert (last.stance.left.place - last.stance.right.place)[1] == pytest.approx(LIMITS.width_m, abs=1e-3)
 
 
+@given(on=st.integers(20, 36), off=st.integers(1, 12), aside=st.floats(-0.05, 0.05))
+@settings(max_examples=20)
+def test_a_robot_that_is_to_walk_on_while_it_stops_first_comes_over_a_foot(
+    on: int, off: int, aside: float
+) -> None:
+    pattern, wish = walker(), Wish(np.array([0.06, aside]))
+    for period in range(on + off + 10):
+        step = pattern.step(STILL if on <= period < on + off else wish)
+        assert step.plan.excess_m < 1e-4
+
+
 def test_a_step_that_began_is_finished() -> None:
     pattern = walker()
     wish = Wish(np.array([0.08, 0.0]))
