@@ -94,8 +94,8 @@ def run(deployment: Deployment) -> None:
     end = EndBySignal()
     granted = use_real_time(fifo=deployment.fifo)
     log.info("control cycle started", folder=str(deployment.folder), **granted)
+    stop_collecting()  # takes a tenth of a second and more, so before the schedule begins
     loop.warm_up()
-    stop_collecting()
     is_reported = False
     while not end.is_wanted:
         loop.cycle()
