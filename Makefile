@@ -19,21 +19,16 @@ PYTEST := $(BIN)/pytest -n $(WORKERS)
 # Lint and tests of the TypeScript, with the Node that built the page.
 PAGE := $(BIN)/python -m webui.build
 
-# The checks of Python and of the page run in parallel with the tests. The output of a check that fails is printed
-# at once, that of all checks at the end.
-PYTHON_LOG := build/python-check.log
+# The page is checked in parallel with the checks of Python and the tests; its output is printed at the end.
 PAGE_LOG := build/page-check.log
 define checks_and_tests
 	@mkdir -p $(dir $(PAGE_LOG))
-	@check() { $(MAKE) --no-print-directory $$1 >$$2 2>&1 & trap "kill $$!" TERM; wait $$! || { cat $$2; false; }; }; \
-	check page-check $(PAGE_LOG) & page=$$!; \
-	check python-check $(PYTHON_LOG) & python=$$!; \
-	trap 'kill $$page $$python' INT TERM; \
-	$(PYTEST) $(1) $(ARGS); tests=$$?; \
-	wait $$python; python=$$?; \
+	@$(MAKE) --no-print-directory page-check >$(PAGE_LOG) 2>&1 & page=$$!; \
+	trap 'kill $$page' INT TERM; \
+	$(MAKE) --no-print-directory python-check && $(PYTEST) $(1) $(ARGS); tests=$$?; \
 	wait $$page; page=$$?; \
-	cat $(PYTHON_LOG) $(PAGE_LOG); \
-	exit $$((tests ? tests : python ? python : page))
+	cat $(PAGE_LOG); \
+	exit $$((tests ? tests : page))
 endef
 
 .PHONY: help setup demo up test test-failed ros-test crashes kill-test thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-orchestrator bench-gestures bench-handover bench-bridge bench-motion bench-devices bench-control bench-human-state bench-whole-body bench-load bench-sign-in bench-screen bench-vr pictures humanoid-figures clean
