@@ -3,9 +3,6 @@
 A bound is written in seconds of an idle machine. While tests wait, the time that has passed is divided by how
 many processes compete for each core. Thus a bound of 20 s fails after 20 s on an idle machine, and after some
 minutes with a load average of 25 on two cores. A test that passes never waits for its bound.
-
-A condition is usually a request, which takes processor time of the test and of a service. So it is asked less
-often the longer it does not hold.
 """
 
 import asyncio
@@ -20,9 +17,6 @@ T = TypeVar("T")
 DEFAULT_TIMEOUT_S: Final = 30.0
 MAX_SLOWDOWN: Final = 20.0
 POLL_S: Final = 0.02
-MAX_POLL_S: Final = 0.1
-POLLED_SHARE: Final = 0.05
-"""Of the time that has passed: a wait takes so much longer at most."""
 
 Reason = str | Callable[[], str]
 
@@ -44,12 +38,7 @@ class Bound:
     def __init__(self, within_s: float) -> None:
         self.within_s = within_s
         self._spent_s = 0.0
-        self._began_s = self._last_s = time.monotonic()
-
-    @property
-    def poll_s(self) -> float:
-        """Return for how long to wait until the condition is asked again."""
-        return min(max(POLL_S, POLLED_SHARE * (time.monotonic() - self._began_s)), MAX_POLL_S)
+        self._last_s = time.monotonic()
 
     def remaining_s(self) -> float:
         """Return the rest of the limit in seconds of an idle machine; 0 if it has been exceeded."""
@@ -74,7 +63,7 @@ def wait_for(
     bound = Bound(within_s)
     while not (found := condition()):
         bound.check(why)
-        time.sleep(bound.poll_s)
+        time.sleep(POLL_S)
     return found
 
 
@@ -92,4 +81,4 @@ async def until(
         if found:
             return found
         bound.check(why)
-        await asyncio.sleep(bound.poll_s)
+        await asyncio.sleep(POLL_S)

@@ -139,7 +139,7 @@ def test_of_the_idle_connections_the_one_that_was_used_last_gives_way_last(
 
     first, *others = [used(link) for link in crowd("context_broker", 38, b"")]
     used(first)
-    for _ in others:
+    for _ in others[:30]:  # fewer than there are others: more connections may come to the broker meanwhile
         used(*crowd("context_broker", 1, b""))
     assert not is_closed(first)
     assert sum(map(is_closed, others)) > len(others) // 2

@@ -144,4 +144,4 @@ def test_inputs_that_are_invalid_or_of_another_role_are_refused_with_a_reason(hu
         with connect(socket_url(humanoid, "/input?role=patient"), proxy=None) as other:
             answer({"kind": "pose", "t": 13.0})
             other.send(orjson.dumps({"kind": "pose", "t": 1}).decode())
-            assert "another patient" in orjson.loads(other.recv(timeout=WITHIN_S))["reason"]
+            assert "another person" in orjson.loads(other.recv(timeout=WITHIN_S))["reason"]

@@ -80,12 +80,3 @@ def test_the_time_limit_of_a_test_is_scaled() -> None:
     handler = signal.getsignal(signal.SIGALRM)
     assert callable(handler)
     assert handler.__module__ == scale_alarm.__module__
-
-
-def test_a_condition_is_asked_less_often_the_longer_it_does_not_hold(clock: Clock) -> None:
-    bound = Bound(60.0)
-    assert bound.poll_s == waiting.POLL_S
-    clock.now_s += 1.0
-    assert bound.poll_s == pytest.approx(0.05)
-    clock.now_s += 10.0
-    assert bound.poll_s == waiting.MAX_POLL_S

@@ -12,7 +12,7 @@ import pytest
 
 from handover.cli.processes import ForkedProcess, Process, ProcessStarter
 from tests.kit.processes import clean_environment
-from tests.kit.waiting import scaled
+from tests.kit.waiting import scaled, until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
 
@@ -103,7 +103,7 @@ async def test_a_killed_server_ends_its_processes_and_later_ones_are_programs(
 ) -> None:
     before, starter = fork_servers(), ProcessStarter()
     starter.open()
-    (server,) = fork_servers() - before
+    (server,) = await until(lambda: fork_servers() - before, why="the fork server has its name")
     first = await start(starter, "stay", folder=folder)
     await wait_for_words(folder / "log", "__main__")
     os.kill(server, signal.SIGKILL)
