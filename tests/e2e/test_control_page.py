@@ -60,8 +60,11 @@ def moves(cell: Cell, page: Page, hold: Callable[[], None], release: Callable[[]
         release()
         page.wait_for_timeout(100)  # so that the release is sent
         hold()
-        page.wait_for_timeout(500)
-        return not rests(cell)
+        for _ in range(10):  # half a second is enough on a machine without other work
+            page.wait_for_timeout(500)
+            if not rests(cell):
+                return True
+        return False
 
     wait_for(is_moving)
 
