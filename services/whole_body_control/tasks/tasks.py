@@ -46,9 +46,8 @@ class PoseTask(Task):
         self.axes = np.array(axes, dtype=bool)
         self._rows = _contiguous(np.flatnonzero(self.axes))
         self._linear = int(self.axes[:3].sum())
-        self.velocity = np.zeros(6) if velocity is None else velocity
-
         self._size = int(self.axes.sum())
+        self.velocity = np.zeros(6) if velocity is None else velocity
 
     @property
     def target(self) -> Any:
@@ -66,12 +65,11 @@ class PoseTask(Task):
 
     def error(self, kinematics: Kinematics) -> Array:
         """Return the position error in m and the rotation vector to the target in rad."""
+        away = self._place - kinematics.translation(self.link)
         if self._linear == self._size:
-            return np.asarray((self._place - kinematics.translation(self.link))[self._rows])
-        error = np.empty(6)
-        np.subtract(self._place, kinematics.translation(self.link), out=error[:3])
-        error[3:] = rotation_vector(kinematics.rotation(self.link), self._orientation)
-        return np.asarray(error[self._rows])
+            return np.asarray(away[self._rows])
+        turn = rotation_vector(kinematics.rotation(self.link), self._orientation)
+        return np.asarray(np.concatenate([away, turn])[self._rows])
 
     def write(self, kinematics: Kinematics, jacobian: Array, velocity: Array) -> None:
         """Write the rows of the controlled axes."""
@@ -130,7 +128,9 @@ class RelativePoseTask(Task):
 
     def error(self, kinematics: Kinematics) -> Array:
         """Return the position error in m and the rotation vector in rad, in axes of the world."""
-        return _pose_error(kinematics.pose(self.link), kinematics.pose(self.base) * self.target)
+        target = kinematics.pose(self.base) * self.target
+        turn = rotation_vector(kinematics.rotation(self.link), target.rotation)
+        return np.concatenate([target.translation - kinematics.translation(self.link), turn])
 
     @property
     def size(self) -> int:
@@ -279,11 +279,6 @@ def posture(kinematics: Kinematics, pose: str, gain: float = 1.0) -> JointTask:
     """Return the task that draws all joints to a named pose."""
     humanoid = kinematics.humanoid
     return JointTask("posture", range(len(humanoid.joints)), np.array(humanoid.pose(pose)), gain)
-
-
-def _pose_error(actual: Any, target: Any) -> Array:
-    turn = rotation_vector(actual.rotation, target.rotation)
-    return np.concatenate([target.translation - actual.translation, turn])
 
 
 def _limit(vector: Array, most: float) -> None:
