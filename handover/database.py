@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.engine import make_url
@@ -17,7 +18,10 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from handover.errors import HandoverError, UsageError
-from handover.sqlite_files import prepare_own, stamp_of, unreleased_format
+from handover.sqlite_files import prepare_own, unreleased_format
+from handover.sqlite_integrity.checkpoints import Checkpoints, CountedConnection, make_durable
+from handover.sqlite_integrity.reserve import with_reserve
+from handover.sqlite_integrity.stamp import stamp_of
 
 OPEN_ATTEMPTS = 100
 OPEN_RETRY_S = 0.1
@@ -123,28 +127,62 @@ def connect(
             parsed = parsed.set(drivername="postgresql+psycopg")
         if parsed.get_backend_name() not in {"sqlite", "postgresql"}:
             raise UsageError(_unusable(url, setting))
-        if parsed.get_backend_name() == "sqlite" and parsed.database and parsed.database != ":memory:":
-            file = Path(parsed.database)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            if is_own:
-                _prepare(file, setting)
-        is_server = parsed.get_backend_name() == "postgresql"
-        limits = _limits(answers_within_s) if is_server and answers_within_s is not None else {}
-        engine = create_engine(parsed, pool_pre_ping=is_server, connect_args=limits)
+        if parsed.get_backend_name() == "postgresql":
+            limits = {} if answers_within_s is None else _limits(answers_within_s)
+            engine = create_engine(parsed, pool_pre_ping=True, connect_args=limits)
+        else:
+            engine = create_engine(parsed, connect_args={"factory": CountedConnection})
+            event.listen(engine, "connect", lambda connection, _: make_durable(connection))
     except (ArgumentError, NoSuchModuleError):
         raise UsageError(_unusable(url, setting)) from None
-    if engine.dialect.name == "sqlite":
-        event.listen(engine, "connect", _make_durable)
     _close_late_ones(engine)
     try:
+        if engine.dialect.name == "sqlite" and parsed.database not in {None, "", ":memory:"}:
+            file = Path(str(parsed.database))
+            file.parent.mkdir(parents=True, exist_ok=True)
+            if is_own:
+                _refuse_unreleased(file)
+                with_reserve(file, lambda: _open_own(engine, file))
         _open(engine)
-    except DBAPIError as error:
-        reason = str(error.orig).strip().splitlines()[0]
+    except (DBAPIError, sqlite3.Error, OSError) as error:
+        engine.dispose()
+        reason = str(error.orig if isinstance(error, DBAPIError) else error).strip().splitlines()[0]
         shown = parsed.render_as_string(hide_password=True)
         raise UsageError(
             f"the database {shown} cannot be used: {reason}; correct that or {setting}"
         ) from None
+    except UsageError as error:
+        engine.dispose()
+        raise UsageError(f"{error}; or name another database with {setting}") from None
     return engine
+
+
+def purge_log(engine: Engine) -> None:
+    """Remove deleted data from the write-ahead log of a SQLite file too; other databases have none.
+
+    A transaction with `secure_delete` has removed them from the pages before.
+    """
+    if (checkpoints := _CHECKPOINTS.get(engine)) is not None:
+        checkpoints.purge()
+
+
+_CHECKPOINTS: "WeakKeyDictionary[Engine, Checkpoints]" = WeakKeyDictionary()
+
+
+def _open_own(engine: Engine, file: Path) -> None:
+    """Check a SQLite file of ours, count its commits and checkpoint it, until the engine is disposed."""
+    prepare_own(file)
+    _CHECKPOINTS[engine] = Checkpoints(file)
+    opening = threading.Lock()
+
+    @event.listens_for(engine, "connect")
+    def count(connection: CountedConnection, _: Any) -> None:
+        with opening:
+            if _CHECKPOINTS[engine].is_closed:  # an engine may be used after `dispose`
+                _CHECKPOINTS[engine] = Checkpoints(file)
+            _CHECKPOINTS[engine].count(connection)
+
+    event.listen(engine, "engine_disposed", lambda _: _CHECKPOINTS[engine].close())
 
 
 def _close_late_ones(engine: Engine) -> None:
@@ -174,21 +212,13 @@ def _open(engine: Engine) -> None:
             return
 
 
-def _prepare(file: Path, setting: str) -> None:
-    """Raise `UsageError` if a file of ours is damaged, unreleased or not usable; it is not changed then."""
-    with suppress(sqlite3.Error):  # a damaged file is reported below
+def _refuse_unreleased(file: Path) -> None:
+    with suppress(sqlite3.Error):  # a damaged file is reported later
         if (unreleased := unreleased_format(file)) is not None:
             raise UsageError(
                 f"the database {file} has {unreleased}, which was never released and which this release does "
-                f"not read; move {file.name} and {stamp_of(file).name} to another folder, or name another "
-                f"database with {setting}"
+                f"not read; move {file.name} and {stamp_of(file).name} to another folder"
             )
-    try:
-        prepare_own(file)
-    except UsageError as error:
-        raise UsageError(f"{error}; or name another database with {setting}") from None
-    except (sqlite3.Error, OSError) as error:
-        raise UsageError(f"the database {file} cannot be used: {error}; correct that or {setting}") from None
 
 
 def _limits(seconds: float) -> dict[str, Any]:
@@ -201,10 +231,3 @@ def _limits(seconds: float) -> dict[str, Any]:
 def _unusable(url: str, setting: str) -> str:
     kind = url.split(":", 1)[0]
     return f'a database URL starts with sqlite:/// or postgresql://, not "{kind}"; correct {setting}'
-
-
-def _make_durable(connection: Any, _: Any) -> None:
-    cursor = connection.cursor()
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=5000"):
-        cursor.execute(f"PRAGMA {pragma}")
-    cursor.close()

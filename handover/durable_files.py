@@ -17,10 +17,11 @@ def replace_durably(path: Path, content: bytes, *, mode: int = 0o666) -> None:
         file.flush()
         os.fsync(file.fileno())
     new.replace(path)
-    _sync_folder(path.parent)
+    sync_folder(path.parent)
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Flush a folder, where that is possible, so that the name of a new file survives a power cut."""
     if not hasattr(os, "O_DIRECTORY"):  # Windows cannot open a directory
         return
     descriptor = os.open(folder, os.O_RDONLY)

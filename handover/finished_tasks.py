@@ -12,8 +12,9 @@ import asyncio
 import re
 import sqlite3
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -23,6 +24,8 @@ from datamodels.entities import TaskStatus
 from handover.errors import UsageError
 from handover.settings import Settings
 from handover.sqlite_files import prepare_own
+from handover.sqlite_integrity.checkpoints import Checkpoints, CountedConnection, make_durable
+from handover.sqlite_integrity.reserve import with_reserve
 
 MIN_KEEP_H = 30 * 24.0
 KEEP_PER_RETENTION = 2.0
@@ -58,12 +61,13 @@ class FinishedTasks:
         self._recorded = 0
         self._disk: ThreadPoolExecutor | None = None
         self._connection: sqlite3.Connection | None = None
+        self._checkpoints: Checkpoints | None = None
 
     async def open(self) -> None:
         """Open the file; raise `UsageError` if that is not possible."""
         self._disk = ThreadPoolExecutor(1, "finished-tasks")
         try:
-            await self._on_disk(self._open)
+            await self._on_disk(with_reserve, self.path, self._open)
         except (sqlite3.Error, OSError) as error:
             raise UsageError(
                 f"the record of finished Tasks, {self.path}, cannot be used: {error}; make the directory "
@@ -115,9 +119,10 @@ class FinishedTasks:
     def _open(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         prepare_own(self.path)
-        connection = sqlite3.connect(self.path, isolation_level=None, timeout=5.0)
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
+        self._checkpoints = Checkpoints(self.path)
+        connection = sqlite3.connect(self.path, timeout=5.0, factory=CountedConnection)
+        make_durable(connection)
+        self._checkpoints.count(connection)
         connection.execute(
             "CREATE TABLE IF NOT EXISTS finished (task TEXT PRIMARY KEY, status TEXT NOT NULL, "
             "outputs TEXT NOT NULL, recorded_s REAL NOT NULL) WITHOUT ROWID"
@@ -134,6 +139,9 @@ class FinishedTasks:
         if self._connection is not None:
             self._connection.close()
             self._connection = None
+        if self._checkpoints is not None:
+            self._checkpoints.close()
+            self._checkpoints = None
 
     def _find(self, task_id: str) -> End | None:
         row = self._opened.execute(
@@ -142,10 +150,12 @@ class FinishedTasks:
         return None if row is None else End(TaskStatus(row[0]), orjson.loads(row[1]))
 
     def _record(self, task_id: str, status: str, outputs: str) -> None:
-        self._opened.execute(
-            "INSERT OR REPLACE INTO finished VALUES (?, ?, ?, ?)", (task_id, status, outputs, self._clock())
-        )
-        self._opened.execute("DELETE FROM acts WHERE task = ?", (task_id,))
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT OR REPLACE INTO finished VALUES (?, ?, ?, ?)",
+                (task_id, status, outputs, self._clock()),
+            )
+            connection.execute("DELETE FROM acts WHERE task = ?", (task_id,))
         self._recorded += 1
         if self._recorded % DELETE_OLD_EVERY == 0:
             self._delete_old()
@@ -156,18 +166,32 @@ class FinishedTasks:
         ).fetchone()
         if row is not None:
             return KnownAct(None if row[0] is None else orjson.loads(row[0]))
-        self._opened.execute("INSERT INTO acts VALUES (?, ?, NULL, ?)", (task_id, name, self._clock()))
+        with self._transaction() as connection:
+            connection.execute("INSERT INTO acts VALUES (?, ?, NULL, ?)", (task_id, name, self._clock()))
         return None
 
     def _end_act(self, task_id: str, name: str, result: str) -> None:
-        self._opened.execute(
-            "UPDATE acts SET result = ? WHERE task = ? AND name = ?", (result, task_id, name)
-        )
+        with self._transaction() as connection:
+            connection.execute(
+                "UPDATE acts SET result = ? WHERE task = ? AND name = ?", (result, task_id, name)
+            )
 
     def _delete_old(self) -> None:
         before_s = self._clock() - self._keep_s
-        self._opened.execute("DELETE FROM finished WHERE recorded_s < ?", (before_s,))
-        self._opened.execute("DELETE FROM acts WHERE begun_s < ?", (before_s,))
+        with self._transaction() as connection:
+            connection.execute("DELETE FROM finished WHERE recorded_s < ?", (before_s,))
+            connection.execute("DELETE FROM acts WHERE begun_s < ?", (before_s,))
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        """Commit what is written inside, or nothing of it; the driver begins with the first write."""
+        connection = self._opened
+        try:
+            yield connection
+            connection.commit()
+        except BaseException:
+            connection.rollback()
+            raise
 
     @property
     def _opened(self) -> sqlite3.Connection:

@@ -1,20 +1,30 @@
-"""SQLite files: integrity checks before a file is written. Uses only the standard library.
+"""SQLite files: integrity checks before a file is written.
 
-SQLite stores no checksums of its pages. Its integrity check finds inconsistent pages, indexes and rows; the
-owner of a table checks its content.
+SQLite's integrity check finds inconsistent pages, indexes and rows; `handover.sqlite_integrity` finds lost
+commits and changed pages of our own databases.
 """
 
 import os
 import secrets
 import sqlite3
+import sys
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from tempfile import NamedTemporaryFile, TemporaryDirectory
+from tempfile import TemporaryDirectory
 from typing import Final
 
 from handover.errors import UsageError
+from handover.sqlite_integrity import marks
+from handover.sqlite_integrity.checkpoints import is_open
+from handover.sqlite_integrity.stamp import stamp_of
+from handover.telemetry import get_logger
+
+if sys.platform != "win32":
+    import fcntl
+
+log = get_logger(__name__)
 
 UNRELEASED_SUFFIX: Final = "_schema"
 """Formats before the first release recorded their version in a table `<component>_schema`."""
@@ -79,12 +89,13 @@ def faults_of(path: Path, within_s: float | None = None) -> tuple[list[str], boo
             sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=5)
         ) as connection:
             return integrity_faults(connection, within_s)
-    except sqlite3.OperationalError as error:
-        if error.sqlite_errorcode & 0xFF in _NO_DAMAGE:
-            return [], False
-        return [str(error)], True
     except sqlite3.DatabaseError as error:
-        return [str(error)], True
+        return ([str(error)], True) if is_damage(error) else ([], False)
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Return whether an error is damage of the file, and not that of a full disk or a busy file."""
+    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF not in _NO_DAMAGE
 
 
 def integrity_faults(connection: sqlite3.Connection, within_s: float | None = None) -> tuple[list[str], bool]:
@@ -110,19 +121,35 @@ def _deadline(within_s: float | None) -> Callable[[], int]:
 def prepare_own(path: Path) -> None:
     """Create a database of ours if there was none; raise `UsageError` if it is missing or damaged.
 
-    The file `….stamp` beside it has the number of its header (`application_id`), so that a database that was
-    deleted, emptied or replaced is detected.
+    Its marks beside it (`handover.sqlite_integrity`) are created once, and compared from then on.
     """
-    require_sound(path)
-    if (fault := fault_of_stamp(path)) is not None:
-        raise UsageError(damage(fault))
-    if not path.exists():
-        _create_stamped(path)
-    stamp = stamp_of(path)
-    if not stamp.exists():
-        with closing(sqlite3.connect(path, timeout=5)) as database:
-            number = _number_in(database) or _stamped(database)
-        _replace(stamp, f"{number:08x}\n")
+    with _folder_lock(path.parent):
+        require_sound(path)
+        is_new = not path.exists()
+        if is_new:
+            if stamp_of(path).exists():
+                made = f"{path} is missing, but {stamp_of(path).name} shows that it was created"
+                raise UsageError(damage(f"{made} (delete that as well to start without data)"))
+            _create(path)
+        compared = marks.compare(path, START_CHECK_S, with_pages=not is_open(path))
+        if compared.faults:
+            raise UsageError(damage(compared.faults[0]))
+        if compared.is_other:
+            log.warning("another program has changed the file of the database", file=str(path))
+        if compared.is_other or not compared.is_marked:
+            marks.write_marks(path, _numbered)
+            if not is_new:
+                log.info("marks of the database created", file=str(path))
+
+
+def renew_marks(path: Path) -> None:
+    """Create the marks of a database of ours again, as it is. Raises `UsageError` if it is damaged."""
+    with _folder_lock(path.parent):
+        if (fault := fault_of_files(path)) is not None:
+            raise UsageError(damage(fault))
+        if faults := faults_of(path)[0]:
+            raise UsageError(damage(f"{path}: {faults[0]}"))
+        marks.write_marks(path, _numbered)
 
 
 def unreleased_format(path: Path) -> str | None:
@@ -143,42 +170,15 @@ def unreleased_format(path: Path) -> str | None:
     return None
 
 
-def fault_of_stamp(path: Path) -> str | None:
-    """Return the difference between a database and its stamp; None without one, or without a stamp."""
-    stamp = stamp_of(path)
-    if not stamp.exists():
-        return None
-    if not path.exists():
-        made = f"{path} is missing, but {stamp.name} shows that it was created"
-        return f"{made} (delete that as well to start without data)"
-    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=5)) as database:
-        if stamp.read_text().strip() != f"{_number_in(database):08x}":
-            return (
-                f"{path} is empty, or another database than the one of {stamp.name} "
-                "(delete that if this database is the right one)"
-            )
-    return None
-
-
-def stamp_of(path: Path) -> Path:
-    """Return the file beside a database that holds the number of its header."""
-    return path.with_name(f"{path.name}.stamp")
-
-
 def _number_in(database: sqlite3.Connection) -> int:
     ((number,),) = database.execute("PRAGMA application_id")
     return int(number)
 
 
-def _create_stamped(path: Path) -> None:
-    """Create an empty database atomically, so that a file of 0 bytes is always damage.
-
-    Of several processes that do so at the same time, the first one succeeds, and the others use its file.
-    """
+def _create(path: Path) -> None:
+    """Create an empty database atomically, so that a file of 0 bytes is always damage."""
     with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-        unfinished = Path(folder) / path.name
-        with closing(sqlite3.connect(unfinished)) as database:
-            _stamped(database)
+        unfinished = marks.create(Path(folder), path.name, _random_number())
         try:
             os.link(unfinished, path)
         except FileExistsError:
@@ -187,22 +187,28 @@ def _create_stamped(path: Path) -> None:
             unfinished.replace(path)
 
 
-def _stamped(database: sqlite3.Connection) -> int:
-    """Return the number of a database, after writing a random one if it has none, under its lock."""
-    database.execute("BEGIN IMMEDIATE")
+def _numbered(database: sqlite3.Connection) -> int:
+    """Return the number of a database, after writing a random one if it has none, in a transaction."""
     number = _number_in(database)
     if not number:
-        number = secrets.randbelow(2**31 - 1) + 1
+        number = _random_number()
         database.execute(f"PRAGMA application_id = {number}")
-    database.commit()
     return number
 
 
-def _replace(file: Path, text: str) -> None:
-    """Write a small file atomically and durably."""
-    with NamedTemporaryFile("w", dir=file.parent, prefix=f".{file.name}.", delete=False) as new:
-        new.write(text)
-        new.flush()
-        os.fsync(new.fileno())
-    Path(new.name).chmod(0o644)
-    Path(new.name).replace(file)
+def _random_number() -> int:
+    return secrets.randbelow(2**31 - 1) + 1
+
+
+@contextmanager
+def _folder_lock(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder: of several processes, one prepares databases in it at a time."""
+    if sys.platform == "win32":
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)

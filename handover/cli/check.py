@@ -2,10 +2,13 @@
 
 import sqlite3
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from handover.errors import UsageError
-from handover.sqlite_files import fault_of_stamp, faults_of, require_sound
+from handover.sqlite_files import faults_of, is_damage, require_sound
+from handover.sqlite_integrity.marks import compare
+from handover.sqlite_integrity.stamp import stamp_of
 
 BROKER = "broker.db"
 
@@ -19,19 +22,44 @@ def databases(data_dir: Path) -> list[Path]:
     return sorted(found)
 
 
-def faults_in(path: Path) -> Iterator[str]:
-    """Yield the faults of a database, one line each."""
-    if path.name == BROKER:
-        from services.context_broker.storage import check  # noqa: PLC0415 - not every check needs it
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """The faults of a database; `unreadable` is the reason, outside of the file, why it was not checked."""
 
-        yield from check.faults_in(path)
-        return
+    faults: list[str]
+    unreadable: str | None = None
+
+
+def check_database(path: Path) -> Checked:
+    """Return the faults of a database, one line each."""
+    faults: list[str] = []
     try:
-        require_sound(path, within_s=0.0)
-        yield from (f"{path}: {fault}" for fault in faults_of(path)[0])
-        if (fault := fault_of_stamp(path)) is not None:
-            yield fault
+        faults += _faults_of_broker(path) if path.name == BROKER else _faults_of(path)
     except UsageError as error:
-        yield str(error)
+        faults.append(str(error))
     except sqlite3.Error as error:
-        yield f"{path}: {error}"
+        if is_damage(error):
+            faults.append(f"{path}: {error}")
+        else:
+            return Checked(faults, str(error))
+    except OSError as error:
+        return Checked(faults, str(error))
+    return Checked(faults)
+
+
+def _faults_of_broker(path: Path) -> Iterator[str]:
+    from services.context_broker.storage import check  # noqa: PLC0415 - not every check needs it
+
+    yield from check.faults_in(path)
+
+
+def _faults_of(path: Path) -> Iterator[str]:
+    require_sound(path, within_s=0.0)
+    if not path.exists():
+        yield f"{path} is missing, but {stamp_of(path).name} shows that it was created"
+        return
+    faults, is_complete = faults_of(path)
+    yield from (f"{path}: {fault}" for fault in faults)
+    if not is_complete:
+        raise OSError("it is busy, or the disk is full or read-only")
+    yield from compare(path, None).faults

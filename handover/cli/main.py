@@ -24,7 +24,7 @@ from handover.cli import (
     secure,
     specification,
 )
-from handover.cli.check import databases, faults_in
+from handover.cli.check import BROKER, check_database, databases
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_arguments, change_token
@@ -32,7 +32,7 @@ from handover.cli.launcher import Launcher
 from handover.cli.services import OPTIONAL_SERVICES, SERVICES, all_services, service_named, wanted
 from handover.errors import HandoverError, Problem, UsageError
 from handover.settings import Settings, origins
-from handover.sqlite_files import REMEDY
+from handover.sqlite_files import REMEDY, renew_marks
 from handover.telemetry import log_to_stderr
 
 app = typer.Typer(
@@ -189,19 +189,32 @@ def settings() -> None:
 
 
 @app.command()
-def check(data_dir: DataDir = None) -> None:
-    """Check all databases in the data directory completely; exit with 1 if one is damaged."""
+def check(
+    data_dir: DataDir = None,
+    restamp: Annotated[
+        bool,
+        typer.Option(help="Create the marks of sound databases again, after you replaced a file yourself."),
+    ] = False,
+) -> None:
+    """Check all databases in the data directory completely; exit with 1 if one is damaged.
+
+    What cannot be read, on a full disk for example, is named; it is not damaged.
+    """
     folder = _settings(data_dir).data_dir
     found = databases(folder)
     if not found:
         say(f"there is no database in {folder.absolute()}")
     is_damaged = False
     for path in found:
-        faults = list(faults_in(path))
-        is_damaged = is_damaged or bool(faults)
-        for fault in faults:
+        if restamp and path.name != BROKER:
+            renew_marks(path)
+        result = check_database(path)
+        is_damaged = is_damaged or bool(result.faults)
+        for fault in result.faults:
             say(f"damaged  {fault}")
-        if not faults:
+        if result.unreadable:
+            say(f"unknown  {path}: {result.unreadable}")
+        elif not result.faults:
             say(f"ok       {path}")
     if is_damaged:
         say(f"remedy: {REMEDY}")

@@ -14,9 +14,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final
 
-from sqlalchemy import Column, Connection, Engine, delete, event, insert, select, update
+from sqlalchemy import Column, Connection, Engine, delete, insert, select, update
 
-from handover.database import connect
+from handover.database import connect, purge_log
 from handover.migrations import migrate
 from handover.security.audit import AuditLog
 from handover.security.revocations import KEPT_S
@@ -75,9 +75,6 @@ class Store:
         self.audit = AuditLog(tables.audit)
         self._writing = threading.Lock()
         self._is_sqlite = self.engine.dialect.name == "sqlite"
-        if self._is_sqlite:
-            event.listen(self.engine, "connect", _overwrite_deleted)
-            self.engine.dispose()
 
     def prepare(self) -> None:
         """Create the tables, or bring them forward."""
@@ -116,6 +113,7 @@ class Store:
         # Threads wait here in order; those that wait for SQLite poll, and some would wait too long.
         with self._writing, self.engine.begin() as connection:
             if self._is_sqlite:
+                connection.exec_driver_sql("PRAGMA secure_delete=ON")
                 connection.exec_driver_sql("BEGIN IMMEDIATE")  # the driver begins only with the first write
             else:
                 connection.execute(select(tables.state.c.id).with_for_update())
@@ -131,15 +129,9 @@ class Store:
 
     def empty_journal(self) -> None:
         """Remove deleted data from the journal of SQLite too."""
-        if self._is_sqlite:
-            with self.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-                connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+        purge_log(self.engine)
 
 
 def revision_of(connection: Connection) -> int:
     """Return the number of the last revocation. Read before grants, so that a token is never too new."""
     return int(connection.execute(select(tables.state.c.revision)).scalar() or 0)
-
-
-def _overwrite_deleted(connection: Any, _: Any) -> None:
-    connection.execute("PRAGMA secure_delete=ON")

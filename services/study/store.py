@@ -27,6 +27,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import IntegrityError
 
+from handover.database import purge_log
 from handover.errors import Problem
 from handover.migrations import migrate
 from handover.security.audit_trail import record_request
@@ -128,9 +129,7 @@ class StudyStore:
             found = connection.execute(delete(_sessions).where(_sessions.c.id == session_id)).rowcount > 0
             record_request(connection)
             connection.commit()
-        if is_sqlite:
-            with self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-                connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+        purge_log(self._engine)
         return found
 
     def session(self, session_id: str) -> Session | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from handover.errors import UsageError
-from handover.sqlite_files import faults_of
+from handover.sqlite_files import faults_of, is_damage
 from services.context_broker.storage import checksums
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT
@@ -44,6 +44,8 @@ def faults_in(path: Path) -> Iterator[str]:
         yield str(error)
         return
     except sqlite3.Error as error:
+        if not is_damage(error):
+            raise
         yield f"{path}: {error}"
         return
     yield from _faults_of_rows(path)
@@ -57,6 +59,8 @@ def _faults_of_rows(path: Path) -> Iterator[str]:
             try:
                 yield from _faults_of_table(reader, path, table, (of, columns))
             except sqlite3.Error as error:
+                if not is_damage(error):
+                    raise
                 yield f"{path}: the table {table} cannot be read: {error}"
 
 

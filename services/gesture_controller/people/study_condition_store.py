@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from sqlalchemy import Boolean, Column, Engine, MetaData, String, Table, delete, insert, select
 
+from handover.database import purge_log
 from handover.migrations import migrate
 from services.gesture_controller.people.study_conditions import StudyCondition
 
@@ -55,6 +56,4 @@ class StudyConditionStore:
                     )
                 )
             connection.commit()
-        if is_sqlite:
-            with self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-                connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+        purge_log(self._engine)

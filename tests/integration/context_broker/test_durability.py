@@ -2,9 +2,7 @@
 
 import re
 import resource
-import shutil
 import sqlite3
-import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -12,6 +10,8 @@ from typing import Any
 
 import httpx
 import pytest
+
+from tests.kit.disks import fill, small_disk
 
 Eventually = Callable[..., Any]
 
@@ -189,30 +189,10 @@ def test_a_full_disk_refuses_writes_and_nothing_else(
         assert http.get(f"/entities/{lost['id']}").status_code == 200
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 32 MB."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    made = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=32m", "tmpfs", str(folder)], capture_output=True, check=False
-    )
-    if made.returncode:
-        pytest.skip("a small disk can be mounted by root only")
-    yield folder
-    subprocess.run(["umount", "--lazy", str(folder)], check=True)
-
-
-def fill(folder: Path) -> None:
-    """Leave no byte free."""
-    with (folder / "filler").open("ab", buffering=0) as filler:
-        for size in (1 << 20, 4096, 1):
-            try:
-                while filler.write(bytes(size)):
-                    pass
-            except OSError:
-                continue
-    assert shutil.disk_usage(folder).free == 0
+@pytest.fixture(name="small_disk")
+def mounted_disk(tmp_path: Path) -> Iterator[Path]:
+    with small_disk(tmp_path / "disk") as folder:
+        yield folder
 
 
 @pytest.mark.parametrize("ends", ["killed", "stopped"])

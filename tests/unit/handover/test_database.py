@@ -16,6 +16,7 @@ from sqlalchemy import text
 
 from handover.database import connect
 from handover.errors import UsageError
+from handover.sqlite_files import renew_marks
 
 
 def test_sqlite_loses_nothing_that_was_committed(tmp_path: Path) -> None:
@@ -111,6 +112,14 @@ def replaced_by_another(file: Path) -> None:
     shutil.copy(filled(file.parent, "other"), file)
 
 
+def without_stamp(file: Path) -> None:
+    file.with_name("lamp.db.stamp").unlink()
+
+
+def without_checksums(file: Path) -> None:
+    file.with_name("lamp.db.pages").unlink()
+
+
 def cut(file: Path) -> None:
     os.truncate(file, file.stat().st_size // 2)
 
@@ -144,22 +153,16 @@ def test_a_database_whose_log_alone_is_left_is_refused(tmp_path: Path) -> None:
         connect(f"sqlite:///{file}")
 
 
-def test_another_database_is_taken_once_the_stamp_is_deleted_as_the_error_says(tmp_path: Path) -> None:
+@pytest.mark.parametrize("harm", [replaced_by_another, without_stamp, without_checksums])
+def test_a_database_without_its_marks_is_taken_once_they_are_renewed_as_the_error_says(
+    tmp_path: Path, harm: Callable[[Path], None]
+) -> None:
     file = filled(tmp_path)
-    replaced_by_another(file)
-    with pytest.raises(UsageError, match=r"of lamp\.db\.stamp \(delete that if this database is the right"):
+    harm(file)
+    with pytest.raises(UsageError, match=r"lamp\.db\..*`handover check --restamp` creates it again"):
         connect(f"sqlite:///{file}")
-    file.with_name("lamp.db.stamp").unlink()
+    renew_marks(file)
     connect(f"sqlite:///{file}").dispose()
-
-
-def test_a_database_restored_without_its_stamp_is_taken(tmp_path: Path) -> None:
-    file = filled(tmp_path)
-    stamp = file.with_name("lamp.db.stamp")
-    said = stamp.read_text()
-    stamp.unlink()
-    connect(f"sqlite:///{file}").dispose()
-    assert stamp.read_text() == said
 
 
 MAKES_A_TABLE = """
@@ -203,4 +206,4 @@ def test_services_that_share_a_database_make_it_at_the_same_time(tmp_path: Path,
         assert [service.communicate()[1] for service in services] == ["", "", ""]
         with connect(f"sqlite:///{file}").begin() as connection:
             found = connection.execute(text("SELECT name FROM sqlite_master WHERE type = 'table'")).scalars()
-            assert set(found) == set(tables)
+            assert set(found) == {*tables, "handover_commits"}

@@ -39,7 +39,7 @@ def test_older_tables_are_migrated_after_the_file_is_copied(engine: Engine, tmp_
     assert [column["name"] for column in inspect(engine).get_columns("thing")] == ["id", "colour"]
     with engine.connect() as connection:
         assert connection.exec_driver_sql("SELECT id, colour FROM thing").all() == [(7, None)]
-    copy = connect(f"sqlite:///{tmp_path / 'lamp.db.lamp.v1'}")
+    copy = connect(f"sqlite:///{tmp_path / 'lamp.db.lamp.v1'}", is_own=False)
     assert [column["name"] for column in inspect(copy).get_columns("thing")] == ["id"]
     copy.dispose()
 
