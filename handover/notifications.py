@@ -170,10 +170,11 @@ def _entities_of(body: bytes) -> list[dict[str, Any]]:
 def _stored_key(file: Path) -> str:
     """Return the key of `file`, after writing a new one if there is none."""
     try:
-        with suppress(FileNotFoundError, UnicodeDecodeError):
-            kept = file.read_text("ascii").strip()
-            if _KEY.match(kept):
+        with suppress(FileNotFoundError):
+            kept = file.read_bytes().decode("ascii", "replace").strip()
+            if is_notification_key(kept):
                 return kept
+            log.warning("the key for notifications is damaged; a new one replaces it", file=str(file))
         key = secrets.token_urlsafe(32)
         file.parent.mkdir(parents=True, exist_ok=True)
         unfinished = file.with_name(f"{file.name}.{os.getpid()}")
@@ -189,6 +190,11 @@ def _stored_key(file: Path) -> str:
             "or set the key with HANDOVER_NOTIFICATION_KEY"
         ) from None
     return key
+
+
+def is_notification_key(text: str) -> bool:
+    """Return whether `text` has the form of a key for notifications."""
+    return _KEY.match(text) is not None
 
 
 def _refuse(reason: str, status: int, detail: str) -> Problem:

@@ -63,3 +63,11 @@ def _faults_of(path: Path) -> Iterator[str]:
     if not is_complete:
         raise OSError("it is busy, or the disk is full or read-only")
     yield from compare(path, None).faults
+
+
+def faults_of_keys() -> list[str]:
+    """Return the faults of the keys and tokens of an installation, one line each."""
+    from services.accounts.check import faults_in  # noqa: PLC0415 - it needs the database of accounts
+    from services.accounts.settings import AccountsSettings  # noqa: PLC0415 - as above
+
+    return list(faults_in(AccountsSettings.load()))

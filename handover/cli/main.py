@@ -24,7 +24,7 @@ from handover.cli import (
     secure,
     specification,
 )
-from handover.cli.check import BROKER, check_database, databases
+from handover.cli.check import BROKER, check_database, databases, faults_of_keys
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_arguments, change_token
@@ -196,7 +196,7 @@ def check(
         typer.Option(help="Create the marks of sound databases again, after you replaced a file yourself."),
     ] = False,
 ) -> None:
-    """Check all databases in the data directory completely; exit with 1 if one is damaged.
+    """Check all databases, keys and tokens in the data directory completely; exit with 1 if one is damaged.
 
     What cannot be read, on a full disk for example, is named; it is not damaged.
     """
@@ -216,8 +216,12 @@ def check(
             say(f"unknown  {path}: {result.unreadable}")
         elif not result.faults:
             say(f"ok       {path}")
+    key_faults = faults_of_keys()
+    for fault in key_faults:
+        say(f"damaged  {fault}")
     if is_damaged:
         say(f"remedy: {REMEDY}")
+    if is_damaged or key_faults:
         raise typer.Exit(1)
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from handover.background_tasks import BackgroundTasks
 from handover.errors import Problem, UsageError
 from handover.retry import Backoff
+from handover.security.accounts_mark import AccountsMark
 from handover.security.audit_trail import current_request
 from handover.security.caller import LOCAL_OWNER, Caller, CallerKind, InvalidToken
 from handover.security.keys_in_force import RELOAD_INTERVAL_S, KeysInForce
@@ -56,7 +57,7 @@ class Guard:
         introspect: Introspect | None = None,
     ) -> None:
         self.settings = settings
-        self._keys = KeysInForce(settings.security_folder)
+        self._keys = KeysInForce(settings.security_folder, AccountsMark(settings, service))
         self.access = ServiceAccess(settings, service, keys=self._keys)
         self._followed = FollowedRevocations() if revocations is None else None
         self._revocations: RevocationState = revocations or self._followed  # type: ignore[assignment]

@@ -24,6 +24,7 @@ from handover.settings import Settings
 
 SERVICE_TOKENS_FOLDER: Final = "service-tokens"
 REQUEST_TIMEOUT_S: Final = 4.0
+UNAUTHORIZED: Final = 401
 MAX_ANSWER_BYTES: Final = 1024 * 1024
 _RENEW_AT: Final = 0.5
 """Part of the life of a token after which it is renewed."""
@@ -32,6 +33,17 @@ _RENEW_AT: Final = 0.5
 def service_token_file(settings: Settings, service: str) -> Path:
     """Return the file of the token of `service` in the security directory."""
     return settings.security_folder / SERVICE_TOKENS_FOLDER / service
+
+
+def read_service_token(file: Path) -> str:
+    """Return the secret token in a file. Raises `OSError`, `UsageError` if it holds none."""
+    token = file.read_bytes().strip().decode("ascii", "replace")
+    if not is_secret_token(token):
+        raise UsageError(
+            f"{file} is damaged: it holds no token; run `handover accounts set-up`, which writes a new one, "
+            "and start the service again"
+        )
+    return token
 
 
 class AccountsUnavailable(HandoverError):
@@ -106,21 +118,38 @@ class ServiceAccess:
         asked_s, secret = time.monotonic(), self._secret()
         if is_secret_token(secret) and kind_of(secret) != CallerKind.SERVICE:
             return _IssuedToken(secret, math.inf, math.inf)
-        document = await self.call("POST", "/service-tokens", {}, bearer=secret)
+        try:
+            document = await self.call("POST", "/service-tokens", {}, bearer=secret)
+        except AccountsUnavailable as error:
+            if (error.problem or {}).get("status") != UNAUTHORIZED:
+                raise
+            raise AccountsUnavailable(
+                f"accounts does not know the token of {self._service} in {self._token_source()}; run "
+                "`handover accounts set-up`, which writes a new one, and start the service again",
+                error.problem,
+            ) from None
         life_s = float(document["expiresInS"])
         return _IssuedToken(str(document["token"]), asked_s + life_s * _RENEW_AT, asked_s + life_s)
 
     def _secret(self) -> str:
         if self._settings.service_token is not None:
             return self._settings.service_token.get_secret_value()
-        file = self._settings.service_token_file or service_token_file(self._settings, self._service)
+        file = self._token_file()
         try:
-            return file.read_text(encoding="utf-8").strip()
+            return read_service_token(file)
         except OSError as error:
             raise UsageError(
                 f"{self._service} has no service token: {file}: {error.strerror}; run `handover accounts "
                 "set-up`, or set HANDOVER_SERVICE_TOKEN"
             ) from None
+
+    def _token_file(self) -> Path:
+        return self._settings.service_token_file or service_token_file(self._settings, self._service)
+
+    def _token_source(self) -> str:
+        if self._settings.service_token is not None:
+            return "HANDOVER_SERVICE_TOKEN"
+        return str(self._token_file())
 
     async def call(
         self,

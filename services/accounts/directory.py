@@ -5,14 +5,16 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, Self, TypeVar
 
-from sqlalchemy import Column, Connection, select
+from sqlalchemy import Column, Connection, func, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from handover.background_tasks import BackgroundTasks
 from handover.client_networks import network_of
-from handover.errors import Problem
+from handover.errors import Problem, UsageError
 from handover.security.access_tokens import SERVICE_TOKEN_S, USER_TOKEN_S
+from handover.security.accounts_mark import missing_keys
 from handover.security.caller import Caller, CallerKind
+from handover.security.keys_in_force import PUBLIC_KEYS_FILE
 from handover.security.permissions import Grant, Role
 from handover.security.revocations import FollowedRevocations
 from services.accounts import links, secret_token_store, sessions, stations, tables, users
@@ -70,6 +72,7 @@ class Directory:
 
     async def __aenter__(self) -> Self:
         await asyncio.to_thread(self.store.prepare)
+        await asyncio.to_thread(self._require_keys)
         await self._look()
         await self._tasks.__aenter__()
         self._tasks.start_restarting(self._follow)
@@ -77,6 +80,20 @@ class Directory:
         self._tasks.start_restarting(self._clean)
         self._tasks.start_restarting(self._leave_by_time)
         return self
+
+    def _require_keys(self) -> None:
+        """Raise `UsageError` if there are people, but a file of the keys is missing."""
+        with self.store.read() as connection:
+            if not connection.execute(select(func.count()).select_from(tables.users)).scalar():
+                return
+        for file in (self.settings.security_folder / PUBLIC_KEYS_FILE, self.settings.signing_keys_file):
+            if not file.exists():
+                raise missing_keys(file, "the database of accounts, which has people,")
+        if not self.keys.are_published():
+            raise UsageError(
+                f"{self.settings.security_folder / PUBLIC_KEYS_FILE} does not have the keys of "
+                f"{self.settings.signing_keys_file}; run `handover accounts set-up`, which writes it again"
+            )
 
     async def __aexit__(self, *_: object) -> None:
         await self._tasks.__aexit__(None, None, None)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pydantic import Field, SecretStr
 
-from handover.settings import MaybePath, Names, Settings
+from handover.settings import SIGNING_KEYS_FILE, MaybePath, Names, Settings
 
 
 class AccountsSettings(Settings):
@@ -74,4 +74,4 @@ class AccountsSettings(Settings):
     @property
     def signing_keys_file(self) -> Path:
         """The file of the private keys, which only accounts reads."""
-        return self.data_dir / "accounts-keys.json"
+        return self.data_dir / SIGNING_KEYS_FILE

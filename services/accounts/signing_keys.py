@@ -56,6 +56,12 @@ class SigningKeys:
         with self._lock:
             return bool(self._current())
 
+    def are_published(self) -> bool:
+        """Return whether the public keys are those of the private ones. Raises `UsageError`."""
+        with self._lock:
+            document = key_set(*(one.key for one in self._current(is_forced=True)), retired=self._retired)
+        return self._public_file.exists() and self._public_file.read_bytes() == document
+
     def signing_key(self) -> SigningKey:
         """Return the key that signs now. Raises `UsageError` if there is none."""
         with self._lock:
